@@ -1,0 +1,86 @@
+"""Typed errors.
+
+Which one to raise:
+
+- :class:`UsageError` / :class:`ConfigError` -- the user wrote something that cannot be run (exit code 2);
+- :class:`MeasurementError` -- a measurement cannot be read, or what it holds is not a record (5);
+- :class:`IntegrityError` -- stored results are not what was committed (4);
+- :class:`IncompleteError` -- a run stopped before its end and can be resumed (3);
+- :class:`GateError` -- everything ran, but a gate that the user set was not met (1).
+
+Every message says what is wrong, which value was found, what is allowed and what to do next.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+
+class GyroscreenError(Exception):
+    """Base of all errors that a user can cause and mend.
+
+    Parameters
+    ----------
+    what : one clause, no full stop.
+    value : the offending value, shown with ``repr``; ``None`` hides it.
+    allowed : what would have been accepted.
+    next_step : what to do now.
+    """
+
+    exit_code: ClassVar[int] = 2
+
+    def __init__(self, what: str, *, value: Any = None, allowed: str = "", next_step: str = "") -> None:
+        super().__init__(what)
+        self.what = what
+        self.value = value
+        self.allowed = allowed
+        self.next_step = next_step
+
+    def __str__(self) -> str:
+        shown = repr(self.value)
+        parts = [self.what + ("" if self.value is None else f": {shown[:200]}")]
+        if self.allowed:
+            parts.append(f"allowed: {self.allowed}")
+        if self.next_step:
+            parts.append(f"next: {self.next_step}")
+        return "; ".join(parts)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Exceptions cross process borders by pickle, which would drop keyword-only arguments.
+        return (_rebuild, (type(self), self.what, self.value, self.allowed, self.next_step))
+
+
+def _rebuild(kind: type[GyroscreenError], what: str, value: Any, allowed: str, next_step: str) -> GyroscreenError:
+    return kind(what, value=value, allowed=allowed, next_step=next_step)
+
+
+class UsageError(GyroscreenError):
+    """A command was called with arguments that make no sense."""
+
+
+class ConfigError(GyroscreenError):
+    """A TOML file (run, population, limits, model) does not say something that can be run."""
+
+
+class GateError(GyroscreenError):
+    """A gate that the user set (yield target, strict convergence) was not met."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class IncompleteError(GyroscreenError):
+    """A run stopped before its end; what is committed is kept and it can be resumed."""
+
+    exit_code: ClassVar[int] = 3
+
+
+class IntegrityError(GyroscreenError):
+    """Stored results differ from what the manifest says was committed."""
+
+    exit_code: ClassVar[int] = 4
+
+
+class MeasurementError(GyroscreenError):
+    """A measurement could not be read, or is not a record."""
+
+    exit_code: ClassVar[int] = 5

@@ -1,0 +1,73 @@
+"""A record: one run of an experiment, sampled uniformly.
+
+Shapes: N samples, D drives, S senses.  Units: volts, seconds, hertz; rate in deg/s as measured on a rate table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ..arrays import FloatArray
+from .instrument import Instrument
+
+Role = Literal["noise", "fit", "validate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One record.
+
+    Parameters
+    ----------
+    name : where it came from (file name, or what a simulation calls it).
+    sample_rate_hz : f_s [Hz].
+    drive_v : (N, D) commanded drive samples without the bias [V].
+    sense_v : (N, S) sense samples [V].
+    role : "noise" (silent), "fit" or "validate"; ``None`` where nothing was declared.
+    at_rest : the device stood still before the first sample.
+    rate_dps : declared angular rate [deg/s]; ``None`` is unknown.
+    bias_v : bias during this record [V]; ``None`` is the instrument's.
+    """
+
+    name: str
+    sample_rate_hz: float
+    drive_v: FloatArray
+    sense_v: FloatArray
+    role: Role | None = None
+    at_rest: bool = True
+    rate_dps: float | None = None
+    bias_v: float | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """N / f_s [s]."""
+        return self.drive_v.shape[0] / self.sample_rate_hz
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """All records of one device.
+
+    Parameters
+    ----------
+    device_id : name of the device.
+    records : in the order of ``campaign.toml``, roles filled in.
+    instrument : shared by the records.
+    angular_gain : kappa = I_p / I_0p, or ``None`` (then no rate bias can be given).
+    phase_error_deg : phase error of the demodulation [deg].
+    drive : which mode sets omega_0 of the drive loop.
+    reference : quantity -> (value, sd) from another instrument, in the units of the results columns.
+    """
+
+    device_id: str
+    records: tuple[Record, ...]
+    instrument: Instrument
+    angular_gain: float | None = None
+    phase_error_deg: float = 0.0
+    drive: Literal["f1", "f2"] = "f1"
+    reference: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def with_role(self, role: Role) -> tuple[Record, ...]:
+        """The records of one role, in order."""
+        return tuple(record for record in self.records if record.role == role)
