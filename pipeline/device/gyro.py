@@ -1,0 +1,227 @@
+"""Plant "gyro": rocking about x and y, up-down z, two drive and two sense electrodes (the paper, eq. 1, 9, 10, 18).
+
+    psi'' + C psi' + K psi = G_r M_D K_D v,      z'' + c33 z' + omega3^2 z = G_z (1, 1) K_D v
+    S = K_S (M_S psi' + (1, 1)^T z'),   K_S = diag(1 - s, 1 + s),   K_D = diag(1 - d, 1 + d)
+    M_S = [[-1, -1], [1, -1]],          M_D = [[-1, 1], [1, 1]]
+
+Three sets of the same twelve numbers:
+
+physical   f1, f2, f3 [Hz], zeta1, zeta2, zeta3, theta [deg], c12 [1/s], G_r, G_z [1/s], s, d   (columns of ``PHYSICAL``)
+cartesian  x = (omega0, eps_c, eps_s, c0, d_c, d_s [rad/s, 1/s], omega3, c33, ln G_r, ln G_z, s, d):
+               K = omega0^2 I + omega0 E,  E = [[eps_c, eps_s], [eps_s, -eps_c]]
+               C = c0 I + [[d_c, d_s], [d_s, -d_c]]           in the fixed x, y frame
+           Smooth where physical is not: at vanishing split, and for theta through +-90 deg.
+modes      poles p_k and residues R_k of H(s) = sum_k R_k / (s - p_k) + conj, from v to S.
+
+theta is the angle of the axis u1 = (cos, sin) that belongs to the lower eigenvalue omega1^2 of K.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ..arrays import ComplexArray, FloatArray
+from .mechanics import Mechanics, Modes, modes_of
+
+PHYSICAL: tuple[str, ...] = (
+    "f1_hz",
+    "f2_hz",
+    "f3_hz",
+    "zeta1",
+    "zeta2",
+    "zeta3",
+    "theta_deg",
+    "c12_per_s",
+    "rocking_gain",
+    "updown_gain",
+    "sense_imbalance",
+    "drive_imbalance",
+)
+CARTESIAN: tuple[str, ...] = (
+    "omega0",
+    "eps_c",
+    "eps_s",
+    "c0",
+    "d_c",
+    "d_s",
+    "omega3",
+    "c33",
+    "ln_rocking_gain",
+    "ln_updown_gain",
+    "sense_imbalance",
+    "drive_imbalance",
+)
+M_S: FloatArray = np.array([[-1.0, -1.0], [1.0, -1.0]])
+M_D: FloatArray = np.array([[-1.0, 1.0], [1.0, 1.0]])
+TAU = 2.0 * math.pi
+
+
+def to_cartesian(physical: FloatArray) -> FloatArray:
+    """Cartesian parameters (B, 12) of physical parameters (B, 12)."""
+    f1, f2, f3, zeta1, zeta2, zeta3, theta_deg, c12, g_r, g_z, s, d = np.moveaxis(physical, -1, 0)
+    omega1, omega2, omega3 = TAU * f1, TAU * f2, TAU * f3
+    double = np.deg2rad(2.0 * theta_deg)
+    omega0 = np.sqrt((omega1**2 + omega2**2) / 2.0)
+    eps = (omega1 - omega2) * (omega1 + omega2) / (2.0 * omega0)
+    c11, c22 = 2.0 * zeta1 * omega1, 2.0 * zeta2 * omega2
+    delta = (c11 - c22) / 2.0
+    return np.stack(
+        [
+            omega0,
+            eps * np.cos(double),
+            eps * np.sin(double),
+            (c11 + c22) / 2.0,
+            delta * np.cos(double) - c12 * np.sin(double),
+            delta * np.sin(double) + c12 * np.cos(double),
+            omega3,
+            2.0 * zeta3 * omega3,
+            np.log(g_r),
+            np.log(g_z),
+            s,
+            d,
+        ],
+        axis=-1,
+    )
+
+
+def to_physical(cartesian: FloatArray) -> FloatArray:
+    """Physical parameters (B, 12) of cartesian parameters (B, 12); theta_deg in (-90, 90]."""
+    omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = np.moveaxis(cartesian, -1, 0)
+    eps = np.hypot(eps_c, eps_s)
+    # The lower axis carries -eps, hence the turn of 2 theta by 180 deg.
+    double = np.arctan2(-eps_s, -eps_c)
+    theta_deg = np.rad2deg(double) / 2.0
+    theta_deg = np.where(theta_deg <= -90.0, theta_deg + 180.0, theta_deg)
+    omega1 = np.sqrt(omega0**2 - omega0 * eps)
+    omega2 = np.sqrt(omega0**2 + omega0 * eps)
+    delta = d_c * np.cos(double) + d_s * np.sin(double)
+    c12 = d_s * np.cos(double) - d_c * np.sin(double)
+    return np.stack(
+        [
+            omega1 / TAU,
+            omega2 / TAU,
+            omega3 / TAU,
+            (c0 + delta) / (2.0 * omega1),
+            (c0 - delta) / (2.0 * omega2),
+            c33 / (2.0 * omega3),
+            theta_deg,
+            c12,
+            np.exp(ln_r),
+            np.exp(ln_z),
+            s,
+            d,
+        ],
+        axis=-1,
+    )
+
+
+def split_hz(cartesian: FloatArray) -> FloatArray:
+    """(omega2 - omega1)/2pi [Hz], free of cancellation: 2 omega0 eps / (omega1 + omega2) / 2pi."""
+    omega0, eps = cartesian[..., 0], np.hypot(cartesian[..., 1], cartesian[..., 2])
+    omega1 = np.sqrt(omega0**2 - omega0 * eps)
+    omega2 = np.sqrt(omega0**2 + omega0 * eps)
+    return 2.0 * omega0 * eps / (omega1 + omega2) / TAU
+
+
+def gyro_mechanics(physical: FloatArray) -> Mechanics:
+    """Mechanics in the coordinates (psi_x, psi_y, z) of physical parameters (B, 12)."""
+    x = to_cartesian(physical)
+    batch = x.shape[0]
+    omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = x.T
+    stiffness = np.zeros((batch, 3, 3))
+    stiffness[:, 0, 0] = omega0 * (omega0 + eps_c)
+    stiffness[:, 1, 1] = omega0 * (omega0 - eps_c)
+    stiffness[:, 0, 1] = stiffness[:, 1, 0] = omega0 * eps_s
+    stiffness[:, 2, 2] = omega3**2
+    damping = np.zeros((batch, 3, 3))
+    damping[:, 0, 0], damping[:, 1, 1] = c0 + d_c, c0 - d_c
+    damping[:, 0, 1] = damping[:, 1, 0] = d_s
+    damping[:, 2, 2] = c33
+    k_s = np.stack([1.0 - s, 1.0 + s], axis=-1)
+    k_d = np.stack([1.0 - d, 1.0 + d], axis=-1)
+    drive = np.empty((batch, 3, 2))
+    drive[:, :2, :] = np.exp(ln_r)[:, None, None] * M_D * k_d[:, None, :]
+    drive[:, 2, :] = np.exp(ln_z)[:, None] * k_d
+    sense = np.empty((batch, 2, 3))
+    sense[:, :, :2] = k_s[:, :, None] * M_S
+    sense[:, :, 2] = k_s
+    zero = np.zeros((batch, 3, 3))
+    return Mechanics(damping, zero, stiffness, drive, sense, np.zeros_like(sense))
+
+
+def gyro_modes(physical: FloatArray) -> Modes:
+    """Modes of physical parameters (B, 12), through the eigenvectors of the state matrix."""
+    return modes_of(gyro_mechanics(physical))
+
+
+@njit(cache=True)
+def _pole_near(
+    start: complex, other: complex, kxx: float, kxy: float, kyy: float, cxx: float, cxy: float, cyy: float
+) -> complex:
+    """Newton on det(s^2 I + s C + K) / (s - other) = 0 from ``start``: never falls on the root ``other``."""
+    p = start
+    for _ in range(40):
+        a, b, c = p * p + p * cxx + kxx, p * cxy + kxy, p * p + p * cyy + kyy
+        value = a * c - b * b
+        slope = (2.0 * p + cxx) * c + a * (2.0 * p + cyy) - 2.0 * b * cxy
+        if p != other:
+            slope = slope - value / (p - other)
+        if slope == 0.0 or value == 0.0:
+            break
+        step = value / slope
+        p = p - step
+        if abs(step) <= 1e-15 * abs(p):
+            break
+    return p
+
+
+@njit(cache=True)
+def cartesian_modes(x: FloatArray, poles: ComplexArray, residues: ComplexArray) -> None:
+    """Modes of one device in closed form; x (12,) -> poles (3,), residues (3, 2, 2), written in place.
+
+    The rocking pair solves det P(s) = 0, P(s) = s^2 I + s C + K, and R = s adj P / (det P)' there: the same modes as
+    :func:`gyro_modes`, a thousand times faster.  Where both poles coincide (an exceptional point) they are held
+    1e-6 rad/s apart, which changes the response by less than 1e-9.
+    """
+    omega0, eps_c, eps_s, c0, d_c, d_s = x[0], x[1], x[2], x[3], x[4], x[5]
+    kxx, kyy, kxy = omega0 * (omega0 + eps_c), omega0 * (omega0 - eps_c), omega0 * eps_s
+    cxx, cyy, cxy = c0 + d_c, c0 - d_c, d_s
+    # First-order slow flow: p = i omega0 - c0/2 +- sqrt(m_c^2 + m_s^2), m = (i eps - d)/2 as complex 2-vectors.
+    m_c, m_s = 0.5 * (1j * eps_c - d_c), 0.5 * (1j * eps_s - d_s)
+    root = np.sqrt(m_c * m_c + m_s * m_s)
+    centre = 1j * omega0 - 0.5 * c0
+    p1 = _pole_near(centre - root, np.conj(centre), kxx, kxy, kyy, cxx, cxy, cyy)
+    p2 = _pole_near(centre + root, p1, kxx, kxy, kyy, cxx, cxy, cyy)
+    if abs(p2 - p1) < 1e-6:
+        middle = 0.5 * (p1 + p2)
+        p1, p2 = middle - 0.5e-6, middle + 0.5e-6
+    if p1.imag > p2.imag:
+        p1, p2 = p2, p1
+    g_r, g_z = math.exp(x[8]), math.exp(x[9])
+    s, d = x[10], x[11]
+    for k in range(2):
+        p, q = (p1, p2) if k == 0 else (p2, p1)
+        a, b, c = p * p + p * cxx + kxx, p * cxy + kxy, p * p + p * cyy + kyy
+        # det P = (s - p1)(s - p2)(s - conj p1)(s - conj p2): no cancellation in its slope at a root.
+        slope = (p - q) * (p - np.conj(p)) * (p - np.conj(q))
+        gain = g_r * p / slope
+        poles[k] = p
+        # M_S adj(P) M_D, with adj(P) = [[c, -b], [-b, a]].
+        for i in range(2):
+            row_x, row_y = M_S[i, 0] * c - M_S[i, 1] * b, M_S[i, 1] * a - M_S[i, 0] * b
+            k_s = 1.0 - s if i == 0 else 1.0 + s
+            for j in range(2):
+                k_d = 1.0 - d if j == 0 else 1.0 + d
+                residues[k, i, j] = gain * k_s * (row_x * M_D[0, j] + row_y * M_D[1, j]) * k_d
+    omega3, c33 = x[6], x[7]
+    p3 = complex(-0.5 * c33, math.sqrt(omega3 * omega3 - 0.25 * c33 * c33))
+    poles[2] = p3
+    gain3 = g_z * p3 / (p3 - np.conj(p3))
+    for i in range(2):
+        k_s = 1.0 - s if i == 0 else 1.0 + s
+        for j in range(2):
+            k_d = 1.0 - d if j == 0 else 1.0 + d
+            residues[2, i, j] = gain3 * k_s * k_d

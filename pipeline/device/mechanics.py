@@ -1,0 +1,94 @@
+"""Linear mechanics of a device and its modes.
+
+    q'' + (C + G) q' + K q = F u,      S = V q' + D q                                    (mass-normalised)
+
+q (n) coordinates, u (D) drive volts, S (S) pick-off volts before the filter; every array carries a leading batch axis B.
+
+| symbol | field          | shape     | unit |
+|---|---|---|---|
+| C      | damping        | (B, n, n) | 1/s, symmetric |
+| G      | gyroscopic     | (B, n, n) | 1/s, antisymmetric |
+| K      | stiffness      | (B, n, n) | 1/s^2, symmetric |
+| F      | drive          | (B, n, D) | 1/s (q in V s) |
+| V      | velocity_sense | (B, S, n) | 1 |
+| D      | position_sense | (B, S, n) | 1/s |
+
+As modes:   H(s) = sum_k R_k / (s - p_k) + conj,   Im p_k > 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import ComplexArray, FloatArray
+from ..errors import ConfigError
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanics:
+    """Mass-normalised second-order mechanics of a batch of devices (symbols and shapes at the head of the module)."""
+
+    damping: FloatArray
+    gyroscopic: FloatArray
+    stiffness: FloatArray
+    drive: FloatArray
+    velocity_sense: FloatArray
+    position_sense: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """H(s) = sum_k R_k / (s - p_k) + conj: poles (B, n) [rad/s] with Im p > 0, residues (B, n, S, D)."""
+
+    poles: ComplexArray
+    residues: ComplexArray
+
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """H(s), (B, S, D, len(s)), at complex frequencies ``s`` [rad/s]."""
+        p = self.poles[:, :, None, None, None]
+        r = self.residues[..., None]
+        return np.sum(r / (s - p) + np.conj(r) / (s - np.conj(p)), axis=1)
+
+
+def state_matrix(mechanics: Mechanics) -> FloatArray:
+    """A of d/dt (q, q') = A (q, q') + ..., (B, 2n, 2n)."""
+    stiffness = mechanics.stiffness
+    batch, n, _ = stiffness.shape
+    a = np.zeros((batch, 2 * n, 2 * n))
+    a[:, :n, n:] = np.eye(n)
+    a[:, n:, :n] = -stiffness
+    a[:, n:, n:] = -(mechanics.damping + mechanics.gyroscopic)
+    return a
+
+
+def modes_of(mechanics: Mechanics) -> Modes:
+    """Poles and residues of ``mechanics`` by the eigenvectors of its state matrix.
+
+    R_k = (V p_k + D) x_k (y_k F),  x_k, y_k the position half of the right and the velocity half of the left eigenvector.
+
+    Raises
+    ------
+    ConfigError : a mode does not oscillate (overdamped, or not stiff enough), so it has no frequency.
+    """
+    n = mechanics.stiffness.shape[-1]
+    poles, right = np.linalg.eig(state_matrix(mechanics))
+    oscillating = np.sum(poles.imag > 0.0, axis=-1)
+    if np.any(oscillating != n):
+        raise ConfigError(
+            "a mode does not oscillate",
+            value=int(np.argmax(oscillating != n)),
+            allowed="positive definite stiffness and damping ratios below 1",
+            next_step="check frequencies and damping of this device",
+        )
+    left = np.linalg.inv(right)
+    # Frequency order, upper half plane first, so that a mode keeps its place in the batch.
+    order = np.argsort(np.where(poles.imag > 0.0, poles.imag, np.inf), axis=-1)[:, :n]
+    poles = np.take_along_axis(poles, order, axis=-1)
+    x = np.take_along_axis(right[:, :n, :], order[:, None, :], axis=-1)
+    y = np.take_along_axis(left[:, :, n:], order[:, :, None], axis=1)
+    sensed = np.einsum("bsn,bnk->bks", mechanics.velocity_sense, x) * poles[:, :, None]
+    sensed = sensed + np.einsum("bsn,bnk->bks", mechanics.position_sense, x)
+    driven = np.einsum("bkn,bnd->bkd", y, mechanics.drive)
+    return Modes(poles, sensed[:, :, :, None] * driven[:, :, None, :])

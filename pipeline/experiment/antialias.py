@@ -1,0 +1,63 @@
+"""Analog anti-alias filters as sums of poles.
+
+    G(s) = sum_j r_j / (s - q_j),   G(0) = 1
+
+q_j [rad/s] and r_j [rad/s] hold all poles, conjugates included.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import ComplexArray
+from ..device.mechanics import Modes
+from .instrument import AntiAlias
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """Modes as seen behind the filter: H(s) G(s) = sum_k R_k / (s - p_k) + conj, k over plant and filter poles.
+
+    poles (B, P) [rad/s], Im >= 0; residues (B, P, S, D).  The residue of a real pole is halved, since conj is added.
+    """
+
+    poles: ComplexArray
+    residues: ComplexArray
+
+
+def filter_poles(antialias: AntiAlias) -> tuple[ComplexArray, ComplexArray]:
+    """Poles q_j and residues r_j of the filter, both (order,)."""
+    order = antialias.order
+    corner = 2.0 * math.pi * antialias.corner_hz
+    q = corner * np.exp(1j * math.pi * (2.0 * np.arange(1, order + 1) + order - 1) / (2.0 * order))
+    difference = q[:, None] - q[None, :]
+    np.fill_diagonal(difference, 1.0)
+    return q, corner**order / np.prod(difference, axis=1)
+
+
+def filter_response(antialias: AntiAlias | None, s: ComplexArray) -> ComplexArray:
+    """G(s) at complex frequencies ``s`` [rad/s], the shape of ``s``; 1 without a filter."""
+    if antialias is None:
+        return np.ones_like(s, dtype=np.complex128)
+    q, _ = filter_poles(antialias)
+    return (2.0 * math.pi * antialias.corner_hz) ** antialias.order / np.prod(s[..., None] - q, axis=-1)
+
+
+def behind_filter(modes: Modes, antialias: AntiAlias | None) -> Bank:
+    """Partial fractions of H(s) G(s): R_k G(p_k) at the plant's poles, r_j H(q_j) at the filter's."""
+    if antialias is None:
+        return Bank(modes.poles, modes.residues)
+    q, r = filter_poles(antialias)
+    upper = q.imag > -1e-9 * np.abs(q)
+    q, r = q[upper], r[upper]
+    weight = np.where(np.abs(q.imag) < 1e-9 * np.abs(q), 0.5, 1.0)
+    plant = modes.residues * filter_response(antialias, modes.poles)[:, :, None, None]
+    own = np.moveaxis(modes.response(q), -1, 1) * (r * weight)[None, :, None, None]
+    batch = modes.poles.shape[0]
+    return Bank(
+        np.concatenate([modes.poles, np.broadcast_to(q, (batch, q.size))], axis=1),
+        np.concatenate([plant, own], axis=1),
+    )

@@ -1,0 +1,50 @@
+"""Fixed lines and offsets of a record, by linear least squares, and the noise that is left.
+
+    y = a_0 [+ a_1 t] + sum_h (b_h cos 2 pi h f t + c_h sin 2 pi h f t) + noise
+
+Shapes: y (N, S).  sigma is the standard deviation of the noise a sample and channel [V].
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ..arrays import FloatArray
+from .instrument import Adc
+
+#: Below this many LSB of noise, silence does not exercise the converter.
+_EXERCISED_LSB = 0.5
+
+
+@lru_cache(maxsize=16)
+def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend: bool) -> FloatArray:
+    """Orthonormal basis (N, L) of offset, optional trend and the harmonics of ``line_hz`` below Nyquist."""
+    t = np.arange(samples) / sample_rate_hz
+    columns = [np.ones(samples)]
+    if trend:
+        columns.append(t - t.mean())
+    if line_hz is not None:
+        for h in range(1, int(np.ceil(sample_rate_hz / 2.0 / line_hz - 1e-9))):
+            columns += [np.cos(2.0 * np.pi * h * line_hz * t), np.sin(2.0 * np.pi * h * line_hz * t)]
+    basis, _ = np.linalg.qr(np.stack(columns, axis=1))
+    basis.setflags(write=False)
+    return basis
+
+
+def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None, trend: bool = False) -> FloatArray:
+    """y (N, S) less its offset, trend and lines."""
+    basis = line_basis(y.shape[0], sample_rate_hz, line_hz, trend)
+    return y - basis @ (basis.T @ y)
+
+
+def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, adc: Adc | None) -> FloatArray:
+    """sigma (S,) of a silent record [V]; LSB^2/12 is added where silence does not exercise the converter."""
+    basis = line_basis(y.shape[0], sample_rate_hz, line_hz, True)
+    rest = y - basis @ (basis.T @ y)
+    variance = np.sum(rest**2, axis=0) / max(y.shape[0] - basis.shape[1], 1)
+    if adc is not None:
+        quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2
+        variance = np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)
+    return np.sqrt(variance)
