@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.fft import irfft, rfft
 
 from ..arrays import FloatArray
 from .instrument import Adc
@@ -35,6 +36,13 @@ def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend
 
 def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None, trend: bool = False) -> FloatArray:
     """y (N, S) less its offset, trend and lines."""
+    samples = y.shape[0]
+    cycles = None if line_hz is None else samples * line_hz / sample_rate_hz
+    if cycles is not None and not trend and abs(cycles - round(cycles)) < 1e-9:
+        # Lines on bins are orthogonal: dropping the bins is the same least squares.
+        spectrum = rfft(y, axis=0)
+        spectrum[:: round(cycles)] = 0.0
+        return np.asarray(irfft(spectrum, n=samples, axis=0))
     basis = line_basis(y.shape[0], sample_rate_hz, line_hz, trend)
     return y - basis @ (basis.T @ y)
 
