@@ -1,0 +1,277 @@
+"""The yield and what it is worth.
+
+    yield = passed / devices; an undecided device is neither, so yield is bounded by passed / n and (passed
+    + undecided) / n
+
+Three uncertainties, told apart:
+
+- measurement: which of these very devices conform.  The number is a sum of independent Bernoulli(p_pass), a
+  Poisson-binomial variable: mean sum p, variance sum p (1 - p).
+- sampling: how far these devices, as independent draws, stand for the process: binomial.
+- clustering: devices of a wafer (or lot) are not independent draws of the process.  With G groups of n_g
+  devices and passed x_g,  var(y) = G/(G-1) sum_g (x_g - y n_g)^2 / n^2  (between-group linearisation), and
+  the interval is Clopper-Pearson at the effective number  n* = y (1 - y)/var(y) (t_{n-1}/t_{G-1})^2  (Korn
+  and Graubard 1998, Survey Methodology 24:193).
+
+Yields and probabilities are shares of one, not percent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal, stats
+
+from pipeline.arrays import FloatArray
+from pipeline.errors import UsageError
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """low <= value <= high with confidence ``level``, by ``method``."""
+
+    low: float
+    high: float
+    method: str
+    level: float = LEVEL
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """How many of these devices conform, as the posteriors see it.
+
+    Parameters
+    ----------
+    judged : devices with a probability of conformity.
+    unknown : devices without one; they are in no figure here.
+    mean, sd : of the number of conforming devices among the judged.
+    low, high : central interval of that number at ``LEVEL``.
+    """
+
+    judged: int
+    unknown: int
+    mean: float
+    sd: float
+    low: int
+    high: int
+
+
+@dataclass(frozen=True)
+class Clustering:
+    """Spread of the yield between groups of devices.
+
+    Parameters
+    ----------
+    by : "wafer" or "lot".
+    groups : number of groups G.
+    between_sd : sd of the groups' true yields, the binomial part of their scatter taken out.
+    design_effect : var(yield) over its binomial value; 1 for independent devices.
+    effective : n*, the number of independent devices that would tell as much.
+    interval : of the process yield, groups drawn at random; ``None`` with one group, which says nothing
+    about it.
+    """
+
+    by: str
+    groups: int
+    between_sd: float | None
+    design_effect: float | None
+    effective: float | None
+    interval: Interval | None
+
+
+@dataclass(frozen=True)
+class Yield:
+    """Counts and intervals of one set of devices.
+
+    Parameters
+    ----------
+    devices, passed, failed, undecided : counts.
+    value : passed / devices; nan for no devices.
+    bounds : the yield if all undecided failed, and if all passed.
+    clopper_pearson, wilson : sampling intervals of ``value``.
+    envelope : Clopper-Pearson from its lower end with all undecided failing to its upper with all passing.
+    """
+
+    devices: int
+    passed: int
+    failed: int
+    undecided: int
+    value: float
+    bounds: tuple[float, float]
+    clopper_pearson: Interval
+    wilson: Interval
+    envelope: Interval
+
+
+@dataclass(frozen=True)
+class GroupYield:
+    """The yield of one wafer or lot."""
+
+    lot: str
+    wafer: str
+    result: Yield
+
+
+def clopper_pearson(count: float, n: float, level: float = LEVEL) -> Interval:
+    """Exact binomial interval: low = Beta^-1(a/2; k, n-k+1), high = Beta^-1(1-a/2; k+1, n-k), a = 1 - level.
+
+    ``count`` and ``n`` may be effective (not whole) numbers; n = 0 gives [0, 1].
+    Clopper and Pearson 1934, Biometrika 26:404.
+    """
+    tail = 0.5 * (1.0 - level)
+    low = float(stats.beta.ppf(tail, count, n - count + 1.0)) if count > 0 else 0.0
+    high = float(stats.beta.ppf(1.0 - tail, count + 1.0, n - count)) if count < n else 1.0
+    return Interval(low, high, "Clopper-Pearson", level)
+
+
+def wilson(count: float, n: float, level: float = LEVEL) -> Interval:
+    """Score interval: the p with abs(count/n - p) <= z sqrt(p (1 - p)/n); n = 0 gives [0, 1].
+
+    Wilson 1927, J. Am. Stat. Assoc. 22:209.
+    """
+    if n <= 0:
+        return Interval(0.0, 1.0, "Wilson", level)
+    z = float(stats.norm.ppf(0.5 * (1.0 + level)))
+    share, z2 = count / n, z * z
+    centre = (share + z2 / (2.0 * n)) / (1.0 + z2 / n)
+    half = z / (1.0 + z2 / n) * np.sqrt(share * (1.0 - share) / n + z2 / (4.0 * n * n))
+    # At 0 and n the ends are 0 and 1 exactly, which rounding misses.
+    low = 0.0 if count <= 0 else float(centre - half)
+    high = 1.0 if count >= n else float(centre + half)
+    return Interval(low, high, "Wilson", level)
+
+
+def yield_of(passed: int, failed: int, undecided: int = 0, level: float = LEVEL) -> Yield:
+    """passed / (passed + failed + undecided), its bounds and its sampling intervals.
+
+    Raises
+    ------
+    UsageError : a count is negative.
+    """
+    if min(passed, failed, undecided) < 0:
+        raise UsageError(
+            "counts of devices cannot be negative",
+            value=(passed, failed, undecided),
+            allowed=">= 0",
+            next_step="count the verdicts",
+        )
+    n = passed + failed + undecided
+    most = passed + undecided
+    return Yield(
+        devices=n,
+        passed=passed,
+        failed=failed,
+        undecided=undecided,
+        value=passed / n if n else float("nan"),
+        bounds=(passed / n, most / n) if n else (0.0, 1.0),
+        clopper_pearson=clopper_pearson(passed, n, level),
+        wilson=wilson(passed, n, level),
+        envelope=Interval(
+            clopper_pearson(passed, n, level).low,
+            clopper_pearson(most, n, level).high,
+            "Clopper-Pearson, undecided either way",
+            level,
+        ),
+    )
+
+
+def yield_of_verdicts(verdicts: Sequence[str], level: float = LEVEL) -> Yield:
+    """The yield of a list of verdicts; whatever is neither "pass" nor "fail" is undecided."""
+    passed, failed = verdicts.count("pass"), verdicts.count("fail")
+    return yield_of(passed, failed, len(verdicts) - passed - failed, level)
+
+
+def poisson_binomial(probability: FloatArray) -> FloatArray:
+    """P(K = k), k = 0..n, of a sum of independent Bernoulli(p_i): coefficients of prod (1 - p_i + p_i x)."""
+    factors = [np.array([1.0 - p, p]) for p in probability]
+    while len(factors) > 1:
+        # Halves of equal degree keep the products cheap and their rounding small.
+        pairs = [signal.convolve(a, b) for a, b in zip(factors[::2], factors[1::2], strict=False)]
+        factors = pairs + ([factors[-1]] if len(factors) % 2 else [])
+    return np.clip(factors[0], 0.0, 1.0) if factors else np.ones(1)
+
+
+def measurement_uncertainty(p_pass: FloatArray, level: float = LEVEL) -> Measurement:
+    """The number of conforming devices given p_pass (B,), nan where unknown: Poisson-binomial."""
+    known = p_pass[np.isfinite(p_pass)]
+    # Certain devices only shift the count.
+    certain = int(np.sum(known == 1.0))
+    uncertain = known[(known > 0.0) & (known < 1.0)]
+    cumulative = np.cumsum(poisson_binomial(uncertain))
+    tail = 0.5 * (1.0 - level)
+    low = int(np.searchsorted(cumulative, tail))
+    high = int(np.searchsorted(cumulative, 1.0 - tail))
+    return Measurement(
+        judged=int(known.size),
+        unknown=int(p_pass.size - known.size),
+        mean=float(np.sum(known)),
+        sd=float(np.sqrt(np.sum(known * (1.0 - known)))),
+        low=certain + low,
+        high=certain + min(high, uncertain.size),
+    )
+
+
+def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: float = LEVEL) -> Clustering:
+    """The yield of the process when whole groups are its independent draws.
+
+    Parameters
+    ----------
+    verdicts : B verdicts; undecided counts as not passed.
+    groups : B names of the group of each device.
+    by : what a group is, "wafer" or "lot".
+    """
+    names = sorted(set(groups))
+    passed = np.array([verdict == "pass" for verdict in verdicts], dtype=np.float64)
+    index = np.searchsorted(names, groups) if names else np.zeros(0, np.int64)
+    size = np.bincount(index, minlength=len(names)).astype(np.float64)
+    count = np.bincount(index, weights=passed, minlength=len(names)).astype(np.float64)
+    n, g = float(passed.size), len(names)
+    if g < 2:
+        return Clustering(by, g, None, None, None, None)
+    share = float(passed.mean())
+    binomial = share * (1.0 - share) / n
+    variance = g / (g - 1.0) * float(np.sum((count - share * size) ** 2)) / n**2
+    if binomial == 0.0:
+        # All alike: no scatter to estimate, only the number of devices speaks.
+        return Clustering(by, g, 0.0, None, n, clopper_pearson(share * n, n, level))
+    tail = 0.5 * (1.0 + level)
+    student = float(stats.t.ppf(tail, n - 1.0)) / float(stats.t.ppf(tail, g - 1.0))
+    effective = min(n, n * binomial / max(variance, binomial / n) * student**2)
+    interval = clopper_pearson(share * effective, effective, level)
+    return Clustering(
+        by,
+        g,
+        _between_sd(share, size, count),
+        variance / binomial,
+        effective,
+        Interval(interval.low, interval.high, f"Korn-Graubard, {by}s as draws", level),
+    )
+
+
+def _between_sd(share: float, size: FloatArray, count: FloatArray) -> float:
+    """Sd of the groups' true yields by analysis of variance; 0 where their scatter is binomial."""
+    n, g = float(size.sum()), size.size
+    group_share = count / size
+    between = float(np.sum(size * (group_share - share) ** 2)) / (g - 1.0)
+    if n == g:
+        return 0.0
+    within = float(np.sum(count * (1.0 - group_share))) / (n - g)
+    mean_size = (n - float(np.sum(size**2)) / n) / (g - 1.0)
+    return float(np.sqrt(max(0.0, (between - within) / mean_size)))
+
+
+def by_group(
+    verdicts: Sequence[str], lots: Sequence[str], wafers: Sequence[str] | None = None
+) -> tuple[GroupYield, ...]:
+    """The yield of each lot, or of each wafer of each lot where ``wafers`` are given, in order of name."""
+    keys = list(zip(lots, wafers if wafers is not None else [""] * len(lots), strict=True))
+    members: dict[tuple[str, str], list[str]] = {}
+    for key, verdict in zip(keys, verdicts, strict=True):
+        members.setdefault(key, []).append(verdict)
+    return tuple(
+        GroupYield(lot, wafer, yield_of_verdicts(members[lot, wafer])) for lot, wafer in sorted(members)
+    )

@@ -1,0 +1,190 @@
+"""Yields and risks: published figures, edges, and what clustering does to an interval."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from pipeline.errors import UsageError
+from reports.risk import counted_risk, expected_risk, normal_risk
+from reports.yields import (
+    by_group,
+    clopper_pearson,
+    clustering,
+    measurement_uncertainty,
+    poisson_binomial,
+    wilson,
+    yield_of,
+    yield_of_verdicts,
+)
+
+
+def test_none_of_1000_gives_the_published_limits() -> None:
+    assert clopper_pearson(0, 1000).high == pytest.approx(0.00368, abs=5e-6)
+    assert wilson(0, 1000).high == pytest.approx(0.00383, abs=5e-6)
+
+
+@given(st.integers(0, 60), st.integers(0, 60), st.sampled_from([0.9, 0.95]))
+def test_intervals_are_those_of_scipy_and_mirror(passed: int, failed: int, level: float) -> None:
+    n = passed + failed
+    if n:
+        exact = stats.binomtest(passed, n).proportion_ci(level, "exact")
+        score = stats.binomtest(passed, n).proportion_ci(level, "wilson")
+        ours = (clopper_pearson(passed, n, level), wilson(passed, n, level))
+        for theirs, mine in zip((exact, score), ours):
+            assert (mine.low, mine.high) == pytest.approx((theirs.low, theirs.high), abs=1e-9)
+    assert clopper_pearson(passed, n).low == pytest.approx(1.0 - clopper_pearson(failed, n).high, abs=1e-12)
+    assert wilson(passed, n).low == pytest.approx(1.0 - wilson(failed, n).high, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("counts", "bounds", "envelope"),
+    [
+        ((0, 10, 0), (0.0, 0.0), (0.0, 0.30850)),
+        ((10, 0, 0), (1.0, 1.0), (0.69150, 1.0)),
+        ((0, 0, 10), (0.0, 1.0), (0.0, 1.0)),
+        ((1, 0, 0), (1.0, 1.0), (0.025, 1.0)),
+        ((0, 0, 0), (0.0, 1.0), (0.0, 1.0)),
+        ((5, 3, 2), (0.5, 0.7), (0.18709, 0.93326)),
+    ],
+)
+def test_undecided_devices_widen_the_yield_and_edges_hold(
+    counts: tuple[int, int, int], bounds: tuple[float, float], envelope: tuple[float, float]
+) -> None:
+    result = yield_of(*counts)
+    assert result.bounds == bounds
+    assert (result.envelope.low, result.envelope.high) == pytest.approx(envelope, abs=1e-5)
+    assert math.isnan(result.value) == (sum(counts) == 0)
+
+
+def test_negative_counts_are_refused() -> None:
+    with pytest.raises(UsageError, match="negative"):
+        yield_of(-1, 2)
+
+
+def test_equal_probabilities_give_the_binomial() -> None:
+    pmf = poisson_binomial(np.full(301, 0.3))
+    np.testing.assert_allclose(pmf, stats.binom.pmf(np.arange(302), 301, 0.3), atol=1e-15)
+    np.testing.assert_allclose(poisson_binomial(np.empty(0)), [1.0])
+
+
+def test_certain_devices_carry_no_measurement_uncertainty() -> None:
+    p = np.array([1.0] * 70 + [0.0] * 20 + [np.nan] * 10)
+    certain = measurement_uncertainty(p)
+    assert (certain.mean, certain.sd, certain.low, certain.high) == (70.0, 0.0, 70, 70)
+    assert (certain.judged, certain.unknown) == (90, 10)
+    doubtful = measurement_uncertainty(np.concatenate([p, np.full(100, 0.5)]))
+    assert (doubtful.mean, doubtful.sd) == (120.0, 5.0)
+    assert (doubtful.low, doubtful.high) == (
+        70 + stats.binom.ppf(0.025, 100, 0.5),
+        70 + stats.binom.ppf(0.975, 100, 0.5),
+    )
+    assert measurement_uncertainty(np.empty(0)).mean == 0.0
+
+
+def _process(rng: np.random.Generator, wafers: int, dies: int, spread: float) -> tuple[list[str], list[str]]:
+    """Verdicts and wafers where the yield of a wafer is Beta with mean 0.5 and sd ``spread`` (0: none)."""
+    shape = 0.5 * (0.25 / spread**2 - 1.0) if spread else math.inf
+    p = rng.beta(shape, shape, wafers) if spread else np.full(wafers, 0.5)
+    passed = rng.random((wafers, dies)) < p[:, None]
+    return ["pass" if one else "fail" for one in passed.ravel()], [
+        f"W{w:02d}" for w in range(wafers) for _ in range(dies)
+    ]
+
+
+def test_wafers_that_differ_widen_the_interval_until_it_covers_the_process() -> None:
+    rng = np.random.default_rng(11)
+    plain = clustered = 0
+    runs = 300
+    for _ in range(runs):
+        verdicts, wafers = _process(rng, 8, 40, 0.15)
+        inside = clustering(verdicts, wafers, "wafer").interval
+        assert inside is not None
+        clustered += inside.low <= 0.5 <= inside.high
+        naive = yield_of_verdicts(verdicts).clopper_pearson
+        plain += naive.low <= 0.5 <= naive.high
+    # Binomial sd of a coverage of 0.95 over 300 runs is 1.3 %.
+    assert clustered / runs > 0.95 - 4 * 0.0126
+    assert plain / runs < 0.80
+
+
+def test_between_wafer_sd_is_recovered_and_vanishes_for_equal_wafers() -> None:
+    rng = np.random.default_rng(3)
+    spread = clustering(*_process(rng, 400, 50, 0.15), "wafer")
+    assert spread.between_sd == pytest.approx(0.15, abs=0.02)
+    assert spread.design_effect == pytest.approx(1 + 49 * 0.09, rel=0.25)
+    alike = clustering(*_process(rng, 400, 50, 0.0), "wafer")
+    assert alike.design_effect == pytest.approx(1.0, abs=0.3)
+    assert alike.between_sd is not None
+    assert alike.between_sd < 0.03
+
+
+def test_one_wafer_says_nothing_about_wafers_and_equal_verdicts_do_not_break() -> None:
+    assert clustering(["pass", "fail"], ["W1", "W1"], "wafer").interval is None
+    assert clustering([], [], "wafer").groups == 0
+    equal = clustering(["pass"] * 10, ["W1"] * 5 + ["W2"] * 5, "wafer").interval
+    assert equal is not None
+    assert (equal.low, equal.high) == (clopper_pearson(10, 10).low, 1.0)
+    # As many passed in each wafer: no scatter seen, yet never better than independent devices.
+    balanced = clustering(["pass", "fail"] * 4, ["W1"] * 4 + ["W2"] * 4, "wafer")
+    assert balanced.effective is not None
+    assert balanced.effective <= 8
+
+
+def test_groups_are_counted_by_wafer_and_by_lot() -> None:
+    verdicts, lots, wafers = (
+        ["pass", "fail", "undecided", "pass"],
+        ["B", "A", "A", "A"],
+        ["W1", "W1", "W1", "W2"],
+    )
+    assert [
+        (g.lot, g.wafer, g.result.devices, g.result.passed) for g in by_group(verdicts, lots, wafers)
+    ] == [
+        ("A", "W1", 2, 0),
+        ("A", "W2", 1, 1),
+        ("B", "W1", 1, 1),
+    ]
+    assert [(g.lot, g.result.devices) for g in by_group(verdicts, lots)] == [("A", 3), ("B", 1)]
+
+
+def test_risks_of_the_normal_process_are_the_published_ones() -> None:
+    risk = normal_risk(0.12, 0.04, (-0.2, 0.2), (-0.2, 0.2))
+    assert risk.consumer == pytest.approx(0.0189422067, abs=5e-11)
+    assert risk.producer == pytest.approx(0.0372078002, abs=5e-11)
+
+
+def test_predicted_and_counted_risks_agree_with_the_integral() -> None:
+    # Simple acceptance of y is the rule P(conform) > 1/2 of a flat prior; the prior here is the process, so
+    # the posterior is N(s y, s u^2), s = u0^2 / (u0^2 + u^2).
+    rng = np.random.default_rng(8)
+    n, u0, u, tolerance = 200_000, 0.12, 0.04, 0.2
+    x = rng.normal(0.0, u0, n)
+    y = x + rng.normal(0.0, u, n)
+    shrink = u0**2 / (u0**2 + u**2)
+    sd = math.sqrt(shrink) * u
+    p = stats.norm.cdf((tolerance - shrink * y) / sd) - stats.norm.cdf((-tolerance - shrink * y) / sd)
+    verdicts = ["pass" if abs(one) <= tolerance else "fail" for one in y]
+    truth = normal_risk(u0, u, (-tolerance, tolerance), (-tolerance, tolerance))
+    counted = counted_risk(verdicts, np.abs(x) <= tolerance)
+    expected = expected_risk(p, verdicts)
+    for share, exact in ((counted.wrong_pass / n, truth.consumer), (counted.wrong_fail / n, truth.producer)):
+        assert abs(share - exact) < 4 * math.sqrt(exact / n)
+    # Predicted risks average probabilities instead of counting zeros and ones, hence scatter less.
+    assert expected.consumer == pytest.approx(truth.consumer, abs=4 * math.sqrt(truth.consumer / n))
+    assert expected.producer == pytest.approx(truth.producer, abs=4 * math.sqrt(truth.producer / n))
+
+
+def test_a_guard_band_trades_the_consumers_risk_for_the_producers() -> None:
+    plain = normal_risk(0.12, 0.04, (-0.2, 0.2), (-0.2, 0.2))
+    guarded = normal_risk(0.12, 0.04, (-0.2, 0.2), (-0.13, 0.13))
+    assert guarded.consumer < 0.1 * plain.consumer
+    assert guarded.producer > plain.producer
+
+
+def test_risk_of_no_known_probability_is_nan() -> None:
+    assert math.isnan(expected_risk(np.array([np.nan]), ["undecided"]).consumer)
