@@ -1,0 +1,158 @@
+"""The manifest: what was committed to a run, and the only list of its files.
+
+    manifest.json = canonical JSON of the manifest, with ``sha256`` over the same JSON without that key
+
+Canonical: sorted keys, fixed indentation, UTF-8.  A reader encodes what it has parsed and compares every
+byte, so that no change of a single bit, white space included, goes unseen.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from ..errors import IntegrityError
+from .files import sha256
+
+FORMAT = 1
+NAME = "manifest.json"
+
+Status = Literal["running", "stopped", "complete"]
+Kind = Literal["config", "devices", "posterior", "page"]
+
+
+@dataclass(frozen=True)
+class FileEntry:
+    """One committed file; ``block`` and ``rows`` belong to tables."""
+
+    name: str
+    kind: Kind
+    bytes: int
+    sha256: str
+    block: int | None = None
+    rows: int | None = None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a run is and which files belong to it.
+
+    Parameters
+    ----------
+    run_id : name of the run; its folder is ``run=<run_id>``.
+    status : "running" until finished; a killed run stays "running".
+    created, finished : ISO 8601, UTC; ``finished`` is null while running.
+    config_sha256 : SHA-256 of ``run.toml``.
+    provenance : seed, versions, platform (see pipeline.store.provenance).
+    files : committed files in the order of kind and block.
+    summary : what the caller gave at the end.
+    devices_digest : digest of the values of the whole ``devices`` table, at the end.
+    format : version of this layout.
+    """
+
+    run_id: str
+    status: Status
+    created: str
+    finished: str | None
+    config_sha256: str
+    provenance: Mapping[str, Any]
+    files: tuple[FileEntry, ...]
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    devices_digest: str | None = None
+    format: int = FORMAT
+
+    def of_kind(self, kind: Kind) -> tuple[FileEntry, ...]:
+        """Files of one kind, by block."""
+        return tuple(sorted((f for f in self.files if f.kind == kind), key=lambda f: (f.block or 0, f.name)))
+
+    def blocks(self) -> frozenset[int]:
+        """Numbers of the committed blocks."""
+        return frozenset(f.block for f in self.files if f.kind == "devices" and f.block is not None)
+
+    def rows(self, kind: Kind) -> int:
+        """Rows over all blocks."""
+        return sum(f.rows or 0 for f in self.of_kind(kind))
+
+
+def _canonical(content: Mapping[str, Any]) -> bytes:
+    text = json.dumps(content, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False)
+    return (text + "\n").encode()
+
+
+def encode(manifest: Manifest) -> bytes:
+    """Canonical bytes of a manifest, with their own hash.
+
+    Raises
+    ------
+    TypeError, ValueError : provenance or summary hold something that JSON does not know (NaN among them).
+    """
+    content = asdict(manifest)
+    return _canonical({**content, "sha256": sha256(_canonical(content))})
+
+
+def decode(data: bytes, where: str) -> Manifest:
+    """Parse and check a manifest.
+
+    Raises
+    ------
+    IntegrityError : the bytes are not those that were written, or a newer version wrote them.
+    """
+    try:
+        content = json.loads(data.decode())
+        if not isinstance(content, dict):
+            raise ValueError("no object")
+        claimed = content.get("sha256")
+        without = {key: value for key, value in content.items() if key != "sha256"}
+        whole = _canonical(content) == data and claimed == sha256(_canonical(without))
+    except (ValueError, RecursionError):  # UnicodeDecodeError and JSONDecodeError are ValueErrors
+        whole = False
+    if not whole:
+        raise IntegrityError(
+            f"{where} is damaged: its bytes do not match their own SHA-256",
+            allowed="the manifest as the run wrote it",
+            next_step="run `gyroscreen verify`; restore the run from a copy, or move it out",
+        )
+    if content.get("format") != FORMAT:
+        raise IntegrityError(
+            f"{where} has another format version",
+            value=content.get("format"),
+            allowed=str(FORMAT),
+            next_step="read it with the gyroscreen version that wrote it (provenance, versions)",
+        )
+    try:
+        return msgspec.convert(without, Manifest)
+    except msgspec.ValidationError as error:
+        raise IntegrityError(
+            f"{where} lacks what a manifest holds ({error})", next_step="run `gyroscreen verify`"
+        ) from None
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read and check the manifest of a run's folder.
+
+    Raises
+    ------
+    IntegrityError : it is missing, unreadable or damaged, or belongs to another run.
+    """
+    path = folder / NAME
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise IntegrityError(
+            f"{path} cannot be read ({error.strerror})",
+            next_step="move the folder out of the results folder, or restore it from a copy",
+        ) from None
+    manifest = decode(data, str(path))
+    if folder.name != f"run={manifest.run_id}":
+        raise IntegrityError(
+            f"{path} belongs to another run",
+            value=manifest.run_id,
+            allowed=folder.name.removeprefix("run="),
+            next_step=f"rename the folder to run={manifest.run_id}",
+        )
+    return manifest

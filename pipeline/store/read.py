@@ -1,0 +1,165 @@
+"""Read runs: nothing is handed out whose SHA-256 is not that of the manifest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+
+from ..errors import IntegrityError, UsageError
+from .files import sha256
+from .manifest import NAME as MANIFEST
+from .manifest import FileEntry, Kind, Manifest, read_manifest
+from .parquet import decode_table
+from .schema import devices_schema, posterior_schema
+
+CONFIG = "run.toml"
+PREFIX = "run="
+
+
+@dataclass(frozen=True, eq=False)
+class RunTables:
+    """A run, verified: its tables in block order, manifest and configuration."""
+
+    devices: pa.Table
+    posterior: pa.Table
+    manifest: Manifest
+    config_toml: str
+
+
+def run_folders(results: Path) -> tuple[Path, ...]:
+    """Folders of runs (``run=<id>`` with a manifest), by name; anything else in the results folder is not a
+    run."""
+    if not results.is_dir():
+        return ()
+    return tuple(
+        sorted(
+            path for path in results.iterdir() if path.name.startswith(PREFIX) and (path / MANIFEST).exists()
+        )
+    )
+
+
+def list_runs(results: Path) -> tuple[Manifest, ...]:
+    """Manifests of all runs, oldest first; empty where there are none.
+
+    Raises
+    ------
+    IntegrityError : a manifest is damaged (leaving that run out in silence would falsify every yield).
+    """
+    return tuple(
+        sorted(
+            (read_manifest(folder) for folder in run_folders(results)), key=lambda m: (m.created, m.run_id)
+        )
+    )
+
+
+def find_run(results: Path, run_id: str | None = None) -> Path:
+    """Folder of a run; the newest without a name.
+
+    Raises
+    ------
+    UsageError : there is no such run, or none at all.
+    IntegrityError : looking for the newest, a manifest is damaged.
+    """
+    folders = run_folders(results)
+    if not folders:
+        raise UsageError(
+            "there are no runs in the results folder",
+            value=str(results),
+            next_step="make one with `gyroscreen run`, or name the folder with --results",
+        )
+    if run_id is None:
+        return results / f"{PREFIX}{list_runs(results)[-1].run_id}"
+    folder = results / f"{PREFIX}{run_id}"
+    if folder not in folders:
+        known = [path.name.removeprefix(PREFIX) for path in folders]
+        raise UsageError(
+            "there is no such run",
+            value=run_id,
+            allowed=", ".join(known[-10:]),
+            next_step='`gyroscreen query "SELECT run_id, created, status FROM runs"` lists them',
+        )
+    return folder
+
+
+def read_file(folder: Path, entry: FileEntry) -> bytes:
+    """Bytes of a committed file.
+
+    Raises
+    ------
+    IntegrityError : it is missing, unreadable, or its size or SHA-256 is not what was committed.
+    """
+    path = folder / entry.name
+    next_step = "run `gyroscreen verify` for the whole list; restore the file from a copy, or run again"
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise IntegrityError(
+            f"{path} was committed and cannot be read ({error.strerror})", next_step=next_step
+        ) from None
+    found = sha256(data)
+    if found != entry.sha256:
+        raise IntegrityError(
+            f"{path} is not what was committed",
+            value=f"{len(data)} bytes, sha256 {found}",
+            allowed=f"{entry.bytes} bytes, sha256 {entry.sha256}",
+            next_step=next_step,
+        )
+    return data
+
+
+def read_config(folder: Path, manifest: Manifest) -> str:
+    """``run.toml`` as it was committed; IntegrityError otherwise."""
+    entries = manifest.of_kind("config")
+    if len(entries) != 1:
+        raise IntegrityError(
+            f"{folder / MANIFEST} lists no {CONFIG}", next_step="restore the run from a copy"
+        )
+    return read_file(folder, entries[0]).decode()
+
+
+def read_table(folder: Path, manifest: Manifest, kind: Kind) -> pa.Table:
+    """All blocks of one table in the registered schema, in block order; empty where nothing was committed.
+
+    Raises
+    ------
+    IntegrityError : a file is not what was committed, or holds another number of rows.
+    """
+    schema = devices_schema() if kind == "devices" else posterior_schema()
+    blocks = [schema.empty_table()]
+    for entry in manifest.of_kind(kind):
+        table = decode_table(read_file(folder, entry), schema, str(folder / entry.name))
+        if table.num_rows != entry.rows:
+            raise IntegrityError(
+                f"{folder / entry.name} has the wrong number of rows",
+                value=table.num_rows,
+                allowed=str(entry.rows),
+                next_step="run `gyroscreen verify`",
+            )
+        blocks.append(table)
+    return pa.concat_tables(blocks).combine_chunks()
+
+
+def read_run(results: Path, run_id: str | None = None) -> RunTables:
+    """Read a run, verifying every byte of its tables and configuration; an unfinished run gives what is
+    committed.
+
+    Parameters
+    ----------
+    results : folder of all runs.
+    run_id : name of the run; ``None`` is the newest.
+
+    Raises
+    ------
+    UsageError : there is no such run.
+    IntegrityError : something is not what was committed.
+    """
+    folder = find_run(results, run_id)
+    manifest = read_manifest(folder)
+    return RunTables(
+        devices=read_table(folder, manifest, "devices"),
+        posterior=read_table(folder, manifest, "posterior"),
+        manifest=manifest,
+        config_toml=read_config(folder, manifest),
+    )

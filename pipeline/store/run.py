@@ -1,0 +1,318 @@
+"""A run on disk: created once, filled block by block, finished.
+
+    DIR/run=<run_id>/  devices-00000.parquet  posterior-00000.parquet  manifest.json  run.toml  log.jsonl
+    report.html
+
+Commit of a block: stage, fsync, rename the tables; then stage, fsync, rename the manifest that lists them
+with their SHA-256. The manifest decides: a table that it does not list does not exist, whatever the folder
+holds.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
+from . import files
+from .digest import table_digest
+from .manifest import NAME as MANIFEST
+from .manifest import FileEntry, Kind, Manifest, encode, read_manifest
+from .parquet import encode_table
+from .read import CONFIG, PREFIX, find_run, read_config, read_table
+from .schema import devices_schema, duplicates, posterior_schema, require_schema
+
+LOG = "log.jsonl"
+RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+PAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*\.(html|json|svg|png|csv|toml|txt)")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def block_file(kind: Kind, block: int) -> str:
+    """File name of a block's table."""
+    return f"{kind}-{block:05d}.parquet"
+
+
+@dataclass(frozen=True)
+class RunStore:
+    """A run's folder, open for writing.  It keeps no state of its own: every answer comes from the
+    manifest on disk.
+
+    Any number of processes may hold one; writes wait for each other.
+    """
+
+    folder: Path
+
+    @property
+    def run_id(self) -> str:
+        """Name of the run."""
+        return self.folder.name.removeprefix(PREFIX)
+
+    @property
+    def manifest(self) -> Manifest:
+        """The manifest as it is now; IntegrityError if it is damaged."""
+        return read_manifest(self.folder)
+
+    @property
+    def config_toml(self) -> str:
+        """``run.toml`` as it was given at creation; IntegrityError if it has changed."""
+        return read_config(self.folder, self.manifest)
+
+    def committed_blocks(self) -> frozenset[int]:
+        """Numbers of the blocks that need not be computed again."""
+        return self.manifest.blocks()
+
+    def commit_block(self, block: int, devices: pa.Table, posterior: pa.Table | None) -> None:
+        """Commit the tables of one block, whole or not at all.  A block that is committed already is left
+        as it is.
+
+        Parameters
+        ----------
+        block : number of the block, from 0; tables are read back in this order.
+        devices : ``devices`` in the registered schema, one row a device.
+        posterior : ``posterior`` in the registered schema, or ``None`` where draws are not kept.
+
+        Raises
+        ------
+        UsageError : a negative block, or the run is complete and has no such block.
+        IntegrityError : a table is not in the registered schema, or a device occurs twice in the block.
+        IncompleteError : the disk would not take it; what was committed before is kept.
+        """
+        if block < 0:
+            raise UsageError("a block has a number from 0", value=block)
+        tables: dict[Kind, pa.Table] = (
+            {"devices": devices} if posterior is None else {"devices": devices, "posterior": posterior}
+        )
+        _check_block(block, tables)
+        with self._writing():
+            manifest = self.manifest
+            if block in manifest.blocks():
+                return
+            if manifest.status == "complete":
+                raise UsageError(
+                    f"run {self.run_id} is complete and takes no further block",
+                    value=block,
+                    next_step="start a new run",
+                )
+            entries = []
+            for kind, table in tables.items():
+                data = memoryview(encode_table(table))
+                name = block_file(kind, block)
+                files.stage(self.folder, name, data)
+                entries.append(
+                    FileEntry(name, kind, data.nbytes, files.sha256(data), block=block, rows=table.num_rows)
+                )
+            for entry in entries:
+                files.publish(self.folder, entry.name)
+            files.fsync_folder(self.folder)
+            self._put_manifest(
+                replace(manifest, files=(*manifest.files, *entries), status="running", finished=None)
+            )
+
+    def write_file(self, name: str, data: bytes) -> None:
+        """Write or replace a page of the run (report.html) and record it in the manifest.
+
+        Raises
+        ------
+        UsageError : not a plain file name, or one that the run keeps for itself.
+        IncompleteError : the disk would not take it.
+        """
+        if not PAGE.fullmatch(name) or name in (MANIFEST, CONFIG):
+            raise UsageError(
+                "not the name of a page of a run", value=name, allowed="for instance report.html"
+            )
+        with self._writing():
+            manifest = self.manifest
+            others = tuple(entry for entry in manifest.files if entry.name != name)
+            if len(others) < len(manifest.files):
+                # Between two renames a listed page would differ from its hash: strike it off before
+                # replacing it.
+                self._put_manifest(replace(manifest, files=others))
+            files.replace_file(self.folder, name, data)
+            entry = FileEntry(name, "page", len(data), files.sha256(data))
+            self._put_manifest(replace(manifest, files=(*others, entry)))
+
+    def finish(self, status: Literal["complete", "stopped"], summary: Mapping[str, Any]) -> None:
+        """Close the run: digest of the whole ``devices`` table, summary, time.
+
+        Raises
+        ------
+        IncompleteError : "complete" although blocks are missing between the first and the last.
+        IntegrityError : committed tables do not read back, or a device occurs twice.
+        UsageError : the summary is not JSON.
+        """
+        with self._writing():
+            manifest = self.manifest
+            missing = sorted(set(range(max(manifest.blocks(), default=-1) + 1)) - manifest.blocks())
+            if status == "complete" and missing:
+                raise IncompleteError(
+                    f"run {self.run_id} lacks blocks",
+                    value=missing[:10],
+                    next_step="resume it: gyroscreen run --resume",
+                )
+            devices = read_table(self.folder, manifest, "devices")
+            _require_unique(devices, f"run {self.run_id}")
+            self._put_manifest(
+                replace(
+                    manifest,
+                    status=status,
+                    finished=_now(),
+                    summary=dict(summary),
+                    devices_digest=table_digest(devices),
+                )
+            )
+
+    def log(self, event: Mapping[str, Any]) -> None:
+        """Append one line to ``log.jsonl``, with the time; values that JSON does not know are written as
+        text."""
+        line = json.dumps({"time": _now(), **event}, ensure_ascii=False, default=str) + "\n"
+        # One write to a file opened for appending: lines of several processes do not mix.
+        with _disk(self.folder), (self.folder / LOG).open("ab", buffering=0) as file:
+            file.write(line.encode())
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        with _disk(self.folder), files.writing(self.folder):
+            yield
+
+    def _put_manifest(self, manifest: Manifest) -> None:
+        files.replace_file(self.folder, MANIFEST, _encoded(manifest))
+
+
+def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping[str, Any]) -> RunStore:
+    """Create the folder of a new run, whole or not at all.
+
+    Parameters
+    ----------
+    results : folder of all runs; made if absent.
+    run_id : letters, digits, ``.``, ``_``, ``-``.
+    config_toml : the resolved configuration, kept as ``run.toml``.
+    provenance : see :func:`pipeline.store.provenance.provenance`.
+
+    Raises
+    ------
+    ConfigError : the name is not one, the run exists, or the folder cannot be written.
+    """
+    if not RUN_ID.fullmatch(run_id):
+        raise ConfigError(
+            "not the name of a run", value=run_id, allowed="up to 100 letters, digits, '.', '_', '-'"
+        )
+    folder = results / f"{PREFIX}{run_id}"
+    config = config_toml.encode()
+    manifest = Manifest(
+        run_id=run_id,
+        status="running",
+        created=_now(),
+        finished=None,
+        config_sha256=files.sha256(config),
+        provenance=dict(provenance),
+        files=(FileEntry(CONFIG, "config", len(config), files.sha256(config)),),
+    )
+    nascent = results / f".{PREFIX}{run_id}-{secrets.token_hex(4)}{files.STAGED}"
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        nascent.mkdir()
+    except OSError as error:
+        raise ConfigError(
+            f"cannot write to the results folder ({error.strerror})",
+            value=str(results),
+            next_step="give another folder with --out, or mend its permissions",
+        ) from None
+    try:
+        files.replace_file(nascent, CONFIG, config)
+        files.replace_file(nascent, MANIFEST, _encoded(manifest))
+        if folder.exists():
+            raise FileExistsError
+        nascent.rename(folder)
+        files.fsync_folder(results)
+    except OSError as error:
+        if folder.exists():
+            raise ConfigError(
+                "a run of that name exists",
+                value=run_id,
+                next_step=f"resume it (gyroscreen run --resume {run_id}), or choose another name",
+            ) from None
+        raise ConfigError(f"cannot create the run ({error.strerror})", value=str(folder)) from None
+    finally:
+        shutil.rmtree(nascent, ignore_errors=True)
+    return RunStore(folder)
+
+
+def open_run(results: Path, run_id: str | None = None) -> RunStore:
+    """Open a run to go on with it.
+
+    Parameters
+    ----------
+    results : folder of all runs.
+    run_id : name of the run; ``None`` is the newest.
+
+    Raises
+    ------
+    UsageError : there is no such run, or none at all.
+    IntegrityError : its manifest or ``run.toml`` is damaged.
+    """
+    store = RunStore(find_run(results, run_id))
+    _ = store.config_toml
+    return store
+
+
+def _check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
+    where = f"block {block}"
+    require_schema(tables["devices"], devices_schema(), f"{where} of devices")
+    _require_unique(tables["devices"], where)
+    if "posterior" in tables:
+        require_schema(tables["posterior"], posterior_schema(), f"{where} of posterior")
+        known = tables["devices"].column("device_id")
+        foreign = pc.invert(
+            pc.is_in(tables["posterior"].column("device_id"), value_set=known.combine_chunks())
+        )
+        if pc.any(foreign).as_py():
+            names = tables["posterior"].column("device_id").filter(foreign).unique().to_pylist()
+            raise IntegrityError(
+                f"{where} of posterior has draws of devices that are not in the block", value=names[:5]
+            )
+
+
+def _require_unique(devices: pa.Table, where: str) -> None:
+    twice = duplicates(devices)
+    if twice:
+        raise IntegrityError(
+            f"{where} has a device more than once", value=twice[:5], allowed="one row a device"
+        )
+
+
+@contextmanager
+def _disk(folder: Path) -> Iterator[None]:
+    """Turn what a disk may say into one typed error."""
+    try:
+        yield
+    except OSError as error:
+        raise IncompleteError(
+            f"cannot write to the run ({error.strerror})",
+            value=str(folder),
+            next_step="make room or mend permissions, then gyroscreen run --resume; committed blocks stay",
+        ) from None
+
+
+def _encoded(manifest: Manifest) -> bytes:
+    try:
+        return encode(manifest)
+    except (TypeError, ValueError) as error:
+        raise UsageError(
+            f"provenance or summary of run {manifest.run_id} is not JSON ({error})",
+            allowed="text, finite numbers, lists and tables of these",
+        ) from None

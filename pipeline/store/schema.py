@@ -1,0 +1,234 @@
+"""The registered schema: the columns of the results tables, their types, units and meanings.
+
+``devices`` has one row a device, ``posterior`` one row a draw.  Columns are only ever added, never renamed
+or retyped, so that every run ever written stays readable.
+
+Missing values: NaN and ``None`` both become null.  NaN would poison SQL aggregates and compare false with
+everything; null says "not known" and every reader skips it.  Infinities are kept: an unbounded sd is a
+statement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ..errors import IntegrityError, UsageError
+from ..quantities import MODEL, QUANTITIES, Quantity
+
+TYPES: dict[str, pa.DataType] = {"string": pa.string(), "float64": pa.float64(), "int32": pa.int32()}
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a results table; ``type`` is a key of ``TYPES``, ``unit`` is "" for text and "1" for a
+    pure number."""
+
+    table: str
+    name: str
+    type: str
+    unit: str
+    meaning: str
+
+
+def _text(name: str, meaning: str) -> Column:
+    return Column("devices", name, "string", "", meaning)
+
+
+def _number(name: str, unit: str, meaning: str) -> Column:
+    return Column("devices", name, "float64", unit, meaning)
+
+
+def _estimate(quantity: Quantity) -> tuple[Column, ...]:
+    q, unit, meaning = quantity.name, quantity.unit, quantity.meaning
+    interval = (
+        "the 90 % arc, which runs up from q05 to q95 modulo 180 deg" if quantity.axis else "the 90 % interval"
+    )
+    return (
+        _number(q, unit, meaning),
+        _number(f"{q}_sd", unit, f"posterior sd of {q}"),
+        _number(f"{q}_q05", unit, f"lower end of {interval} of {q}"),
+        _number(f"{q}_q95", unit, f"upper end of {interval} of {q}"),
+    )
+
+
+def _virtual(quantity: Quantity) -> tuple[Column, ...]:
+    q, unit = quantity.name, quantity.unit
+    return (
+        _number(f"true_{q}", unit, f"{q} of the virtual device as packaged"),
+        _number(f"fab_{q}", unit, f"{q} of the virtual device as fabricated, before packaging"),
+    )
+
+
+_ORIGIN = (
+    _text("device_id", "name of the device, unique in its run"),
+    _text("lot", "lot in which it was made"),
+    _text("wafer", "wafer in which it was made"),
+    _number("die_x_mm", "mm", "die centre from the wafer centre along x"),
+    _number("die_y_mm", "mm", "die centre from the wafer centre along y"),
+    _text("package", "package into which it was mounted"),
+)
+
+_ROUTE = (
+    _number("theta_u1_deg", "deg", "theta from the sense direction u1 of rocking mode 1 (the paper's route)"),
+    _number("theta_v1_deg", "deg", "theta from the drive direction v1 of rocking mode 1 (the paper's route)"),
+    _number("theta_u2_deg", "deg", "theta from the sense direction u2 of rocking mode 2 (the paper's route)"),
+    _number("theta_v2_deg", "deg", "theta from the drive direction v2 of rocking mode 2 (the paper's route)"),
+    _number("arx_split_hz", "Hz", "split from the ARX poles (the paper's route)"),
+)
+
+_QUALITY = (
+    _number("error", "1", "rms of (measured - model)/sigma, full band; 1 is explained down to the noise"),
+    _number("relative_error", "1", "rms(measured - model)/rms(measured)"),
+    _number("chi2_per_dof", "1", "chi2 of the in-band fit per degree of freedom"),
+    _number(
+        "theta_bias_bound_deg",
+        "deg",
+        "largest bias of theta that an unmodelled effect of the residual's size could cause",
+    ),
+    _number("rhat", "1", "largest R-hat over the parameters, between independent ensembles"),
+    _number("ess", "1", "smallest effective sample size over the parameters"),
+    _number("acceptance", "1", "mean acceptance fraction of the sampler"),
+)
+
+_DECISION = (
+    _number("p_pass", "1", "posterior probability that the device conforms to all limits"),
+    _text("verdict", "pass, fail or undecided"),
+    _text("failed_limits", "limits that it fails, comma separated"),
+    _text("cause", "main cause of the loss"),
+    _text("status", "ok, not_converged, fit_failed or misfit"),
+    _text("status_reason", "why the status is not ok"),
+)
+
+DEVICES: tuple[Column, ...] = (
+    *_ORIGIN,
+    *(column for quantity in QUANTITIES for column in _estimate(quantity)),
+    *_ROUTE,
+    *_QUALITY,
+    *_DECISION,
+    *(column for quantity in QUANTITIES for column in _virtual(quantity)),
+)
+
+POSTERIOR: tuple[Column, ...] = (
+    Column("posterior", "device_id", "string", "", "name of the device"),
+    Column("posterior", "draw", "int32", "1", "number of the draw, from 0, after thinning"),
+    *(Column("posterior", quantity.name, "float64", quantity.unit, quantity.meaning) for quantity in MODEL),
+)
+
+COLUMNS: tuple[Column, ...] = DEVICES + POSTERIOR
+
+
+def arrow_schema(columns: Sequence[Column]) -> pa.Schema:
+    """Arrow schema of columns, in order, nullable, with unit and meaning in the field metadata."""
+    return pa.schema(
+        [
+            pa.field(
+                column.name, TYPES[column.type], metadata={"unit": column.unit, "meaning": column.meaning}
+            )
+            for column in columns
+        ]
+    )
+
+
+@cache
+def devices_schema() -> pa.Schema:
+    """Registered schema of ``devices``."""
+    return arrow_schema(DEVICES)
+
+
+@cache
+def posterior_schema() -> pa.Schema:
+    """Registered schema of ``posterior``."""
+    return arrow_schema(POSTERIOR)
+
+
+def devices_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
+    """Build a ``devices`` table; see :func:`build_table`."""
+    return build_table(columns, DEVICES)
+
+
+def posterior_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
+    """Build a ``posterior`` table; see :func:`build_table`."""
+    return build_table(columns, POSTERIOR)
+
+
+def build_table(
+    values: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None], columns: Sequence[Column]
+) -> pa.Table:
+    """Build a table in the registered schema.
+
+    Parameters
+    ----------
+    values : column name -> n values in the column's unit; an absent column, or ``None``, is null
+    throughout.  Units are those
+        of the column.  NaN becomes null.
+    columns : registered columns.
+
+    Raises
+    ------
+    UsageError : a name that is not registered, lengths that differ, a value of the wrong type, no device_id.
+    """
+    registered = {column.name: column for column in columns}
+    for name in values:
+        if name not in registered:
+            raise UsageError(
+                f"{columns[0].table} has no such column",
+                value=name,
+                allowed="the names in pipeline.store.schema.COLUMNS",
+                next_step="add it to pipeline/store/schema.py, with unit and meaning, or leave it out",
+            )
+    ids = values.get("device_id")
+    if ids is None or any(name is None for name in ids):
+        raise UsageError("every row needs a device_id", next_step="give the column device_id, without gaps")
+    rows = len(ids)
+    schema = arrow_schema(columns)
+    return pa.table(
+        [_array(values.get(name), field.type, rows, name) for name, field in zip(schema.names, schema)],
+        schema=schema,
+    )
+
+
+def _array(
+    values: Sequence[Any] | np.ndarray[Any, Any] | None, kind: pa.DataType, rows: int, name: str
+) -> pa.Array:
+    if values is None:
+        return pa.nulls(rows, kind)
+    if len(values) != rows:
+        raise UsageError(f"column {name} has the wrong length", value=len(values), allowed=f"{rows} values")
+    try:
+        # from_pandas: NaN and None become null (see the head of this module).
+        return pa.array(values, type=kind, from_pandas=True)
+    except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
+        raise UsageError(
+            f"column {name} holds values of the wrong type ({error})", allowed=str(kind)
+        ) from None
+
+
+def require_schema(table: pa.Table, schema: pa.Schema, where: str) -> None:
+    """Raise IntegrityError unless the columns of the table have the registered names and types, in order."""
+    if table.schema.names == schema.names and table.schema.types == schema.types:
+        return
+    found = dict(zip(table.schema.names, table.schema.types))
+    differing = sorted(
+        {name for name in schema.names if found.get(name) != schema.field(name).type}
+        | (found.keys() - set(schema.names))
+    )
+    raise IntegrityError(
+        f"{where} is not in the registered schema",
+        value=differing or "order of the columns",
+        allowed=f"{len(schema)} columns as in the view `columns`",
+        next_step="build tables with pipeline.store.schema.devices_table or posterior_table",
+    )
+
+
+def duplicates(devices: pa.Table) -> tuple[str, ...]:
+    """Names of the devices that have more than one row, sorted."""
+    counts = devices.group_by("device_id").aggregate([("device_id", "count")])
+    names = counts.filter(pc.greater(counts.column("device_id_count"), 1)).column("device_id").to_pylist()
+    return tuple(sorted(names))
