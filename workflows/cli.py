@@ -1,0 +1,145 @@
+"""The command line.  Each command imports what it needs when it runs, so that --help answers at once.
+
+Exit codes: 0 done; 1 a gate that the user set failed; 2 usage or config; 3 incomplete, can be resumed; 4 integrity;
+5 unreadable measurement; 70 a fault of gyroscreen itself; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Optional
+
+import click
+import typer
+
+from pipeline.errors import GyroscreenError
+
+app = typer.Typer(
+    name="gyroscreen",
+    help="Monte Carlo fabrication screening of MEMS gyroscopes, and a bench on which a model meets measurements.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout and nothing else.")]
+Results = Annotated[Path, typer.Option("--results", help="Folder of the runs.")]
+DEFAULT_RESULTS = Path("results")
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+) -> None:
+    if debug:
+        os.environ["GYROSCREEN_DEBUG"] = "1"
+
+
+@app.command()
+def run(
+    config: Annotated[Optional[Path], typer.Argument(help="Run configuration; the shipped default without it.")] = None,  # noqa: UP045
+    devices: Annotated[Optional[int], typer.Option(help="Number of virtual devices.")] = None,  # noqa: UP045
+    seed: Annotated[Optional[int], typer.Option(help="Root of all random streams.")] = None,  # noqa: UP045
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = DEFAULT_RESULTS,
+    workers: Annotated[int, typer.Option(help="Local worker processes; 0: one a core.")] = 0,
+    scheduler: Annotated[Optional[str], typer.Option(help="Address of a running dask scheduler.")] = None,  # noqa: UP045
+    resume: Annotated[Optional[str], typer.Option(help="Go on with this run ('latest': the newest).")] = None,  # noqa: UP045
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and show what would run; run nothing.")] = False,
+    json: Json = False,
+) -> None:
+    """Sample, chirp, identify and judge a population (or measured campaigns); leave results and a report."""
+    from .commands.run import run as command
+
+    command(config, devices, seed, out, workers, scheduler, resume, dry_run, json)
+
+
+@app.command()
+def query(
+    sql: Annotated[str, typer.Argument(help="One SELECT over devices, posterior, runs, columns.")],
+    results: Results = DEFAULT_RESULTS,
+    format: Annotated[str, typer.Option(help="table, csv, json or parquet.")] = "table",
+) -> None:
+    """Answer SQL on the results."""
+    from .commands.results import query as command
+
+    command(sql, results, format)
+
+
+@app.command()
+def report(
+    run: Annotated[Optional[str], typer.Argument(help="Run; the newest without it.")] = None,  # noqa: UP045
+    results: Results = DEFAULT_RESULTS,
+    out: Annotated[Optional[Path], typer.Option(help="Also write the page here.")] = None,  # noqa: UP045
+) -> None:
+    """Write the report of a run again."""
+    from .commands.results import report as command
+
+    command(run, results, out)
+
+
+@app.command()
+def verify(results: Results = DEFAULT_RESULTS, json: Json = False) -> None:
+    """Check that all results are what was committed."""
+    from .commands.results import verify as command
+
+    command(results, json)
+
+
+@app.command()
+def identify(
+    measurement: Annotated[Path, typer.Argument(help="A record, a campaign folder, or a modal record (TOML).")],
+    model: Annotated[Optional[Path], typer.Option(help="Model file; the screening model without it.")] = None,  # noqa: UP045
+    json: Json = False,
+) -> None:
+    """Identify one device: theta, split and the rest, with their uncertainty."""
+    from .commands.identify import identify as command
+
+    command(measurement, model, json)
+
+
+@app.command()
+def check(
+    campaign: Annotated[Path, typer.Argument(help="A campaign folder or a record.")], json: Json = False
+) -> None:
+    """Look at a campaign before any fit; print the TOML lines that mend what is wrong."""
+    from .commands.identify import check as command
+
+    command(campaign, json)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    sys.exit(call(arguments))
+
+
+def call(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code.  Errors become one message on stderr."""
+    try:
+        app(args=None if arguments is None else list(arguments), standalone_mode=False)
+    except GyroscreenError as error:
+        return _said(f"error: {error}", error.exit_code)
+    except click.exceptions.Exit as exit_:
+        return int(exit_.exit_code)
+    except click.ClickException as error:
+        return _said(f"error: {error.format_message()}; next: gyroscreen --help", 2)
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        return _said("interrupted; what was committed is kept: gyroscreen run --resume latest", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        # Nothing that a user does should come here; what does is a fault of ours, and says so.
+        return _said(f"internal error: {type(error).__name__}: {error}; next: run again with --debug and report it", 70)
+    return 0
+
+
+def _said(message: str, code: int) -> int:
+    if os.environ.get("GYROSCREEN_DEBUG"):
+        traceback.print_exc()
+    print(message, file=sys.stderr)
+    return code

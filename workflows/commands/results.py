@@ -1,0 +1,62 @@
+"""gyroscreen query, report, verify."""
+
+from __future__ import annotations
+
+import json as json_
+import sys
+from pathlib import Path
+from typing import Literal, cast
+
+from pipeline.errors import IntegrityError, UsageError
+from pipeline.store.query import query as answer
+from pipeline.store.query import write_table
+from pipeline.store.read import list_runs
+from pipeline.store.verify import verify as verify_results
+
+FORMATS = ("table", "csv", "json", "parquet")
+
+
+def query(sql: str, results: Path, format: str) -> None:
+    """See ``gyroscreen query --help``."""
+    if format not in FORMATS:
+        raise UsageError("unknown format", value=format, allowed=", ".join(FORMATS))
+    table = answer(sql, results)
+    write_table(table, cast(Literal["table", "csv", "json", "parquet"], format), sys.stdout.buffer)
+    sys.stdout.flush()
+
+
+def report(run: str | None, results: Path, out: Path | None) -> None:
+    """See ``gyroscreen report --help``."""
+    from ..night import write_report
+
+    runs = list_runs(results)
+    if not runs:
+        raise UsageError("no run in this folder", value=str(results), next_step="gyroscreen run")
+    known = [manifest.run_id for manifest in runs]
+    chosen = run or known[-1]
+    if chosen not in known:
+        raise UsageError("no such run", value=chosen, allowed=", ".join(known[-5:]))
+    page, path = write_report(results, chosen)
+    if out is not None:
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            out.write_text(page, encoding="utf-8")
+        except OSError as error:
+            raise UsageError(f"cannot write the page ({error.strerror})", value=str(out)) from None
+        path = out
+    print(path)
+
+
+def verify(results: Path, json: bool) -> None:
+    """See ``gyroscreen verify --help``."""
+    found = verify_results(results)
+    if json:
+        print(json_.dumps(found.to_dict()))
+    else:
+        print(found)
+    if not found.ok:
+        raise IntegrityError(
+            "results are not what was committed",
+            value=len(found.errors),
+            next_step="see the findings above; run the damaged runs again from their run.toml",
+        )

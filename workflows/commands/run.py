@@ -1,0 +1,74 @@
+"""gyroscreen run."""
+
+from __future__ import annotations
+
+import json as json_
+import sys
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from pipeline.errors import UsageError
+
+from ..config import load_config, to_toml_table
+from ..night import Night, NightResult, check_targets, plan, resume, run_night, start, without_none
+
+
+def run(
+    config: Path | None,
+    devices: int | None,
+    seed: int | None,
+    out: Path,
+    workers: int,
+    scheduler: str | None,
+    resume_run: str | None,
+    dry_run: bool,
+    json: bool,
+) -> None:
+    """See ``gyroscreen run --help``."""
+    if workers < 0:
+        raise UsageError("workers must not be negative", value=workers, allowed="0 (one a core) or more")
+    if resume_run is not None:
+        if config is not None or devices is not None or seed is not None:
+            raise UsageError(
+                "a resumed run keeps its own configuration",
+                allowed="--resume without CONFIG, --devices and --seed",
+                next_step="leave them out, or start a new run",
+            )
+        night, store = resume(out, resume_run)
+    else:
+        overrides: dict[str, Any] = {k: v for k, v in (("devices", devices), ("seed", seed)) if v is not None}
+        night = plan(load_config(config, overrides))
+        if dry_run:
+            _show_plan(night, json)
+            return
+        store = start(night, out)
+    result = run_night(night, store, out, workers, scheduler, quiet=json)
+    print(json_.dumps(result.to_dict()) if json else _summary(result, out))
+    check_targets(night, result)
+
+
+def _show_plan(night: Night, json: bool) -> None:
+    table = without_none(to_toml_table(night.config))
+    if json:
+        print(json_.dumps({"devices": night.devices, "blocks": len(night.blocks), "config": table}))
+        return
+    print(tomli_w.dumps(table).rstrip())
+    print(f"\n{night.devices} devices in {len(night.blocks)} blocks; nothing was run", file=sys.stderr)
+
+
+def _summary(result: NightResult, out: Path) -> str:
+    verdicts = ", ".join(f"{count} {name}" for name, count in result.verdicts.items())
+    statuses = ", ".join(f"{count} {name}" for name, count in result.statuses.items() if count)
+    low, high = result.yield_interval
+    where = "" if out == Path("results") else f" --results {out}"
+    lines = [
+        f"yield {100 * result.yield_share:.1f} % (95 % interval {100 * low:.1f} to {100 * high:.1f} %): {verdicts}",
+        f"main cause of loss: {result.main_cause or 'none'}",
+        f"status: {statuses}; {result.devices} devices in {result.seconds:.1f} s",
+        f"results: {result.folder}",
+        f"report:  {result.report}",
+        f'query:   gyroscreen query "SELECT verdict, count(*) AS n FROM devices GROUP BY verdict"{where}',
+    ]
+    return "\n".join(lines)

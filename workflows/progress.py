@@ -1,0 +1,68 @@
+"""Progress of a run: a bar on a terminal, a line now and then elsewhere; always on stderr, so stdout stays clean."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+_EVERY_S = 10.0
+
+
+@contextmanager
+def progress(total: int, done: int, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """A function to call with the number of devices that were just finished; rate and time left are shown."""
+    if quiet:
+        yield lambda _: None
+    elif sys.stderr.isatty():
+        with _bar(total, done) as advance:
+            yield advance
+    else:
+        yield _Lines(total, done).advance
+
+
+@contextmanager
+def _bar(total: int, done: int) -> Iterator[Callable[[int], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("identifying"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("devices  {task.fields[rate]}  left"),
+        TimeRemainingColumn(),
+    )
+    started = time.monotonic()
+    count = 0
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("devices", total=total, completed=done, rate="")
+
+        def advance(devices: int) -> None:
+            nonlocal count
+            count += devices
+            rate = count / max(time.monotonic() - started, 1e-9)
+            bar.update(task, advance=devices, rate=f"{rate:.1f}/s")
+
+        yield advance
+
+
+class _Lines:
+    """A line at the start, at the end and every few seconds between."""
+
+    def __init__(self, total: int, done: int) -> None:
+        self._total, self._done, self._fresh = total, done, 0
+        self._started = self._last = time.monotonic()
+
+    def advance(self, devices: int) -> None:
+        self._fresh += devices
+        now = time.monotonic()
+        finished = self._done + self._fresh
+        if now - self._last < _EVERY_S and finished < self._total:
+            return
+        self._last = now
+        rate = self._fresh / max(now - self._started, 1e-9)
+        left = (self._total - finished) / max(rate, 1e-9)
+        text = f"{finished}/{self._total} devices, {rate:.1f}/s, {left:.0f} s left"
+        print(text, file=sys.stderr, flush=True)
