@@ -1,6 +1,7 @@
 """A record: one run of an experiment, sampled uniformly.
 
-Shapes: N samples, D drives, S senses.  Units: volts, seconds, hertz; rate in deg/s as measured on a rate table.
+Shapes: N samples, D drives, S senses.  Units: volts, seconds, hertz; rate in deg/s as measured on a rate
+table.
 """
 
 from __future__ import annotations
@@ -12,6 +13,35 @@ from ..arrays import FloatArray
 from .instrument import Instrument
 
 Role = Literal["noise", "fit", "validate"]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What the time column of a record says.
+
+    ``sample_rate_hz`` : (N - 1) / (t[N-1] - t[0]) [Hz].
+    ``jitter_samples`` : largest distance of a time stamp from the uniform grid, in samples.
+    """
+
+    sample_rate_hz: float
+    jitter_samples: float
+
+
+@dataclass(frozen=True)
+class Channels:
+    """What was mended between the files and the records; every default mends nothing.
+
+    Channel k of the files is multiplied by ``*_polarity[k-1]``, after ``drive_offset_v[k-1]`` [V] has been
+    taken off a drive; then channel k of the record is column ``*_order[k-1]`` of the files; then sense sample
+    n + ``lag_samples`` is paired with drive sample n.
+    """
+
+    sense_polarity: tuple[int, ...] | None = None
+    drive_polarity: tuple[int, ...] | None = None
+    sense_order: tuple[int, ...] | None = None
+    drive_order: tuple[int, ...] | None = None
+    drive_offset_v: tuple[float, ...] | None = None
+    lag_samples: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +58,7 @@ class Record:
     at_rest : the device stood still before the first sample.
     rate_dps : declared angular rate [deg/s]; ``None`` is unknown.
     bias_v : bias during this record [V]; ``None`` is the instrument's.
+    clock : what its time column says; ``None`` where there was none.
     """
 
     name: str
@@ -38,6 +69,7 @@ class Record:
     at_rest: bool = True
     rate_dps: float | None = None
     bias_v: float | None = None
+    clock: Clock | None = None
 
     @property
     def duration_s(self) -> float:
@@ -58,6 +90,7 @@ class Campaign:
     phase_error_deg : phase error of the demodulation [deg].
     drive : which mode sets omega_0 of the drive loop.
     reference : quantity -> (value, sd) from another instrument, in the units of the results columns.
+    channels : what was mended when the files were read.
     """
 
     device_id: str
@@ -67,6 +100,7 @@ class Campaign:
     phase_error_deg: float = 0.0
     drive: Literal["f1", "f2"] = "f1"
     reference: dict[str, tuple[float, float]] = field(default_factory=dict)
+    channels: Channels = field(default_factory=Channels)
 
     def with_role(self, role: Role) -> tuple[Record, ...]:
         """The records of one role, in order."""

@@ -1,0 +1,347 @@
+"""campaign.toml: a folder of records of one device, in and out.
+
+    [device]         id, angular_gain = I_p / I_0p
+    [demodulation]   phase_error_deg, drive = "f1" | "f2"
+    [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
+    [[record]]       file, role, rate_dps, bias_v, at_rest; name; start, stop (start <= n < stop of the file)
+    [reference]      quantity = [value, sd]
+    [columns]        drive1_V = "V1"      a column of the files that has another name there
+    [channels]       what mends the files (``check`` prints these lines), applied in this order:
+                     drive_offset_v = [5.0, 5.0]  taken off the drive columns of the files
+                     sense_polarity = [1, -1]     factor of each sense column; drive_polarity likewise
+                     sense_order = [2, 1]         sense1 of the record is sense2 of the files; drive_order too
+                     lag_samples = 3              sense is 3 samples late: drive[n] goes with sense[n + 3]
+
+Without a role: the last record validates and the rest fit, where no record is declared "validate"; else all
+of them fit.  A record alone fits.  A written TOML that is wrong is a :class:`ConfigError`, a file that is no
+record a :class:`MeasurementError`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from ..arrays import FloatArray
+from ..errors import ConfigError, MeasurementError, UsageError
+from . import toml_files as toml
+from .columns import MIN_SAMPLES, assemble
+from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
+from .instrument import Adc, Hold, Instrument
+from .modal_record import ModalRecord, decode_modal_record
+from .readers import existing, read_columns, read_record, write_columns
+from .record import Campaign, Channels, Record, Role
+
+Sign = Literal[-1, 1]
+
+
+class AdcTable(msgspec.Struct, forbid_unknown_fields=True):
+    bits: Annotated[int, Meta(ge=1, le=64)]
+    full_scale_v: Positive
+
+
+class InstrumentTable(msgspec.Struct, forbid_unknown_fields=True):
+    sample_rate_hz: Positive | None = None
+    hold: Hold = "zoh"
+    bias_v: float = 5.0
+    antialias: AntiAliasTable | None = None
+    adc: AdcTable | None = None
+
+
+class RecordTable(msgspec.Struct, forbid_unknown_fields=True):
+    file: Annotated[str, Meta(min_length=1)]
+    name: str | None = None
+    role: Role | None = None
+    rate_dps: float | None = None
+    bias_v: float | None = None
+    at_rest: bool = True
+    start: Annotated[int, Meta(ge=0)] = 0
+    stop: Annotated[int, Meta(ge=1)] | None = None
+
+
+class ChannelsTable(msgspec.Struct, forbid_unknown_fields=True):
+    sense_polarity: tuple[Sign, ...] | None = None
+    drive_polarity: tuple[Sign, ...] | None = None
+    sense_order: tuple[Annotated[int, Meta(ge=1)], ...] | None = None
+    drive_order: tuple[Annotated[int, Meta(ge=1)], ...] | None = None
+    drive_offset_v: tuple[float, ...] | None = None
+    lag_samples: int = 0
+
+
+class CampaignTable(msgspec.Struct, forbid_unknown_fields=True):
+    record: Annotated[list[RecordTable], Meta(min_length=1)]
+    kind: Literal["campaign"] = "campaign"
+    device: DeviceTable = msgspec.field(default_factory=DeviceTable)
+    demodulation: DemodulationTable = msgspec.field(default_factory=DemodulationTable)
+    instrument: InstrumentTable = msgspec.field(default_factory=InstrumentTable)
+    reference: dict[str, tuple[float, float]] = {}
+    columns: dict[str, str] = {}
+    channels: ChannelsTable = msgspec.field(default_factory=ChannelsTable)
+
+
+def _roles(declared: Sequence[Role | None]) -> list[Role]:
+    open_places = [k for k, role in enumerate(declared) if role is None]
+    others_fit = len(open_places) > 1 or "fit" in declared
+    last = open_places[-1] if open_places and others_fit and "validate" not in declared else None
+    return [
+        role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)
+    ]
+
+
+def _per_channel(
+    values: tuple[float, ...] | None, count: int, what: str, *, permutation: bool = False
+) -> FloatArray | None:
+    if values is None:
+        return None
+    wanted = f"a permutation of 1..{count}" if permutation else f"{count} values, one a column of the files"
+    if len(values) != count or (permutation and sorted(values) != list(range(1, count + 1))):
+        raise ConfigError(
+            f"[channels] {what} does not fit the records",
+            value=list(values),
+            allowed=wanted,
+            next_step="correct it",
+        )
+    return np.array(values)
+
+
+def mend(record: Record, channels: Channels) -> Record:
+    """``record`` with ``channels`` applied to it, in the order of the table above.
+
+    Raises :class:`ConfigError` where ``channels`` is for another number of channels, or a lag leaves nothing.
+    """
+    drive, sense = record.drive_v, record.sense_v
+    if (offset := _per_channel(channels.drive_offset_v, drive.shape[1], "drive_offset_v")) is not None:
+        drive = drive - offset
+    if (sign := _per_channel(channels.drive_polarity, drive.shape[1], "drive_polarity")) is not None:
+        drive = drive * sign
+    if (sign := _per_channel(channels.sense_polarity, sense.shape[1], "sense_polarity")) is not None:
+        sense = sense * sign
+    if (
+        order := _per_channel(channels.drive_order, drive.shape[1], "drive_order", permutation=True)
+    ) is not None:
+        drive = drive[:, order.astype(np.int64) - 1]
+    if (
+        order := _per_channel(channels.sense_order, sense.shape[1], "sense_order", permutation=True)
+    ) is not None:
+        sense = sense[:, order.astype(np.int64) - 1]
+    lag, at_rest = channels.lag_samples, record.at_rest
+    if lag:
+        count = drive.shape[0] - abs(lag)
+        if count < MIN_SAMPLES:
+            raise ConfigError(
+                "[channels] lag_samples leaves nothing of a record",
+                value=lag,
+                allowed=f"below {drive.shape[0] - MIN_SAMPLES} in size for {record.name}",
+                next_step="correct it",
+            )
+        # A sense that comes early loses the drive's first samples: the device moved already unless those were
+        # zero.
+        at_rest = at_rest and (lag > 0 or not np.any(drive[:-lag]))
+        drive, sense = (drive[:count], sense[lag:]) if lag > 0 else (drive[-lag:], sense[:count])
+    return dataclasses.replace(record, drive_v=drive, sense_v=sense, at_rest=at_rest)
+
+
+def _cut(record: Record, start: int, stop: int | None, where: str) -> Record:
+    count = record.drive_v.shape[0]
+    end = count if stop is None else stop
+    if end > count or end - start < MIN_SAMPLES:
+        raise MeasurementError(
+            f"{where}: start and stop do not lie in the record",
+            value=[start, end],
+            allowed=f"0 <= start, start + {MIN_SAMPLES} <= stop <= {count}",
+            next_step="correct start and stop of this [[record]]",
+        )
+    return dataclasses.replace(record, drive_v=record.drive_v[start:end], sense_v=record.sense_v[start:end])
+
+
+def _one(folder: Path, entry: RecordTable, role: Role, rate: float | None, document: CampaignTable) -> Record:
+    path = existing(folder / entry.file)
+    whole = assemble(entry.file, read_columns(path), rate, document.columns)
+    record = _cut(mend(whole, _channels(document.channels)), entry.start, entry.stop, entry.file)
+    return dataclasses.replace(
+        record,
+        name=entry.name if entry.name is not None else entry.file,
+        role=role,
+        at_rest=record.at_rest and entry.at_rest,
+        rate_dps=entry.rate_dps,
+        bias_v=entry.bias_v,
+    )
+
+
+def _channels(table: ChannelsTable) -> Channels:
+    return Channels(**msgspec.structs.asdict(table))
+
+
+def _check_numbers(document: CampaignTable) -> None:
+    where = "campaign.toml"
+    toml.finite(document.instrument.sample_rate_hz, "instrument.sample_rate_hz", where)
+    toml.finite(document.instrument.bias_v, "instrument.bias_v", where)
+    toml.finite(document.demodulation.phase_error_deg, "demodulation.phase_error_deg", where)
+    toml.finite(document.device.angular_gain, "device.angular_gain", where)
+    for entry in document.record:
+        toml.finite(entry.rate_dps, f"rate_dps of {entry.file}", where)
+        toml.finite(entry.bias_v, f"bias_v of {entry.file}", where)
+    filter_, adc = document.instrument.antialias, document.instrument.adc
+    toml.finite(None if filter_ is None else filter_.corner_hz, "instrument.antialias.corner_hz", where)
+    toml.finite(None if adc is None else adc.full_scale_v, "instrument.adc.full_scale_v", where)
+
+
+def _same_shape(records: Sequence[Record]) -> None:
+    first = records[0]
+    for record in records[1:]:
+        found = (record.drive_v.shape[1], record.sense_v.shape[1])
+        wanted = (first.drive_v.shape[1], first.sense_v.shape[1])
+        if found != wanted:
+            raise MeasurementError(
+                f"{record.name} has other channels than {first.name}",
+                value=f"{found[0]} drives, {found[1]} senses",
+                allowed=f"{wanted[0]} drives, {wanted[1]} senses, as in the first record",
+                next_step="put records of other channels into a campaign of their own",
+            )
+        if record.sample_rate_hz != first.sample_rate_hz:
+            raise MeasurementError(
+                f"{record.name} has another sample rate than {first.name}",
+                value=record.sample_rate_hz,
+                allowed=f"{first.sample_rate_hz} Hz, as in the first record",
+                next_step="state sample_rate_hz under [instrument]",
+            )
+
+
+def read_campaign(path: Path) -> Campaign:
+    """All records of a campaign, mended, with their roles.
+
+    ``path`` is the folder or its campaign.toml.  Files are named relative to that folder.  Without
+    ``sample_rate_hz``, the first record's time column states it for all.
+
+    Raises :class:`ConfigError` for a wrong campaign.toml, :class:`MeasurementError` for what is missing or is
+    no record.
+    """
+    file = existing(existing(path) / "campaign.toml") if path.is_dir() else existing(path)
+    document = toml.decode(toml.read_text(file), CampaignTable, file.name)
+    _check_numbers(document)
+    rate = document.instrument.sample_rate_hz
+    records: list[Record] = []
+    for entry, role in zip(document.record, _roles([entry.role for entry in document.record])):
+        records.append(
+            _one(
+                file.parent,
+                entry,
+                role,
+                rate if rate is not None or not records else records[0].sample_rate_hz,
+                document,
+            )
+        )
+    _same_shape(records)
+    table = document.instrument
+    return Campaign(
+        device_id=document.device.id or file.absolute().parent.name,
+        records=tuple(records),
+        instrument=Instrument(
+            sample_rate_hz=records[0].sample_rate_hz,
+            hold=table.hold,
+            bias_v=table.bias_v,
+            antialias=None if table.antialias is None else table.antialias.built(),
+            adc=None if table.adc is None else Adc(table.adc.bits, table.adc.full_scale_v),
+        ),
+        angular_gain=document.device.angular_gain,
+        phase_error_deg=document.demodulation.phase_error_deg,
+        drive=document.demodulation.drive,
+        reference=references(document.reference, file.name),
+        channels=_channels(document.channels),
+    )
+
+
+def read_measurement(path: Path) -> Campaign | ModalRecord:
+    """Whatever measurement ``path`` is: a campaign's folder or campaign.toml, a modal record, or the file of
+    one record.
+
+    A single record becomes a campaign of one, with the default instrument at the sample rate of its time
+    column.
+
+    Raises :class:`ConfigError` or :class:`MeasurementError`.
+    """
+    existing(path)
+    if path.is_dir():
+        return read_campaign(path)
+    if path.suffix.lower() == ".toml":
+        modal = decode_modal_record(toml.read_text(path), path)
+        return modal if modal is not None else read_campaign(path)
+    record = dataclasses.replace(read_record(path, None), role="fit")
+    return Campaign(
+        device_id=path.stem, records=(record,), instrument=Instrument(sample_rate_hz=record.sample_rate_hz)
+    )
+
+
+def _vectors(record: Record) -> dict[str, FloatArray]:
+    count = record.drive_v.shape[0]
+    columns = {"time_s": np.arange(count) / record.sample_rate_hz}
+    columns |= {f"drive{k + 1}_V": np.ascontiguousarray(v) for k, v in enumerate(record.drive_v.T)}
+    columns |= {f"sense{k + 1}_V": np.ascontiguousarray(v) for k, v in enumerate(record.sense_v.T)}
+    return columns
+
+
+def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet") -> None:
+    """Write ``campaign`` so that :func:`read_campaign` gives it back, every number exact.
+
+    The records are written as they are, mended; so ``channels`` is not written.  campaign.toml comes last: a
+    folder with one is complete.
+
+    Raises :class:`UsageError` if a record's rate is not the instrument's or the folder cannot be written.
+    """
+    entries = []
+    for k, record in enumerate(campaign.records, start=1):
+        if record.sample_rate_hz != campaign.instrument.sample_rate_hz:
+            raise UsageError(
+                f"{record.name} has another sample rate than the instrument",
+                value=record.sample_rate_hz,
+                allowed=f"{campaign.instrument.sample_rate_hz} Hz",
+                next_step="resample it, or write a campaign of its own",
+            )
+        file = write_columns(folder, f"record-{k}", _vectors(record), format).name
+        conditions = {"role": record.role, "rate_dps": record.rate_dps, "bias_v": record.bias_v}
+        name = record.name if record.name != file else None
+        at_rest = None if record.at_rest else False
+        entries.append(
+            toml.table("[[record]]", {"file": file, "name": name, **conditions, "at_rest": at_rest})
+        )
+    instrument = campaign.instrument
+    text = "\n".join(
+        part
+        for part in [
+            toml.table("[device]", {"id": campaign.device_id or None, "angular_gain": campaign.angular_gain}),
+            toml.table(
+                "[demodulation]", {"phase_error_deg": campaign.phase_error_deg, "drive": campaign.drive}
+            ),
+            toml.table(
+                "[instrument]",
+                {
+                    "sample_rate_hz": instrument.sample_rate_hz,
+                    "hold": instrument.hold,
+                    "bias_v": instrument.bias_v,
+                    "antialias": None
+                    if instrument.antialias is None
+                    else dataclasses.asdict(instrument.antialias),
+                    "adc": None if instrument.adc is None else dataclasses.asdict(instrument.adc),
+                },
+            ),
+            *entries,
+            toml.table("[reference]", {name: list(pair) for name, pair in campaign.reference.items()}),
+        ]
+        if part
+    )
+    try:
+        staged = folder / ".campaign.toml.part"
+        staged.write_text(text, encoding="utf-8")
+        staged.replace(folder / "campaign.toml")
+    except OSError as error:
+        raise UsageError(
+            "campaign.toml cannot be written",
+            value=f"{folder}: {error}",
+            next_step="choose a folder that can be written",
+        ) from error
