@@ -9,7 +9,7 @@ byte, so that no change of a single bit, white space included, goes unseen.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -38,6 +38,11 @@ class FileEntry:
     rows: int | None = None
 
 
+def in_block_order(files: Iterable[FileEntry]) -> tuple[FileEntry, ...]:
+    """Files by block, the order in which tables are read; files without a block come first."""
+    return tuple(sorted(files, key=lambda file: (-1 if file.block is None else file.block, file.name)))
+
+
 @dataclass(frozen=True)
 class Manifest:
     """What a run is and which files belong to it.
@@ -49,7 +54,7 @@ class Manifest:
     created, finished : ISO 8601, UTC; ``finished`` is null while running.
     config_sha256 : SHA-256 of ``run.toml``.
     provenance : seed, versions, platform (see pipeline.store.provenance).
-    files : committed files in the order of kind and block.
+    files : committed files, in the order of their commits.
     summary : what the caller gave at the end.
     devices_digest : digest of the values of the whole ``devices`` table, at the end.
     format : version of this layout.

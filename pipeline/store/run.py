@@ -120,7 +120,13 @@ class RunStore:
                 files.publish(self.folder, entry.name)
             files.fsync_folder(self.folder)
             self._put_manifest(
-                replace(manifest, files=(*manifest.files, *entries), status="running", finished=None)
+                replace(
+                    manifest,
+                    files=(*manifest.files, *entries),
+                    status="running",
+                    finished=None,
+                    devices_digest=None,
+                )
             )
 
     def write_file(self, name: str, data: bytes) -> None:

@@ -22,7 +22,12 @@ import pyarrow.compute as pc
 from ..errors import IntegrityError, UsageError
 from ..quantities import MODEL, QUANTITIES, Quantity
 
-TYPES: dict[str, pa.DataType] = {"string": pa.string(), "float64": pa.float64(), "int32": pa.int32()}
+TYPES: dict[str, pa.DataType] = {
+    "string": pa.string(),
+    "float64": pa.float64(),
+    "int32": pa.int32(),
+    "int64": pa.int64(),
+}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,200 @@
+"""Verify stored results: is everything what was committed, and nothing else?
+
+A finding is fatal when committed results are damaged, missing or contradictory; a stray file is named, but
+readers take their files from the manifest and never see it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+
+from ..errors import IntegrityError, UsageError
+from .digest import table_digest
+from .files import STAGED
+from .manifest import NAME as MANIFEST
+from .manifest import FileEntry, Manifest, in_block_order, read_manifest
+from .parquet import decode_table
+from .read import PREFIX, read_file, run_folders
+from .run import LOG
+from .schema import devices_schema, duplicates, posterior_schema
+
+_BLOCK = re.compile(r"(devices|posterior)-\d{5,}\.parquet")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is not as it should be; ``fatal`` when results are touched by it."""
+
+    file: str
+    what: str
+    expected: str
+    found: str
+    fatal: bool = True
+
+    def __str__(self) -> str:
+        severity = "damage" if self.fatal else "note"
+        return f"{severity}: {self.file}: {self.what}; expected {self.expected}, found {self.found}"
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """Every finding, and what was looked at."""
+
+    findings: tuple[Finding, ...]
+    runs: int
+    files: int
+    bytes: int
+    devices: int
+    draws: int
+
+    @property
+    def ok(self) -> bool:
+        """No fatal finding."""
+        return not any(finding.fatal for finding in self.findings)
+
+    def require(self) -> None:
+        """Raise IntegrityError, naming the first fatal findings, unless ``ok``."""
+        fatal = [finding for finding in self.findings if finding.fatal]
+        if fatal:
+            raise IntegrityError(
+                f"{len(fatal)} of the stored results' checks failed",
+                value="; ".join(str(finding) for finding in fatal[:3]),
+                allowed="results as they were committed",
+                next_step="restore the named files from a copy, or move the run away and run it again",
+            )
+
+
+def verify(results: Path) -> VerifyReport:
+    """Check all runs of a results folder: the manifest against its own SHA-256, every listed file against
+    the manifest, every Parquet page against its checksum, schema, row counts, blocks without gaps, devices
+    without duplicates, the digest of a finished run; and name every file that no manifest lists.
+
+    Raises
+    ------
+    UsageError : there is no such folder, or no run in it.
+    """
+    if not results.is_dir():
+        raise UsageError(
+            "there is no such results folder", value=str(results), next_step="name it with --results"
+        )
+    folders = run_folders(results)
+    findings = list(_strays(results, {folder.name for folder in folders}))
+    if not folders and not findings:
+        raise UsageError(
+            "there are no runs in the results folder",
+            value=str(results),
+            next_step="make one with `gyroscreen run`, or name the folder with --results",
+        )
+    checked = [_verify_run(folder) for folder in folders]
+    return VerifyReport(
+        findings=tuple(findings + [finding for report in checked for finding in report.findings]),
+        runs=len(folders),
+        files=sum(report.files for report in checked),
+        bytes=sum(report.bytes for report in checked),
+        devices=sum(report.devices for report in checked),
+        draws=sum(report.draws for report in checked),
+    )
+
+
+def _verify_run(folder: Path) -> VerifyReport:
+    try:
+        manifest = read_manifest(folder)
+    except IntegrityError as error:
+        finding = _damage(folder / MANIFEST, error)
+        return VerifyReport((finding,), runs=1, files=0, bytes=0, devices=0, draws=0)
+    findings = list(_strays(folder, {entry.name for entry in manifest.files} | {MANIFEST, LOG}))
+    findings += _structure(folder, manifest)
+    devices = [devices_schema().empty_table()]
+    draws = 0
+    for entry in in_block_order(manifest.files):
+        try:
+            table = _verify_file(folder, entry)
+        except IntegrityError as error:
+            findings.append(_damage(folder / entry.name, error))
+            continue
+        if table is not None and table.num_rows != entry.rows:
+            findings.append(
+                Finding(str(folder / entry.name), "number of rows", str(entry.rows), str(table.num_rows))
+            )
+        if table is not None and entry.kind == "devices":
+            devices.append(table)
+        elif table is not None:
+            draws += table.num_rows
+    whole = pa.concat_tables(devices)
+    if not any(finding.fatal for finding in findings):
+        findings += _contents(folder, manifest, whole)
+    return VerifyReport(
+        tuple(findings),
+        runs=1,
+        files=len(manifest.files),
+        bytes=sum(entry.bytes for entry in manifest.files),
+        devices=whole.num_rows,
+        draws=draws,
+    )
+
+
+def _verify_file(folder: Path, entry: FileEntry) -> pa.Table | None:
+    """The table of a file that holds one; raise IntegrityError where it is not what was committed."""
+    data = read_file(folder, entry)
+    if entry.kind == "devices":
+        return decode_table(data, devices_schema(), str(folder / entry.name))
+    if entry.kind == "posterior":
+        return decode_table(data, posterior_schema(), str(folder / entry.name))
+    return None
+
+
+def _structure(folder: Path, manifest: Manifest) -> Iterator[Finding]:
+    """What the manifest alone can contradict."""
+    where = str(folder / MANIFEST)
+    for name, times in Counter(entry.name for entry in manifest.files).items():
+        if times > 1:
+            yield Finding(where, f"{name} is listed more than once", "1", str(times))
+    config = [entry.sha256 for entry in manifest.of_kind("config")]
+    if config != [manifest.config_sha256]:
+        yield Finding(
+            where, "run.toml is not listed with the hash of the configuration", "1 entry", str(config)
+        )
+    blocks = manifest.blocks()
+    missing = sorted(set(range(max(blocks, default=-1) + 1)) - blocks)
+    if missing:
+        fatal = manifest.status == "complete"
+        yield Finding(
+            where, f"blocks of a {manifest.status} run", "no gaps", f"missing {missing[:10]}", fatal
+        )
+    orphans = [entry.block for entry in manifest.of_kind("posterior") if entry.block not in blocks]
+    if orphans:
+        yield Finding(where, "draws without their devices", "a devices table each", f"blocks {orphans[:10]}")
+
+
+def _contents(folder: Path, manifest: Manifest, devices: pa.Table) -> Iterator[Finding]:
+    """What only the whole, undamaged table can contradict."""
+    twice = duplicates(devices)
+    if twice:
+        yield Finding(str(folder), "devices with more than one row", "one row a device", ", ".join(twice[:5]))
+    if manifest.devices_digest is not None:
+        found = table_digest(devices)
+        if found != manifest.devices_digest:
+            yield Finding(str(folder), "digest of the devices table", manifest.devices_digest, found)
+
+
+def _strays(folder: Path, known: set[str]) -> Iterator[Finding]:
+    for path in sorted(folder.iterdir()):
+        if path.name in known:
+            continue
+        if path.name.endswith(STAGED) or _BLOCK.fullmatch(path.name):
+            what = "left by an interrupted write, or put there by somebody; not part of any result"
+        elif path.name.startswith(PREFIX):
+            what = "a run's folder without a manifest; not part of any result"
+        else:
+            what = "stray file, not part of any result"
+        yield Finding(str(path), what, "only what the manifests list", path.name, fatal=False)
+
+
+def _damage(path: Path, error: IntegrityError) -> Finding:
+    return Finding(str(path), error.what, error.allowed or "what was committed", str(error.value or "damage"))
