@@ -1,0 +1,273 @@
+"""From the structure of a device to the parameters of its plant.
+
+Springs at azimuth phi_j and radius r with stiffness k_j, K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x y, relative to the
+nominal K0 = k0 J r^2 / 2 and written as mean and 2-theta anisotropy (``symmetric``):
+
+    K / K0 = (S0, -S2),   S0 = sum k_j / (J k0),   S2 = sum k_j exp(2 i phi_j) / (J k0)
+    then times (1 + e), e residual and stress;   plus electrostatic springs at the drive electrodes (+-45 deg)
+    I / I0 = (1 + p |d|^2, -p d^2),   p = mu (m_p / m) / (2 l^2),   d = x + i y the offset of the post
+    omega_i^2 = omega0^2 eigenvalues of I^(-1/2) K I^(-1/2)
+    omega3^2  = omega30^2 (S0 - softening)
+    1/Q = p_gas / Q_gas + 1 / Q_anchor + 1 / Q_thermoelastic,   C = I^(-1/2) (omega0 / Q)(1 + anisotropy) I^(-1/2)
+    c11 + c22 = 2 mean,   (c11 - c22)/2 + i c12 = anisotropy exp(-2 i theta)
+
+1-theta quantities couple rocking with up-down.  With zeta = -z, the mode shape of up-down has, in units of zeta / l,
+
+    a_x = -g (-(r/l) Im S1 + (m_p/m) d_y/l),   g = mu omega3^2 / (omega_r^2 - omega3^2),   S1 = sum k_j exp(i phi_j) / (J k0)
+
+to first order, hence the updown_tilt t_x = -a_x; the tilt about y is taken by the up-down gain (a gauge, to first order nil).
+What the rocking modes see of up-down in return (of the same order times -1/mu) is in none of the effects and left out.
+
+Electrodes: K = (V / V0) A / g^2 (drive; sense without the bias), times the arm for rocking; softening k_e = A V^2 / g^3 arm^2.
+Shapes: B devices, J springs, electrodes D1, D2, S1, S2.  Frequencies Hz, rates 1/s, angles deg, lengths mm.
+Source: the paper, eq. (1), (2), (9), (10), (18), and the derivations above.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+import numpy as np
+
+from pipeline.arrays import ComplexArray, FloatArray
+from pipeline.errors import ConfigError
+from pipeline.quantities import MODEL
+
+from .irregularity import CHANGES, Change
+from .nominal import Device
+from .symmetric import Symmetric, axis_deg, congruence, inverse_root, turned
+
+TAU = 2.0 * math.pi
+MOST_DAMPING_ANISOTROPY = 1.0  # C stays positive semidefinite
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Sum of all changes of B devices (see ``Change`` for the meaning of each), and bias and pressure over nominal."""
+
+    ln_stiffness: FloatArray
+    ln_spring: FloatArray
+    azimuth_rad: FloatArray
+    anisotropy: ComplexArray
+    post_offset_mm: ComplexArray
+    ln_area: FloatArray
+    ln_gap: FloatArray
+    ln_arm: FloatArray
+    ln_channel: FloatArray
+    ln_pressure: FloatArray
+    ln_gas: FloatArray
+    ln_anchor: FloatArray
+    damping_anisotropy: ComplexArray
+
+
+COMPLEX = frozenset({"anisotropy", "post_offset_mm", "damping_anisotropy"})
+ROWS = {"ln_area": 4, "ln_gap": 4, "ln_arm": 4, "ln_channel": 4, "ln_gas": 2}
+
+
+def combine(changes: Iterable[tuple[str, Change]], count: int, springs: int) -> Structure:
+    """Sum of named changes for ``count`` devices.  Raises ConfigError when a change has the wrong shape or is not finite."""
+    rows = {**ROWS, "ln_spring": springs, "azimuth_rad": springs}
+    shape = {name: (rows[name], count) if name in rows else (count,) for name in CHANGES}
+    total = {name: np.zeros(shape[name], complex if name in COMPLEX else float) for name in CHANGES}
+    for source, change in changes:
+        for name in CHANGES:
+            part = getattr(change, name)
+            if part is None:
+                continue
+            if np.shape(part) != shape[name] or not np.all(np.isfinite(part)):
+                raise ConfigError(
+                    f"irregularity {source} gives {name} of shape {np.shape(part)}, or one that is not finite",
+                    allowed=f"finite numbers of shape {shape[name]}",
+                    next_step="correct the irregularity's act(), or the size of its parameters",
+                )
+            total[name] = total[name] + part
+    return Structure(**total)
+
+
+def _sum(rows: Iterable[FloatArray]) -> FloatArray:
+    # Not numpy's sum, whose order of addition depends on the shape of the batch.
+    return reduce(add, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Stiffness:
+    """Relative stiffness: rocking K / K0, up-down, and the 1-theta moment S1 of the springs."""
+
+    rocking: Symmetric
+    updown: FloatArray
+    moment: ComplexArray
+
+
+def spring_stiffness(device: Device, ln_spring: FloatArray, azimuth_rad: FloatArray) -> Stiffness:
+    """(S0, -S2), S0 and S1 of springs with ln(k / k0) and azimuth errors, both (J, B)."""
+    nominal = np.deg2rad(np.array(device.spring_azimuth_deg))
+    # Nominal moments are exact zeros for a symmetric suspension, so they go by expansion about the nominal azimuth.
+    relative = [np.exp(row) for row in ln_spring]
+    share = 1.0 / len(nominal)
+    s0 = _sum([k - 1.0 for k in relative]) * share + 1.0
+
+    def moment(order: int) -> ComplexArray:
+        at_nominal = np.exp(1j * order * nominal)
+        whole = complex(at_nominal.sum() * share)
+        symmetric = abs(whole) < 1e-12
+        turns = [order * row for row in azimuth_rad]
+        real = _sum(
+            [
+                (k * np.cos(t) - 1.0) * a.real - k * np.sin(t) * a.imag
+                for k, t, a in zip(relative, turns, at_nominal)
+            ]
+        )
+        imag = _sum(
+            [
+                (k * np.cos(t) - 1.0) * a.imag + k * np.sin(t) * a.real
+                for k, t, a in zip(relative, turns, at_nominal)
+            ]
+        )
+        return (real + 1j * imag) * share + (0.0 if symmetric else whole)
+
+    return Stiffness(Symmetric(s0, -moment(2)), s0, moment(1))
+
+
+def stiffness(device: Device, structure: Structure, bias: float) -> Stiffness:
+    """Relative stiffness with springs, anisotropy and electrostatic springs; ``bias`` is V / V0."""
+    springs = spring_stiffness(device, structure.ln_spring, structure.azimuth_rad)
+    common = np.exp(structure.ln_stiffness)
+    mean = springs.rocking.mean
+    # Product (S0, -S2).(1, e): the residual anisotropy scales with the springs.
+    inner = springs.rocking.anisotropy.real * structure.anisotropy.real
+    inner = inner + springs.rocking.anisotropy.imag * structure.anisotropy.imag
+    tensor = springs.rocking.anisotropy + mean * structure.anisotropy
+    area, gap, arm = structure.ln_area, structure.ln_gap, structure.ln_arm
+    plain = [bias**2 * np.exp(area[k] - 3.0 * gap[k]) for k in (0, 1)]
+    rocking = [plain[k] * np.exp(2.0 * arm[k]) for k in (0, 1)]
+    soft = softening(device)
+    soft3 = soft * (device.rocking_hz / device.updown_hz) ** 2 / device.lever
+    total = Symmetric(
+        common * (mean + inner) - soft * ((rocking[0] + rocking[1]) / 2.0 - 1.0),
+        # A negative spring at +45 deg adds +exp(90 deg i), one at -45 deg adds -i.
+        common * tensor + 0.5j * soft * (rocking[0] - rocking[1]),
+    )
+    updown = common * springs.updown - soft3 * ((plain[0] + plain[1]) / 2.0 - 1.0)
+    return Stiffness(total, updown, common * springs.moment)
+
+
+def softening(device: Device) -> float:
+    """Share of K0 that both drive electrodes take away at the nominal bias: -2 df / f0."""
+    return -2.0 * device.softening_hz_per_v2 * device.nominal_bias_v**2 / device.rocking_hz
+
+
+def inertia(device: Device, offset_mm: ComplexArray) -> Symmetric:
+    """I / I0 with the post off centre: I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y."""
+    x, y = offset_mm.real / device.arm_mm, offset_mm.imag / device.arm_mm
+    weight = device.lever * device.post_mass_fraction / 2.0
+    return Symmetric(1.0 + weight * (x * x + y * y), -weight * ((x * x - y * y) + 2j * (x * y)))
+
+
+def inverse_quality(device: Device, structure: Structure, pressure: float) -> tuple[FloatArray, FloatArray]:
+    """1/Q (B,) of rocking and up-down; ``pressure`` is p / p0."""
+    other = 1.0 / device.quality_anchor + 1.0 / device.quality_thermoelastic
+    gas = [1.0 / total - other for total in (device.quality_rocking, device.quality_updown)]
+    gas_loss = [pressure * np.exp(structure.ln_pressure + ln) for ln in structure.ln_gas]
+    anchor = np.exp(structure.ln_anchor)
+    # Written about the nominal total, so that a nominal device has exactly the nominal Q.
+    first, second = (
+        1.0 / total + (share * (loss - 1.0) + (anchor - 1.0) / device.quality_anchor)
+        for total, share, loss in zip((device.quality_rocking, device.quality_updown), gas, gas_loss)
+    )
+    return first, second
+
+
+def parameters(device: Device, structure: Structure, bias: float, pressure: float) -> dict[str, FloatArray]:
+    """The parameters of ``pipeline.quantities.MODEL``, each (B,).  Raises ConfigError when a device would be unstable."""
+    k = stiffness(device, structure, bias)
+    root = inverse_root(inertia(device, structure.post_offset_mm))
+    normalised = congruence(root, k.rocking)
+    size = np.hypot(normalised.anisotropy.real, normalised.anisotropy.imag)
+    if not (np.all(normalised.mean > size) and np.all(k.updown > 0.0)):
+        raise ConfigError(
+            "the population holds a device without a restoring stiffness",
+            value=float(np.min(normalised.mean - size)),
+            allowed="eigenvalues of K / K0 above 0",
+            next_step="lower the spreads or the bias of the population",
+        )
+    f1 = device.rocking_hz * np.sqrt(normalised.mean - size)
+    f2 = device.rocking_hz * np.sqrt(normalised.mean + size)
+    f3 = device.updown_hz * np.sqrt(k.updown)
+    theta_deg = axis_deg(normalised.anisotropy)
+
+    loss, loss3 = inverse_quality(device, structure, pressure)
+    rate = TAU * device.rocking_hz * loss
+    modulus = np.hypot(structure.damping_anisotropy.real, structure.damping_anisotropy.imag)
+    limited = structure.damping_anisotropy / np.maximum(modulus / MOST_DAMPING_ANISOTROPY, 1.0)
+    c = congruence(root, Symmetric(rate, rate * limited))
+    along = turned(c.anisotropy, theta_deg)
+
+    updown, rocking = electrode_gains(structure, bias)
+    mean = [(rocking[0] + rocking[1]) / 2.0, (rocking[2] + rocking[3]) / 2.0]
+    mean3 = [(updown[0] + updown[1]) / 2.0, (updown[2] + updown[3]) / 2.0]
+    square = root.mean * root.mean
+    found = {
+        "theta_deg": theta_deg,
+        "split_hz": f2 - f1,
+        "f1_hz": f1,
+        "f2_hz": f2,
+        "f3_hz": f3,
+        "zeta1": (c.mean + along.real) / (2.0 * TAU * f1),
+        "zeta2": (c.mean - along.real) / (2.0 * TAU * f2),
+        "zeta3": TAU * device.updown_hz * loss3 / (2.0 * TAU * f3),
+        "c12_per_s": np.ascontiguousarray(along.imag),
+        "rocking_gain": device.rocking_gain_per_s * square * mean[0] * mean[1],
+        "updown_gain": device.updown_gain_per_s * mean3[0] * mean3[1],
+        "sense_imbalance": imbalance(updown[2], updown[3]),
+        "drive_imbalance": imbalance(updown[0], updown[1]),
+    }
+    return {quantity.name: found[quantity.name] for quantity in MODEL}
+
+
+def electrode_gains(structure: Structure, bias: float) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Gains over nominal of D1, D2, S1, S2, each (B,), as up-down and as rocking sees them."""
+    volts = (bias, bias, 1.0, 1.0)
+    ln = [structure.ln_area[k] - 2.0 * structure.ln_gap[k] + structure.ln_channel[k] for k in range(4)]
+    updown = [volts[k] * np.exp(ln[k]) for k in range(4)]
+    rocking = [volts[k] * np.exp(ln[k] + structure.ln_arm[k]) for k in range(4)]
+    return updown, rocking
+
+
+def imbalance(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(K_2 - K_1) / (K_2 + K_1)."""
+    return (second - first) / (second + first)
+
+
+def effects(
+    device: Device, structure: Structure, bias: float, plant: dict[str, FloatArray]
+) -> dict[str, dict[str, FloatArray]]:
+    """What the same structure does outside the plant's parameters: effect -> parameter -> (B,).
+
+        1/g [1/(V s)] = s0 omega0^2 / (2 G_r V0) exp(-ln_gap) / K_S,   s0 the nominal ``softening``
+
+    because motion is counted in pick-off volts: pulling with K_D V_b x / g at both drives lowers omega^2 by 2 G_r V_b / g.
+    """
+    k = stiffness(device, structure, bias)
+    updown, rocking = electrode_gains(structure, bias)
+    offset_y = structure.post_offset_mm.imag / device.arm_mm
+    f3, fr = plant["f3_hz"], (plant["f1_hz"] + plant["f2_hz"]) / 2.0
+    g = device.lever * f3 * f3 / (fr * fr - f3 * f3)
+    t_x = g * (device.post_mass_fraction * offset_y - device.spring_radius * k.moment.imag)
+    nominal = softening(device) * (TAU * device.rocking_hz) ** 2
+    nominal = nominal / (2.0 * device.rocking_gain_per_s * device.nominal_bias_v)
+    volts = (updown[2] + updown[3]) / 2.0
+    gap = structure.ln_gap
+    return {
+        "updown_tilt": {"t_x": t_x},
+        "electrode_mismatch": {
+            "m_S": imbalance(rocking[2], rocking[3]) - imbalance(updown[2], updown[3]),
+            "m_D": imbalance(rocking[0], rocking[1]) - imbalance(updown[0], updown[1]),
+        },
+        "electrostatic_softening": {"1/g": nominal * np.exp(-(gap[0] + gap[1]) / 2.0) / volts},
+        "sense_nonlinearity": {"1/g": nominal * np.exp(-(gap[2] + gap[3]) / 2.0) / volts},
+        "drive_nonlinearity": {"eps": np.ones_like(f3)},
+    }

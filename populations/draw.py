@@ -1,0 +1,110 @@
+"""Draw virtual devices: the hierarchy's random numbers through the irregularities to the parameters of the plant.
+
+    device n --layout--> lot, wafer, die --irregularities--> changes --sum--> structure --assembly--> parameters
+
+once as fabricated (stages fabrication and probe; the prober's vacuum, nominal bias and temperature) and once as packaged
+(stages fabrication and package; lid pressure, operating bias and temperature).  Device n depends on (spec, seed, n) alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import FloatArray, IntArray
+from pipeline.errors import UsageError
+
+from .assembly import Structure, combine, effects, inverse_quality, parameters, stiffness
+from .irregularity import Change, Stage
+from .layout import places
+from .site import Site
+from .spec import PopulationSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """B virtual devices.
+
+    Parameters
+    ----------
+    index : device numbers n.
+    device_id, lot, wafer, package : names, "D000123", "L01", "L01-W03", "P000123".
+    die_x_mm, die_y_mm : centre of the die on its wafer.
+    fab : parameter of ``pipeline.quantities.MODEL`` -> (B,), as the wafer prober saw it (with the gains of its own channels).
+    true : the same, as packaged, at the operating bias and temperature.
+    effects : effect -> parameter -> (B,), what the same device does outside these parameters, as packaged.
+    causes : contributions as packaged, (B,): "split_hz.<irregularity>" (projected on the device's anisotropy, so that they add
+        up to the split to first order), "frequency_hz.<irregularity>" (mean rocking frequency) and
+        "ln_quality.<irregularity>" (ln of the mean rocking Q).
+    """
+
+    index: IntArray
+    device_id: tuple[str, ...]
+    lot: tuple[str, ...]
+    wafer: tuple[str, ...]
+    package: tuple[str, ...]
+    die_x_mm: FloatArray
+    die_y_mm: FloatArray
+    fab: dict[str, FloatArray]
+    true: dict[str, FloatArray]
+    effects: dict[str, dict[str, FloatArray]]
+    causes: dict[str, FloatArray]
+
+
+def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
+    """Devices ``first`` .. ``first + count - 1`` of the population.
+
+    Raises UsageError for a negative seed or first, or a count below 1; ConfigError when the population cannot be built.
+    """
+    for name, value, least in (("seed", seed, 0), ("first", first, 0), ("count", count, 1)):
+        if value < least:
+            raise UsageError(
+                f"{name} is too small", value=value, allowed=f"{least} or more", next_step=f"raise {name}"
+            )
+    device, operating = spec.device, spec.operating
+    index = np.arange(first, first + count, dtype=np.int64)
+    made = places(spec.wafer, index)
+    changes: list[tuple[str, Stage, Change]] = []
+    for irregularity, values in spec.found():
+        site = Site(irregularity.name, seed, index, made, device, spec.wafer, operating)
+        changes.append((irregularity.name, irregularity.stage, irregularity.act(values, site)))
+
+    springs = len(device.spring_azimuth_deg)
+
+    def structure(*stages: Stage) -> Structure:
+        return combine([(name, change) for name, stage, change in changes if stage in stages], count, springs)
+
+    bias = operating.bias_v / device.nominal_bias_v
+    packaged = structure("fabrication", "package")
+    true = parameters(device, packaged, bias, operating.lid_pressure_pa / device.nominal_pressure_pa)
+    probe = operating.probe_pressure_pa / device.nominal_pressure_pa
+    fab = parameters(device, structure("fabrication", "probe"), 1.0, probe)
+
+    causes: dict[str, FloatArray] = {}
+    whole = stiffness(device, packaged, bias).rocking.anisotropy
+    size = np.maximum(np.hypot(whole.real, whole.imag), np.finfo(np.float64).tiny)
+    for name, stage, change in changes:
+        if stage != "probe":
+            alone = combine([(name, change)], count, springs)
+            k = stiffness(device, alone, 1.0).rocking
+            along = (k.anisotropy.real * whole.real + k.anisotropy.imag * whole.imag) / size
+            loss, _ = inverse_quality(device, alone, 1.0)
+            causes[f"split_hz.{name}"] = device.rocking_hz * along
+            causes[f"frequency_hz.{name}"] = device.rocking_hz * (np.sqrt(k.mean) - 1.0)
+            causes[f"ln_quality.{name}"] = -np.log(loss * device.quality_rocking)
+
+    lots = tuple(f"L{lot + 1:02d}" for lot in made.lot.tolist())
+    return Draw(
+        index=index,
+        device_id=tuple(f"D{n:06d}" for n in index.tolist()),
+        lot=lots,
+        wafer=tuple(f"{lot}-W{wafer + 1:02d}" for lot, wafer in zip(lots, made.wafer_in_lot.tolist())),
+        package=tuple(f"P{n:06d}" for n in index.tolist()),
+        die_x_mm=made.x_mm,
+        die_y_mm=made.y_mm,
+        fab=fab,
+        true=true,
+        effects=effects(device, packaged, bias, true),
+        causes=causes,
+    )

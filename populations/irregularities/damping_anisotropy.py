@@ -1,0 +1,35 @@
+"""Damping that depends on the direction of rocking, with axes of its own: hence zeta1, zeta2 and c12.
+
+    C = c0 (1 + [[Re d, Im d], [Im d, -Re d]]),   d = s n, n a complex normal, |d| held to at most ``limit``
+
+Source: the paper's rocking dampings differ by a factor 2.0 (3.167e-4, 1.586e-4); the spread is an assumption, to be swept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """damping_anisotropy, longer ones brought back to the limit on the same axis."""
+    d = p["die"] * site.complex_normal("die")
+    return Change(damping_anisotropy=d / np.maximum(np.hypot(d.real, d.imag) / p["limit"], 1.0))
+
+
+IRREGULARITY = Irregularity(
+    name="damping_anisotropy",
+    stage="fabrication",
+    parameters=(
+        Parameter("die", "1", 0.0, 2.0, "sd per component from die to die", assumption="damping_anisotropy"),
+        Parameter(
+            "limit", "1", 0.01, 0.99, "largest |d|; below 1 both damping ratios are positive", null=0.8
+        ),
+    ),
+    source="the paper, eq. (15); magnitude assumed",
+    act=act,
+)

@@ -1,0 +1,33 @@
+"""Area of each electrode, and where its centroid lies: gains, and a gain for rocking that differs from that for up-down.
+
+    K ~ A,   rocking sees K times the arm   =>   sense_imbalance, drive_imbalance, electrode_mismatch, softening
+
+Source: parallel-plate force and current eps A V / g^2 (the paper's part: sense gains differ by 7.4 %); magnitudes assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_area and ln_arm of D1, D2, S1, S2."""
+    return Change(
+        ln_area=0.01 * p["die_pct"] * site.normal("die", 4),
+        ln_arm=0.01 * p["arm_pct"] * site.normal("die", 4, "arm"),
+    )
+
+
+IRREGULARITY = Irregularity(
+    name="electrode_area",
+    stage="fabrication",
+    parameters=(
+        Parameter("die_pct", "% of A", 0.0, 30.0, "sd of the area of a single electrode"),
+        Parameter("arm_pct", "% of l", 0.0, 30.0, "sd of the arm of a single electrode"),
+    ),
+    source="parallel plates; magnitudes assumed",
+    act=act,
+)

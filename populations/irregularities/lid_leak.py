@@ -1,0 +1,34 @@
+"""Lids that leak: a few packages hold much more gas, hence low Q.
+
+    with probability ``fraction``: ln(p / p_lid) += N(ln_mean, ln_spread), never below 0
+
+Source: seal yields of 98 to 100 % (J. MEMS, 2018-0257); loss of Q in leaking packages (Micromachines 14 (2023) 1956).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_pressure of the leaking packages."""
+    rise = np.maximum(p["ln_mean"] + p["ln_spread"] * site.normal("package")[0], 0.0)
+    return Change(ln_pressure=np.where(site.uniform("package") < p["fraction"], rise, 0.0))
+
+
+IRREGULARITY = Irregularity(
+    name="lid_leak",
+    stage="package",
+    parameters=(
+        Parameter("fraction", "1", 0.0, 1.0, "share of packages that leak"),
+        Parameter("ln_mean", "1", 0.0, 10.0, "mean of ln(pressure rise) at the time of the test", null=None),
+        Parameter("ln_spread", "1", 0.0, 5.0, "its sd", null=None),
+    ),
+    source="J. MEMS 2018-0257 (seal yield); Micromachines 14 (2023) 1956 (loss of Q)",
+    act=act,
+)

@@ -1,0 +1,27 @@
+"""Gas pressure under a sound lid.
+
+    ln(p / p_lid) = s n
+
+Source: getter and outgassing spread (assumed); with 75 % of the losses due to gas it gives the reported Q spread of packages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_pressure of each package."""
+    return Change(ln_pressure=p["spread"] * site.normal("package")[0])
+
+
+IRREGULARITY = Irregularity(
+    name="lid_pressure",
+    stage="package",
+    parameters=(Parameter("spread", "1", 0.0, 3.0, "sd of ln(pressure) from package to package"),),
+    source="assumed; packaged Q 1800 +-200 at 200 mTorr is reported",
+    act=act,
+)

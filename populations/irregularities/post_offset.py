@@ -1,0 +1,31 @@
+"""The post sits off centre: it adds a little inertia anisotropy, and couples rocking with up-down.
+
+    d = lot + die, a vector;   I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y;   static moment m_p d -> updown_tilt
+
+Source: parallel-axis theorem, static moment (derivation in populations/assembly.py); placement of a hand-set post assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """post_offset_mm, normal in x and in y."""
+    offset_um = p["lot_um"] * site.complex_normal("lot") + p["die_um"] * site.complex_normal("die")
+    return Change(post_offset_mm=1e-3 * offset_um)
+
+
+IRREGULARITY = Irregularity(
+    name="post_offset",
+    stage="fabrication",
+    parameters=(
+        Parameter("lot_um", "um", 0.0, 200.0, "sd per component of the lot's mean (a jig)"),
+        Parameter("die_um", "um", 0.0, 200.0, "sd per component from die to die"),
+    ),
+    source="parallel-axis theorem; magnitudes assumed",
+    act=act,
+)

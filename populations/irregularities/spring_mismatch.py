@@ -1,0 +1,29 @@
+"""Mismatch among the springs of one device.
+
+    d ln k_j = N(0, s) for each spring j;   four springs at right angles: e = (k2 + k4 - k1 - k3) / sum k, real, sd s / 2
+
+so four such springs alone can only give theta = 0 or 90 deg.
+
+Source: K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x y (derivation); magnitude assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_spring of each spring on its own."""
+    return Change(ln_spring=0.01 * p["die_pct"] * site.normal("die", len(site.device.spring_azimuth_deg)))
+
+
+IRREGULARITY = Irregularity(
+    name="spring_mismatch",
+    stage="fabrication",
+    parameters=(Parameter("die_pct", "% of k", 0.0, 10.0, "sd of the stiffness of a single spring"),),
+    source="K = sum of springs; magnitude assumed",
+    act=act,
+)

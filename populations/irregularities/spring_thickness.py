@@ -1,0 +1,30 @@
+"""Thickness of the springs (SOI layer, or thinning of the wafer): moves all modes together.
+
+    k = E w t^3 / L^3   =>   d ln k = 3 ln(1 + dt/t),   f ~ t^1.5 at fixed inertia
+
+Source: fixed-guided beam out of plane (derivation); SOI layer 25 +-1 um, total thickness variation of bulk wafers below 5 um.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..across_wafer import across_wafer, across_wafer_parameters
+from ..irregularity import Change, Irregularity
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_spring = 3 ln(1 + dt/t)."""
+    return Change(ln_spring=3.0 * np.log1p(0.01 * across_wafer(p, "pct", site)))
+
+
+IRREGULARITY = Irregularity(
+    name="spring_thickness",
+    stage="fabrication",
+    parameters=across_wafer_parameters("% of t", "pct", 5.0),
+    source="k = E w t^3 / L^3; SOI layer tolerance 25 +-1 um; shares by level as in populations/across_wafer.py",
+    act=act,
+)

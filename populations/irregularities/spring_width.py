@@ -1,0 +1,30 @@
+"""Width of the springs (lithography and etch bias): moves all modes together, a third as much as thickness.
+
+    k = E w t^3 / L^3   =>   d ln k = ln(1 + dw/w)
+
+Source: fixed-guided beam out of plane (derivation); magnitudes are assumptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..across_wafer import across_wafer, across_wafer_parameters
+from ..irregularity import Change, Irregularity
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_spring = ln(1 + dw/w)."""
+    return Change(ln_spring=np.log1p(across_wafer(p, "um", site) / site.device.spring_width_um))
+
+
+IRREGULARITY = Irregularity(
+    name="spring_width",
+    stage="fabrication",
+    parameters=across_wafer_parameters("um", "um", 5.0),
+    source="k = E w t^3 / L^3; magnitudes assumed",
+    act=act,
+)

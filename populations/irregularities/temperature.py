@@ -1,0 +1,36 @@
+"""Temperature of the packaged device: silicon softens as it warms.
+
+    df/f = TCF (T - T0)   =>   d ln k = 2 ln(1 + TCF (T - T0)),   T = operating temperature + N(0, s)
+
+Source: TCF -28 ppm/K of silicon resonators, Hopcroft, Nix, Kenny, J. MEMS 19 (2010) 229; spread of the test chamber assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_stiffness of each package at its test."""
+    above = site.operating.temperature_c - site.device.nominal_temperature_c
+    kelvin = above + p["spread_k"] * site.normal("package")[0]
+    return Change(ln_stiffness=2.0 * np.log1p(1e-6 * p["tcf_ppm_per_k"] * kelvin))
+
+
+IRREGULARITY = Irregularity(
+    name="temperature",
+    stage="package",
+    parameters=(
+        Parameter(
+            "tcf_ppm_per_k", "ppm/K", -1000.0, 1000.0, "temperature coefficient of the mode frequencies"
+        ),
+        Parameter("spread_k", "K", 0.0, 100.0, "sd of a device's temperature at its test"),
+    ),
+    source="Hopcroft et al., J. MEMS 19 (2010) 229",
+    act=act,
+)

@@ -1,0 +1,30 @@
+"""Gains of the wafer prober's channels: the bare die is seen through them, the packaged device is not.
+
+    ln K_k += s n_k, the same for all devices of the prober
+
+Source: contact and amplifier tolerances (assumed).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..irregularity import Change, Irregularity, Parameter
+from ..site import Site
+
+
+def act(p: Mapping[str, float], site: Site) -> Change:
+    """ln_channel of D1, D2, S1, S2."""
+    channels = 0.01 * p["channel_pct"] * site.fixed(4)
+    return Change(ln_channel=np.repeat(channels[:, None], len(site.index), axis=1))
+
+
+IRREGULARITY = Irregularity(
+    name="tester_gain",
+    stage="probe",
+    parameters=(Parameter("channel_pct", "%", 0.0, 30.0, "sd of the gain of a channel of the prober"),),
+    source="assumed",
+    act=act,
+)

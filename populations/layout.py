@@ -1,0 +1,97 @@
+"""Which die is device n: lots, wafers and dies in the order of visits.
+
+    batch = n // (W D),   slot = n mod W,   rank = (n mod W D) // W        W wafers a batch, D dies a wafer
+    lot = batch L + slot mod L,             wafer = batch W + slot         L lots a batch
+
+The wafers of a batch are visited in turn, the dies of a wafer in a fixed well-spread order, so that the first few hundred
+devices already sample all wafers of the batch, each over its whole area.  Nothing here is random.  Lengths in mm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pipeline.arrays import FloatArray, IntArray
+from pipeline.errors import ConfigError
+
+from .nominal import Wafer
+
+PLASTIC = 1.324717957244746  # root of p^3 = p + 1; (1/p, 1/p^2) generate the R2 low-discrepancy sequence
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where B devices were made: lot, wafer (numbered through all lots) and die (place on the wafer), each (B,)."""
+
+    lot: IntArray
+    wafer: IntArray
+    wafer_in_lot: IntArray
+    die: IntArray
+    x_mm: FloatArray
+    y_mm: FloatArray
+
+
+@lru_cache(maxsize=32)
+def die_centres(wafer: Wafer) -> FloatArray:
+    """Centres (D, 2) [mm] of the dies: |(x, y)| <= diameter/2 - edge exclusion on a grid centred on a die.
+
+    Raises ConfigError when no die fits.
+    """
+    reach = wafer.diameter_mm / 2.0 - wafer.edge_exclusion_mm
+    if reach < 0.0 or reach / wafer.pitch_mm > 200.0:
+        raise ConfigError(
+            "wafer.edge_exclusion_mm and wafer.pitch_mm leave no die, or more than 100000",
+            value=(wafer.edge_exclusion_mm, wafer.pitch_mm),
+            allowed=f"edge exclusion up to {wafer.diameter_mm / 2.0:g} mm, pitch from {max(reach, 0.0) / 200.0:g} mm",
+            next_step="change [wafer] of the population",
+        )
+    n = int(reach // wafer.pitch_mm)
+    steps = [(i, j) for j in range(-n, n + 1) for i in range(-n, n + 1)]
+    inside = [(i, j) for i, j in steps if math.hypot(i, j) * wafer.pitch_mm <= reach]
+    centres = wafer.pitch_mm * np.array(inside, dtype=np.float64)
+    centres.setflags(write=False)
+    return centres
+
+
+@lru_cache(maxsize=32)
+def visiting_order(wafer: Wafer) -> IntArray:
+    """Permutation (D,) of the dies: the free die nearest to each point of the R2 sequence mapped to the disc (equal areas)."""
+    centres = die_centres(wafer)
+    radius = float(np.hypot(centres[:, 0], centres[:, 1]).max()) + wafer.pitch_mm / 2.0
+    free = list(range(len(centres)))
+    order = []
+    for k in range(len(centres)):
+        r = radius * math.sqrt((0.5 + k / PLASTIC) % 1.0)
+        turn = 2.0 * math.pi * ((0.5 + k / PLASTIC**2) % 1.0)
+        x, y = r * math.cos(turn), r * math.sin(turn)
+        nearest = min(
+            free, key=lambda die: (round(math.hypot(centres[die, 0] - x, centres[die, 1] - y), 9), die)
+        )
+        free.remove(nearest)
+        order.append(nearest)
+    permutation = np.array(order, dtype=np.int64)
+    permutation.setflags(write=False)
+    return permutation
+
+
+def places(wafer: Wafer, index: IntArray) -> Places:
+    """Lot, wafer and die of the devices ``index`` (B,)."""
+    centres, order = die_centres(wafer), visiting_order(wafer)
+    dies, lots = len(centres), wafer.lots_per_batch
+    wafers = lots * wafer.wafers_per_lot
+    batch, within = np.divmod(index, wafers * dies)
+    rank, slot = np.divmod(within, wafers)
+    # Each wafer starts elsewhere in the order, so that a handful of devices does not share one place on all wafers.
+    die = order[(rank + slot * (dies // wafers)) % dies]
+    return Places(
+        lot=batch * lots + slot % lots,
+        wafer=batch * wafers + slot,
+        wafer_in_lot=slot // lots,
+        die=die,
+        x_mm=np.take(centres[:, 0], die),
+        y_mm=np.take(centres[:, 1], die),
+    )

@@ -1,0 +1,107 @@
+"""Where and when a batch of devices was made, with the random numbers of each level of the hierarchy.
+
+A random stream belongs to (irregularity, level, label) and to the number k of the lot, wafer or device:
+
+    SeedSequence(seed, spawn_key=(crc32("irregularity/level/label"), k))
+
+so a draw depends on nothing but the seed and those names, and a new irregularity moves no other draw.
+Shapes: B devices, J springs; random numbers come as (size, B), so that every row is contiguous (numpy's elementary functions
+may round differently on strided memory, and a device must not depend on the batch it is drawn in).
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from pipeline.arrays import ComplexArray, FloatArray, IntArray
+
+from .layout import Places, die_centres
+from .nominal import Device, Operating, Wafer
+
+Level = Literal["lot", "wafer", "die", "package"]
+
+
+@lru_cache(maxsize=32)
+def field_factor(wafer: Wafer, length_mm: float) -> FloatArray:
+    """Cholesky factor (D, D) of exp(-d / length) over the dies of a wafer."""
+    centres = die_centres(wafer)
+    offset = centres[:, None, :] - centres[None, :, :]
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    factor: FloatArray = np.linalg.cholesky(np.exp(-distance / length_mm))
+    factor.setflags(write=False)
+    return factor
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """What an irregularity may know: the nominal device, the place of each die, and its own random numbers.
+
+    Ask once for each (level, label): the same question gives the same numbers.
+    """
+
+    irregularity: str
+    seed: int
+    index: IntArray
+    places: Places
+    device: Device
+    wafer: Wafer
+    operating: Operating
+
+    def _generator(self, kind: str, key: int) -> np.random.Generator:
+        stream = zlib.crc32(f"{self.irregularity}/{kind}".encode())
+        return np.random.Generator(
+            np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=(stream, key)))
+        )
+
+    def _numbers(self, level: Level) -> IntArray:
+        return {"lot": self.places.lot, "wafer": self.places.wafer}.get(level, self.index)
+
+    def normal(self, level: Level, size: int = 1, label: str = "") -> FloatArray:
+        """Standard normals (size, B), shared by all devices of the same lot or wafer."""
+        keys, back = np.unique(self._numbers(level), return_inverse=True)
+        drawn = np.empty((size, len(keys)))
+        for column, key in enumerate(keys.tolist()):
+            drawn[:, column] = self._generator(f"{level}/{label}", key).standard_normal(size)
+        return np.take(drawn, back, axis=1)
+
+    def fixed(self, size: int = 1, label: str = "") -> FloatArray:
+        """Standard normals (size,) that all devices of this seed share."""
+        return self._generator(f"fixed/{label}", 0).standard_normal(size)
+
+    def uniform(self, level: Level, label: str = "") -> FloatArray:
+        """Uniform numbers in [0, 1), (B,)."""
+        keys, back = np.unique(self._numbers(level), return_inverse=True)
+        drawn = np.array([self._generator(f"{level}/{label}/uniform", key).random() for key in keys.tolist()])
+        return np.take(drawn, back)
+
+    def complex_normal(self, level: Level, label: str = "") -> ComplexArray:
+        """A 2-theta quantity (B,): a complex normal with unit sd in each component, so of no preferred axis."""
+        real, imaginary = self.normal(level, 2, label)
+        return real + 1j * imaginary
+
+    def field(self, length_mm: float) -> FloatArray:
+        """Gaussian process (B,) on each wafer: unit variance, correlation exp(-d / length)."""
+        factor = field_factor(self.wafer, length_mm)
+        keys, back = np.unique(self.places.wafer, return_inverse=True)
+        # One product a wafer and never a matrix of wafers: BLAS rounds by shape.
+        maps = [
+            factor @ self._generator("wafer/field", key).standard_normal(len(factor)) for key in keys.tolist()
+        ]
+        return np.ascontiguousarray(np.stack(maps)[back, self.places.die])
+
+    def spring_azimuth(self) -> FloatArray:
+        """Nominal azimuths (J, 1) [rad] of the springs."""
+        return np.deg2rad(np.array(self.device.spring_azimuth_deg))[:, None]
+
+    def spring_places(self) -> tuple[FloatArray, FloatArray]:
+        """x and y (J, B) of the springs on the wafer, in units of the wafer's radius."""
+        azimuth, radius = self.spring_azimuth(), self.wafer.diameter_mm / 2.0
+        r = self.device.spring_radius * self.device.arm_mm
+        return (self.places.x_mm + r * np.cos(azimuth)) / radius, (
+            self.places.y_mm + r * np.sin(azimuth)
+        ) / radius

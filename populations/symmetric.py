@@ -1,0 +1,57 @@
+"""Symmetric 2 x 2 matrices over batches, as a mean and a 2-theta complex number.
+
+    A = a0 I + [[Re a, Im a], [Im a, -Re a]],      eigenvalues a0 +- |a|,      axis of the larger one at arg(a) / 2
+    turning the axes by phi multiplies a by exp(2 i phi)
+
+Their symmetric product A.B = (A B + B A) / 2 keeps the form, and N A N = 2 N.(N.A) - (N.N).A (Jordan algebra of spin factors).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.arrays import ComplexArray, FloatArray
+
+
+class Symmetric(NamedTuple):
+    """Mean a0 and anisotropy a, both (B,)."""
+
+    mean: FloatArray
+    anisotropy: ComplexArray
+
+
+def product(a: Symmetric, b: Symmetric) -> Symmetric:
+    """A.B = (A B + B A) / 2."""
+    inner = a.anisotropy.real * b.anisotropy.real + a.anisotropy.imag * b.anisotropy.imag
+    return Symmetric(a.mean * b.mean + inner, a.mean * b.anisotropy + b.mean * a.anisotropy)
+
+
+def congruence(n: Symmetric, a: Symmetric) -> Symmetric:
+    """N A N."""
+    twice, square = product(n, product(n, a)), product(product(n, n), a)
+    return Symmetric(2.0 * twice.mean - square.mean, 2.0 * twice.anisotropy - square.anisotropy)
+
+
+def inverse_root(m: Symmetric) -> Symmetric:
+    """M^(-1/2) of a positive definite M: eigenvalues (m0 +- |m|)^(-1/2) on the same axes."""
+    size = np.hypot(m.anisotropy.real, m.anisotropy.imag)
+    high, low = 1.0 / np.sqrt(m.mean - size), 1.0 / np.sqrt(m.mean + size)
+    # (low - high) / (2 |m|) without its 0 / 0 at |m| = 0
+    slope = -(low * low * high * high) / (low + high)
+    return Symmetric((low + high) / 2.0, slope * m.anisotropy)
+
+
+def axis_deg(anisotropy: ComplexArray) -> FloatArray:
+    """Angle (B,) [deg] in (-90, 90] of the axis that belongs to the smaller eigenvalue."""
+    lower = np.rad2deg(np.arctan2(anisotropy.imag, anisotropy.real)) / 2.0 + 90.0
+    return np.where(lower > 90.0, lower - 180.0, lower)
+
+
+def turned(anisotropy: ComplexArray, theta_deg: FloatArray) -> ComplexArray:
+    """The anisotropy a exp(-2 i theta) as seen in axes turned by theta."""
+    double = np.deg2rad(2.0 * theta_deg)
+    c, s = np.cos(double), np.sin(double)
+    x, y = anisotropy.real, anisotropy.imag
+    return (x * c + y * s) + 1j * (y * c - x * s)
