@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.fft import irfft, rfft
+from scipy.stats import f as f_distribution
 
 from ..arrays import FloatArray
 from .instrument import Adc
@@ -56,3 +57,27 @@ def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, ad
         quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2
         variance = np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)
     return np.sqrt(variance)
+
+
+def hum_line(y: FloatArray, sample_rate_hz: float) -> float | None:
+    """Mains frequency (50 or 60 Hz) whose harmonics stand out of a silent record (N, S), or ``None``.
+
+    F-test of the line regressors against the rest, 0.1 % for each of the two families.
+    """
+    best: tuple[float, float] | None = None
+    for line_hz in (50.0, 60.0):
+        if sample_rate_hz / 2.0 <= line_hz or y.shape[0] < 2.0 * sample_rate_hz / line_hz:
+            continue
+        lines = line_basis(y.shape[0], sample_rate_hz, line_hz, True)
+        plain = line_basis(y.shape[0], sample_rate_hz, None, True)
+        without = y - plain @ (plain.T @ y)
+        left = y - lines @ (lines.T @ y)
+        more, rest = lines.shape[1] - plain.shape[1], y.shape[0] - lines.shape[1]
+        if rest < 10 * more:
+            continue
+        fall = float(np.sum(without**2) - np.sum(left**2))
+        ratio = (fall / more) / max(float(np.sum(left**2)) / rest, 1e-300)
+        senses = y.shape[1]
+        if f_distribution.sf(ratio, more * senses, rest * senses) < 1e-3 and (best is None or ratio > best[1]):
+            best = (line_hz, ratio)
+    return None if best is None else best[0]

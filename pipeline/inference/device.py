@@ -8,7 +8,7 @@ Shapes: records (N, 2) volts; everything returned is in the units of ``pipeline.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -85,16 +85,16 @@ def prepare(record: Record, instrument: Instrument, settings: IdentificationSett
 
 def _route_columns(route: RouteResult) -> dict[str, Value]:
     return {
-        "theta_u1_deg": route.theta_u1_deg,
-        "theta_v1_deg": route.theta_v1_deg,
-        "theta_u2_deg": route.theta_u2_deg,
-        "theta_v2_deg": route.theta_v2_deg,
+        "theta_u1_deg": route.axes.theta_u1_deg,
+        "theta_v1_deg": route.axes.theta_v1_deg,
+        "theta_u2_deg": route.axes.theta_u2_deg,
+        "theta_v2_deg": route.axes.theta_v2_deg,
         "arx_split_hz": route.arx_split_hz,
     }
 
 
 def _starts(routes: Sequence[RouteResult]) -> list[FloatArray]:
-    """Starting points: the route's modes; its theta without coupling; a twin of near-degenerate modes."""
+    """Starting points: the route's modes, with and without its estimate of the damping anisotropy."""
     out: list[FloatArray] = []
     for route in routes:
         start = start_from_modes(route.poles, route.residues)
@@ -141,7 +141,6 @@ def identify_device(
     gate: Gate,
     rate: RateSettings,
     seed: np.random.SeedSequence,
-    routes: Callable[[Record, Instrument, int, float], RouteResult] = identify_record,
 ) -> DeviceResult:
     """Identify one device from its fit records.
 
@@ -151,7 +150,6 @@ def identify_device(
     sigma_v : noise (2,) [V].
     instrument, settings, sampler, gate, rate : see their classes.
     seed : random stream of this device.
-    routes : the route that gives start values (the paper's).
 
     Returns
     -------
@@ -164,7 +162,11 @@ def identify_device(
         if found or not np.all(np.any(item.record.drive_v != 0.0, axis=0)):
             continue
         try:
-            found.append(routes(item.record, instrument, settings.order, settings.window_s))
+            found.append(
+                identify_record(
+                    item.record, instrument, settings.order, (settings.low_hz, settings.high_hz), settings.window_s
+                )
+            )
         except IdentificationError as error:
             reason = error.what
     if not found:

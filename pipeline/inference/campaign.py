@@ -1,0 +1,101 @@
+"""A measured campaign of a gyro, identified by the same likelihood as a virtual device.
+
+The in-band path wants two drives, two senses, records that start at rest, and a hold with a closed form; other campaigns
+go through the general fit of ``campaign_fit``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import MeasurementError
+from ..experiment.lines import hum_line, silent_sigma
+from ..experiment.record import Campaign
+from ..quantities import AXES
+from .device import DeviceResult, IdentificationSettings, RateSettings, identify_device, prepare
+from .gate import Gate
+from .sample import SamplerSettings
+from .summary import wrap_axis_deg
+
+
+def is_inband(campaign: Campaign) -> bool:
+    """Whether the in-band likelihood applies to this campaign."""
+    return campaign.instrument.hold in ("zoh", "foh") and all(
+        record.drive_v.shape[1] == 2 and record.sense_v.shape[1] == 2 and record.at_rest
+        for record in campaign.with_role("fit")
+    )
+
+
+def campaign_noise(campaign: Campaign) -> tuple[FloatArray, float | None]:
+    """sigma (S,) [V] from the silent records, and the mains frequency seen in them, if any.
+
+    Raises
+    ------
+    MeasurementError : the campaign has no silent record, so its noise is unknown.
+    """
+    silent = campaign.with_role("noise")
+    if not silent:
+        raise MeasurementError(
+            "no silent record, so the noise is unknown",
+            value=campaign.device_id,
+            allowed='at least one record with role = "noise"',
+            next_step="record a second of silence, or use `gyroscreen compare`, which falls back on repeats",
+        )
+    rate = campaign.instrument.sample_rate_hz
+    line_hz = hum_line(silent[0].sense_v, rate)
+    sigmas = [silent_sigma(record.sense_v, rate, line_hz, campaign.instrument.adc) for record in silent]
+    return np.sqrt(np.mean(np.square(sigmas), axis=0)), line_hz
+
+
+def identify_campaign(
+    campaign: Campaign,
+    settings: IdentificationSettings,
+    sampler: SamplerSettings,
+    gate: Gate,
+    seed: np.random.SeedSequence,
+) -> DeviceResult:
+    """Identify the device of a campaign from its fit records.
+
+    Raises
+    ------
+    MeasurementError : no silent record or no fit record.
+    """
+    fit = campaign.with_role("fit")
+    if not fit:
+        raise MeasurementError("no record to fit", value=campaign.device_id, allowed='a record with role = "fit"')
+    sigma_v, line_hz = campaign_noise(campaign)
+    if not np.all(sigma_v > 0.0):
+        raise MeasurementError(
+            "the silent record shows no noise at all",
+            value=[float(s) for s in sigma_v],
+            allowed="noise above zero in every channel",
+            next_step="check the silent record, or declare the converter (adc) so that its LSB counts",
+        )
+    with_hum = replace(settings, line_hz=line_hz)
+    rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
+    prepared = [prepare(record, campaign.instrument, with_hum) for record in fit]
+    return identify_device(prepared, sigma_v, campaign.instrument, with_hum, sampler, gate, rate, seed)
+
+
+def reference_comparison(campaign: Campaign, result: DeviceResult) -> dict[str, dict[str, float]]:
+    """Each [reference] value against the posterior: both with sd, and z = difference / combined sd."""
+    out: dict[str, dict[str, float]] = {}
+    for name, (value, sd) in campaign.reference.items():
+        found, found_sd = result.columns.get(name), result.columns.get(f"{name}_sd")
+        if not isinstance(found, float) or not isinstance(found_sd, float):
+            continue
+        difference = found - value
+        if name in AXES:
+            difference = float(wrap_axis_deg(np.array(difference)))
+        combined = float(np.hypot(sd, found_sd))
+        out[name] = {
+            "reference": value,
+            "reference_sd": sd,
+            "posterior": found,
+            "posterior_sd": found_sd,
+            "z": difference / combined if combined > 0.0 else float("nan"),
+        }
+    return out
