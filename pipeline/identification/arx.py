@@ -1,0 +1,205 @@
+"""Least-squares ARX model of many inputs and outputs, from shifted sums.
+
+    y(t) + A_1 y(t-1) + .. + A_n y(t-n) = B_0 u(t) + B_1 u(t-1) + .. + B_n u(t-n) + e(t)                 (7)
+
+All products of the regressors are the entries of one block-Hankel Gram matrix of w = (y, u),
+
+    G[i, j] = sum_{t=n}^{N-1} w(t-i) w(t-j)^T,   i, j = 0..n,
+
+where every entry follows from its upper left neighbour by what enters and leaves the sum:
+
+    G[i+1, j+1] = G[i, j] + w(n-1-i) w(n-1-j)^T - w(N-1-i) w(N-1-j)^T
+
+The sum starts at t = n, so nothing is assumed about the data before the first sample ("unwindowed").
+Band-passed regressors have a condition near 1e17: a ridge relative to each diagonal entry keeps the Cholesky
+factor defined, and with it the residues, from which theta follows; being relative it leaves the model invariant
+under a change of units of any channel.
+
+Shapes: N samples, S senses, D drives, C = S + D, n order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.linalg.lapack import dposv
+
+from ..arrays import FloatArray
+from .failure import IdentificationError
+
+_CHUNK = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class ArxModel:
+    """A(q^-1) y = B(q^-1) u + e.
+
+    A : (n, S, S), A[k-1] belongs to y(t-k); the identity before y(t) is not stored.
+    B : (n+1, S, D), B[k] belongs to u(t-k); B[0] is exactly zero where no direct feedthrough was fitted.
+    innovation_covariance : (S, S) of e [V^2].
+    """
+
+    A: FloatArray
+    B: FloatArray
+    innovation_covariance: FloatArray
+
+    @property
+    def order(self) -> int:
+        """n, the same for A and B."""
+        return self.A.shape[0]
+
+
+@njit(cache=True, fastmath=True)
+def _lagged_sums(w: FloatArray, order: int, first_row: FloatArray) -> None:
+    """first_row[j, a, b] = sum_{t=n}^{N-1} w_a(t) w_b(t-j); w (C, N), in chunks that stay in the cache."""
+    channels, samples = w.shape
+    for start in range(order, samples, _CHUNK):
+        stop = min(start + _CHUNK, samples)
+        for a in range(channels):
+            x = w[a, start:stop]
+            for b in range(channels):
+                j = 0
+                # Four lags at once share the loads of x.
+                while j + 3 <= order:
+                    y0 = w[b, start - j : stop - j]
+                    y1 = w[b, start - j - 1 : stop - j - 1]
+                    y2 = w[b, start - j - 2 : stop - j - 2]
+                    y3 = w[b, start - j - 3 : stop - j - 3]
+                    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+                    for t in range(x.size):
+                        s0 += x[t] * y0[t]
+                        s1 += x[t] * y1[t]
+                        s2 += x[t] * y2[t]
+                        s3 += x[t] * y3[t]
+                    first_row[j, a, b] += s0
+                    first_row[j + 1, a, b] += s1
+                    first_row[j + 2, a, b] += s2
+                    first_row[j + 3, a, b] += s3
+                    j += 4
+                while j <= order:
+                    y0 = w[b, start - j : stop - j]
+                    s0 = 0.0
+                    for t in range(x.size):
+                        s0 += x[t] * y0[t]
+                    first_row[j, a, b] += s0
+                    j += 1
+
+
+@njit(cache=True)
+def _shift_down(w: FloatArray, order: int, first_row: FloatArray, gram: FloatArray) -> None:
+    """Fill gram ((n+1) C, (n+1) C) from its first block row."""
+    channels, samples = w.shape
+    for j in range(order + 1):
+        for a in range(channels):
+            for b in range(channels):
+                gram[a, j * channels + b] = first_row[j, a, b]
+                gram[j * channels + b, a] = first_row[j, a, b]
+    for i in range(order):
+        for a in range(channels):
+            enters, leaves = w[a, order - 1 - i], w[a, samples - 1 - i]
+            row = gram[i * channels + a]
+            below = gram[(i + 1) * channels + a]
+            for j in range(order):
+                for b in range(channels):
+                    below[(j + 1) * channels + b] = (
+                        row[j * channels + b] + enters * w[b, order - 1 - j] - leaves * w[b, samples - 1 - j]
+                    )
+
+
+def gram_matrix(w: FloatArray, order: int) -> FloatArray:
+    """G[i, j] = sum_{t=n}^{N-1} w(t-i) w(t-j)^T as one symmetric matrix ((n+1) C, (n+1) C), lag by lag.
+
+    Parameters
+    ----------
+    w : (C, N) all channels, one a row.
+    order : n, the largest lag.
+    """
+    channels = w.shape[0]
+    first_row = np.zeros((order + 1, channels, channels))
+    gram = np.empty(((order + 1) * channels, (order + 1) * channels))
+    _lagged_sums(w, order, first_row)
+    _shift_down(w, order, first_row, gram)
+    return gram
+
+
+def solve_gram(
+    gram: FloatArray, senses: int, drives: int, samples: int, ridge: float = 1e-12, direct: bool = False
+) -> ArxModel:
+    """The ARX model whose normal equations are blocks of ``gram``: (G_pp + ridge diag G_pp) Theta = G_py.
+
+    Parameters
+    ----------
+    gram : ((n+1) C, (n+1) C) as of :func:`gram_matrix`, channels in the order (y, u).
+    senses, drives : S, D.
+    samples : number of equations summed in ``gram``, for the innovation covariance.
+    ridge : relative to each diagonal entry.
+    direct : fit B_0 too.
+
+    Raises
+    ------
+    IdentificationError : a channel is silent, or the regressors are dependent in spite of the ridge.
+    """
+    channels = senses + drives
+    order = gram.shape[0] // channels - 1
+    first = senses if direct else channels
+    penalised = np.array(gram[first:, first:], order="F")
+    diagonal = np.einsum("ii->i", penalised)
+    diagonal *= 1.0 + ridge
+    _, theta, info = dposv(penalised, gram[first:, :senses], lower=0, overwrite_a=1)
+    if info != 0 or not np.all(np.isfinite(theta)):
+        raise IdentificationError(
+            "the drives and senses do not determine an ARX model",
+            value=f"order {order}, normal equations singular at row {info}",
+            allowed="every drive and every sense moves, and the drives are independent sequences",
+            next_step="use a record in which all drives act, or a lower order",
+        )
+    explained = theta.T @ gram[first:, :senses]
+    covariance = (gram[:senses, :senses] - (explained + explained.T) / 2.0) / max(samples - theta.shape[0], 1)
+    b0 = theta[:drives].T if direct else np.zeros((senses, drives))
+    lagged = theta[-order * channels :].reshape(order, channels, senses).transpose(0, 2, 1)
+    return ArxModel(
+        A=np.ascontiguousarray(-lagged[:, :, :senses]),
+        B=np.concatenate([b0[None], lagged[:, :, senses:]]),
+        innovation_covariance=covariance,
+    )
+
+
+def fit_arx(y: FloatArray, u: FloatArray, order: int, ridge: float = 1e-12, direct: bool = False) -> ArxModel:
+    """A, B = argmin sum_{t=n}^{N-1} |y(t) - sum_k (B_k u(t-k) - A_k y(t-k))|^2 + ridge.
+
+    Parameters
+    ----------
+    y : (N, S) sense samples [V].
+    u : (N, D) drive samples [V].
+    order : n, for A and B; the paper uses 40 and tried 10 to 80.
+    ridge : relative to each diagonal entry of the normal equations; 1e-12 to 1e-8 serve for band-passed data.
+    direct : fit B_0 too.  A zero-order hold in front of a velocity pick-off needs none: a drive sample acts from
+        the next sample on.
+
+    Raises
+    ------
+    IdentificationError : the record is too short for the order, or does not determine the model.
+    """
+    samples, senses = y.shape
+    drives = u.shape[1]
+    unknowns = order * (senses + drives)
+    if order < 1 or samples - order <= unknowns:
+        raise IdentificationError(
+            "the record is too short for the ARX order",
+            value=f"{samples} samples, order {order}",
+            allowed=f"order >= 1 and more than {unknowns + order} samples at this order",
+            next_step="take a longer window or a lower order",
+        )
+    w = np.empty((senses + drives, samples))
+    w[:senses] = y.T
+    w[senses:] = u.T
+    if not np.all(np.isfinite(w)):
+        raise IdentificationError(
+            "the record holds values that are not finite",
+            value=int(np.size(w) - np.count_nonzero(np.isfinite(w))),
+            allowed="finite volts in every sample",
+            next_step="remove or repair these samples",
+        )
+    return solve_gram(gram_matrix(w, order), senses, drives, samples - order, ridge, direct)

@@ -1,0 +1,150 @@
+"""Poles of a matrix polynomial: where det A(z) = 0,  A(z) = I + A_1 z^-1 + .. + A_n z^-n.
+
+Three ways that agree:
+
+companion_poles   all n S eigenvalues of the block companion matrix, by LAPACK
+nearby_poles      those around a point z0 of the plane: block Arnoldi on (companion - z0)^-1 in O(n S^2) a step
+refine            Newton's method on the matrix function (successive linear problems, Ruhe 1973):
+                      z <- z + mu,   det(A(z) + mu A'(z)) = 0 with the smallest |mu|,
+                  which, unlike Newton on det A(z), keeps its accuracy where two poles nearly coincide
+
+Poles here are those of the discrete model, dimensionless; coefficients A is (n, S, S) as in ``ArxModel``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from ..arrays import ComplexArray, FloatArray
+
+_ITERATIONS = 12
+
+
+def companion_poles(A: FloatArray) -> ComplexArray:
+    """All n S zeros of det A(z), unordered."""
+    order, senses, _ = A.shape
+    companion = np.zeros((order * senses, order * senses))
+    companion[:senses] = -A.transpose(1, 0, 2).reshape(senses, -1)
+    companion[senses:, :-senses] = np.eye((order - 1) * senses)
+    return np.linalg.eigvals(companion).astype(np.complex128)
+
+
+@njit(cache=True)
+def polynomial_at(A: FloatArray, z: complex) -> tuple[ComplexArray, ComplexArray]:
+    """P(z) = z^n A(z) and dP/dz by Horner; both (S, S).  Well scaled around and inside the unit circle."""
+    order, senses, _ = A.shape
+    value = np.zeros((senses, senses), dtype=np.complex128)
+    slope = np.zeros((senses, senses), dtype=np.complex128)
+    for a in range(senses):
+        value[a, a] = 1.0
+    for k in range(order):
+        for a in range(senses):
+            for b in range(senses):
+                slope[a, b] = slope[a, b] * z + value[a, b]
+                value[a, b] = value[a, b] * z + A[k, a, b]
+    return value, slope
+
+
+@njit(cache=True)
+def _shift_inverse(A: FloatArray, shift: complex, inverse: ComplexArray, b: ComplexArray, x: ComplexArray) -> None:
+    """x = (companion - shift)^-1 b with inverse = P(shift)^-1; b, x (n, S).
+
+    The lower rows give x_{k-1} = shift x_k + b_k, so x_k = shift^(n-k) v + c_k; the first row gives v = x_n.
+    """
+    order, senses, _ = A.shape
+    x[order - 1] = 0.0
+    for k in range(order - 1, 0, -1):
+        for a in range(senses):
+            x[k - 1, a] = shift * x[k, a] + b[k, a]
+    total = np.empty(senses, dtype=np.complex128)
+    for a in range(senses):
+        total[a] = b[0, a] + shift * x[0, a]
+    for k in range(order):
+        for a in range(senses):
+            for c in range(senses):
+                total[a] += A[k, a, c] * x[k, c]
+    v = np.zeros(senses, dtype=np.complex128)
+    for a in range(senses):
+        for c in range(senses):
+            v[a] -= inverse[a, c] * total[c]
+    for k in range(order - 1, -1, -1):
+        for a in range(senses):
+            x[k, a] += v[a]
+            v[a] *= shift
+
+
+@njit(cache=True)
+def _block_arnoldi(A: FloatArray, shift: complex, steps: int) -> ComplexArray:
+    """Projection (steps, steps) of (companion - shift)^-1 on the Krylov space of the first S unit vectors."""
+    order, senses, _ = A.shape
+    value, _ = polynomial_at(A, shift)
+    inverse = np.linalg.inv(value).astype(np.complex128)
+    length = order * senses
+    basis = np.zeros((steps + senses, length), dtype=np.complex128)
+    h = np.zeros((steps + senses, steps), dtype=np.complex128)
+    x = np.empty((order, senses), dtype=np.complex128)
+    for a in range(senses):
+        basis[a, a] = 1.0
+    for j in range(steps):
+        _shift_inverse(A, shift, inverse, basis[j].reshape(order, senses), x)
+        vector = x.reshape(length)
+        filled = j + senses
+        before = 0.0
+        for m in range(length):
+            before += vector[m].real ** 2 + vector[m].imag ** 2
+        # Twice is enough (Giraud et al. 2005).
+        for _ in range(2):
+            for i in range(filled):
+                product = 0.0j
+                for m in range(length):
+                    product += np.conj(basis[i, m]) * vector[m]
+                h[i, j] += product
+                for m in range(length):
+                    vector[m] -= product * basis[i, m]
+        norm = 0.0
+        for m in range(length):
+            norm += vector[m].real ** 2 + vector[m].imag ** 2
+        if norm > 1e-28 * before:
+            norm = np.sqrt(norm)
+            h[filled, j] = norm
+            for m in range(length):
+                basis[filled, m] = vector[m] / norm
+    return h[:steps]
+
+
+def nearby_poles(A: FloatArray, centre: complex) -> ComplexArray:
+    """Approximations of the zeros of det A(z) nearest to ``centre``, by distance from it.
+
+    The nearest are good to 1e-4 or better and ready for :func:`refine`; the farthest are not.
+    """
+    order, senses, _ = A.shape
+    steps = min(16 + order // 5, order * senses)
+    ritz: ComplexArray = np.linalg.eigvals(_block_arnoldi(A, centre, steps)).astype(np.complex128)
+    ritz = ritz[np.argsort(-np.abs(ritz))]
+    return np.asarray(centre + 1.0 / ritz[np.abs(ritz) > 1e-8])
+
+
+@njit(cache=True)
+def refine(A: FloatArray, seeds: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    """Zeros of det A(z) next to the seeds, and the size of the last correction of each."""
+    senses = A.shape[1]
+    poles = seeds.copy()
+    last = np.empty(seeds.size)
+    for i in range(seeds.size):
+        z = seeds[i]
+        size = np.inf
+        for _ in range(_ITERATIONS):
+            value, slope = polynomial_at(A, z)
+            if senses == 1:
+                step = -value[0, 0] / slope[0, 0]
+            else:
+                candidates = np.linalg.eigvals(np.linalg.solve(slope, -value))
+                step = candidates[np.argmin(np.abs(candidates))]
+            z = z + step
+            size = abs(step)
+            if size < 1e-15 or not np.isfinite(size):
+                break
+        poles[i] = z
+        last[i] = size
+    return poles, last
