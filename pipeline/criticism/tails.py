@@ -1,0 +1,56 @@
+"""Tails of chi-square and F in logarithms, where the plain functions have long been zero.
+
+chi2_k(t):  log P = -t/2 + (k/2 - 1) log(t/2) - log Gamma(k/2) + log(1 + (k/2 - 1)/(t/2) + ...)   for large t
+F(k, nu):   P = I_x(nu/2, k/2),  x = nu / (nu + k f)
+N trials:   P_N = 1 - (1 - P)^N
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import betainc, betaln, gammaincc, gammaln
+from scipy.stats import norm
+
+from ..arrays import FloatArray
+
+_TINY = 1e-250
+
+
+def log_tail(statistic: FloatArray | float, k: int, dof: int | None = None) -> FloatArray:
+    """log P of a statistic (...) that is chi2_k, or k F(k, dof) where ``dof`` is given."""
+    t = np.maximum(np.asarray(statistic, dtype=np.float64), 0.0)
+    if dof is None:
+        plain = gammaincc(k / 2.0, t / 2.0)
+        far = _log_chi2_far(np.maximum(t, 1.0), k)
+    else:
+        x = dof / (dof + t)
+        plain = betainc(dof / 2.0, k / 2.0, x)
+        far = dof / 2.0 * np.log(x) + (k / 2.0 - 1.0) * np.log1p(-np.minimum(x, 0.5))
+        far = far - np.log(dof / 2.0) - betaln(dof / 2.0, k / 2.0)
+    return np.asarray(np.where(plain > _TINY, np.log(np.maximum(plain, _TINY)), np.minimum(far, np.log(_TINY))))
+
+
+def _log_chi2_far(t: FloatArray, k: int) -> FloatArray:
+    half, a = t / 2.0, k / 2.0
+    # Two terms of the asymptotic series, so that k = 1 and k = 4 tail off rightly beside one another.
+    series = 1.0 + (a - 1.0) / half + (a - 1.0) * (a - 2.0) / half**2
+    return np.asarray(-half + (a - 1.0) * np.log(half) - gammaln(a) + np.log(np.maximum(series, 1e-3)))
+
+
+def log_any(log_p: FloatArray | float, trials: FloatArray | float) -> FloatArray:
+    """log of the probability that any of ``trials`` independent tests (not necessarily whole) falls below p."""
+    log_p = np.asarray(log_p, dtype=np.float64)
+    p = np.exp(np.minimum(log_p, -1e-16))
+    with np.errstate(divide="ignore"):
+        exact = np.log(np.maximum(-np.expm1(trials * np.log1p(-p)), 1e-300))
+    return np.asarray(np.where(log_p < -25.0, np.minimum(log_p + np.log(trials), 0.0), exact))
+
+
+def trials_of(log_p: float, share: float) -> float:
+    """N for which the quantile at ``share`` of the smallest of N tests is p:  log(1 - share) / log(1 - p)."""
+    return float(np.log1p(-share) / np.log1p(-np.exp(min(log_p, -1e-12))))
+
+
+def normal_log_tail(z: FloatArray | float) -> FloatArray:
+    """log P(|N(0, 1)| > |z|)."""
+    return np.asarray(np.log(2.0) + norm.logsf(np.abs(z)))
