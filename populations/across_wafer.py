@@ -2,11 +2,12 @@
 
     delta(x, y) = lot + wafer + bow b (rho^2 - 1/2) + wedge . (x, y) / R + N(x, y) + die,   rho^2 = (x^2 + y^2) / R^2
 
-lot, wafer, die normal; bow scaled by b ~ N(1, bow_spread) of each wafer; wedge a normal vector; N a Gaussian process with
-correlation exp(-d / length).  Evaluated at every spring, so that a wedge across the device tilts its up-down mode (1-theta) and
-a bow splits its rocking modes a little (2-theta).
+lot, wafer, die normal; bow scaled by b ~ N(1, bow_spread) of each wafer; wedge a normal vector; N a Gaussian
+process with correlation exp(-d / length).  Evaluated at every spring, so that a wedge across the device tilts
+its up-down mode (1-theta) and a bow splits its rocking modes a little (2-theta).
 
-Source: variance shares lot / wafer / within 73/20/7 % (Oxide data of R's nlme) and 47/34/18 % (NIST handbook, ppc514).
+Source: variance shares lot / wafer / within 73/20/7 % (Oxide data of R's nlme) and 47/34/18 % (NIST handbook,
+ppc514).
 """
 
 from __future__ import annotations
@@ -45,8 +46,6 @@ def across_wafer(p: Mapping[str, float], suffix: str, site: Site) -> FloatArray:
     level = p[f"lot_{suffix}"] * site.normal("lot")[0] + p[f"wafer_{suffix}"] * site.normal("wafer")[0]
     bow = p[f"bow_{suffix}"] * (1.0 + p["bow_spread"] * site.normal("wafer", label="bow")[0])
     wedge = p[f"wedge_{suffix}"] * site.normal("wafer", 2, "wedge")
-    local = (
-        p[f"field_{suffix}"] * site.field(p["field_length_mm"]) + p[f"die_{suffix}"] * site.normal("die")[0]
-    )
+    local = p[f"field_{suffix}"] * site.field(p["field_length_mm"]) + p[f"die_{suffix}"] * site.normal("die")[0]
     pattern: FloatArray = bow * (x * x + y * y - 0.5) + (wedge[0] * x + wedge[1] * y)
     return np.asarray(pattern + (level + local))

@@ -1,7 +1,7 @@
 """From the structure of a device to the parameters of its plant.
 
-Springs at azimuth phi_j and radius r with stiffness k_j, K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x y, relative to the
-nominal K0 = k0 J r^2 / 2 and written as mean and 2-theta anisotropy (``symmetric``):
+Springs at azimuth phi_j and radius r with stiffness k_j, K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x
+y, relative to the nominal K0 = k0 J r^2 / 2 and written as mean and 2-theta anisotropy (``symmetric``):
 
     K / K0 = (S0, -S2),   S0 = sum k_j / (J k0),   S2 = sum k_j exp(2 i phi_j) / (J k0)
     then times (1 + e), e residual and stress;   plus electrostatic springs at the drive electrodes (+-45 deg)
@@ -11,16 +11,21 @@ nominal K0 = k0 J r^2 / 2 and written as mean and 2-theta anisotropy (``symmetri
     1/Q = p_gas / Q_gas + 1 / Q_anchor + 1 / Q_thermoelastic,   C = I^(-1/2) (omega0 / Q)(1 + anisotropy) I^(-1/2)
     c11 + c22 = 2 mean,   (c11 - c22)/2 + i c12 = anisotropy exp(-2 i theta)
 
-1-theta quantities couple rocking with up-down.  With zeta = -z, the mode shape of up-down has, in units of zeta / l,
+1-theta quantities couple rocking with up-down.  With zeta = -z, the mode shape of up-down has, in units of
+zeta / l,
 
-    a_x = -g (-(r/l) Im S1 + (m_p/m) d_y/l),   g = mu omega3^2 / (omega_r^2 - omega3^2),   S1 = sum k_j exp(i phi_j) / (J k0)
+    a_x = -g (-(r/l) Im S1 + (m_p/m) d_y/l),   g = mu omega3^2 / (omega_r^2 - omega3^2)
+    S1 = sum k_j exp(i phi_j) / (J k0)
 
-to first order, hence the updown_tilt t_x = -a_x; the tilt about y is taken by the up-down gain (a gauge, to first order nil).
-What the rocking modes see of up-down in return (of the same order times -1/mu) is in none of the effects and left out.
+to first order, hence the updown_tilt t_x = -a_x; the tilt about y is taken by the up-down gain (a gauge, to
+first order nil). What the rocking modes see of up-down in return (of the same order times -1/mu) is in none
+of the effects and left out.
 
-Electrodes: K = (V / V0) A / g^2 (drive; sense without the bias), times the arm for rocking; softening k_e = A V^2 / g^3 arm^2.
-Shapes: B devices, J springs, electrodes D1, D2, S1, S2.  Frequencies Hz, rates 1/s, angles deg, lengths mm.
-Source: the paper, eq. (1), (2), (9), (10), (18), and the derivations above.
+Electrodes: gain (V / V0) A / g^2 (drive; sense without the bias), times the arm for rocking; softening
+A V^2 / g^3, times arm^2 for rocking.
+
+Shapes: B devices, J springs, electrodes D1, D2, S1, S2.  Frequencies Hz, rates 1/s, angles
+deg, lengths mm. Source: the paper, eq. (1), (2), (9), (10), (18), and the derivations above.
 """
 
 from __future__ import annotations
@@ -39,7 +44,7 @@ from pipeline.quantities import MODEL
 
 from .irregularity import CHANGES, Change
 from .nominal import Device
-from .symmetric import Symmetric, axis_deg, congruence, inverse_root, turned
+from .symmetric import Symmetric, as_complex, axis_deg, congruence, inverse_root, product, turned
 
 TAU = 2.0 * math.pi
 MOST_DAMPING_ANISOTROPY = 1.0  # C stays positive semidefinite
@@ -69,7 +74,10 @@ ROWS = {"ln_area": 4, "ln_gap": 4, "ln_arm": 4, "ln_channel": 4, "ln_gas": 2}
 
 
 def combine(changes: Iterable[tuple[str, Change]], count: int, springs: int) -> Structure:
-    """Sum of named changes for ``count`` devices.  Raises ConfigError when a change has the wrong shape or is not finite."""
+    """Sum of named changes for ``count`` devices.
+
+    Raises ConfigError when a change has the wrong shape, is complex where it should be real, or is not finite.
+    """
     rows = {**ROWS, "ln_spring": springs, "azimuth_rad": springs}
     shape = {name: (rows[name], count) if name in rows else (count,) for name in CHANGES}
     total = {name: np.zeros(shape[name], complex if name in COMPLEX else float) for name in CHANGES}
@@ -78,7 +86,8 @@ def combine(changes: Iterable[tuple[str, Change]], count: int, springs: int) -> 
             part = getattr(change, name)
             if part is None:
                 continue
-            if np.shape(part) != shape[name] or not np.all(np.isfinite(part)):
+            complex_for_real = np.iscomplexobj(part) and name not in COMPLEX
+            if np.shape(part) != shape[name] or complex_for_real or not np.all(np.isfinite(part)):
                 raise ConfigError(
                     f"irregularity {source} gives {name} of shape {np.shape(part)}, or one that is not finite",
                     allowed=f"finite numbers of shape {shape[name]}",
@@ -105,29 +114,23 @@ class Stiffness:
 def spring_stiffness(device: Device, ln_spring: FloatArray, azimuth_rad: FloatArray) -> Stiffness:
     """(S0, -S2), S0 and S1 of springs with ln(k / k0) and azimuth errors, both (J, B)."""
     nominal = np.deg2rad(np.array(device.spring_azimuth_deg))
-    # Nominal moments are exact zeros for a symmetric suspension, so they go by expansion about the nominal azimuth.
+    # Nominal moments are exact zeros for a symmetric suspension, so they go by expansion about the nominal
+    # azimuth.
     relative = [np.exp(row) for row in ln_spring]
     share = 1.0 / len(nominal)
     s0 = _sum([k - 1.0 for k in relative]) * share + 1.0
 
     def moment(order: int) -> ComplexArray:
         at_nominal = np.exp(1j * order * nominal)
-        whole = complex(at_nominal.sum() * share)
-        symmetric = abs(whole) < 1e-12
-        turns = [order * row for row in azimuth_rad]
-        real = _sum(
-            [
-                (k * np.cos(t) - 1.0) * a.real - k * np.sin(t) * a.imag
-                for k, t, a in zip(relative, turns, at_nominal)
-            ]
-        )
-        imag = _sum(
-            [
-                (k * np.cos(t) - 1.0) * a.imag + k * np.sin(t) * a.real
-                for k, t, a in zip(relative, turns, at_nominal)
-            ]
-        )
-        return (real + 1j * imag) * share + (0.0 if symmetric else whole)
+        whole = complex(at_nominal.sum()) * share
+        changed = [
+            (k * np.cos(order * error) - 1.0, k * np.sin(order * error)) for k, error in zip(relative, azimuth_rad)
+        ]
+        real = _sum([c * a.real - s * a.imag for (c, s), a in zip(changed, at_nominal)]) * share
+        imag = _sum([c * a.imag + s * a.real for (c, s), a in zip(changed, at_nominal)]) * share
+        if abs(whole) > 1e-12:
+            real, imag = real + whole.real, imag + whole.imag
+        return as_complex(real, imag)
 
     return Stiffness(Symmetric(s0, -moment(2)), s0, moment(1))
 
@@ -136,20 +139,19 @@ def stiffness(device: Device, structure: Structure, bias: float) -> Stiffness:
     """Relative stiffness with springs, anisotropy and electrostatic springs; ``bias`` is V / V0."""
     springs = spring_stiffness(device, structure.ln_spring, structure.azimuth_rad)
     common = np.exp(structure.ln_stiffness)
-    mean = springs.rocking.mean
-    # Product (S0, -S2).(1, e): the residual anisotropy scales with the springs.
-    inner = springs.rocking.anisotropy.real * structure.anisotropy.real
-    inner = inner + springs.rocking.anisotropy.imag * structure.anisotropy.imag
-    tensor = springs.rocking.anisotropy + mean * structure.anisotropy
+    rocking = product(springs.rocking, Symmetric(np.ones_like(common), structure.anisotropy))
     area, gap, arm = structure.ln_area, structure.ln_gap, structure.ln_arm
     plain = [bias**2 * np.exp(area[k] - 3.0 * gap[k]) for k in (0, 1)]
-    rocking = [plain[k] * np.exp(2.0 * arm[k]) for k in (0, 1)]
+    levered = [plain[k] * np.exp(2.0 * arm[k]) for k in (0, 1)]
     soft = softening(device)
     soft3 = soft * (device.rocking_hz / device.updown_hz) ** 2 / device.lever
     total = Symmetric(
-        common * (mean + inner) - soft * ((rocking[0] + rocking[1]) / 2.0 - 1.0),
-        # A negative spring at +45 deg adds +exp(90 deg i), one at -45 deg adds -i.
-        common * tensor + 0.5j * soft * (rocking[0] - rocking[1]),
+        common * rocking.mean - soft * ((levered[0] + levered[1]) / 2.0 - 1.0),
+        # -S2 of two negative springs at +45 and -45 deg: exp(+-90 deg i) each.
+        as_complex(
+            common * rocking.anisotropy.real,
+            common * rocking.anisotropy.imag + 0.5 * soft * (levered[0] - levered[1]),
+        ),
     )
     updown = common * springs.updown - soft3 * ((plain[0] + plain[1]) / 2.0 - 1.0)
     return Stiffness(total, updown, common * springs.moment)
@@ -164,7 +166,7 @@ def inertia(device: Device, offset_mm: ComplexArray) -> Symmetric:
     """I / I0 with the post off centre: I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y."""
     x, y = offset_mm.real / device.arm_mm, offset_mm.imag / device.arm_mm
     weight = device.lever * device.post_mass_fraction / 2.0
-    return Symmetric(1.0 + weight * (x * x + y * y), -weight * ((x * x - y * y) + 2j * (x * y)))
+    return Symmetric(1.0 + weight * (x * x + y * y), as_complex(weight * (y * y - x * x), -2.0 * weight * x * y))
 
 
 def inverse_quality(device: Device, structure: Structure, pressure: float) -> tuple[FloatArray, FloatArray]:
@@ -182,7 +184,10 @@ def inverse_quality(device: Device, structure: Structure, pressure: float) -> tu
 
 
 def parameters(device: Device, structure: Structure, bias: float, pressure: float) -> dict[str, FloatArray]:
-    """The parameters of ``pipeline.quantities.MODEL``, each (B,).  Raises ConfigError when a device would be unstable."""
+    """The parameters of ``pipeline.quantities.MODEL``, each (B,).
+
+    Raises ConfigError when a device would be unstable.
+    """
     k = stiffness(device, structure, bias)
     root = inverse_root(inertia(device, structure.post_offset_mm))
     normalised = congruence(root, k.rocking)
@@ -249,7 +254,8 @@ def effects(
 
         1/g [1/(V s)] = s0 omega0^2 / (2 G_r V0) exp(-ln_gap) / K_S,   s0 the nominal ``softening``
 
-    because motion is counted in pick-off volts: pulling with K_D V_b x / g at both drives lowers omega^2 by 2 G_r V_b / g.
+    because motion is counted in pick-off volts: pulling with K_D V_b x / g at both drives lowers omega^2 by 2
+    G_r V_b / g.
     """
     k = stiffness(device, structure, bias)
     updown, rocking = electrode_gains(structure, bias)

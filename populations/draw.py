@@ -1,9 +1,11 @@
 """Draw virtual devices: the hierarchy's random numbers through the irregularities to the parameters of the plant.
 
-    device n --layout--> lot, wafer, die --irregularities--> changes --sum--> structure --assembly--> parameters
+    device n --layout--> lot, wafer, die --irregularities--> changes --sum--> structure --assembly-->
+    parameters
 
-once as fabricated (stages fabrication and probe; the prober's vacuum, nominal bias and temperature) and once as packaged
-(stages fabrication and package; lid pressure, operating bias and temperature).  Device n depends on (spec, seed, n) alone.
+once as fabricated (stages fabrication and probe; the prober's vacuum, nominal bias and temperature) and once
+as packaged (stages fabrication and package; lid pressure, operating bias and temperature).  Device n depends
+on (spec, seed, n) alone.
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ class Draw:
     index : device numbers n.
     device_id, lot, wafer, package : names, "D000123", "L01", "L01-W03", "P000123".
     die_x_mm, die_y_mm : centre of the die on its wafer.
-    fab : parameter of ``pipeline.quantities.MODEL`` -> (B,), as the wafer prober saw it (with the gains of its own channels).
+    fab : parameter of ``pipeline.quantities.MODEL`` -> (B,), as the wafer prober saw it (with the gains of
+    its own channels).
     true : the same, as packaged, at the operating bias and temperature.
     effects : effect -> parameter -> (B,), what the same device does outside these parameters, as packaged.
-    causes : contributions as packaged, (B,): "split_hz.<irregularity>" (projected on the device's anisotropy, so that they add
+    causes : contributions as packaged, (B,): "split_hz.<irregularity>" (projected on the device's anisotropy,
+    so that they add
         up to the split to first order), "frequency_hz.<irregularity>" (mean rocking frequency) and
         "ln_quality.<irregularity>" (ln of the mean rocking Q).
     """
@@ -55,13 +59,12 @@ class Draw:
 def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
     """Devices ``first`` .. ``first + count - 1`` of the population.
 
-    Raises UsageError for a negative seed or first, or a count below 1; ConfigError when the population cannot be built.
+    Raises UsageError for a negative seed or first, or a count below 1; ConfigError when the population cannot
+    be built.
     """
     for name, value, least in (("seed", seed, 0), ("first", first, 0), ("count", count, 1)):
         if value < least:
-            raise UsageError(
-                f"{name} is too small", value=value, allowed=f"{least} or more", next_step=f"raise {name}"
-            )
+            raise UsageError(f"{name} is too small", value=value, allowed=f"{least} or more", next_step=f"raise {name}")
     device, operating = spec.device, spec.operating
     index = np.arange(first, first + count, dtype=np.int64)
     made = places(spec.wafer, index)

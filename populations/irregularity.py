@@ -1,8 +1,8 @@
-"""An irregularity: what fabrication or packaging does to a device.  One file each in ``irregularities/``, found by itself.
+"""An irregularity: what fabrication or packaging does to a device.  One file each, found by itself.
 
-An irregularity is data (stage, parameters, source) and one pure function ``act(values, site) -> Change``.  Changes add up
-(stiffness, area, pressure and the like as logarithms), so neither the order nor the number of the irregularities matters, and
-one whose parameters are null changes nothing, to the bit.
+An irregularity is data (stage, parameters, source) and one pure function ``act(values, site) -> Change``.
+Changes add up (stiffness, area, pressure and the like as logarithms), so neither the order nor the number of
+the irregularities matters, and one whose parameters are null changes nothing, to the bit.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ from pipeline.errors import ConfigError
 from .site import Site
 
 Stage = Literal["fabrication", "probe", "package"]
-"""fabrication: stays with the device; probe: only in what the wafer prober sees; package: only in the packaged device."""
+"""fabrication: stays with the device; probe: only seen by the wafer prober; package: only in the package."""
 
 
 @dataclass(frozen=True)
 class Change:
     """What an irregularity adds to the structure of B devices; ``None`` adds nothing.
 
-    Shapes: (B,), springs (J, B), electrodes (4, B) in the order D1, D2, S1, S2.  A vector or a 2-theta quantity is complex.
+    Shapes: (B,), springs (J, B), electrodes (4, B) in the order D1, D2, S1, S2.  A vector or a 2-theta
+    quantity is complex.
     """
 
     ln_stiffness: FloatArray | None = None  # of all springs, (B,)
@@ -55,8 +56,9 @@ CHANGES: tuple[str, ...] = tuple(field.name for field in fields(Change))
 class Parameter:
     """One number of an irregularity.
 
-    ``null`` is the value of no effect, taken when the TOML leaves the parameter out; without one (``None``) the TOML must state
-    it.  ``assumption`` names the parameter among those that a study can sweep by that name.
+    ``null`` is the value of no effect, taken when the TOML leaves the parameter out; without one (``None``)
+    the TOML must state it.  ``assumption`` names the parameter among those that a study can sweep by that
+    name.
     """
 
     name: str
@@ -100,9 +102,7 @@ def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
                 next_step="correct irregularity_folders",
             )
         modules += [
-            (str(path), _load(path))
-            for path in sorted(Path(folder).glob("*.py"))
-            if not path.name.startswith("_")
+            (str(path), _load(path)) for path in sorted(Path(folder).glob("*.py")) if not path.name.startswith("_")
         ]
     found: dict[str, Irregularity] = {}
     for where, module in modules:
@@ -120,7 +120,9 @@ def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
 
 def _load(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f"irregularity_{path.stem}", path)
-    assert spec is not None and spec.loader is not None  # guaranteed by the .py suffix
+    # The suffix .py guarantees a spec with a loader.
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)

@@ -3,8 +3,9 @@
     batch = n // (W D),   slot = n mod W,   rank = (n mod W D) // W        W wafers a batch, D dies a wafer
     lot = batch L + slot mod L,             wafer = batch W + slot         L lots a batch
 
-The wafers of a batch are visited in turn, the dies of a wafer in a fixed well-spread order, so that the first few hundred
-devices already sample all wafers of the batch, each over its whole area.  Nothing here is random.  Lengths in mm.
+The wafers of a batch are visited in turn, the dies of a wafer in a fixed well-spread order, so that the first
+few hundred devices already sample all wafers of the batch, each over its whole area.  Nothing here is random.
+Lengths in mm.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def die_centres(wafer: Wafer) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def visiting_order(wafer: Wafer) -> IntArray:
-    """Permutation (D,) of the dies: the free die nearest to each point of the R2 sequence mapped to the disc (equal areas)."""
+    """Permutation (D,) of the dies: to each point of the R2 sequence, mapped to the disc, its nearest free die."""
     centres = die_centres(wafer)
     radius = float(np.hypot(centres[:, 0], centres[:, 1]).max()) + wafer.pitch_mm / 2.0
     free = list(range(len(centres)))
@@ -68,9 +69,7 @@ def visiting_order(wafer: Wafer) -> IntArray:
         r = radius * math.sqrt((0.5 + k / PLASTIC) % 1.0)
         turn = 2.0 * math.pi * ((0.5 + k / PLASTIC**2) % 1.0)
         x, y = r * math.cos(turn), r * math.sin(turn)
-        nearest = min(
-            free, key=lambda die: (round(math.hypot(centres[die, 0] - x, centres[die, 1] - y), 9), die)
-        )
+        nearest = min(free, key=lambda die: (round(math.hypot(centres[die, 0] - x, centres[die, 1] - y), 9), die))
         free.remove(nearest)
         order.append(nearest)
     permutation = np.array(order, dtype=np.int64)
@@ -85,7 +84,8 @@ def places(wafer: Wafer, index: IntArray) -> Places:
     wafers = lots * wafer.wafers_per_lot
     batch, within = np.divmod(index, wafers * dies)
     rank, slot = np.divmod(within, wafers)
-    # Each wafer starts elsewhere in the order, so that a handful of devices does not share one place on all wafers.
+    # Each wafer starts elsewhere in the order, so that a handful of devices does not share one place on all
+    # wafers.
     die = order[(rank + slot * (dies // wafers)) % dies]
     return Places(
         lot=batch * lots + slot % lots,

@@ -5,8 +5,9 @@ A random stream belongs to (irregularity, level, label) and to the number k of t
     SeedSequence(seed, spawn_key=(crc32("irregularity/level/label"), k))
 
 so a draw depends on nothing but the seed and those names, and a new irregularity moves no other draw.
-Shapes: B devices, J springs; random numbers come as (size, B), so that every row is contiguous (numpy's elementary functions
-may round differently on strided memory, and a device must not depend on the batch it is drawn in).
+Shapes: B devices, J springs; random numbers come as (size, B), so that every row is contiguous (numpy's
+elementary functions may round differently on strided memory, and a device must not depend on the batch it is
+drawn in).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from pipeline.arrays import ComplexArray, FloatArray, IntArray
 
 from .layout import Places, die_centres
 from .nominal import Device, Operating, Wafer
+from .symmetric import as_complex
 
 Level = Literal["lot", "wafer", "die", "package"]
 
@@ -54,9 +56,7 @@ class Site:
 
     def _generator(self, kind: str, key: int) -> np.random.Generator:
         stream = zlib.crc32(f"{self.irregularity}/{kind}".encode())
-        return np.random.Generator(
-            np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=(stream, key)))
-        )
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=(stream, key))))
 
     def _numbers(self, level: Level) -> IntArray:
         return {"lot": self.places.lot, "wafer": self.places.wafer}.get(level, self.index)
@@ -82,16 +82,14 @@ class Site:
     def complex_normal(self, level: Level, label: str = "") -> ComplexArray:
         """A 2-theta quantity (B,): a complex normal with unit sd in each component, so of no preferred axis."""
         real, imaginary = self.normal(level, 2, label)
-        return real + 1j * imaginary
+        return as_complex(real, imaginary)
 
     def field(self, length_mm: float) -> FloatArray:
         """Gaussian process (B,) on each wafer: unit variance, correlation exp(-d / length)."""
         factor = field_factor(self.wafer, length_mm)
         keys, back = np.unique(self.places.wafer, return_inverse=True)
         # One product a wafer and never a matrix of wafers: BLAS rounds by shape.
-        maps = [
-            factor @ self._generator("wafer/field", key).standard_normal(len(factor)) for key in keys.tolist()
-        ]
+        maps = [factor @ self._generator("wafer/field", key).standard_normal(len(factor)) for key in keys.tolist()]
         return np.ascontiguousarray(np.stack(maps)[back, self.places.die])
 
     def spring_azimuth(self) -> FloatArray:
@@ -102,6 +100,4 @@ class Site:
         """x and y (J, B) of the springs on the wafer, in units of the wafer's radius."""
         azimuth, radius = self.spring_azimuth(), self.wafer.diameter_mm / 2.0
         r = self.device.spring_radius * self.device.arm_mm
-        return (self.places.x_mm + r * np.cos(azimuth)) / radius, (
-            self.places.y_mm + r * np.sin(azimuth)
-        ) / radius
+        return (self.places.x_mm + r * np.cos(azimuth)) / radius, (self.places.y_mm + r * np.sin(azimuth)) / radius

@@ -45,9 +45,7 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     def found(self) -> tuple[tuple[Irregularity, Mapping[str, float]], ...]:
         """The irregularities of this population with all their parameters, by name."""
         known = find(self.irregularity_folders)
-        return tuple(
-            (known[name], _filled(known[name], self.irregularity[name])) for name in sorted(self.irregularity)
-        )
+        return tuple((known[name], _filled(known[name], self.irregularity[name])) for name in sorted(self.irregularity))
 
     def assumptions(self) -> dict[str, float]:
         """Value of every named assumption of this population, ``angular_gain`` among them."""
@@ -64,7 +62,8 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
         Parameters
         ----------
-        values : named assumption (``residual_anisotropy`` [%], ``angular_gain`` [1], ``damping_anisotropy`` [1],
+        values : named assumption (``residual_anisotropy`` [%], ``angular_gain`` [1], ``damping_anisotropy``
+        [1],
             ``package_stress`` [MPa]) or "irregularity.parameter" -> value in the parameter's unit.
 
         Raises
@@ -89,9 +88,7 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         """TOML that reads back to an equal population."""
         data = msgspec.to_builtins(self)
         tables = {key: data.pop(key) for key in ("device", "wafer", "operating")}
-        tables |= {
-            f"irregularity.{name}": values for name, values in sorted(data.pop("irregularity").items())
-        }
+        tables |= {f"irregularity.{name}": values for name, values in sorted(data.pop("irregularity").items())}
         lines = [f"{key} = {_literal(value)}" for key, value in data.items()]
         for name, values in tables.items():
             lines += ["", f"[{name}]", *(f"{key} = {_literal(value)}" for key, value in values.items())]
@@ -101,7 +98,8 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 def load_spec(path: Path | None = None) -> PopulationSpec:
     """Read and check a population; ``None`` is the shipped cloverleaf.
 
-    Raises ConfigError on a missing or malformed file, an unknown key, a wrong type or unit, a value out of range.
+    Raises ConfigError on a missing or malformed file, an unknown key, a wrong type or unit, a value out of
+    range.
     """
     source = DEFAULT if path is None else path
     try:
@@ -212,9 +210,7 @@ def _check_finite(where: str, data: Any) -> None:
 
 
 def _filled(irregularity: Irregularity, given: Mapping[str, float]) -> Mapping[str, float]:
-    null = {
-        parameter.name: parameter.null for parameter in irregularity.parameters if parameter.null is not None
-    }
+    null = {parameter.name: parameter.null for parameter in irregularity.parameters if parameter.null is not None}
     return {**null, **given}
 
 

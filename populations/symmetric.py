@@ -3,7 +3,8 @@
     A = a0 I + [[Re a, Im a], [Im a, -Re a]],      eigenvalues a0 +- |a|,      axis of the larger one at arg(a) / 2
     turning the axes by phi multiplies a by exp(2 i phi)
 
-Their symmetric product A.B = (A B + B A) / 2 keeps the form, and N A N = 2 N.(N.A) - (N.N).A (Jordan algebra of spin factors).
+Their symmetric product A.B = (A B + B A) / 2 keeps the form, and N A N = 2 N.(N.A) - (N.N).A (Jordan algebra
+of spin factors).
 """
 
 from __future__ import annotations
@@ -13,6 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.arrays import ComplexArray, FloatArray
+
+
+def as_complex(real: FloatArray, imag: FloatArray) -> ComplexArray:
+    """real + i imag, without the rounding and the zeros of unknown sign of a product with 1j."""
+    result = np.empty(np.shape(real), dtype=np.complex128)
+    result.real, result.imag = real, imag
+    return result
 
 
 class Symmetric(NamedTuple):
@@ -54,4 +62,4 @@ def turned(anisotropy: ComplexArray, theta_deg: FloatArray) -> ComplexArray:
     double = np.deg2rad(2.0 * theta_deg)
     c, s = np.cos(double), np.sin(double)
     x, y = anisotropy.real, anisotropy.imag
-    return (x * c + y * s) + 1j * (y * c - x * s)
+    return as_complex(x * c + y * s, y * c - x * s)

@@ -2,9 +2,11 @@
 
     1/Q = (p / p0) exp(x_gas) / Q_gas + exp(x_anchor) / Q_anchor + 1 / Q_thermoelastic
 
-x_gas of rocking and of up-down are correlated (same gaps, same gas); Q_gas is what the nominal Q leaves after the other two.
+x_gas of rocking and of up-down are correlated (same gaps, same gas); Q_gas is what the nominal Q leaves after
+the other two.
 
-Source: free-molecular damping is proportional to p; the sum of losses; Q spread of 11 % in packages (1800 +-200 at 200 mTorr).
+Source: free-molecular damping is proportional to p; the sum of losses; Q spread of 11 % in packages (1800
++-200 at 200 mTorr).
 """
 
 from __future__ import annotations

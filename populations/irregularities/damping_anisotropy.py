@@ -2,7 +2,8 @@
 
     C = c0 (1 + [[Re d, Im d], [Im d, -Re d]]),   d = s n, n a complex normal, |d| held to at most ``limit``
 
-Source: the paper's rocking dampings differ by a factor 2.0 (3.167e-4, 1.586e-4); the spread is an assumption, to be swept.
+Source: the paper's rocking dampings differ by a factor 2.0 (3.167e-4, 1.586e-4); the spread is an assumption,
+to be swept.
 """
 
 from __future__ import annotations
@@ -26,9 +27,7 @@ IRREGULARITY = Irregularity(
     stage="fabrication",
     parameters=(
         Parameter("die", "1", 0.0, 2.0, "sd per component from die to die", assumption="damping_anisotropy"),
-        Parameter(
-            "limit", "1", 0.01, 0.99, "largest |d|; below 1 both damping ratios are positive", null=0.8
-        ),
+        Parameter("limit", "1", 0.01, 0.99, "largest |d|; below 1 both damping ratios are positive", null=0.8),
     ),
     source="the paper, eq. (15); magnitude assumed",
     act=act,

@@ -2,11 +2,11 @@
 
     f_i = f0 + h sigma_i   =>   e = h ((sigma_x - sigma_y) + 2 i sigma_xy) / f0,   d ln k = h (sigma_x + sigma_y) / f0
 
-The difference and 2 sigma_xy are normal with the same sd s (no preferred axis); the mean (sigma_x + sigma_y)/2 is normal with
-mean and sd given as ratios to s, so that sweeping s sweeps the whole package.
+The difference and 2 sigma_xy are normal with the same sd s (no preferred axis); the mean (sigma_x +
+sigma_y)/2 is normal with mean and sd given as ratios to s, so that sweeping s sweeps the whole package.
 
-Source: h = 4.8 Hz/MPa for springs of 1 mm x 20 um at 535 Hz (derivation: stress stiffening of a fixed-guided beam); 0.1 to 1 MPa
-for soft, 5 to 50 MPa for rigid die attach (assumed).
+Source: h = 4.8 Hz/MPa for springs of 1 mm x 20 um at 535 Hz (derivation: stress stiffening of a fixed-guided
+beam); 0.1 to 1 MPa for soft, 5 to 50 MPa for rigid die attach (assumed).
 """
 
 from __future__ import annotations
@@ -20,9 +20,7 @@ from ..site import Site
 def act(p: Mapping[str, float], site: Site) -> Change:
     """anisotropy and ln_stiffness."""
     per_mpa = p["hz_per_mpa"] / site.device.rocking_hz
-    mean = p["difference_mpa"] * (
-        p["mean_ratio"] + p["mean_spread_ratio"] * site.normal("package", label="mean")[0]
-    )
+    mean = p["difference_mpa"] * (p["mean_ratio"] + p["mean_spread_ratio"] * site.normal("package", label="mean")[0])
     return Change(
         anisotropy=per_mpa * p["difference_mpa"] * site.complex_normal("package"),
         ln_stiffness=2.0 * per_mpa * mean,
@@ -43,9 +41,7 @@ IRREGULARITY = Irregularity(
         ),
         Parameter("mean_ratio", "1", -100.0, 100.0, "mean of (sigma_x + sigma_y)/2 over difference_mpa"),
         Parameter("mean_spread_ratio", "1", 0.0, 100.0, "sd of (sigma_x + sigma_y)/2 over difference_mpa"),
-        Parameter(
-            "hz_per_mpa", "Hz/MPa", 0.0, 1000.0, "h, shift of a rocking mode per stress along it", null=None
-        ),
+        Parameter("hz_per_mpa", "Hz/MPa", 0.0, 1000.0, "h, shift of a rocking mode per stress along it", null=None),
     ),
     source="stress stiffening (derivation); stresses assumed",
     act=act,

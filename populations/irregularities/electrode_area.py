@@ -1,8 +1,9 @@
-"""Area of each electrode, and where its centroid lies: gains, and a gain for rocking that differs from that for up-down.
+"""Area of each electrode, and where its centroid lies.
 
     K ~ A,   rocking sees K times the arm   =>   sense_imbalance, drive_imbalance, electrode_mismatch, softening
 
-Source: parallel-plate force and current eps A V / g^2 (the paper's part: sense gains differ by 7.4 %); magnitudes assumed.
+Source: parallel-plate force and current eps A V / g^2 (the paper's part: sense gains differ by 7.4 %);
+magnitudes assumed.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
     ln g_k = lot + wafer + die_k,   K ~ A / g^2,   k_e = eps A V^2 / g^3
 
-Source: parallel plates (derivation); gap asymmetry of +-5 % on a 4 um design is reported in Sensors 12 (2012) 6857.
+Source: parallel plates (derivation); gap asymmetry of +-5 % on a 4 um design is reported in Sensors 12 (2012)
+6857.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
     with probability ``fraction``: ln(p / p_lid) += N(ln_mean, ln_spread), never below 0
 
-Source: seal yields of 98 to 100 % (J. MEMS, 2018-0257); loss of Q in leaking packages (Micromachines 14 (2023) 1956).
+Source: seal yields of 98 to 100 % (J. MEMS, 2018-0257); loss of Q in leaking packages (Micromachines 14
+(2023) 1956).
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
     ln(p / p_lid) = s n
 
-Source: getter and outgassing spread (assumed); with 75 % of the losses due to gas it gives the reported Q spread of packages.
+Source: getter and outgassing spread (assumed); with 75 % of the losses due to gas it gives the reported Q
+spread of packages.
 """
 
 from __future__ import annotations

@@ -1,11 +1,14 @@
 """Mask turned against the crystal, and springs that do not stand exactly where they were drawn.
 
-    1/E(a) = s11 - 2 (s11 - s12 - s44/2) cos^2 a sin^2 a,   a = crystal angle + phi_j + rotation   =>   d ln k_j = d ln E
+    1/E(a) = s11 - 2 (s11 - s12 - s44/2) cos^2 a sin^2 a,   a = crystal angle + phi_j + rotation
+    d ln k_j = ln E(a) - ln E(a at rotation 0)
     phi_j -> phi_j + azimuth error   =>   e = -sum k_j exp(2 i phi_j) / sum k_j gains an imaginary part
 
-E repeats after 90 deg, so four identical springs at right angles get no split from the rotation; their azimuth errors turn theta.
+E repeats after 90 deg, so four identical springs at right angles get no split from the rotation; their
+azimuth errors turn theta.
 
-Source: Hopcroft, Nix, Kenny, J. MEMS 19 (2010) 229 (silicon compliances); azimuth errors assumed (0.3 um over 1 mm).
+Source: Hopcroft, Nix, Kenny, J. MEMS 19 (2010) 229 (silicon compliances); azimuth errors assumed (0.3 um over
+1 mm).
 """
 
 from __future__ import annotations

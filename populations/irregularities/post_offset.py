@@ -2,7 +2,8 @@
 
     d = lot + die, a vector;   I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y;   static moment m_p d -> updown_tilt
 
-Source: parallel-axis theorem, static moment (derivation in populations/assembly.py); placement of a hand-set post assumed.
+Source: parallel-axis theorem, static moment (derivation in populations/assembly.py); placement of a hand-set
+post assumed.
 """
 
 from __future__ import annotations

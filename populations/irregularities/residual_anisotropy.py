@@ -2,7 +2,8 @@
 
     e += s (r_lot n_lot + r_wafer n_wafer + n_die),   n complex normals (2-theta: no preferred axis)
 
-Source: none found; an assumption, to be swept.  Splits before trimming of 1.9 Hz (the paper) and of 9 to 26 Hz are reported.
+Source: none found; an assumption, to be swept.  Splits before trimming of 1.9 Hz (the paper) and of 9 to 26
+Hz are reported.
 """
 
 from __future__ import annotations
@@ -23,9 +24,7 @@ IRREGULARITY = Irregularity(
     name="residual_anisotropy",
     stage="fabrication",
     parameters=(
-        Parameter(
-            "die_pct", "%", 0.0, 10.0, "sd per component from die to die", assumption="residual_anisotropy"
-        ),
+        Parameter("die_pct", "%", 0.0, 10.0, "sd per component from die to die", assumption="residual_anisotropy"),
         Parameter("lot_ratio", "1", 0.0, 10.0, "sd of the lots over die_pct"),
         Parameter("wafer_ratio", "1", 0.0, 10.0, "sd of the wafers over die_pct"),
     ),

@@ -2,10 +2,11 @@
 
     T = T_edge rho along the radius at azimuth phi,   e = a T^2 exp(2 i phi)
 
-The lean couples in-plane with out-of-plane bending to second order, so it acts as T^2: a 2-theta field on the wafer.
+The lean couples in-plane with out-of-plane bending to second order, so it acts as T^2: a 2-theta field on the
+wafer.
 
-Source: radial tilt, 0 at the centre and 0.3 to 1 deg at the edge (assumed); T^2 exp(2 i phi) from the product of inertia of a
-leaning beam (derivation).
+Source: radial tilt, 0 at the centre and 0.3 to 1 deg at the edge (assumed); T^2 exp(2 i phi) from the product
+of inertia of a leaning beam (derivation).
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from collections.abc import Mapping
 
 from ..irregularity import Change, Irregularity, Parameter
 from ..site import Site
+from ..symmetric import as_complex
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
     """anisotropy = a T^2 exp(2 i phi), (x + i y)^2 being rho^2 exp(2 i phi)."""
     radius = site.wafer.diameter_mm / 2.0
     x, y = p["edge_deg"] * site.places.x_mm / radius, p["edge_deg"] * site.places.y_mm / radius
-    return Change(anisotropy=0.01 * p["anisotropy_pct_per_deg2"] * ((x * x - y * y) + 2j * (x * y)))
+    gain = 0.01 * p["anisotropy_pct_per_deg2"]
+    return Change(anisotropy=as_complex(gain * (x * x - y * y), gain * 2.0 * x * y))
 
 
 IRREGULARITY = Irregularity(
@@ -28,9 +31,7 @@ IRREGULARITY = Irregularity(
     stage="fabrication",
     parameters=(
         Parameter("edge_deg", "deg", 0.0, 5.0, "tilt of the sidewalls at the edge of the wafer"),
-        Parameter(
-            "anisotropy_pct_per_deg2", "%/deg^2", -10.0, 10.0, "a, anisotropy per tilt squared", null=None
-        ),
+        Parameter("anisotropy_pct_per_deg2", "%/deg^2", -10.0, 10.0, "a, anisotropy per tilt squared", null=None),
     ),
     source="radial tilt of deep etching (magnitude assumed), T^2 law derived",
     act=act,

@@ -1,6 +1,7 @@
 """Mismatch among the springs of one device.
 
-    d ln k_j = N(0, s) for each spring j;   four springs at right angles: e = (k2 + k4 - k1 - k3) / sum k, real, sd s / 2
+    d ln k_j = N(0, s) for each spring j
+    four springs at right angles: e = (k2 + k4 - k1 - k3) / sum k, real, sd s / 2
 
 so four such springs alone can only give theta = 0 or 90 deg.
 

@@ -2,7 +2,8 @@
 
     df/f = TCF (T - T0)   =>   d ln k = 2 ln(1 + TCF (T - T0)),   T = operating temperature + N(0, s)
 
-Source: TCF -28 ppm/K of silicon resonators, Hopcroft, Nix, Kenny, J. MEMS 19 (2010) 229; spread of the test chamber assumed.
+Source: TCF -28 ppm/K of silicon resonators, Hopcroft, Nix, Kenny, J. MEMS 19 (2010) 229; spread of the test
+chamber assumed.
 """
 
 from __future__ import annotations
@@ -26,9 +27,7 @@ IRREGULARITY = Irregularity(
     name="temperature",
     stage="package",
     parameters=(
-        Parameter(
-            "tcf_ppm_per_k", "ppm/K", -1000.0, 1000.0, "temperature coefficient of the mode frequencies"
-        ),
+        Parameter("tcf_ppm_per_k", "ppm/K", -1000.0, 1000.0, "temperature coefficient of the mode frequencies"),
         Parameter("spread_k", "K", 0.0, 100.0, "sd of a device's temperature at its test"),
     ),
     source="Hopcroft et al., J. MEMS 19 (2010) 229",
