@@ -30,9 +30,7 @@ _NAME = re.compile(r"(drive|sense)([1-9][0-9]*)_V")
 _ALIKE = re.compile(r"(drive|sense|time)", re.IGNORECASE)
 
 
-def _renamed(
-    name: str, found: Mapping[str, NDArray[Any]], mapping: Mapping[str, str]
-) -> dict[str, NDArray[Any]]:
+def _renamed(name: str, found: Mapping[str, NDArray[Any]], mapping: Mapping[str, str]) -> dict[str, NDArray[Any]]:
     """Columns under their names here; a mapped file column loses its own name."""
     for ours, theirs in mapping.items():
         if ours != "time_s" and not _NAME.fullmatch(ours):
@@ -94,9 +92,7 @@ def _no_lookalikes(name: str, columns: Mapping[str, NDArray[Any]]) -> None:
 
 def _numbers(name: str, key: str, values: NDArray[Any]) -> FloatArray:
     if values.dtype.kind not in "fiub" or values.ndim != 1:
-        shown = next(
-            (v for v in np.ravel(values)[:1000].tolist() if not isinstance(v, (int, float))), values.dtype
-        )
+        shown = next((v for v in np.ravel(values)[:1000].tolist() if not isinstance(v, (int, float))), values.dtype)
         raise MeasurementError(
             f"{name}: column {key} does not hold numbers",
             value=shown,
@@ -135,12 +131,11 @@ def _clock(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
             next_step=f"cut the record with start = .. / stop = {row}, or measure it again",
         )
     count = time_s.size
-    with np.errstate(over="ignore"):
-        rate = (count - 1) / float(time_s[-1] - time_s[0])
-        grid = time_s[0] + np.arange(count) / rate
-        away = np.abs(time_s - grid) * rate
+    rate = (count - 1) / float(time_s[-1] - time_s[0])
+    grid = time_s[0] + np.arange(count) / rate
+    away = np.abs(time_s - grid) * rate
     row = int(np.argmax(away))
-    if not np.isfinite(rate) or away[row] > JITTER_TOLERANCE:
+    if not (np.isfinite(rate) and away[row] <= JITTER_TOLERANCE):
         raise MeasurementError(
             f"{name}: time is not uniform, worst in row {row}",
             value=f"{away[row]:.3g} samples off the grid",
@@ -190,7 +185,8 @@ def assemble(
             allowed=f"one length of at least {MIN_SAMPLES} samples",
             next_step="export all columns over the same time",
         )
-    clock = _clock(name, numbers["time_s"], sample_rate_hz) if "time_s" in numbers else None
+    with np.errstate(all="ignore"):  # absurd time stamps overflow on their way to being refused
+        clock = _clock(name, numbers["time_s"], sample_rate_hz) if "time_s" in numbers else None
     if clock is None and sample_rate_hz is None:
         raise MeasurementError(
             f"{name}: there is no time_s and no declared sample rate",

@@ -30,9 +30,7 @@ def read(path: Path) -> Columns:
     """All real vectors, (N,), (1, N) or (N, 1)."""
     with h5py.File(path, "r") as file:
         groups = [
-            file[name]
-            for name in file
-            if not name.startswith("#") and file.get(name, getclass=True) is h5py.Group
+            file[name] for name in file if not name.startswith("#") and file.get(name, getclass=True) is h5py.Group
         ]
         found = _datasets(file) or (_datasets(groups[0]) if len(groups) == 1 else {})
         # Unallocated chunks read as fill values, so a damaged shape is bounded by its own limit alone.

@@ -16,9 +16,7 @@ def read(path: Path) -> Columns:
         numeric = [
             field.name
             for field in file.schema_arrow
-            if pa.types.is_floating(field.type)
-            or pa.types.is_integer(field.type)
-            or pa.types.is_boolean(field.type)
+            if pa.types.is_floating(field.type) or pa.types.is_integer(field.type) or pa.types.is_boolean(field.type)
         ]
         # Run-length encoding has no bound of its own on expansion, so only the number of values is limited.
         allow(file.metadata.num_rows * max(len(numeric), 1), 2**62)

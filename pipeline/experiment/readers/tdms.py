@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +26,33 @@ def _library() -> Any:
     return nptdms
 
 
+class _Doubt(logging.Handler):
+    """npTDMS logs what it guesses about damaged files, and reads on; a guess is no measurement."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        raise ValueError(record.getMessage())
+
+
+@contextmanager
+def _doubts_are_errors(library: Any) -> Iterator[None]:
+    logger, console, doubt = logging.getLogger("nptdms"), library.log.log_manager.console_handler, _Doubt()
+    level = console.level
+    console.setLevel(logging.CRITICAL)
+    logger.addHandler(doubt)
+    try:
+        yield
+    finally:
+        logger.removeHandler(doubt)
+        console.setLevel(level)
+
+
 def read(path: Path) -> Columns:
     """Channels of the one group that the file holds; ``time_s`` from the waveform increment where no channel
     has it.
     """
-    with _library().TdmsFile.open(path) as file:
+    # The file is opened here, since the library leaves its own open where it fails.
+    library = _library()
+    with path.open("rb") as stream, _doubts_are_errors(library), library.TdmsFile.open(stream) as file:
         groups = [group for group in file.groups() if group.channels()]
         if len(groups) != 1:
             raise MeasurementError(
@@ -49,6 +74,4 @@ def write(path: Path, columns: Columns) -> None:
     """One group named ``record``."""
     library = _library()
     with library.TdmsWriter(path) as writer:
-        writer.write_segment(
-            [library.ChannelObject("record", name, values) for name, values in columns.items()]
-        )
+        writer.write_segment([library.ChannelObject("record", name, values) for name, values in columns.items()])
