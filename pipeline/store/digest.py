@@ -46,6 +46,4 @@ def _values(column: pa.Array, field: pa.Field) -> bytes:
         return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes()
     if pa.types.is_boolean(field.type):
         return np.packbits(pc.fill_null(column, False).to_numpy(zero_copy_only=False)).tobytes()
-    raise UsageError(
-        f"no digest for column {field.name}", value=str(field.type), allowed="numbers, booleans or text"
-    )
+    raise UsageError(f"no digest for column {field.name}", value=str(field.type), allowed="numbers, booleans or text")

@@ -60,9 +60,7 @@ def replace_file(folder: Path, name: str, data: bytes | memoryview) -> None:
 
 def staged_files(folder: Path) -> tuple[Path, ...]:
     """Leftovers of interrupted writes."""
-    return tuple(
-        sorted(path for path in folder.iterdir() if path.name.startswith(".") and path.name.endswith(STAGED))
-    )
+    return tuple(sorted(path for path in folder.iterdir() if path.name.startswith(".") and path.name.endswith(STAGED)))
 
 
 @contextmanager

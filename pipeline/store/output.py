@@ -54,17 +54,11 @@ def _text(table: pa.Table) -> bytes:
     for field in table.schema:
         unit = (field.metadata or {}).get(b"unit", b"").decode()
         cells = [_cell(value) for value in table.column(len(columns)).to_pylist()]
-        number = (
-            pa.types.is_floating(field.type)
-            or pa.types.is_integer(field.type)
-            or pa.types.is_decimal(field.type)
-        )
+        number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type) or pa.types.is_decimal(field.type)
         heads = [_printable(field.name), f"[{unit}]" if unit not in ("", "1") else ""]
         width = max(len(word) for word in (*heads, *cells))
         align = str.rjust if number else str.ljust
-        columns.append(
-            [*(align(head, width) for head in heads), "-" * width, *(align(cell, width) for cell in cells)]
-        )
+        columns.append([*(align(head, width) for head in heads), "-" * width, *(align(cell, width) for cell in cells)])
     lines = ["  ".join(row).rstrip() for row in zip(*columns)]
     if len(lines) > 1 and not lines[1]:
         del lines[1]
@@ -88,11 +82,7 @@ def _csv(table: pa.Table) -> bytes:
     sink = io.BytesIO()
     flat = [
         column
-        if not (
-            pa.types.is_nested(column.type)
-            or pa.types.is_binary(column.type)
-            or pa.types.is_interval(column.type)
-        )
+        if not (pa.types.is_nested(column.type) or pa.types.is_binary(column.type) or pa.types.is_interval(column.type))
         else pa.array([None if v is None else json.dumps(_plain(v)) for v in column.to_pylist()], pa.string())
         for column in table.columns
     ]
@@ -101,9 +91,7 @@ def _csv(table: pa.Table) -> bytes:
 
 
 def _json(table: pa.Table) -> bytes:
-    rows = ",\n".join(
-        json.dumps(_plain(row), ensure_ascii=False, allow_nan=False) for row in table.to_pylist()
-    )
+    rows = ",\n".join(json.dumps(_plain(row), ensure_ascii=False, allow_nan=False) for row in table.to_pylist())
     return f"[\n{rows}\n]\n".encode()
 
 

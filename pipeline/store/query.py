@@ -139,9 +139,7 @@ def _one_select(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.State
     return statements[0]
 
 
-def _answer(
-    connection: duckdb.DuckDBPyConnection, statement: duckdb.Statement, sql: str, timeout_s: float
-) -> pa.Table:
+def _answer(connection: duckdb.DuckDBPyConnection, statement: duckdb.Statement, sql: str, timeout_s: float) -> pa.Table:
     done, late = Event(), Event()
 
     def watch() -> None:
@@ -177,7 +175,7 @@ def _read(reader: pa.RecordBatchReader) -> pa.Table:
         size += batch.nbytes
         if size > MAX_ANSWER_BYTES:
             raise UsageError(
-                "the answer is larger than 1 GiB",
+                f"the answer is larger than {MAX_ANSWER_BYTES >> 20} MiB",
                 next_step="aggregate, add LIMIT, or read the tables with pipeline.store.read_run",
             )
         batches.append(batch)
@@ -196,9 +194,7 @@ def _refused(error: Exception, sql: str) -> GyroscreenError:
             allowed="the views devices, posterior, runs, columns",
         )
     if isinstance(error, duckdb.OutOfMemoryException):
-        return UsageError(
-            "the query needs more memory than it may take", value=sql, next_step=f"ask for less ({said})"
-        )
+        return UsageError("the query needs more memory than it may take", value=sql, next_step=f"ask for less ({said})")
     return UsageError(
         said, value=sql, allowed="one SELECT on devices, posterior, runs, columns", next_step=_COLUMNS_QUERY
     )
@@ -211,9 +207,7 @@ def _with_units(table: pa.Table) -> pa.Table:
     fields = []
     for field in table.schema:
         known = registered.get(field.name)
-        named = (
-            field.with_metadata(known.metadata) if known is not None and known.type == field.type else field
-        )
+        named = field.with_metadata(known.metadata) if known is not None and known.type == field.type else field
         fields.append(named if not seen[field.name] else named.with_name(f"{field.name}_{seen[field.name]}"))
         seen[field.name] += 1
     return pa.table(table.columns, schema=pa.schema(fields))

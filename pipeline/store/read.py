@@ -34,9 +34,7 @@ def run_folders(results: Path) -> tuple[Path, ...]:
     if not results.is_dir():
         return ()
     return tuple(
-        sorted(
-            path for path in results.iterdir() if path.name.startswith(PREFIX) and (path / MANIFEST).exists()
-        )
+        sorted(path for path in results.iterdir() if path.name.startswith(PREFIX) and (path / MANIFEST).exists())
     )
 
 
@@ -48,9 +46,7 @@ def list_runs(results: Path) -> tuple[Manifest, ...]:
     IntegrityError : a manifest is damaged (leaving that run out in silence would falsify every yield).
     """
     return tuple(
-        sorted(
-            (read_manifest(folder) for folder in run_folders(results)), key=lambda m: (m.created, m.run_id)
-        )
+        sorted((read_manifest(folder) for folder in run_folders(results)), key=lambda m: (m.created, m.run_id))
     )
 
 
@@ -113,9 +109,7 @@ def read_config(folder: Path, manifest: Manifest) -> str:
     """``run.toml`` as it was committed; IntegrityError otherwise."""
     entries = manifest.of_kind("config")
     if len(entries) != 1:
-        raise IntegrityError(
-            f"{folder / MANIFEST} lists no {CONFIG}", next_step="restore the run from a copy"
-        )
+        raise IntegrityError(f"{folder / MANIFEST} lists no {CONFIG}", next_step="restore the run from a copy")
     return read_file(folder, entries[0]).decode()
 
 

@@ -10,7 +10,6 @@ holds.
 
 from __future__ import annotations
 
-import json
 import re
 import secrets
 import shutil
@@ -21,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -113,9 +113,7 @@ class RunStore:
                 data = memoryview(encode_table(table))
                 name = block_file(kind, block)
                 files.stage(self.folder, name, data)
-                entries.append(
-                    FileEntry(name, kind, data.nbytes, files.sha256(data), block=block, rows=table.num_rows)
-                )
+                entries.append(FileEntry(name, kind, data.nbytes, files.sha256(data), block=block, rows=table.num_rows))
             for entry in entries:
                 files.publish(self.folder, entry.name)
             files.fsync_folder(self.folder)
@@ -138,9 +136,7 @@ class RunStore:
         IncompleteError : the disk would not take it.
         """
         if not PAGE.fullmatch(name) or name in (MANIFEST, CONFIG):
-            raise UsageError(
-                "not the name of a page of a run", value=name, allowed="for instance report.html"
-            )
+            raise UsageError("not the name of a page of a run", value=name, allowed="for instance report.html")
         with self._writing():
             manifest = self.manifest
             others = tuple(entry for entry in manifest.files if entry.name != name)
@@ -183,12 +179,11 @@ class RunStore:
             )
 
     def log(self, event: Mapping[str, Any]) -> None:
-        """Append one line to ``log.jsonl``, with the time; values that JSON does not know are written as
-        text."""
-        line = json.dumps({"time": _now(), **event}, ensure_ascii=False, default=str) + "\n"
+        """Append one line to ``log.jsonl``, with the time; NaN becomes null, what JSON does not know text."""
+        line = msgspec.json.encode({"time": _now(), **event}, enc_hook=str) + b"\n"
         # One write to a file opened for appending: lines of several processes do not mix.
         with _disk(self.folder), (self.folder / LOG).open("ab", buffering=0) as file:
-            file.write(line.encode())
+            file.write(line)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -214,9 +209,7 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
     ConfigError : the name is not one, the run exists, or the folder cannot be written.
     """
     if not RUN_ID.fullmatch(run_id):
-        raise ConfigError(
-            "not the name of a run", value=run_id, allowed="up to 100 letters, digits, '.', '_', '-'"
-        )
+        raise ConfigError("not the name of a run", value=run_id, allowed="up to 100 letters, digits, '.', '_', '-'")
     folder = results / f"{PREFIX}{run_id}"
     config = config_toml.encode()
     manifest = Manifest(
@@ -283,9 +276,7 @@ def _check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
     if "posterior" in tables:
         require_schema(tables["posterior"], posterior_schema(), f"{where} of posterior")
         known = tables["devices"].column("device_id")
-        foreign = pc.invert(
-            pc.is_in(tables["posterior"].column("device_id"), value_set=known.combine_chunks())
-        )
+        foreign = pc.invert(pc.is_in(tables["posterior"].column("device_id"), value_set=known.combine_chunks()))
         if pc.any(foreign).as_py():
             names = tables["posterior"].column("device_id").filter(foreign).unique().to_pylist()
             raise IntegrityError(
@@ -296,9 +287,7 @@ def _check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
 def _require_unique(devices: pa.Table, where: str) -> None:
     twice = duplicates(devices)
     if twice:
-        raise IntegrityError(
-            f"{where} has a device more than once", value=twice[:5], allowed="one row a device"
-        )
+        raise IntegrityError(f"{where} has a device more than once", value=twice[:5], allowed="one row a device")
 
 
 @contextmanager

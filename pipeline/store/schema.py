@@ -52,9 +52,7 @@ def _number(name: str, unit: str, meaning: str) -> Column:
 
 def _estimate(quantity: Quantity) -> tuple[Column, ...]:
     q, unit, meaning = quantity.name, quantity.unit, quantity.meaning
-    interval = (
-        "the 90 % arc, which runs up from q05 to q95 modulo 180 deg" if quantity.axis else "the 90 % interval"
-    )
+    interval = "the 90 % arc, which runs up from q05 to q95 modulo 180 deg" if quantity.axis else "the 90 % interval"
     return (
         _number(q, unit, meaning),
         _number(f"{q}_sd", unit, f"posterior sd of {q}"),
@@ -133,9 +131,7 @@ def arrow_schema(columns: Sequence[Column]) -> pa.Schema:
     """Arrow schema of columns, in order, nullable, with unit and meaning in the field metadata."""
     return pa.schema(
         [
-            pa.field(
-                column.name, TYPES[column.type], metadata={"unit": column.unit, "meaning": column.meaning}
-            )
+            pa.field(column.name, TYPES[column.type], metadata={"unit": column.unit, "meaning": column.meaning})
             for column in columns
         ]
     )
@@ -199,9 +195,7 @@ def build_table(
     )
 
 
-def _array(
-    values: Sequence[Any] | np.ndarray[Any, Any] | None, kind: pa.DataType, rows: int, name: str
-) -> pa.Array:
+def _array(values: Sequence[Any] | np.ndarray[Any, Any] | None, kind: pa.DataType, rows: int, name: str) -> pa.Array:
     if values is None:
         return pa.nulls(rows, kind)
     if len(values) != rows:
@@ -210,9 +204,7 @@ def _array(
         # from_pandas: NaN and None become null (see the head of this module).
         return pa.array(values, type=kind, from_pandas=True)
     except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
-        raise UsageError(
-            f"column {name} holds values of the wrong type ({error})", allowed=str(kind)
-        ) from None
+        raise UsageError(f"column {name} holds values of the wrong type ({error})", allowed=str(kind)) from None
 
 
 def require_schema(table: pa.Table, schema: pa.Schema, where: str) -> None:

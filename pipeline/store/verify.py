@@ -80,9 +80,7 @@ def verify(results: Path) -> VerifyReport:
     UsageError : there is no such folder, or no run in it.
     """
     if not results.is_dir():
-        raise UsageError(
-            "there is no such results folder", value=str(results), next_step="name it with --results"
-        )
+        raise UsageError("there is no such results folder", value=str(results), next_step="name it with --results")
     folders = run_folders(results)
     findings = list(_strays(results, {folder.name for folder in folders}))
     if not folders and not findings:
@@ -119,9 +117,7 @@ def _verify_run(folder: Path) -> VerifyReport:
             findings.append(_damage(folder / entry.name, error))
             continue
         if table is not None and table.num_rows != entry.rows:
-            findings.append(
-                Finding(str(folder / entry.name), "number of rows", str(entry.rows), str(table.num_rows))
-            )
+            findings.append(Finding(str(folder / entry.name), "number of rows", str(entry.rows), str(table.num_rows)))
         if table is not None and entry.kind == "devices":
             devices.append(table)
         elif table is not None:
@@ -157,16 +153,12 @@ def _structure(folder: Path, manifest: Manifest) -> Iterator[Finding]:
             yield Finding(where, f"{name} is listed more than once", "1", str(times))
     config = [entry.sha256 for entry in manifest.of_kind("config")]
     if config != [manifest.config_sha256]:
-        yield Finding(
-            where, "run.toml is not listed with the hash of the configuration", "1 entry", str(config)
-        )
+        yield Finding(where, "run.toml is not listed with the hash of the configuration", "1 entry", str(config))
     blocks = manifest.blocks()
     missing = sorted(set(range(max(blocks, default=-1) + 1)) - blocks)
     if missing:
         fatal = manifest.status == "complete"
-        yield Finding(
-            where, f"blocks of a {manifest.status} run", "no gaps", f"missing {missing[:10]}", fatal
-        )
+        yield Finding(where, f"blocks of a {manifest.status} run", "no gaps", f"missing {missing[:10]}", fatal)
     orphans = [entry.block for entry in manifest.of_kind("posterior") if entry.block not in blocks]
     if orphans:
         yield Finding(where, "draws without their devices", "a devices table each", f"blocks {orphans[:10]}")
