@@ -138,8 +138,8 @@ class PosteriorTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Sizes of the emcee ensembles, when they count as converged, and how many draws a device are stored."""
 
     ensembles: Annotated[int, Meta(ge=4, le=64)] = 4
-    walkers: Annotated[int, Meta(ge=24, le=4096)] = 48
-    steps: Annotated[int, Meta(ge=4, le=100_000)] = 14
+    walkers: Annotated[int, Meta(ge=24, le=4096)] = 96
+    steps: Annotated[int, Meta(ge=4, le=100_000)] = 8
     rhat_max: Annotated[float, Meta(gt=1.0)] = 1.01
     ess_min: NotNegative = 1000.0
     stored_draws: Annotated[int, Meta(ge=0)] = 100

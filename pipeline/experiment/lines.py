@@ -7,6 +7,7 @@ Shapes: y (N, S).  sigma is the standard deviation of the noise a sample and cha
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -35,24 +36,26 @@ def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend
     return basis
 
 
-def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None, trend: bool = False) -> FloatArray:
-    """y (N, S) less its offset, trend and lines."""
+def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> FloatArray:
+    """y (N, S) less its offset and the harmonics of ``line_hz``, by least squares."""
     samples = y.shape[0]
     cycles = None if line_hz is None else samples * line_hz / sample_rate_hz
-    if cycles is not None and not trend and abs(cycles - round(cycles)) < 1e-9:
+    if cycles is not None and abs(cycles - round(cycles)) < 1e-9:
         # Lines on bins are orthogonal: dropping the bins is the same least squares.
         spectrum = rfft(y, axis=0)
         spectrum[:: round(cycles)] = 0.0
         return np.asarray(irfft(spectrum, n=samples, axis=0))
-    basis = line_basis(y.shape[0], sample_rate_hz, line_hz, trend)
+    basis = line_basis(samples, sample_rate_hz, line_hz, False)
     return y - basis @ (basis.T @ y)
 
 
 def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, adc: Adc | None) -> FloatArray:
     """sigma (S,) of a silent record [V]; LSB^2/12 is added where silence does not exercise the converter."""
-    basis = line_basis(y.shape[0], sample_rate_hz, line_hz, True)
-    rest = y - basis @ (basis.T @ y)
-    variance = np.sum(rest**2, axis=0) / max(y.shape[0] - basis.shape[1], 1)
+    samples = y.shape[0]
+    trend = line_basis(samples, sample_rate_hz, None, True)
+    rest = without_lines(y - trend @ (trend.T @ y), sample_rate_hz, line_hz)
+    removed = trend.shape[1] + (0 if line_hz is None else 2 * (math.ceil(sample_rate_hz / 2.0 / line_hz) - 1))
+    variance = np.sum(rest**2, axis=0) / max(samples - removed, 1)
     if adc is not None:
         quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2
         variance = np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)

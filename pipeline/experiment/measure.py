@@ -8,6 +8,7 @@ Shapes: S (N, senses) volts.  Noise is white and Gaussian; hum phases are random
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,14 +24,24 @@ class Hum:
     amplitude_v: tuple[float, ...] = ()
 
 
-def hum_volts(hum: Hum, times_s: FloatArray, senses: int, random: np.random.Generator) -> FloatArray:
-    """Hum (N, senses) [V] at ``times_s`` (N,) [s]."""
-    harmonics = np.arange(1, len(hum.amplitude_v) + 1)
-    phases = random.uniform(0.0, 2.0 * np.pi, (harmonics.size, senses))
-    angle = 2.0 * np.pi * hum.frequency_hz * times_s[:, None] * harmonics
-    cosine = np.array(hum.amplitude_v)[:, None] * np.cos(phases)
-    sine = np.array(hum.amplitude_v)[:, None] * np.sin(phases)
-    return np.cos(angle) @ cosine - np.sin(angle) @ sine
+@lru_cache(maxsize=8)
+def _waves(samples: int, sample_rate_hz: float, frequency_hz: float, harmonics: int) -> FloatArray:
+    """cos and sin (N, 2 harmonics) of the harmonics, read-only."""
+    t = np.arange(samples) / sample_rate_hz
+    angle = 2.0 * np.pi * frequency_hz * t[:, None] * np.arange(1, harmonics + 1)
+    waves = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    waves.setflags(write=False)
+    return waves
+
+
+def hum_volts(
+    hum: Hum, samples: int, sample_rate_hz: float, senses: int, random: np.random.Generator
+) -> FloatArray:
+    """Hum (samples, senses) [V] from t = 0."""
+    amplitude = np.array(hum.amplitude_v)[:, None]
+    phases = random.uniform(0.0, 2.0 * np.pi, (amplitude.size, senses))
+    weights = np.concatenate([amplitude * np.cos(phases), -amplitude * np.sin(phases)])
+    return _waves(samples, sample_rate_hz, hum.frequency_hz, amplitude.size) @ weights
 
 
 def convert(volts: FloatArray, adc: Adc | None) -> FloatArray:
@@ -53,5 +64,5 @@ def measured(
     samples, senses = volts.shape
     total = volts + sigma_v * random.standard_normal(volts.shape)
     if hum.amplitude_v:
-        total = total + hum_volts(hum, np.arange(samples) / sample_rate_hz, senses, random)
+        total = total + hum_volts(hum, samples, sample_rate_hz, senses, random)
     return convert(total, adc)

@@ -219,20 +219,21 @@ def log_likelihood(
     """-chi2/2 of the compressed part at ``points`` (n, 12), -inf outside the prior's support; (n,)."""
     count = points.shape[0]
     rows = triangle.shape[0]
-    out = np.empty(count)
-    c = np.empty((2, _FEATURES))
+    c = np.zeros((count, 2, _FEATURES))
     shift = np.empty(3)
-    model = np.empty(rows)
+    inside = np.empty(count, dtype=np.bool_)
     for n in range(count):
-        if not allowed(points[n]):
-            out[n] = -np.inf
-            continue
-        _coefficients(points[n], expansion, c, shift)
+        inside[n] = allowed(points[n])
+        if inside[n]:
+            _coefficients(points[n], expansion, c[n], shift)
+    model = np.dot(c.reshape(2 * count, _FEATURES), triangle.T)
+    out = np.empty(count)
+    for n in range(count):
         total = 0.0
         for a in range(2):
-            _triangle_times(triangle, c[a], model)
+            scale = 1.0 / sigma[a]
             for i in range(rows):
-                r = data[a, i] - model[i] / sigma[a]
+                r = data[a, i] - model[2 * n + a, i] * scale
                 total += r * r
-        out[n] = -0.5 * total
+        out[n] = -0.5 * total if inside[n] else -np.inf
     return out

@@ -33,16 +33,16 @@ class SamplerSettings:
     """``ensembles`` independent ensembles of ``walkers`` walkers; ``steps`` kept in each; when they count as converged."""
 
     ensembles: int = 4
-    walkers: int = 48
-    steps: int = 14
-    burn: int = 3
+    walkers: int = 96
+    steps: int = 8
+    burn: int = 2
     rhat_max: float = 1.01
     ess_min: float = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Draws (E, n L, 12), cartesian; worst R-hat over parameters, least bulk ESS, mean acceptance.
+    """Draws (E, n L, 12), cartesian; worst R-hat over parameters, least ESS, mean acceptance.
 
     ``importance_ess`` is the relative ESS of the Laplace draws; ``move`` names the moves that ran.
     """
@@ -71,10 +71,10 @@ def _t_draws(count: int, size: int, random: Any) -> FloatArray:
 
 
 def diagnose(draws: FloatArray) -> tuple[float, float]:
-    """Worst R-hat and least bulk ESS over the parameters of draws (E, n, P); rank-normalised, across ensembles."""
+    """Worst split R-hat across ensembles and least ESS of the mean, over the parameters of draws (E, n, P)."""
     series = np.moveaxis(draws, -1, 0)
-    rhat = array_stats.rhat(series, chain_axis=-2, draw_axis=-1)
-    ess = array_stats.ess(series, chain_axis=-2, draw_axis=-1)
+    rhat = array_stats.rhat(series, chain_axis=-2, draw_axis=-1, method="split")
+    ess = array_stats.ess(series, chain_axis=-2, draw_axis=-1, method="mean")
     return float(np.max(rhat)), float(np.min(ess))
 
 

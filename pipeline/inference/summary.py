@@ -24,17 +24,17 @@ def wrap_axis_deg(angle_deg: FloatArray) -> FloatArray:
 
 def summarise(draws: Mapping[str, FloatArray]) -> dict[str, float]:
     """<q>, <q>_sd, <q>_q05, <q>_q95 of every quantity in ``draws``; nan where the draws are."""
+    names = list(draws)
+    lines = np.stack([draws[name] for name in names])
+    centre = np.zeros(len(names))
+    for i, name in enumerate(names):
+        if name in AXES:
+            centre[i] = np.rad2deg(np.angle(np.mean(np.exp(2j * np.deg2rad(lines[i]))))) / 2.0
+            lines[i] = wrap_axis_deg(lines[i] - centre[i])
+    found = np.quantile(lines, [0.05, 0.5, 0.95], axis=1) + centre
+    sd = np.std(lines, axis=1)
     out: dict[str, float] = {}
-    for name, values in draws.items():
-        centre = 0.0
-        line = values
-        if name in AXES:
-            centre = float(np.rad2deg(np.angle(np.mean(np.exp(2j * np.deg2rad(values)))))) / 2.0
-            line = wrap_axis_deg(values - centre)
-        q05, q50, q95 = np.quantile(line, [0.05, 0.5, 0.95])
-        found = np.array([q50, q05, q95]) + centre
-        if name in AXES:
-            found = wrap_axis_deg(found)
-        out[name], out[f"{name}_q05"], out[f"{name}_q95"] = (float(v) for v in found)
-        out[f"{name}_sd"] = float(np.std(line))
+    for i, name in enumerate(names):
+        q05, q50, q95 = wrap_axis_deg(found[:, i]) if name in AXES else found[:, i]
+        out |= {name: float(q50), f"{name}_sd": float(sd[i]), f"{name}_q05": float(q05), f"{name}_q95": float(q95)}
     return out

@@ -1,0 +1,126 @@
+"""gyroscreen identify, check."""
+
+from __future__ import annotations
+
+import json as json_
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import UsageError
+from pipeline.experiment.campaign import read_measurement
+from pipeline.experiment.modal_record import ModalRecord
+from pipeline.experiment.record import Campaign
+from pipeline.identification.route import RouteResult, identify_modal
+from pipeline.inference.campaign import identify_campaign, is_inband, reference_comparison
+from pipeline.inference.device import IdentificationSettings
+from pipeline.inference.gate import Gate
+from pipeline.inference.modal_fit import ModalFit, fit_modal
+from pipeline.inference.sample import SamplerSettings
+from pipeline.quantities import QUANTITIES
+
+_SEED = 1
+
+
+def plain(value: Any) -> Any:
+    """``value`` for JSON: nan and infinity become null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def identify(measurement: Path, model: Path | None, json: bool) -> None:
+    """See ``gyroscreen identify --help``."""
+    found = read_measurement(measurement)
+    if isinstance(found, ModalRecord):
+        route = identify_modal(found)
+        columns = modal_columns(route, fit_modal(route, found.antialias))
+        lines = _modal_text(found.name, columns)
+    else:
+        columns, lines = identified(found, model)
+    print(json_.dumps({k: plain(v) for k, v in columns.items()}) if json else "\n".join(lines))
+
+
+def modal_columns(route: RouteResult, fit: ModalFit) -> dict[str, Any]:
+    """The columns that apply to a modal record: the paper's four thetas, and the least-squares fit of its own model."""
+    axes = route.axes
+    columns: dict[str, Any] = {
+        "theta_u1_deg": axes.theta_u1_deg,
+        "theta_v1_deg": axes.theta_v1_deg,
+        "theta_u2_deg": axes.theta_u2_deg,
+        "theta_v2_deg": axes.theta_v2_deg,
+        "split_hz": route.arx_split_hz,
+        "relative_error": fit.relative_error,
+    }
+    for name, value in fit.values.items():
+        columns[name], columns[f"{name}_sd"] = value, fit.sd[name]
+    for i in range(3):
+        columns[f"f{i + 1}_hz"], columns[f"zeta{i + 1}"] = float(route.f_hz[i]), float(route.zeta[i])
+    return columns
+
+
+def _modal_text(name: str, c: dict[str, Any]) -> list[str]:
+    four = ", ".join(f"{c[f'theta_{k}_deg']:.2f}" for k in ("u1", "v1", "u2", "v2"))
+    return [
+        f"modal record {name}",
+        f"theta       {c['theta_deg']:.2f} +- {c['theta_deg_sd']:.2f} deg, least squares over all modes",
+        f"four thetas {four} deg (u1, v1, u2, v2)",
+        f"split       {c['split_hz']:.4g} Hz",
+        f"modes       {c['f1_hz']:.2f}, {c['f2_hz']:.2f}, {c['f3_hz']:.2f} Hz",
+        f"imbalance   sense {c['sense_imbalance']:.4f}, drive {c['drive_imbalance']:.4f}",
+        f"model error {100 * c['relative_error']:.1f} % of the residues at resonance",
+    ]
+
+
+def identified(campaign: Campaign, model: Path | None) -> tuple[dict[str, Any], list[str]]:
+    """Columns and text of a campaign; a lone record fits itself."""
+    if not campaign.with_role("fit"):
+        campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
+    if model is None and is_inband(campaign):
+        result = identify_campaign(
+            campaign, IdentificationSettings(), SamplerSettings(), Gate(), np.random.SeedSequence(_SEED)
+        )
+        columns: dict[str, Any] = {"device_id": campaign.device_id, **result.columns}
+        reference = reference_comparison(campaign, result)
+    else:
+        from ..general import identify_general
+
+        columns, reference = identify_general(campaign, model)
+    if campaign.reference:
+        columns["reference"] = reference
+    return columns, _text(columns, reference)
+
+
+def _text(columns: dict[str, Any], reference: dict[str, dict[str, float]]) -> list[str]:
+    lines = [f"device {columns['device_id']}: {columns['status']}"]
+    if columns.get("status_reason"):
+        lines.append(f"  {columns['status_reason']}")
+    units = {q.name: q.unit for q in QUANTITIES}
+    shown = [q for q in columns if f"{q}_sd" in columns]
+    for name in shown:
+        if name not in columns:
+            continue
+        unit = "" if units.get(name, "1") == "1" else f" {units[name]}"
+        low, high = columns.get(f"{name}_q05"), columns.get(f"{name}_q95")
+        span = "" if low is None or high is None else f"   90 % {low:.8g} to {high:.8g}"
+        lines.append(f"  {name:20s} {columns[name]:.8g} +- {columns[f'{name}_sd']:.2g}{unit}{span}")
+    if columns.get("error") is not None:
+        lines.append(f"  error {columns['error']:.4f}, relative error {columns['relative_error']:.3g}")
+    for name, r in reference.items():
+        lines.append(f"  reference {name}: {r['reference']:g} +- {r['reference_sd']:g}, z = {r['z']:+.2f}")
+    return lines
+
+
+def check(campaign: Path, json: bool) -> None:
+    """See ``gyroscreen check --help``."""
+    from pipeline.experiment.check import check as look
+
+    found = read_measurement(campaign)
+    if isinstance(found, ModalRecord):
+        raise UsageError("a modal record has no samples to check", value=str(campaign), allowed="a campaign or record")
+    report = look(found)
+    if json:
+        print(json_.dumps(report.to_dict()))
+        return
+    print(report)
