@@ -30,18 +30,14 @@ def arc_width(low_deg: FloatArray | float, high_deg: FloatArray | float) -> Floa
     return np.asarray(np.mod(np.asarray(high_deg, np.float64) - np.asarray(low_deg, np.float64), PERIOD_DEG))
 
 
-def in_arc(
-    angle_deg: FloatArray | float, low_deg: FloatArray | float, high_deg: FloatArray | float
-) -> BoolArray:
+def in_arc(angle_deg: FloatArray | float, low_deg: FloatArray | float, high_deg: FloatArray | float) -> BoolArray:
     """Whether an axis lies on the closed arc from low up to high, modulo 180 (False where anything is nan).
 
     (a - low) mod 180 <= (high - low) mod 180, with room for the rounding of the two modulos.
     """
     width = arc_width(low_deg, high_deg)
     # An axis that rounding puts just below `low` shows up as a distance just below 180.
-    offset = np.asarray(
-        np.mod(np.asarray(angle_deg, np.float64) - np.asarray(low_deg, np.float64), PERIOD_DEG)
-    )
+    offset = np.asarray(np.mod(np.asarray(angle_deg, np.float64) - np.asarray(low_deg, np.float64), PERIOD_DEG))
     rounding = 1e-12 * PERIOD_DEG
     return np.asarray((offset <= width + rounding) | (offset >= PERIOD_DEG - rounding))
 

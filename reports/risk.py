@@ -73,11 +73,7 @@ def normal_risk(
 
 
 def _integral(integrand: Callable[[float], float], low: float, high: float) -> float:
-    return (
-        float(integrate.quad(integrand, low, high, epsabs=1e-13, epsrel=1e-12, limit=200)[0])
-        if high > low
-        else 0.0
-    )
+    return float(integrate.quad(integrand, low, high, epsabs=1e-13, epsrel=1e-12, limit=200)[0]) if high > low else 0.0
 
 
 def expected_risk(p_pass: FloatArray, verdicts: Sequence[str]) -> Risk:
@@ -100,12 +96,6 @@ def expected_risk(p_pass: FloatArray, verdicts: Sequence[str]) -> Risk:
 def counted_risk(verdicts: Sequence[str], conforming: BoolArray) -> CountedRisk:
     """Wrong passes and wrong fails against the truth: verdicts (B), conforming (B,)."""
     n = len(verdicts)
-    wrong_pass = sum(
-        verdict == "pass" and not good for verdict, good in zip(verdicts, conforming, strict=True)
-    )
-    wrong_fail = sum(
-        verdict == "fail" and bool(good) for verdict, good in zip(verdicts, conforming, strict=True)
-    )
-    return CountedRisk(
-        n, wrong_pass, wrong_fail, clopper_pearson(wrong_pass, n), clopper_pearson(wrong_fail, n)
-    )
+    wrong_pass = sum(verdict == "pass" and not good for verdict, good in zip(verdicts, conforming, strict=True))
+    wrong_fail = sum(verdict == "fail" and bool(good) for verdict, good in zip(verdicts, conforming, strict=True))
+    return CountedRisk(n, wrong_pass, wrong_fail, clopper_pearson(wrong_pass, n), clopper_pearson(wrong_fail, n))

@@ -272,6 +272,4 @@ def by_group(
     members: dict[tuple[str, str], list[str]] = {}
     for key, verdict in zip(keys, verdicts, strict=True):
         members.setdefault(key, []).append(verdict)
-    return tuple(
-        GroupYield(lot, wafer, yield_of_verdicts(members[lot, wafer])) for lot, wafer in sorted(members)
-    )
+    return tuple(GroupYield(lot, wafer, yield_of_verdicts(members[lot, wafer])) for lot, wafer in sorted(members))

@@ -73,9 +73,7 @@ def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes) -> N
 
 
 @given(st.floats(-90, 90), st.floats(0.01, 179.9), st.floats(0.001, 0.999), st.integers(-3, 3))
-def test_an_arc_holds_what_lies_on_it_whatever_the_turn(
-    low: float, width: float, part: float, turns: int
-) -> None:
+def test_an_arc_holds_what_lies_on_it_whatever_the_turn(low: float, width: float, part: float, turns: int) -> None:
     limit = Limit("theta_deg", low, low + width)
     inside = low + part * width + 180.0 * turns
     outside = low + width + part * (180.0 - width) + 180.0 * turns
@@ -105,12 +103,8 @@ def test_axes_near_90_deg_are_neighbours() -> None:
 
 def test_margin_is_1_in_the_middle_and_0_at_the_limits() -> None:
     two_sided = Limit("f1_hz", 520.0, 540.0)
-    np.testing.assert_allclose(
-        two_sided.margin(np.array([530.0, 520.0, 540.0, 550.0])), [1.0, 0.0, 0.0, -1.0]
-    )
+    np.testing.assert_allclose(two_sided.margin(np.array([530.0, 520.0, 540.0, 550.0])), [1.0, 0.0, 0.0, -1.0])
     one_sided = Limit("quality1", 1200.0, math.inf)
     np.testing.assert_allclose(one_sided.margin(np.array([1200.0, 1800.0, 600.0])), [0.0, 0.5, -0.5])
     across = Limit("theta_deg", 80.0, 100.0)
-    np.testing.assert_allclose(
-        across.margin(np.array([90.0, -90.0, 80.0, -80.0, 70.0])), [1.0, 1.0, 0.0, 0.0, -1.0]
-    )
+    np.testing.assert_allclose(across.margin(np.array([90.0, -90.0, 80.0, -80.0, 70.0])), [1.0, 1.0, 0.0, 0.0, -1.0])

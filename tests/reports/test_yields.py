@@ -142,9 +142,7 @@ def test_groups_are_counted_by_wafer_and_by_lot() -> None:
         ["B", "A", "A", "A"],
         ["W1", "W1", "W1", "W2"],
     )
-    assert [
-        (g.lot, g.wafer, g.result.devices, g.result.passed) for g in by_group(verdicts, lots, wafers)
-    ] == [
+    assert [(g.lot, g.wafer, g.result.devices, g.result.passed) for g in by_group(verdicts, lots, wafers)] == [
         ("A", "W1", 2, 0),
         ("A", "W2", 1, 1),
         ("B", "W1", 1, 1),

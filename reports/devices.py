@@ -1,0 +1,48 @@
+"""The ``devices`` table as arrays: nulls and absent columns become nan and "".
+
+Shapes: B devices.  Units are those of the results columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from pipeline.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Devices:
+    """Columns of a ``devices`` table, those that are there: a measured batch has no truth, maybe no wafer."""
+
+    table: pa.Table
+
+    def __len__(self) -> int:
+        return int(self.table.num_rows)
+
+    def number(self, name: str) -> FloatArray:
+        """(B,) values of a numeric column; nan where null or absent."""
+        if name not in self.table.column_names:
+            return np.full(len(self), np.nan)
+        return np.array(self.table[name].cast(pa.float64()).to_pylist(), dtype=np.float64)
+
+    def text(self, name: str) -> tuple[str, ...]:
+        """B values of a text column; "" where null or absent."""
+        if name not in self.table.column_names:
+            return ("",) * len(self)
+        return tuple("" if value is None else str(value) for value in self.table[name].to_pylist())
+
+    def is_ok(self) -> BoolArray:
+        """(B,) whether the identification is ok."""
+        return np.array([status == "ok" for status in self.text("status")], dtype=np.bool_)
+
+    def has(self, verdict: str) -> BoolArray:
+        """(B,) whether the verdict is this one."""
+        return np.array([one == verdict for one in self.text("verdict")], dtype=np.bool_)
+
+    def wafers(self) -> tuple[str, ...]:
+        """B names of wafers, unique over lots; "" where unknown."""
+        pairs = zip(self.text("lot"), self.text("wafer"), strict=True)
+        return tuple(f"{lot} {wafer}".strip() if wafer else "" for lot, wafer in pairs)

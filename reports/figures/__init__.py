@@ -1,0 +1,1 @@
+"""Figures of the pages: one function each, arrays in, inline SVG text out."""
