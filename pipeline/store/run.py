@@ -22,16 +22,15 @@ from typing import Any, Literal
 
 import msgspec
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
 from . import files
+from .block import block_file, check_block, require_unique
 from .digest import table_digest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest, encode, read_manifest
 from .parquet import encode_table
 from .read import CONFIG, PREFIX, find_run, read_config, read_table
-from .schema import devices_schema, duplicates, posterior_schema, require_schema
 
 LOG = "log.jsonl"
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -40,11 +39,6 @@ PAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*\.(html|json|svg|png|csv|toml|txt)
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
-
-
-def block_file(kind: Kind, block: int) -> str:
-    """File name of a block's table."""
-    return f"{kind}-{block:05d}.parquet"
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,7 @@ class RunStore:
         tables: dict[Kind, pa.Table] = (
             {"devices": devices} if posterior is None else {"devices": devices, "posterior": posterior}
         )
-        _check_block(block, tables)
+        check_block(block, tables)
         with self._writing():
             manifest = self.manifest
             if block in manifest.blocks():
@@ -167,7 +161,7 @@ class RunStore:
                     next_step="resume it: gyroscreen run --resume",
                 )
             devices = read_table(self.folder, manifest, "devices")
-            _require_unique(devices, f"run {self.run_id}")
+            require_unique(devices, f"run {self.run_id}")
             self._put_manifest(
                 replace(
                     manifest,
@@ -267,27 +261,6 @@ def open_run(results: Path, run_id: str | None = None) -> RunStore:
     store = RunStore(find_run(results, run_id))
     _ = store.config_toml
     return store
-
-
-def _check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
-    where = f"block {block}"
-    require_schema(tables["devices"], devices_schema(), f"{where} of devices")
-    _require_unique(tables["devices"], where)
-    if "posterior" in tables:
-        require_schema(tables["posterior"], posterior_schema(), f"{where} of posterior")
-        known = tables["devices"].column("device_id")
-        foreign = pc.invert(pc.is_in(tables["posterior"].column("device_id"), value_set=known.combine_chunks()))
-        if pc.any(foreign).as_py():
-            names = tables["posterior"].column("device_id").filter(foreign).unique().to_pylist()
-            raise IntegrityError(
-                f"{where} of posterior has draws of devices that are not in the block", value=names[:5]
-            )
-
-
-def _require_unique(devices: pa.Table, where: str) -> None:
-    twice = duplicates(devices)
-    if twice:
-        raise IntegrityError(f"{where} has a device more than once", value=twice[:5], allowed="one row a device")
 
 
 @contextmanager

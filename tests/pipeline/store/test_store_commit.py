@@ -274,3 +274,17 @@ def test_the_log_is_json_lines_whatever_is_logged(tmp_path: Path) -> None:
     first, second = map(json.loads, (store.folder / "log.jsonl").read_text().splitlines())
     assert {**first, "time": ""} == {"time": "", "event": "block", "rate": None, "where": "a", "text": "two\nlines"}
     assert second["time"] >= first["time"]
+
+
+def test_a_crash_while_a_run_is_created_leaves_a_whole_run_or_none(tmp_path: Path) -> None:
+    for moment in range(1, 14):
+        results = tmp_path / str(moment)
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            crash_at(monkeypatch, moment)
+            monkeypatch.setattr("pipeline.store.run.shutil.rmtree", lambda *_, **__: None)  # the dead do not tidy
+            with pytest.raises(Crash):
+                create_run(results, "r", CONFIG, PROVENANCE)
+        if not list_runs(results):
+            create_run(results, "r", CONFIG, PROVENANCE)
+        assert open_run(results, "r").config_toml == CONFIG
+        assert verify(results).ok

@@ -1,0 +1,42 @@
+"""A block: the tables of some devices, committed together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from ..errors import IntegrityError
+from .manifest import Kind
+from .schema import devices_schema, duplicates, posterior_schema, require_schema
+
+
+def block_file(kind: Kind, block: int) -> str:
+    """File name of a block's table."""
+    return f"{kind}-{block:05d}.parquet"
+
+
+def check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
+    """Raise IntegrityError unless the tables are in the registered schema, each device has one row, and all
+    draws belong to these devices.
+    """
+    where = f"block {block}"
+    require_schema(tables["devices"], devices_schema(), f"{where} of devices")
+    require_unique(tables["devices"], where)
+    if "posterior" in tables:
+        require_schema(tables["posterior"], posterior_schema(), f"{where} of posterior")
+        known = tables["devices"].column("device_id")
+        foreign = pc.invert(pc.is_in(tables["posterior"].column("device_id"), value_set=known.combine_chunks()))
+        if pc.any(foreign).as_py():
+            names = tables["posterior"].column("device_id").filter(foreign).unique().to_pylist()
+            raise IntegrityError(
+                f"{where} of posterior has draws of devices that are not in the block", value=names[:5]
+            )
+
+
+def require_unique(devices: pa.Table, where: str) -> None:
+    """Raise IntegrityError where a device has more than one row."""
+    twice = duplicates(devices)
+    if twice:
+        raise IntegrityError(f"{where} has a device more than once", value=twice[:5], allowed="one row a device")
