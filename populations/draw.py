@@ -95,7 +95,7 @@ def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
             loss, _ = inverse_quality(device, alone, 1.0)
             causes[f"split_hz.{name}"] = device.rocking_hz * along
             causes[f"frequency_hz.{name}"] = device.rocking_hz * (np.sqrt(k.mean) - 1.0)
-            causes[f"ln_quality.{name}"] = -np.log(loss * device.quality_rocking)
+            causes[f"ln_quality.{name}"] = np.log(1.0 / (loss * device.quality_rocking))
 
     lots = tuple(f"L{lot + 1:02d}" for lot in made.lot.tolist())
     return Draw(

@@ -60,7 +60,10 @@ def die_centres(wafer: Wafer) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def visiting_order(wafer: Wafer) -> IntArray:
-    """Permutation (D,) of the dies: to each point of the R2 sequence, mapped to the disc, its nearest free die."""
+    """Eight permutations (8, D) of the dies, the images of one under the turns and mirrors of the square grid.
+
+    In the first, each point of the R2 sequence, mapped to the disc, takes its nearest free die.
+    """
     centres = die_centres(wafer)
     radius = float(np.hypot(centres[:, 0], centres[:, 1]).max()) + wafer.pitch_mm / 2.0
     free = list(range(len(centres)))
@@ -72,9 +75,16 @@ def visiting_order(wafer: Wafer) -> IntArray:
         nearest = min(free, key=lambda die: (round(math.hypot(centres[die, 0] - x, centres[die, 1] - y), 9), die))
         free.remove(nearest)
         order.append(nearest)
-    permutation = np.array(order, dtype=np.int64)
-    permutation.setflags(write=False)
-    return permutation
+    steps = [(round(x), round(y)) for x, y in (centres / wafer.pitch_mm).tolist()]
+    number = {step: die for die, step in enumerate(steps)}
+    images = [
+        [number[sx * steps[die][swap], sy * steps[die][1 - swap]] for die in order]
+        for swap in (0, 1)
+        for sx, sy in ((1, 1), (-1, -1), (1, -1), (-1, 1))
+    ]
+    permutations = np.array(images, dtype=np.int64)
+    permutations.setflags(write=False)
+    return permutations
 
 
 def places(wafer: Wafer, index: IntArray) -> Places:
@@ -84,9 +94,8 @@ def places(wafer: Wafer, index: IntArray) -> Places:
     wafers = lots * wafer.wafers_per_lot
     batch, within = np.divmod(index, wafers * dies)
     rank, slot = np.divmod(within, wafers)
-    # Each wafer starts elsewhere in the order, so that a handful of devices does not share one place on all
-    # wafers.
-    die = order[(rank + slot * (dies // wafers)) % dies]
+    # Another image on each wafer, so that a handful of devices does not share one place on all wafers.
+    die = order[slot % len(order), rank]
     return Places(
         lot=batch * lots + slot % lots,
         wafer=batch * wafers + slot,

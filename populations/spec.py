@@ -28,7 +28,7 @@ ANGULAR_GAIN = "angular_gain"
 
 
 class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A checked population; ``load_spec`` makes one.  Plain data: it pickles, compares and hashes to nothing else."""
+    """A checked population; ``load_spec`` makes one.  Plain data: it pickles and compares by value."""
 
     name: str
     irregularity_folders: tuple[str, ...] = ()
@@ -118,6 +118,7 @@ def _checked(data: dict[str, Any], base: Path) -> PopulationSpec:
     for table, kind in (("device", Device), ("wafer", Wafer), ("operating", Operating)):
         _check_struct(table, data.get(table), kind)
     _check_finite("", data)
+    _check_numbers(data.get("irregularity", {}))
     try:
         spec = msgspec.convert(data, PopulationSpec)
     except msgspec.ValidationError as error:
@@ -191,6 +192,19 @@ def _check_device(device: Device) -> None:
                 allowed=f"below {1.0 / other:.6g}, what anchor and thermoelastic loss alone give",
                 next_step="lower it, or raise quality_anchor or quality_thermoelastic",
             )
+
+
+def _check_numbers(tables: Any) -> None:
+    # msgspec does not name the key of a dict in its messages.
+    for name, values in tables.items() if isinstance(tables, dict) else ():
+        for key, value in values.items() if isinstance(values, dict) else ():
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ConfigError(
+                    f"population key irregularity.{name}.{key} is no number",
+                    value=value,
+                    allowed="a number in the unit at the end of its name",
+                    next_step="correct it",
+                )
 
 
 def _check_finite(where: str, data: Any) -> None:
