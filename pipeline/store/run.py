@@ -23,7 +23,7 @@ from typing import Any, Literal
 import msgspec
 import pyarrow as pa
 
-from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
+from ..errors import ConfigError, IncompleteError, UsageError
 from . import files
 from .block import block_file, check_block, require_unique
 from .digest import table_digest
