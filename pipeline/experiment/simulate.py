@@ -4,22 +4,26 @@
 
     zoh          g0 = (z - 1)/p,                g1 = 0
     foh          g1 = (z - 1 - p T)/(p^2 T),    g0 = (z - 1)/p - g1
-    bandlimited  foh on drive samples interpolated eightfold
+    bandlimited  foh on drive samples interpolated sixteenfold (3e-5 of the signal at a twentieth of the sample rate)
 
 Shapes: N samples, B devices, P poles, S senses, D drives.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
-from scipy.signal import resample_poly
+from scipy.signal import firwin, resample_poly
 
 from ..arrays import ComplexArray, FloatArray
 from .antialias import Bank
 from .instrument import Hold
 
-_OVERSAMPLING = 8
+_OVERSAMPLING = 16
+#: Half-length of the interpolating filter, in drive samples: its ripple stays below 1e-6.
+_REACH = 64
 
 
 def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -31,6 +35,12 @@ def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexA
         return z, whole, np.zeros_like(z)
     g1 = (np.expm1(poles * step_s) - poles * step_s) / (poles**2 * step_s)
     return z, whole - g1, g1
+
+
+@lru_cache(maxsize=1)
+def _interpolator() -> FloatArray:
+    taps = 2 * _REACH * _OVERSAMPLING + 1
+    return np.asarray(firwin(taps, 1.0 / _OVERSAMPLING, window=("kaiser", 14.0)))
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
@@ -87,7 +97,7 @@ def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) 
     step_s = 1.0 / sample_rate_hz
     drive = np.ascontiguousarray(drive_v)
     if hold == "bandlimited":
-        drive = np.ascontiguousarray(resample_poly(drive, _OVERSAMPLING, 1, axis=0))
+        drive = np.ascontiguousarray(resample_poly(drive, _OVERSAMPLING, 1, axis=0, window=_interpolator()))
         step_s /= _OVERSAMPLING
     z, g0, g1 = hold_gains(bank.poles, step_s, hold)
     batch, poles, senses, drives = bank.residues.shape

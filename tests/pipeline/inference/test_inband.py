@@ -1,0 +1,48 @@
+"""The in-band model is the Fourier transform of the exact simulation, and its Taylor series are its derivatives."""
+
+import numpy as np
+import pytest
+
+from pipeline.device.gyro import gyro_modes
+from pipeline.errors import ConfigError
+from pipeline.experiment.antialias import behind_filter
+from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.instrument import AntiAlias, Instrument
+from pipeline.experiment.simulate import respond
+from pipeline.inference.inband import features, make_band
+
+DEVICE = np.array([[534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007]])
+DRIVE = drive_samples(Chirp(), 10_000.0)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("antialias", [AntiAlias(), None])
+def test_band_model_is_the_transform_of_the_simulated_record(hold, antialias):
+    instrument = Instrument(hold=hold, antialias=antialias)
+    modes = gyro_modes(DEVICE)
+    record = respond(behind_filter(modes, antialias), DRIVE, 10_000.0, hold)[0]
+    band = make_band(DRIVE, instrument, 400.0, 700.0)
+    model = np.zeros((2, band.bins.size), complex)
+    for k in range(3):
+        pole, residue = complex(modes.poles[0, k]), modes.residues[0, k]
+        model += residue @ features(band, pole, 0)[0] + np.conj(residue) @ features(band, np.conj(pole), 0)[0]
+    spectrum = band.transform(record)
+    assert np.max(np.abs(spectrum - model)) < 1e-11 * np.max(np.abs(spectrum))
+
+
+def test_taylor_series_in_the_pole_converges_at_its_order():
+    band = make_band(DRIVE, Instrument(antialias=AntiAlias()), 400.0, 700.0)
+    pole, shift = complex(gyro_modes(DEVICE).poles[0, 0]), 0.02 + 0.02j
+    series = features(band, pole, 3)
+    exact = features(band, pole + shift, 0)[0]
+    errors = [
+        np.max(np.abs(sum(series[m] * shift**m for m in range(order + 1)) - exact)) / np.max(np.abs(exact))
+        for order in range(4)
+    ]
+    assert all(after < before / 30.0 for before, after in zip(errors, errors[1:]))
+    assert errors[3] < 1e-7
+
+
+def test_a_hold_without_closed_form_is_refused():
+    with pytest.raises(ConfigError, match="hold"):
+        make_band(DRIVE, Instrument(hold="bandlimited"), 400.0, 700.0)
