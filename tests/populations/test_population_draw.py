@@ -6,6 +6,7 @@ of 48,480 dies; they describe the dies as fabricated, before packaging.
 
 from __future__ import annotations
 
+import importlib
 from functools import lru_cache
 from pathlib import Path
 
@@ -279,3 +280,12 @@ def test_sweeping_an_assumption_moves_what_it_names_and_no_random_number() -> No
 def test_impossible_requests_are_refused(arguments: tuple[int, int, int]) -> None:
     with pytest.raises(UsageError, match="too small"):
         draw(SPEC, *arguments)
+
+
+def test_effects_of_a_draw_are_parameters_of_the_effect_library_within_their_ranges() -> None:
+    for name, values in many().effects.items():
+        effect = importlib.import_module(f"pipeline.device.effects.{name}").EFFECT
+        declared = {parameter.name: parameter for parameter in effect.parameters}
+        assert set(values) == set(declared)
+        for parameter, drawn in values.items():
+            assert np.all((declared[parameter].low <= drawn) & (drawn <= declared[parameter].high))
