@@ -9,8 +9,9 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
@@ -54,20 +55,36 @@ class VerifyReport:
     draws: int
 
     @property
+    def errors(self) -> tuple[Finding, ...]:
+        """The fatal findings."""
+        return tuple(finding for finding in self.findings if finding.fatal)
+
+    @property
     def ok(self) -> bool:
         """No fatal finding."""
-        return not any(finding.fatal for finding in self.findings)
+        return not self.errors
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report for JSON."""
+        return {"ok": self.ok, **asdict(self)}
 
     def require(self) -> None:
         """Raise IntegrityError, naming the first fatal findings, unless ``ok``."""
-        fatal = [finding for finding in self.findings if finding.fatal]
-        if fatal:
+        if self.errors:
             raise IntegrityError(
-                f"{len(fatal)} of the stored results' checks failed",
-                value="; ".join(str(finding) for finding in fatal[:3]),
+                f"{len(self.errors)} of the stored results' checks failed",
+                value="; ".join(str(finding) for finding in self.errors[:3]),
                 allowed="results as they were committed",
                 next_step="restore the named files from a copy, or move the run away and run it again",
             )
+
+    def __str__(self) -> str:
+        looked_at = (
+            f"{self.runs} runs, {self.files} files, {self.bytes / 1e6:.1f} MB, "
+            f"{self.devices} devices, {self.draws} draws"
+        )
+        verdict = "sound" if self.ok else f"{len(self.errors)} damaged"
+        return "\n".join([*(str(finding) for finding in self.findings), f"{looked_at}: {verdict}"])
 
 
 def verify(results: Path) -> VerifyReport:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -87,6 +88,10 @@ def test_missing_and_exchanged_files_are_named(tmp_path: Path) -> None:
     (store.folder / "posterior-00002.parquet").unlink()
     damaged = {Path(finding.file).name for finding in verify(tmp_path).findings if finding.fatal}
     assert damaged == {"devices-00001.parquet", "posterior-00002.parquet"}
+    report = verify(tmp_path)
+    assert all(name in str(report) for name in (*damaged, "2 damaged"))
+    told = json.loads(json.dumps(report.to_dict()))
+    assert (told["ok"], len(told["findings"]), told["findings"][0]["fatal"]) == (False, 2, True)
 
 
 def test_strays_are_named_and_break_nothing(tmp_path: Path) -> None:
