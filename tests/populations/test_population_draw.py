@@ -1,7 +1,8 @@
 """The draw: streams, nulls, plug-ins, and the marginals of the default population.
 
 Published: the percentiles at the end of section 8 of the project's collected facts, from an earlier Monte Carlo
-of 48,480 dies; they describe the dies as fabricated, before packaging.
+of 48,480 dies.  They do not say at which stage; they are compared with the dies as fabricated, because the spreads
+listed there with the package's own added are wider than the percentiles given (lower Q, 5 %: 1050 against 1354).
 """
 
 from __future__ import annotations
