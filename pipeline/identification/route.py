@@ -6,7 +6,9 @@ Which mode is which: the up-down mode moves all pick-offs alike whatever drives 
 
     c = sum_{ab} M[a, b] / (2 |M|_F)
 
-c = 1 for a pure translation and c = (cos 2theta - 1)/2 <= 0 for a mode that rocks about theta.
+c = 1 for a pure translation and c = (cos 2theta - 1)/2 <= 0 for a mode that rocks about theta.  With all senses (or
+all drives) reversed c = -1 for the translation and a rocking mode may pass for it; then the mode that stands alone in
+frequency gives the reversal away.
 Shapes: N samples, S = 2 senses, D = 2 drives, modes in the order lower rocking, upper rocking, up-down.
 """
 
@@ -29,6 +31,8 @@ from .phase import correct_phase, without_filter
 
 #: Share of the in-phase pattern above which a mode counts as up-down; half-way between the two kinds.
 _UPDOWN_SHARE = 0.5
+#: A mode stands alone when it is this many times farther from the other two than they are from each other.
+_ALONE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,14 @@ class RouteResult:
         return float(self.f_hz[1] - self.f_hz[0])
 
 
+def _standing_alone(frequency_hz: FloatArray) -> int | None:
+    """Which of three modes is far from the other two, if any."""
+    gaps = np.diff(frequency_hz)
+    if gaps[1] > _ALONE * gaps[0]:
+        return 2
+    return 0 if gaps[0] > _ALONE * gaps[1] else None
+
+
 def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
     """Indices of (lower rocking, upper rocking, up-down) among three modes with matrices M (3, 2, 2).
 
@@ -87,6 +99,14 @@ def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
     """
     share = M.sum(axis=(1, 2)) / (2.0 * np.linalg.norm(M, axis=(1, 2)))
     updown = int(np.argmax(share))
+    alone = _standing_alone(modes.frequency_hz)
+    if alone not in (None, updown) and share[alone] < -_UPDOWN_SHARE:
+        raise IdentificationError(
+            "all senses or all drives are reversed",
+            value=f"in-phase share {share[alone]:+.2f} of the mode at {modes.frequency_hz[alone]:.2f} Hz",
+            allowed="+1 for the up-down mode",
+            next_step="change the sign of both sense columns, or of both drive columns",
+        )
     rocking = [k for k in np.argsort(modes.frequency_hz) if k != updown]
     if not share[updown] > _UPDOWN_SHARE or not np.all(share[rocking] < _UPDOWN_SHARE):
         shown = ", ".join(f"{f:.2f} Hz: {c:+.2f}" for f, c in zip(modes.frequency_hz, share))
