@@ -60,6 +60,8 @@ class FitResult:
     blocks, held : fitted and held-out blocks; of held-out blocks only their own free amplitudes were refitted.
     jacobian : for each fitted block (n m, P).
     columns : term -> its columns in the jacobian.
+    shifts : term -> for each of its columns how far the parameter is from its null, in the column's units (zero for a
+        parameter that does not exist at the null).
     strata : for each fitted block (n m,) the noise stratum of a row, from 0: rows (a few hundred or more) whose noise has
         one level, which is then checked on the residuals.  ``None``: unit variance is trusted everywhere.
     noise_known : false where the residuals are white up to an unknown common factor.
@@ -76,6 +78,7 @@ class FitResult:
     derived: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     held: tuple[Block, ...] = ()
     columns: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    shifts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     strata: tuple[IntArray, ...] | None = None
     noise_known: bool = True
     nuisances: int = 0

@@ -1,0 +1,74 @@
+"""One look at one fit: the scores of what is absent, the structure that is left, and what could not have been seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .goodness import Goodness, goodness
+from .problem import FitResult, Problem, Region, Signatures
+from .projection import Projected, baseline, project
+from .scores import Score
+from .significance import DRAWS, Null, score_all
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The rules of the loop.
+
+    Parameters
+    ----------
+    alpha : family-wise probability of naming a term where there is none.
+    alpha_left : probability of calling a residual structured where it is noise.
+    rungs : how many terms may be added.
+    contenders : how many significant candidates are refitted before one is chosen.
+    near : a contender promises at least this share of the largest fall of chi2.
+    class_refits : how many rivals of a term are refitted in its place.
+    draws, seed : of the simulated nulls.
+    """
+
+    alpha: float = 0.003
+    alpha_left: float = 0.003
+    rungs: int = 8
+    contenders: int = 3
+    near: float = 0.5
+    class_refits: int = 4
+    draws: int = DRAWS
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What one fit shows.
+
+    ``scores`` most significant first; ``null`` they were judged by; ``projected`` the scores' covariance; ``goodness`` of what
+    is left; ``regions`` its energy; ``invisible`` the candidates that these data could not have shown.
+    """
+
+    fit: FitResult
+    signatures: Signatures
+    projected: Projected
+    scores: tuple[Score, ...]
+    null: Null
+    goodness: Goodness
+    regions: tuple[Region, ...]
+
+    @property
+    def invisible(self) -> tuple[str, ...]:
+        """Terms that these data could not have shown, however strong within their range."""
+        return tuple(sorted(score.name for score in self.scores if not score.detectable))
+
+    def significant(self, alpha: float) -> tuple[Score, ...]:
+        """Candidates that are significant, family-wise."""
+        return tuple(score for score in self.scores if score.p_value < alpha)
+
+
+def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
+    """Examine a fit that is ok."""
+    base = baseline(fit)
+    signatures = problem.signatures(fit)
+    projected = project(base, signatures.blocks)
+    scores, null = score_all(projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed)
+    regions: Sequence[Region] = problem.regions(fit)
+    left = goodness(fit, base, problem.probes(fit), regions)
+    return Look(fit, signatures, projected, scores, null, left, tuple(regions))

@@ -1,0 +1,154 @@
+"""What is left: tests of structure in the residual, for misfits that no candidate names.
+
+chi2 alone is blind: over n rows its sd is sqrt(2 n), 850 for 360,000.  Structure is looked for
+
+    probe       along generic shapes that the problem supplies                        chi2_k
+    agreement   as parameters on which the blocks, or the blocks of a label, differ    Cochran's Q
+    region      as residual energy in one region beyond the common level              chi2_d
+    repeat      as correlation between residuals of repeats, over dyadic windows       z = sum(a b) / sqrt(sum b^2)
+
+and judged together, each family and the families among each other by Bonferroni's bound.  A common excess of the noise level
+is no structure: it is divided out (``Projected``, ``gamma``; the median level of the regions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from .agreement import agreement, partitions
+from .problem import FitResult, Region, Signatures
+from .projection import Baseline, project
+from .scores import cells_of, falls
+from .tails import log_any, log_tail, normal_log_tail
+
+_WINDOW = 128
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The strongest finding of one test: its log p within the test, and where it was found."""
+
+    test: str
+    log_p: float
+    where: str
+
+
+@dataclass(frozen=True)
+class Goodness:
+    """All tests together: p is Bonferroni's over them; ``level`` is rms of the residual per degree of freedom."""
+
+    p_value: float
+    structures: tuple[Structure, ...]
+    level: float
+
+    @property
+    def worst(self) -> Structure | None:
+        """The most significant structure."""
+        return min(self.structures, key=lambda structure: structure.log_p, default=None)
+
+
+def goodness(fit: FitResult, base: Baseline, probes: Signatures, regions: Sequence[Region]) -> Goodness:
+    """Look for structure in the residual of a fit with known noise level.
+
+    Parameters
+    ----------
+    fit, base : the fit and its orthonormal baseline (all columns in).
+    probes, regions : what the problem supplies; may be empty.
+    """
+    chi2 = sum(float(np.vdot(r, r)) for r in base.residual)
+    level = float(np.sqrt(chi2 / max(base.dof, 1)))
+    if not fit.noise_known:
+        return Goodness(1.0, (), level)
+    found = [
+        _probes(base, probes),
+        _agreements(fit, base),
+        _regions(regions),
+        _repeats(fit, base),
+    ]
+    structures = tuple(structure for structure in found if structure is not None)
+    if not structures:
+        return Goodness(1.0, (), level)
+    smallest = min(structure.log_p for structure in structures)
+    return Goodness(float(np.exp(log_any(smallest, len(structures)))), structures, level)
+
+
+def _strongest(test: str, log_p: Sequence[float], where: Sequence[str]) -> Structure | None:
+    if not log_p:
+        return None
+    worst = int(np.argmin(log_p))
+    return Structure(test, float(log_any(log_p[worst], len(log_p))), where[worst])
+
+
+def _probes(base: Baseline, probes: Signatures) -> Structure | None:
+    if not probes.candidates:
+        return None
+    projected = project(base, probes.blocks)
+    log_p, where = [], []
+    for candidate in probes.candidates:
+        for cell in cells_of(projected, candidate):
+            if cell.rank == 0:
+                continue
+            fall = float(falls(cell, projected.score[:, None])[0][0])
+            log_p.append(float(log_tail(fall / cell.inflation, cell.rank)))
+            where.append(candidate.name)
+    return _strongest("probe", log_p, where)
+
+
+def _agreements(fit: FitResult, base: Baseline) -> Structure | None:
+    log_p, where = [], []
+    for name, parts in partitions(fit).items():
+        overall = agreement(base, name, parts)
+        log_p.append(overall.log_p)
+        where.append(f"all parameters by {name}")
+        for term, columns in fit.columns.items():
+            log_p.append(agreement(base, name, parts, columns).log_p)
+            where.append(f"{term} by {name}")
+    return _strongest("agreement", log_p, where)
+
+
+def _regions(regions: Sequence[Region]) -> Structure | None:
+    log_p, where = [], []
+    for family in sorted({region.family for region in regions}):
+        own = [region for region in regions if region.family == family and region.dof > 0.0]
+        level = max(1.0, float(np.median([region.chi2 / region.dof for region in own]))) if own else 1.0
+        for region in own:
+            log_p.append(float(_log_energy(region.chi2 / level, region.dof)))
+            where.append(f"{family} {dict(region.labels)}")
+    return _strongest("region", log_p, where)
+
+
+def _log_energy(chi2: float, dof: float) -> FloatArray:
+    return log_tail(chi2, max(round(dof), 1))
+
+
+def _repeats(fit: FitResult, base: Baseline) -> Structure | None:
+    log_p: list[float] = []
+    where: list[str] = []
+    marks = [block.repeat for block in fit.blocks]
+    for i, mark in enumerate(marks):
+        if mark is None or mark not in marks[i + 1 :]:
+            continue
+        j = marks.index(mark, i + 1)
+        z, place = _correlated(base.residual[i], base.residual[j], base.gamma[i])
+        log_p.extend((normal_log_tail(np.maximum(z, 0.0))).tolist())
+        where.extend(f"{fit.blocks[i].name} and {fit.blocks[j].name}, rows {a} to {b}" for a, b in place)
+    return _strongest("repeat", log_p, where)
+
+
+def _correlated(a: FloatArray, b: FloatArray, gamma: FloatArray) -> tuple[FloatArray, list[tuple[int, int]]]:
+    """z of every dyadic window of rows: given b, sum(a b) is normal with variance sum(gamma b^2)."""
+    product, energy = a * b, gamma * b * b
+    z: list[float] = []
+    place: list[tuple[int, int]] = []
+    size = a.size
+    while size >= _WINDOW:
+        edges = list(range(0, a.size, size))
+        top = np.add.reduceat(product, edges)
+        z.extend((top / np.sqrt(np.maximum(np.add.reduceat(energy, edges), 1e-300))).tolist())
+        place.extend((edge, min(edge + size, a.size)) for edge in edges)
+        size //= 2
+    return np.asarray(z), place

@@ -1,0 +1,249 @@
+"""A problem made of a function: least squares of measured blocks on a model with optional terms.
+
+    r_b = (y_b - f_b(p)) / sigma_b,    p^ = argmin sum_b |r_b|^2,    an absent term's parameters stay at their null
+
+f is any function of the named parameters that returns its blocks.  Poles and residues that somebody else identified, lot means
+of a population, or a polynomial go through the same loop as a record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..arrays import FloatArray, IntArray
+from .problem import Block, Candidate, FitResult, Region, Signatures, TermParameter
+
+_STARTS = 3
+_STEPS = 300
+
+Values = Mapping[str, float]
+Predict = Callable[[Values], Sequence[FloatArray]]
+
+
+@dataclass(frozen=True)
+class Term:
+    """An optional term.
+
+    ``parameters`` have a null; ``scanned`` maps parameters that do not exist at the null to the values to try.
+    """
+
+    name: str
+    parameters: tuple[TermParameter, ...]
+    scanned: Mapping[str, tuple[float, ...]] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """A problem for ``diagnose`` and ``refine``.
+
+    Parameters
+    ----------
+    predict : parameters -> one array (n_b, m_b) a block, the held-out blocks last.
+    measured : the blocks in the same order, residual replaced by what was measured in units of its sd.
+    baseline : parameter -> start value.
+    terms : the library.
+    held : how many of the last blocks are held out.
+    scale : parameter -> the size of a step that matters; 1 where left out.
+    noise_known : the units of ``measured`` are trusted.
+    derive : parameters -> derived quantities.
+    probe : generic shapes (for each fitted block (n m, K)), a probe for each.
+    strata : for each fitted block (n m,) the noise stratum of a row.
+    """
+
+    predict: Predict
+    measured: tuple[Block, ...]
+    baseline: Mapping[str, float]
+    terms: tuple[Term, ...]
+    held: int = 0
+    scale: Mapping[str, float] | None = None
+    noise_known: bool = True
+    derive: Callable[[Values], Values] | None = None
+    probe: Mapping[str, tuple[FloatArray, ...]] | None = None
+    strata: tuple[IntArray, ...] | None = None
+
+    @property
+    def fitted(self) -> int:
+        """How many blocks are fitted."""
+        return len(self.measured) - self.held
+
+    def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
+        """Least squares from the given fit, from the null, and from every scanned value."""
+        chosen = [term for term in self.terms if term.name in terms]
+        names = [*self.baseline, *(name for term in chosen for name in _all_names(term))]
+        lower, upper = self._bounds(chosen, names)
+
+        def rows(x: FloatArray) -> FloatArray:
+            return self._rows(dict(zip(names, x.tolist())))
+
+        def slopes(x: FloatArray) -> FloatArray:
+            return -np.concatenate(self._columns(dict(zip(names, x.tolist())), names))
+
+        best = None
+        for first in self._starts(chosen, start):
+            point = np.clip([first[name] for name in names], lower, upper)
+            try:
+                found = least_squares(
+                    rows,
+                    point,
+                    jac=slopes,
+                    bounds=(lower, upper),
+                    x_scale="jac",
+                    xtol=1e-10,
+                    ftol=1e-10,
+                    gtol=1e-10,
+                    max_nfev=_STEPS,
+                )
+            except (ValueError, np.linalg.LinAlgError):
+                continue
+            if np.isfinite(found.cost) and (best is None or found.cost < best.cost):
+                best = found
+        if best is None:
+            return FitResult(False, terms, {}, (), (), "least squares found no finite residual from any start")
+        values = {name: float(x) for name, x in zip(names, best.x)}
+        return self._result(terms, chosen, names, values, bool(best.status > 0))
+
+    def signatures(self, fit: FitResult) -> Signatures:
+        """Central differences at the null of every absent term, on the grid of what it scans."""
+        at = {name: value for name, (value, _) in fit.parameters.items()}
+        blocks: list[list[FloatArray]] = [[] for _ in range(self.fitted)]
+        candidates, column = [], 0
+        for term in self.terms:
+            if term.name in fit.terms:
+                continue
+            cells, grid = [], []
+            for scanned in _grid(term):
+                point = {**at, **{p.name: p.null for p in term.parameters}, **scanned}
+                wanted = [p.name for p in term.parameters]
+                for block, z in zip(blocks, self._columns(point, wanted)):
+                    block.append(z)
+                cells.append(slice(column, column + len(wanted)))
+                column += len(wanted)
+                grid.append(scanned)
+            candidates.append(Candidate(term.name, term.parameters, tuple(cells), tuple(grid)))
+        empty = [np.zeros((block.residual.size, 0)) for block in self.measured[: self.fitted]]
+        return Signatures(tuple(candidates), tuple(np.concatenate([e, *z], axis=1) for e, z in zip(empty, blocks)))
+
+    def probes(self, fit: FitResult) -> Signatures:
+        """The generic shapes that came with the problem."""
+        shapes = self.probe or {}
+        empty = [np.zeros((block.residual.size, 0)) for block in self.measured[: self.fitted]]
+        candidates, column = [], 0
+        for name, columns in shapes.items():
+            k = columns[0].shape[1]
+            parameters = tuple(TermParameter(f"{name}{i}") for i in range(k))
+            candidates.append(Candidate(name, parameters, (slice(column, column + k),)))
+            column += k
+        blocks = (np.concatenate([e, *(z[b] for z in shapes.values())], axis=1) for b, e in enumerate(empty))
+        return Signatures(tuple(candidates), tuple(blocks))
+
+    def regions(self, fit: FitResult) -> Sequence[Region]:
+        """One region a fitted block."""
+        return [Region("block", {"block": b.name}, b.chi2, float(b.residual.size)) for b in fit.blocks]
+
+    def _result(
+        self, terms: tuple[str, ...], chosen: Sequence[Term], names: list[str], values: dict[str, float], ok: bool
+    ) -> FitResult:
+        jacobian = self._columns(values, names)
+        gram = sum((jac.T @ jac for jac in jacobian), np.zeros((len(names), len(names))))
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(gram / size / size[:, None], hermitian=True)), 0.0)) / size
+        predicted = self.predict(self._at_null(values))
+        blocks = tuple(
+            Block(old.name, old.residual - new, old.labels, old.repeat) for old, new in zip(self.measured, predicted)
+        )
+        rows = sum(block.residual.size for block in blocks[: self.fitted])
+        chi2 = sum(block.chi2 for block in blocks[: self.fitted])
+        if not self.noise_known:
+            sd = sd * np.sqrt(chi2 / max(rows - len(names), 1))
+        columns = {term.name: tuple(names.index(name) for name in _all_names(term)) for term in chosen}
+        nulls = {p.name: p.null for term in chosen for p in term.parameters}
+        shifts = {
+            term.name: tuple(values[name] - nulls.get(name, values[name]) for name in _all_names(term))
+            for term in chosen
+        }
+        level = np.sqrt(sum(float(np.vdot(b.residual, b.residual)) for b in self.measured[: self.fitted]))
+        return FitResult(
+            ok,
+            terms,
+            {name: (values[name], float(s)) for name, s in zip(names, sd)},
+            blocks[: self.fitted],
+            tuple(jacobian),
+            "" if ok else "least squares ran out of steps",
+            {name: (value, float("nan")) for name, value in (self.derive(values) if self.derive else {}).items()},
+            blocks[self.fitted :],
+            columns,
+            shifts,
+            self.strata,
+            self.noise_known,
+            relative_error={"fit": float(np.sqrt(chi2) / max(level, 1e-300))},
+        )
+
+    def _at_null(self, values: Values) -> dict[str, float]:
+        """All parameters of the library: those of absent terms at their null (scanned ones at their first value)."""
+        full = {p.name: p.null for term in self.terms for p in term.parameters}
+        full.update({name: tried[0] for term in self.terms for name, tried in (term.scanned or {}).items()})
+        return {**full, **values}
+
+    def _rows(self, values: Values) -> FloatArray:
+        predicted = self.predict(self._at_null(values))
+        pairs = zip(self.measured[: self.fitted], predicted)
+        return np.concatenate([(block.residual - new).reshape(-1) for block, new in pairs])
+
+    def _columns(self, values: Values, names: Sequence[str]) -> list[FloatArray]:
+        """d f / d parameter for each fitted block (n m, len(names))."""
+        at = self._at_null(values)
+        columns: list[list[FloatArray]] = [[] for _ in range(self.fitted)]
+        for name in names:
+            step = 1e-5 * max(abs(at[name]), (self.scale or {}).get(name, 1.0))
+            above, below = self.predict({**at, name: at[name] + step}), self.predict({**at, name: at[name] - step})
+            for block, up, down in zip(columns, above, below):
+                block.append(((up - down) / (2.0 * step)).reshape(-1))
+        return [
+            np.stack(block, axis=1) if block else np.zeros((old.residual.size, 0))
+            for block, old in zip(columns, self.measured)
+        ]
+
+    def _bounds(self, chosen: Sequence[Term], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        sides = {p.name: (p.side, p.null) for term in chosen for p in term.parameters}
+        scans = {name: tried for term in chosen for name, tried in (term.scanned or {}).items()}
+        lower = [sides[n][1] if n in sides and sides[n][0] > 0 else min(scans.get(n, (-np.inf,))) for n in names]
+        upper = [sides[n][1] if n in sides and sides[n][0] < 0 else max(scans.get(n, (np.inf,))) for n in names]
+        return np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
+
+    def _starts(self, chosen: Sequence[Term], start: FitResult | None) -> list[dict[str, float]]:
+        known = {name: value for name, (value, _) in start.parameters.items()} if start is not None else {}
+        points = [{**self._at_null(self.baseline), **known}]
+        for term in chosen:
+            if term.scanned and not (start is not None and term.name in start.terms):
+                points = [tried for point in points for tried in self._promising(term, point)]
+        return points
+
+    def _promising(self, term: Term, point: dict[str, float]) -> list[dict[str, float]]:
+        """The grid values of a scanned term that promise most after one step from here, with that step's size."""
+        names = [p.name for p in term.parameters]
+        rows = self._rows(point)
+        shared = np.concatenate(self._columns(point, list(self.baseline)))
+        tried = []
+        for scanned in _grid(term):
+            columns = np.concatenate(self._columns({**point, **scanned}, names))
+            both = np.concatenate([shared, columns], axis=1)
+            step, *_ = np.linalg.lstsq(both / np.linalg.norm(both, axis=0), rows, rcond=1e-12)
+            left = rows - both / np.linalg.norm(both, axis=0) @ step
+            size = step[shared.shape[1] :] / np.linalg.norm(columns, axis=0)
+            tried.append((float(np.vdot(left, left)), {**point, **scanned, **dict(zip(names, size.tolist()))}))
+        return [first for _, first in sorted(tried, key=lambda pair: pair[0])[:_STARTS]]
+
+
+def _all_names(term: Term) -> list[str]:
+    return [*(p.name for p in term.parameters), *(term.scanned or {})]
+
+
+def _grid(term: Term) -> list[dict[str, float]]:
+    points: list[dict[str, float]] = [{}]
+    for name, tried in (term.scanned or {}).items():
+        points = [{**point, name: value} for point in points for value in tried]
+    return points

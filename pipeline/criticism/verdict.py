@@ -1,0 +1,78 @@
+"""The verdict: what is left decides, not what fell.
+
+fit_failed  a fit that was needed failed; never evidence
+unknown     a significant misfit is left that nothing explains
+adequate    nothing is missing
+effect      the added terms explain everything, and no other term could stand for one of them
+class       the same, but another term could
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .classes import Rival, rivals
+from .climb import Climb, tail_of_fall
+from .examine import Rules
+from .problem import Problem
+
+Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
+#: Below this sine the projection is not trusted to exclude a rival of a strong term.
+_CLOSE = 0.1
+
+
+@dataclass(frozen=True)
+class TermClass:
+    """A term and all that these data cannot tell from it; ``rivals`` nearest first, members or not."""
+
+    term: str
+    members: tuple[str, ...]
+    rivals: tuple[Rival, ...]
+
+
+def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, ...]:
+    """The class of every added term, by refits of those rivals that projection cannot exclude."""
+    here = climbed.last
+    added = {step.term for step in climbed.steps}
+    critical = here.null.critical(rules.alpha)
+    found = []
+    for term in here.fit.terms:
+        if term not in added:
+            continue
+        near = rivals(here.fit, term, here.signatures)
+        members = [term]
+        size = len(here.fit.columns[term])
+        asked = [
+            rival for rival in near if rival.sin_angle < _CLOSE or tail_of_fall(rival.left / 4.0, size, here) > critical
+        ]
+        for rival in asked[: rules.class_refits]:
+            swapped = tuple(rival.name if name == term else name for name in here.fit.terms)
+            fit = climbed.fits.get(frozenset(swapped)) or problem.fit(swapped, here.fit)
+            climbed.fits[frozenset(swapped)] = fit
+            if not fit.ok:
+                continue
+            left = max(fit.chi2 - here.fit.chi2 + rival.joint, 0.0)
+            if tail_of_fall(left, size, here) > critical:
+                members.append(rival.name)
+        found.append(TermClass(term, tuple(members), near))
+    return tuple(found)
+
+
+def verdict(climbed: Climb, found: tuple[TermClass, ...], rules: Rules) -> Verdict:
+    """The verdict on the last model of a climb."""
+    if climbed.failed or not climbed.looks:
+        return "fit_failed"
+    last = climbed.last
+    if last.significant(rules.alpha) or last.goodness.p_value < rules.alpha_left:
+        return "unknown"
+    if not found:
+        return "adequate"
+    return "class" if any(len(item.members) > 1 for item in found) else "effect"
+
+
+def misfit(error: float | None) -> float | None:
+    """sqrt(max(error^2 - 1, 0)), which still moves where error rounds to 1.000."""
+    return None if error is None else float(np.sqrt(max(error * error - 1.0, 0.0)))
