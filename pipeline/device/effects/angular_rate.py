@@ -1,0 +1,30 @@
+"""Coriolis coupling of the rocking modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..effect import Context, Effect
+from ..mechanics import Mechanics
+from ..parameters import Parameter
+
+
+def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    gyroscopic = m.gyroscopic.copy()
+    gyroscopic[:, :2, :2] += 2.0 * p[0] * np.array([[0.0, -1.0], [1.0, 0.0]])
+    return replace(m, gyroscopic=gyroscopic)
+
+
+EFFECT = Effect(
+    name="angular_rate",
+    law="psi'' += -2 Omega I_p/I_0p [[0, -1], [1, 0]] psi'",
+    source="the paper, eq. (2)",
+    signature="antisymmetric across the channels, H12 - H21, at the rocking resonances",
+    parameters=(Parameter("Omega", "rad/s", -100.0, 100.0, "Omega I_p/I_0p", scale=0.1),),
+    mechanics=mechanics,
+    plants=("gyro",),
+    condition="rate",
+)

@@ -1,0 +1,29 @@
+"""Damping that grows with speed."""
+
+from __future__ import annotations
+
+import math
+
+from ...arrays import FloatArray
+from ..effect import Effect, Laws
+from ..parameters import Parameter
+
+
+def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    square = 0.0
+    for i in range(laws.axes):
+        square += qd[i] * qd[i]
+    rate = p[0] * math.sqrt(square)
+    for i in range(laws.axes):
+        out[i] -= rate * qd[i]
+
+
+EFFECT = Effect(
+    name="nonlinear_damping",
+    law="psi'' -= d |psi'| psi',  d >= 0",
+    source="quadratic drag: Nayfeh & Mook, Nonlinear Oscillations (1979), section 3.3",
+    signature="resonance peaks are compressed as the level grows, without a shift of frequency",
+    parameters=(Parameter("d", "1/(V s)", 0.0, 1e6, "quadratic drag", scale=0.1),),
+    force=force,
+    plants=("gyro", "resonator"),
+)

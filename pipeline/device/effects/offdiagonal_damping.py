@@ -1,0 +1,33 @@
+"""Off-diagonal damping in the stiffness axes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..effect import Context, Effect
+from ..mechanics import Mechanics
+from ..parameters import Parameter
+
+
+def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    double = np.deg2rad(2.0 * np.asarray(context.plant["theta_deg"]))
+    turned = np.array([[-np.sin(double), np.cos(double)], [np.cos(double), np.sin(double)]])
+    damping = m.damping.copy()
+    damping[:, :2, :2] += p[0] * np.moveaxis(turned, (0, 1), (-2, -1))
+    return replace(m, damping=damping)
+
+
+EFFECT = Effect(
+    name="offdiagonal_damping",
+    law="C = Q^T [[c11, c12], [c12, c22]] Q with the axes Q of K; |c12| <= sqrt(c11 c22)",
+    source="the paper, eq. (2) and section 5.1",
+    signature="reciprocal, in quadrature across the channels at the rocking resonances",
+    parameters=(
+        Parameter("c12", "1/s", -100.0, 100.0, "off-diagonal damping in the stiffness axes", quantity="c12_per_s"),
+    ),
+    mechanics=mechanics,
+    plants=("gyro",),
+)

@@ -1,0 +1,39 @@
+"""One more mode of the structure or its package."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..effect import Context, Effect
+from ..mechanics import Mechanics
+from ..parameters import Parameter
+
+
+def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    n, senses, drives = m.stiffness.shape[1], m.velocity_sense.shape[1], m.drive.shape[2]
+    omega, a = 2.0 * np.pi * p[0], np.deg2rad(p[-1])
+    vector = np.ones(1) if senses == 1 else np.array([np.cos(a), np.sin(a)] + [0.0] * (senses - 2))
+    c, g, k = (np.pad(old, ((0, 0), (0, 1), (0, 1))) for old in (m.damping, m.gyroscopic, m.stiffness))
+    c[:, n, n], k[:, n, n] = 2.0 * p[1] * omega, omega**2
+    drive = np.append(m.drive, np.broadcast_to(p[2 : 2 + drives], (m.drive.shape[0], 1, drives)), axis=1)
+    velocity, position = (np.pad(old, ((0, 0), (0, 0), (0, 1))) for old in (m.velocity_sense, m.position_sense))
+    # A displacement pick-off sees omega w, so that b keeps its meaning.
+    displacement = bool(np.any(m.position_sense))
+    (position if displacement else velocity)[:, :, n] = vector * (omega if displacement else 1.0)
+    return Mechanics(c, g, k, drive, velocity, position)
+
+
+EFFECT = Effect(
+    name="parasitic_mode",
+    law="w'' + 2 zeta omega w' + omega^2 w = b.v,  S += (cos a, sin a) w';  300 Hz <= f",
+    source="one more structural mode has a residue of rank one",
+    signature="a resonance where the plant has none, with the same sense vector for all drives",
+    parameters=(
+        Parameter("f", "Hz", 300.0, 1e5, "frequency", 1e3, grid=tuple(300.0 * 1.02**k for k in range(141))),
+        Parameter("zeta", "1", 1e-5, 0.5, "damping ratio", 3e-3, 1e-4, grid=(1e-3, 1e-2)),
+        Parameter("b", "1/s", -1e3, 1e3, "drive vector", scale=0.01, per="drive"),
+        Parameter("a", "deg", -90.0, 90.0, "sense angle", 45.0, grid=(-67.5, -22.5, 22.5, 67.5), per="direction"),
+    ),
+    mechanics=mechanics,
+)

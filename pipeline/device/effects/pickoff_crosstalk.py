@@ -1,0 +1,28 @@
+"""The pick-off channels see each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..effect import Context, Effect
+from ..parameters import Parameter
+from ..readout import Readout
+
+
+def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
+    return r.through(np.array([[1.0, p[0]], [p[1], 1.0]]))
+
+
+EFFECT = Effect(
+    name="pickoff_crosstalk",
+    law="S <- (1 + [[0, a], [b, 0]]) S",
+    source="capacitive or inductive coupling of the two pick-off amplifiers, flat over the band",
+    signature="one channel repeated in the other, all modes and feedthrough alike",
+    parameters=(
+        Parameter("a", "1", -0.9, 0.9, "from channel 2 to channel 1", scale=0.01),
+        Parameter("b", "1", -0.9, 0.9, "from channel 1 to channel 2", scale=0.01),
+    ),
+    readout=readout,
+    plants=("gyro",),
+)

@@ -1,0 +1,22 @@
+"""The pick-off's sensitivity grows as its gap closes."""
+
+from __future__ import annotations
+
+from ...arrays import FloatArray
+from ..effect import Context, Effect
+from ..parameters import Parameter
+
+
+def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
+    return s / (1.0 - p[0] * x) ** 2
+
+
+EFFECT = Effect(
+    name="sense_nonlinearity",
+    law="S = x' / (1 - x/g)^2",
+    source="current of a biased parallel plate, V_b dC/dt with C = eps A / (g - x): Senturia (2001), section 6.4",
+    signature="harmonics 2f and 3f of the motion without any shift of frequency; mostly outside 400 to 700 Hz",
+    parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse gap of the sense electrodes", scale=10.0),),
+    sense=sense,
+    plants=("gyro",),
+)

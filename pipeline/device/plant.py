@@ -1,0 +1,215 @@
+"""Plants: what a model starts from, before effects.
+
+A plant gives named parameters, their mechanics, the motion that electrodes see, and smooth coordinates for fits:
+``theta_deg`` and the damping ratios of the gyro are singular at zero split, its cartesian parameters are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from ..arrays import FloatArray
+from .gyro import M_D, M_S, PHYSICAL, gyro_mechanics, to_cartesian, to_physical
+from .mechanics import Mechanics
+from .parameters import Parameter, Shape
+
+C12 = "c12_per_s"
+
+
+class Plant(Protocol):
+    """What the engine asks of a plant.  ``names`` below are plant parameters in order, c12_per_s last where it is free."""
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The names under which effects declare that they make sense for it."""
+        ...
+
+    @property
+    def shape(self) -> Shape:
+        """Numbers of senses and drives, axes of nonlinear laws."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """In a fixed order."""
+        ...
+
+    def mechanics(self, values: Mapping[str, float]) -> Mechanics:
+        """Mechanics (a batch of one) of parameter ``values`` by name."""
+        ...
+
+    def sense_motion(self) -> FloatArray:
+        """(S, n): motion of the sense electrodes [V s] from the coordinates."""
+        ...
+
+    def drive_motion(self) -> FloatArray:
+        """(D, n): motion of the drive electrodes [V s] from the coordinates."""
+        ...
+
+    def to_internal(self, physical: FloatArray) -> FloatArray:
+        """Smooth coordinates (P,) of ``names`` (P,)."""
+        ...
+
+    def to_external(self, internal: FloatArray) -> FloatArray:
+        """Values of ``names`` (P,) from smooth coordinates (P,)."""
+        ...
+
+    def steps(self, internal: FloatArray) -> FloatArray:
+        """Steps (P,) for central differences in the smooth coordinates."""
+        ...
+
+
+_GYRO_PARAMETERS = (
+    Parameter("f1_hz", "Hz", 1.0, 1e6, "undamped frequency of the lower rocking axis"),
+    Parameter("f2_hz", "Hz", 1.0, 1e6, "undamped frequency of the upper rocking axis"),
+    Parameter("f3_hz", "Hz", 1.0, 1e6, "undamped frequency of the up-down mode"),
+    Parameter("zeta1", "1", 0.0, 0.5, "damping ratio c11 / (2 omega1)"),
+    Parameter("zeta2", "1", 0.0, 0.5, "damping ratio c22 / (2 omega2)"),
+    Parameter("zeta3", "1", 0.0, 0.5, "damping ratio of the up-down mode"),
+    Parameter("theta_deg", "deg", -90.0, 90.0, "angle of the lower-frequency stiffness axis from the x axis"),
+    Parameter("rocking_gain", "1/s", 0.0, 1e6, "drive volts to rocking motion in pick-off volts"),
+    Parameter("updown_gain", "1/s", 0.0, 1e6, "drive volts to up-down motion in pick-off volts"),
+    Parameter("sense_imbalance", "1", -0.99, 0.99, "(K_S2 - K_S1)/(K_S2 + K_S1)"),
+    Parameter("drive_imbalance", "1", -0.99, 0.99, "(K_D2 - K_D1)/(K_D2 + K_D1)"),
+)
+_WITHOUT_C12 = tuple(i for i, name in enumerate(PHYSICAL) if name != C12)
+
+
+@dataclass(frozen=True)
+class GyroPlant:
+    """The paper's gyro: eleven parameters, two drives, two senses; damping axes on the stiffness axes without c12.
+
+    Smooth coordinates: omega0, eps_c, eps_s, c0, then d_c, d_s with c12, or delta = (c11 - c22)/2 without, omega3, c33,
+    ln G_r, ln G_z, s, d (``pipeline.device.gyro``).
+    """
+
+    kinds: frozenset[str] = frozenset({"gyro"})
+    shape: Shape = Shape(2, 2, ("x", "y"))
+    parameters: tuple[Parameter, ...] = _GYRO_PARAMETERS
+
+    def mechanics(self, values: Mapping[str, float]) -> Mechanics:
+        """Mechanics in (psi_x, psi_y, z) with c12 = 0: offdiagonal_damping adds it."""
+        return gyro_mechanics(np.array([[0.0 if name == C12 else values[name] for name in PHYSICAL]]))
+
+    def sense_motion(self) -> FloatArray:
+        """x = M_S psi + z."""
+        return np.concatenate([M_S, np.ones((2, 1))], axis=1)
+
+    def drive_motion(self) -> FloatArray:
+        """x = M_D^T psi + z."""
+        return np.concatenate([M_D.T, np.ones((2, 1))], axis=1)
+
+    def to_internal(self, physical: FloatArray) -> FloatArray:
+        """Cartesian parameters, or the eleven that remain without c12."""
+        full = np.zeros(12)
+        full[list(_WITHOUT_C12)] = physical[:11]
+        if physical.size == 12:
+            full[PHYSICAL.index(C12)] = physical[11]
+        x = to_cartesian(full[None])[0]
+        if physical.size == 12:
+            return np.asarray(x)
+        double = np.deg2rad(2.0 * full[PHYSICAL.index("theta_deg")])
+        delta = x[4] * np.cos(double) + x[5] * np.sin(double)
+        return np.concatenate([x[:4], [delta], x[6:]])
+
+    def to_external(self, internal: FloatArray) -> FloatArray:
+        """The reverse of :meth:`to_internal`."""
+        if internal.size == 12:
+            physical = to_physical(internal[None])[0]
+            return np.append(physical[list(_WITHOUT_C12)], physical[PHYSICAL.index(C12)])
+        split = np.hypot(internal[1], internal[2])
+        axis = -internal[1:3] / split if split > 0.0 else np.array([1.0, 0.0])
+        x = np.concatenate([internal[:4], internal[4] * axis, internal[5:]])
+        return np.asarray(to_physical(x[None])[0][list(_WITHOUT_C12)])
+
+    def steps(self, internal: FloatArray) -> FloatArray:
+        """1e-4 rad/s or 1/s, 1e-5 of gains and imbalances: a width is about 1 rad/s, a record about 1 s."""
+        return np.array([1e-4] * (internal.size - 4) + [1e-5] * 4)
+
+
+@dataclass(frozen=True)
+class ModalPlant:
+    """H(s) = sum_k B_k s / (s^2 + 2 zeta_k omega_k s + omega_k^2), without the s for a displacement pick-off.
+
+    B_k (S, D) = gain<k>_s<a>d<b> [1/s; for displacement 1/s^2].  Coordinates q_(k,a): one a mode and sense, driven by the
+    row a of B_k and seen by sense a alone.
+    """
+
+    modes: int
+    displacement: bool
+    senses: int = 1
+    drives: int = 1
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """ "resonator" with one drive and one sense."""
+        return frozenset({"modal", "resonator"} if self.senses == self.drives == 1 else {"modal"})
+
+    @cached_property
+    def shape(self) -> Shape:
+        """One axis a coordinate; a single mode has the gyro's letter x."""
+        n = self.modes * self.senses
+        return Shape(self.senses, self.drives, ("x",) if n == 1 else tuple(f"_{i + 1}" for i in range(n)))
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """f, zeta and gains, mode by mode."""
+        unit = "1/s^2" if self.displacement else "1/s"
+        out: list[Parameter] = []
+        for k in range(1, self.modes + 1):
+            out += [
+                Parameter(f"f{k}_hz", "Hz", 0.0, 1e9, f"undamped frequency of mode {k}"),
+                Parameter(f"zeta{k}", "1", 0.0, 0.99, f"damping ratio of mode {k}"),
+            ]
+            for a in range(1, self.senses + 1):
+                for b in range(1, self.drives + 1):
+                    meaning = f"drive {b} to sense {a} in mode {k}"
+                    out.append(Parameter(f"gain{k}_s{a}d{b}", unit, -1e12, 1e12, meaning))
+        return tuple(out)
+
+    def mechanics(self, values: Mapping[str, float]) -> Mechanics:
+        """Diagonal C and K."""
+        n = self.modes * self.senses
+        damping, stiffness = np.zeros((1, n, n)), np.zeros((1, n, n))
+        drive, sense = np.zeros((1, n, self.drives)), np.zeros((1, self.senses, n))
+        for k in range(self.modes):
+            omega = 2.0 * np.pi * values[f"f{k + 1}_hz"]
+            for a in range(self.senses):
+                i = k * self.senses + a
+                damping[0, i, i], stiffness[0, i, i] = 2.0 * values[f"zeta{k + 1}"] * omega, omega**2
+                drive[0, i] = [values[f"gain{k + 1}_s{a + 1}d{b + 1}"] for b in range(self.drives)]
+                sense[0, a, i] = 1.0
+        none = np.zeros_like(sense)
+        velocity, position = (none, sense) if self.displacement else (sense, none)
+        return Mechanics(damping, np.zeros((1, n, n)), stiffness, drive, velocity, position)
+
+    def sense_motion(self) -> FloatArray:
+        """Each sense sees the sum of its own coordinates."""
+        return np.tile(np.eye(self.senses), (1, self.modes))
+
+    def drive_motion(self) -> FloatArray:
+        """Not known of a modal plant: no effect that needs it applies."""
+        return np.zeros((self.drives, self.modes * self.senses))
+
+    def to_internal(self, physical: FloatArray) -> FloatArray:
+        """As they are: f, zeta and gains are smooth."""
+        return physical
+
+    def to_external(self, internal: FloatArray) -> FloatArray:
+        """As they are."""
+        return internal
+
+    def steps(self, internal: FloatArray) -> FloatArray:
+        """1e-4 of a width for f and of zeta, 1e-4 of the largest gain of the mode."""
+        width = 2 + self.senses * self.drives
+        rows = internal.reshape(self.modes, width)
+        out = np.empty_like(rows)
+        out[:, 0] = 1e-4 * np.maximum(np.abs(rows[:, 1]), 1e-7) * rows[:, 0]
+        out[:, 1] = 1e-4 * np.maximum(np.abs(rows[:, 1]), 1e-7)
+        out[:, 2:] = 1e-4 * np.maximum(np.max(np.abs(rows[:, 2:]), axis=1, keepdims=True), 1e-12)
+        return out.reshape(-1)

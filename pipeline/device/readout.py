@@ -1,0 +1,61 @@
+"""Linear read-out: pick-off volts to the volts that the converter samples.
+
+    G(s) = (sum_j Q_j / (s - q_j) + Q_0) exp(-s tau),     S = H(s) u + (R + s C) v,     y = G(s) S
+
+| symbol | field      | shape     | unit |
+|---|---|---|---|
+| q_j    | poles      | (J,)      | rad/s, all poles, conjugates included |
+| Q_j    | residues   | (J, S, S) | rad/s |
+| Q_0    | static     | (S, S)    | 1; zero behind a low-pass |
+| tau    | delay_s    |           | s, >= 0 |
+| R      | resistive  | (S, D)    | 1 |
+| C      | capacitive | (S, D)    | s |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """Read-out of one device (symbols and shapes at the head of the module)."""
+
+    poles: ComplexArray
+    residues: ComplexArray
+    static: FloatArray
+    delay_s: float
+    resistive: FloatArray
+    capacitive: FloatArray
+
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """G(s) without the delay, (len(s), S, S), at complex frequencies ``s`` [rad/s]."""
+        terms = self.residues[None] / (s[:, None] - self.poles)[:, :, None, None]
+        return np.asarray(terms.sum(axis=1) + self.static)
+
+    def through(self, matrix: FloatArray) -> Readout:
+        """The read-out behind a static ``matrix`` (S, S) that mixes the pick-offs: G(s) matrix."""
+        return replace(self, residues=self.residues @ matrix, static=self.static @ matrix)
+
+    def with_pole(self, pole: complex) -> Readout:
+        """G(s) / (1 - s / pole): one more pole, unit gain at zero frequency."""
+        own = self.response(np.array([pole])) * -pole
+        others = self.residues / (1.0 - self.poles / pole)[:, None, None]
+        return replace(
+            self,
+            poles=np.append(self.poles, pole),
+            residues=np.concatenate([others, own]),
+            static=np.zeros_like(self.static),
+        )
+
+
+def plain_readout(poles: ComplexArray, residues: ComplexArray, senses: int, drives: int) -> Readout:
+    """The same scalar filter sum_j r_j/(s - q_j) on every channel, poles and ``residues`` (J,); none where J = 0."""
+    eye = np.eye(senses)
+    static = eye if poles.size == 0 else np.zeros((senses, senses))
+    none = np.zeros((senses, drives))
+    return Readout(poles, residues[:, None, None] * eye, static, 0.0, none, none)

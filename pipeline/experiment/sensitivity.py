@@ -1,0 +1,261 @@
+"""Derivatives of the record: to the parameters of a model, and to those of an effect that is not in it.
+
+Central differences in the model's smooth coordinates; one-sided of second order where a range ends.  Columns of the plant and
+of linear effects run through the exact bank; those of forces and pick-off laws through the integrator, whose deviation is
+free of cancellation.  With strong nonlinear effects ``exact`` runs every column through the integrator.
+
+Shapes: N samples, S senses, P free parameters, k parameters of an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..device.effect import Effect
+from ..device.model import Model
+from ..errors import ConfigError, MeasurementError
+from .instrument import Instrument
+from .linear import clock_of
+from .record import Record
+from .response import converted, linear_volts, remainder_volts, volts
+from .system import assemble, conditions_of
+
+#: A step of an effect's parameter moves the record by about this share.
+_SHARE = 1e-4
+_GRIDDED_STAGES = {"force", "sense"}
+
+
+def channels_checked(model: Model, record: Record) -> None:
+    """Refuse a record whose numbers of channels are not the plant's.
+
+    Raises
+    ------
+    MeasurementError : they differ.
+    """
+    shape = model.built.shape
+    found = [record.drive_v.shape[1], record.sense_v.shape[1]]
+    if found != [shape.drives, shape.senses]:
+        raise MeasurementError(
+            f"record {record.name!r} has another number of drives and senses than the plant",
+            value=found,
+            allowed=str([shape.drives, shape.senses]),
+            next_step='use plant = { kind = "modal", .. }',
+        )
+
+
+def _slope(f: Callable[[float], FloatArray], at: float, step: float, low: float, high: float) -> FloatArray:
+    """df/dx at ``at`` to second order, inside [low, high]."""
+    if at - step >= low and at + step <= high:
+        return (f(at + step) - f(at - step)) / (2.0 * step)
+    if at - step < low:
+        return (4.0 * f(at + step) - f(at + 2.0 * step) - 3.0 * f(at)) / (2.0 * step)
+    return (3.0 * f(at) - 4.0 * f(at - step) + f(at - 2.0 * step)) / (2.0 * step)
+
+
+def _is_gridded(model: Model, name: str) -> bool:
+    """Whether a parameter is that of a force or a pick-off law."""
+    effect = name.partition(".")[0]
+    return effect in model.effects and bool(_GRIDDED_STAGES & set(model.effect(effect).stages))
+
+
+def _is_adc(model: Model, name: str) -> bool:
+    effect = name.partition(".")[0]
+    return effect in model.effects and "adc" in model.effect(effect).stages
+
+
+def jacobian(
+    model: Model,
+    parameters: Mapping[str, float],
+    record: Record,
+    instrument: Instrument,
+    *,
+    angular_gain: float | None = None,
+    start: FloatArray | None = None,
+    exact: bool = False,
+) -> FloatArray:
+    """dy/dx (N, S, P) at ``parameters``; x are the smooth coordinates of ``model.free`` (``model.to_internal``).
+
+    Parameters
+    ----------
+    model, parameters, record, instrument, angular_gain, start : as in ``forward``.
+    exact : plant columns through the integrator too.
+
+    Raises
+    ------
+    ConfigError : as in ``forward``.
+    """
+    channels_checked(model, record)
+    clock = clock_of(record.sample_rate_hz, instrument.hold)
+    conditions = conditions_of(record, instrument, angular_gain)
+    x0 = model.to_internal(model.complete(parameters))
+    steps = model.steps(x0)
+    base = assemble(model, model.to_values(x0), instrument, conditions)
+    gridded = bool(base.forces or base.senses)
+
+    def run(i: int, value: float, how: Callable[..., FloatArray]) -> FloatArray:
+        x = x0.copy()
+        x[i] = value
+        return how(assemble(model, model.to_values(x), instrument, conditions), record.drive_v, clock, start)
+
+    columns = np.empty((*record.sense_v.shape, x0.size))
+    clipped = None
+    for i, name in enumerate(model.free):
+        if _is_adc(model, name):
+            clipped = volts(base, record.drive_v, clock, start) if clipped is None else clipped
+            unclipped = clipped
+
+            def behind(value: float, i: int = i, unclipped: FloatArray = unclipped) -> FloatArray:
+                x = x0.copy()
+                x[i] = value
+                return converted(assemble(model, model.to_values(x), instrument, conditions), unclipped)
+
+            columns[:, :, i] = _slope(behind, x0[i], steps[i], *model.bounds(name))
+            continue
+        if _is_gridded(model, name):
+            how = remainder_volts
+        else:
+            how = volts if exact and gridded else linear_volts
+        low, high = (-np.inf, np.inf) if "." not in name else model.bounds(name)
+        columns[:, :, i] = _slope(lambda value, i=i, how=how: run(i, value, how), x0[i], steps[i], low, high)
+    if base.adcs:
+        # Behind the converter a sample that is clipped does not move.
+        y = volts(base, record.drive_v, clock, start) if clipped is None else clipped
+        moved = (converted(base, y * (1.0 + 1e-7)) - converted(base, y * (1.0 - 1e-7))) / 2e-7
+        passes = np.where(y != 0.0, moved / np.where(y != 0.0, y, 1.0), 1.0)
+        for i, name in enumerate(model.free):
+            if not _is_adc(model, name):
+                columns[:, :, i] *= passes
+    return columns
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """How the record moves with an absent effect.
+
+    Parameters
+    ----------
+    effect : its name.
+    names : of the parameters that the columns are derivatives to, k of them.
+    point : values of its other parameters (those of a grid).
+    columns : (N, S, k) dy/dp at the null; for a parameter that only acts beyond a threshold (a clip level) the change of y
+        from no effect to ``point``.  Free regressors of a disturbance are ``basis`` (N, L) instead, k = 0.
+    basis : (N, L), L = 0 but for disturbances.
+    """
+
+    effect: str
+    names: tuple[str, ...]
+    point: dict[str, float]
+    columns: FloatArray
+    basis: FloatArray
+
+
+def signatures(
+    model: Model,
+    parameters: Mapping[str, float],
+    record: Record,
+    instrument: Instrument,
+    effect: str,
+    *,
+    angular_gain: float | None = None,
+    start: FloatArray | None = None,
+    grid: Mapping[str, tuple[float, ...]] | None = None,
+) -> tuple[Signature, ...]:
+    """Signatures of the absent ``effect`` in one record, at ``parameters`` of ``model``.
+
+    One where all its parameters exist at the null; else one a point of the grid of those that do not (the product over them).
+
+    Parameters
+    ----------
+    model, parameters, record, instrument, angular_gain, start : as in ``forward``.
+    effect : name of an effect that is not in the model.
+    grid : parameter -> values to scan instead of the declared grid.
+
+    Raises
+    ------
+    ConfigError : the effect is unknown, makes no sense for the plant, or is in the model already.
+    """
+    if effect in model.effects:
+        raise ConfigError("effect is in the model already", value=effect, allowed=", ".join(model.candidates()))
+    channels_checked(model, record)
+    larger = model.with_effect(effect)
+    found = larger.effect(effect)
+    members = found.members(larger.built.shape)
+    scanned = [m for m in members if m.grid]
+    followed = [m for m in members if not m.grid]
+    grids = [(grid or {}).get(m.name, m.grid) for m in scanned]
+    values = model.complete(parameters)
+    clock = clock_of(record.sample_rate_hz, instrument.hold)
+    conditions = conditions_of(record, instrument, angular_gain)
+    before = assemble(model, values, instrument, conditions)
+    y0 = volts(before, record.drive_v, clock, start)
+    nothing = np.zeros((y0.shape[0], 0))
+    t = np.arange(y0.shape[0]) / record.sample_rate_hz
+
+    def moved(point: Mapping[str, float], name: str, value: float) -> FloatArray:
+        trial = {**values, **{found.full_name(m): point[m.name] for m in scanned}}
+        trial[found.full_name(next(m for m in members if m.name == name))] = value
+        system = assemble(larger, larger.complete(trial), instrument, conditions)
+        if system.forces or system.senses:
+            # Deviations free of cancellation: the linear part is the same unless the effect touches it.
+            change = remainder_volts(system, record.drive_v, clock, start)
+            if before.forces or before.senses:
+                change = change - remainder_volts(before, record.drive_v, clock, start)
+            if set(found.stages) & {"drive", "mechanics", "readout"}:
+                change += linear_volts(system, record.drive_v, clock, start)
+                change -= linear_volts(before, record.drive_v, clock, start)
+        else:
+            change = linear_volts(system, record.drive_v, clock, start) - y0
+        if system.adcs:
+            change = converted(system, y0 + change) - converted(before, y0)
+        return change
+
+    out = []
+    level = float(np.sqrt(np.mean(y0**2)))
+    for at in product(*grids):
+        point = {m.name: value for m, value in zip(scanned, at)}
+        basis = nothing
+        if found.disturbance is not None:
+            basis = found.disturbance(t, np.array([point.get(m.name, m.null) for m in members]), before.context)
+            columns = np.zeros((*y0.shape, 0))
+            names: tuple[str, ...] = ()
+        elif not followed:
+            columns = moved(point, scanned[0].name, point[scanned[0].name])[:, :, None]
+            names = tuple(m.name for m in scanned)
+        else:
+            columns = np.stack([_derivative(found, m, point, moved, level) for m in followed], axis=-1)
+            names = tuple(m.name for m in followed)
+        out.append(Signature(effect, names, point, columns, basis))
+    return tuple(out)
+
+
+def _derivative(
+    effect: Effect,
+    member: object,
+    point: Mapping[str, float],
+    moved: Callable[[Mapping[str, float], str, float], FloatArray],
+    level: float,
+) -> FloatArray:
+    """dy/dp at the null, with a step that moves the record by about ``_SHARE`` of its level."""
+    from ..device.parameters import Parameter
+
+    assert isinstance(member, Parameter)
+    step = 1e-2 * member.scale
+    for _ in range(8):
+        first = moved(point, member.name, member.null + step)
+        share = float(np.sqrt(np.mean(first**2))) / max(level, 1e-300)
+        if share == 0.0 or 0.01 * _SHARE <= share <= 10.0 * _SHARE:
+            break
+        step *= _SHARE / share
+        step = min(step, 0.25 * (member.high - member.null))
+    if member.null - step >= member.low:
+        return (moved(point, member.name, member.null + step) - moved(point, member.name, member.null - step)) / (
+            2.0 * step
+        )
+    return (
+        4.0 * moved(point, member.name, member.null + step) - moved(point, member.name, member.null + 2.0 * step)
+    ) / (2.0 * step)
