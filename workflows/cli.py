@@ -13,15 +13,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Optional
 
-import click
 import typer
+from typer.exceptions import TyperException
 
 from pipeline.errors import GyroscreenError
 
 app = typer.Typer(
     name="gyroscreen",
     help="Monte Carlo fabrication screening of MEMS gyroscopes, and a bench on which a model meets measurements.",
-    no_args_is_help=True,
+    invoke_without_command=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -34,10 +34,13 @@ DEFAULT_RESULTS = Path("results")
 
 @app.callback()
 def _options(
+    context: typer.Context,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
 ) -> None:
     if debug:
         os.environ["GYROSCREEN_DEBUG"] = "1"
+    if context.invoked_subcommand is None:
+        print(context.get_help())
 
 
 @app.command()
@@ -112,6 +115,34 @@ def check(
     command(campaign, json)
 
 
+benchmark = typer.Typer(help="Measure what the documents claim.", no_args_is_help=True)
+app.add_typer(benchmark, name="benchmark")
+
+
+@benchmark.command()
+def coverage(
+    devices: Annotated[int, typer.Option(help="Number of virtual devices.")] = 1000,
+    splits: Annotated[str, typer.Option(help="'population', or 'small': log-uniform in 0.02 to 0.5 Hz.")] = "population",
+    seed: Annotated[int, typer.Option(help="Root of all random streams.")] = 2026,
+    workers: Annotated[int, typer.Option(help="Local worker processes; 0: one a core.")] = 0,
+    json: Json = False,
+) -> None:
+    """Coverage of the 90 % intervals, error against the Cramer-Rao bound and status, at 60 dB."""
+    from .commands.benchmark import coverage as command
+
+    command(devices, splits, seed, workers, json)
+
+
+@benchmark.command()
+def throughput(
+    devices: Annotated[int, typer.Option(help="Number of virtual devices.")] = 100, json: Json = False
+) -> None:
+    """Devices per second of one core, and peak memory, for simulate + identify + posterior."""
+    from .commands.benchmark import throughput as command
+
+    command(devices, json)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     sys.exit(call(arguments))
@@ -123,11 +154,12 @@ def call(arguments: Sequence[str] | None = None) -> int:
         app(args=None if arguments is None else list(arguments), standalone_mode=False)
     except GyroscreenError as error:
         return _said(f"error: {error}", error.exit_code)
-    except click.exceptions.Exit as exit_:
+    except typer.Exit as exit_:
         return int(exit_.exit_code)
-    except click.ClickException as error:
-        return _said(f"error: {error.format_message()}; next: gyroscreen --help", 2)
-    except (KeyboardInterrupt, click.exceptions.Abort):
+    except TyperException as error:
+        said = error.format_message() if hasattr(error, "format_message") else str(error)
+        return _said(f"error: {said}; next: gyroscreen --help", 2)
+    except (KeyboardInterrupt, typer.Abort):
         return _said("interrupted; what was committed is kept: gyroscreen run --resume latest", 130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

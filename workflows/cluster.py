@@ -41,7 +41,7 @@ def cluster(workers: int, scheduler: str | None) -> Iterator[Client]:
     """
     if scheduler is not None:
         try:
-            client = Client(scheduler, timeout="10s", set_as_default=False)
+            client = Client(scheduler, timeout="5s", set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise UsageError(
                 f"the dask scheduler does not answer ({type(error).__name__})",

@@ -123,6 +123,19 @@ def _descend(start: FloatArray, likelihood: Compressed, sigma: FloatArray, reach
     return x, False, shift
 
 
+def _covariance(j: FloatArray) -> FloatArray:
+    """(J^T J)^-1, orthogonalised in units of each parameter's own sensitivity: its eigenvalues span twelve decades."""
+    scale = np.linalg.norm(j, axis=0)
+    inverse = np.linalg.pinv(np.linalg.qr(j / scale, mode="r"))
+    return np.asarray((inverse @ inverse.T) / np.outer(scale, scale))
+
+
+def information_covariance(records: Sequence[BandData], sigma_v: FloatArray, x: FloatArray) -> FloatArray:
+    """Cramer-Rao bound (12, 12): the inverse Fisher information of ``records`` at the parameters ``x``."""
+    likelihood = compress(records, sigma_v, _poles(x))
+    return _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
+
+
 def maximise(records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray) -> Fit:
     """The maximum of the likelihood from ``start`` (12,).
 
@@ -140,10 +153,6 @@ def maximise(records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray
             settled = True
             break
     r, _ = residual_rows(x, likelihood.expansion, likelihood.triangle, likelihood.data, sigma_v)
-    j = jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v)
-    scale = np.linalg.norm(j, axis=0)
-    # Orthogonalised in units of each parameter's own sensitivity: eigenvalues of J^T J span twelve decades otherwise.
-    inverse = np.linalg.pinv(np.linalg.qr(j / scale, mode="r"))
-    covariance = (inverse @ inverse.T) / np.outer(scale, scale)
+    covariance = _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
     chi2 = float(r @ r + likelihood.rest_chi2.sum())
     return Fit(x, covariance, chi2, likelihood.rows - x.size, likelihood, sigma_v, settled)

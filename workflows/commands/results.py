@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Literal, cast
 
@@ -50,13 +51,17 @@ def report(run: str | None, results: Path, out: Path | None) -> None:
 def verify(results: Path, json: bool) -> None:
     """See ``gyroscreen verify --help``."""
     found = verify_results(results)
+    fatal = [finding for finding in found.findings if finding.fatal]
     if json:
-        print(json_.dumps(found.to_dict()))
+        print(json_.dumps({"ok": found.ok, **asdict(found)}))
     else:
-        print(found)
-    if not found.ok:
+        for finding in found.findings:
+            print(finding)
+        verdict = "all as committed" if found.ok else f"{len(fatal)} findings of damage"
+        print(f"{verdict}: {found.runs} runs, {found.files} files, {found.devices} devices, {found.draws} draws")
+    if fatal:
         raise IntegrityError(
             "results are not what was committed",
-            value=len(found.errors),
+            value=fatal[0].file,
             next_step="see the findings above; run the damaged runs again from their run.toml",
         )

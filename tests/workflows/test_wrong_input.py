@@ -1,0 +1,113 @@
+"""Wrong input of every kind: one typed message, the right exit code, no traceback, nothing lost."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from workflows.cli import call
+
+
+def config(tmp: Path, text: str) -> list[str]:
+    path = tmp / "run.toml"
+    path.write_text(text)
+    return ["run", str(path), "--out", str(tmp / "results")]
+
+
+def record(tmp: Path, **changes: object) -> list[str]:
+    t = np.arange(2000) / 10_000.0
+    table = {"time_s": t, "drive1_V": t, "drive2_V": t, "sense1_V": t, "sense2_V": t}
+    frame = pd.DataFrame(table)
+    for name, value in changes.items():
+        frame[name] = value
+    if "drop" in changes:
+        frame = frame.drop(columns=["sense1_V", "drop"]).rename(columns={"sense2_V": "senze2_V"})
+    path = tmp / "record.csv"
+    frame.to_csv(path, index=False)
+    return ["identify", str(path)]
+
+
+def with_nan(tmp: Path) -> list[str]:
+    values = np.zeros(2000)
+    values[777] = np.nan
+    return record(tmp, sense1_V=values)
+
+
+def foreign(tmp: Path) -> list[str]:
+    results = tmp / "results"
+    results.mkdir()
+    pd.DataFrame({"a": [1]}).to_parquet(results / "foreign.parquet")
+    return ["report", "--results", str(results)]
+
+
+def unwritable(tmp: Path) -> list[str]:
+    (tmp / "file").write_text("not a folder")
+    return ["run", "--devices", "1", "--out", str(tmp / "file")]
+
+
+CASES = {
+    "missing file": (lambda tmp: ["run", str(tmp / "none.toml")], 2, ("none.toml", "next:")),
+    "unknown key": (lambda tmp: config(tmp, "[run]\ndevicez = 3\n"), 2, ("devicez", "devices")),
+    "wrong type": (lambda tmp: config(tmp, '[run]\ndevices = "many"\n'), 2, ("run.devices", "many")),
+    "wrong unit": (lambda tmp: config(tmp, "[noise]\nsigma_mv = 1.0\n"), 2, ("sigma_mv", "sigma_v")),
+    "out of range": (lambda tmp: config(tmp, "[identification]\norder = 400\n"), 2, ("identification.order", "400", "80")),
+    "nan in a record": (with_nan, 5, ("sense1_V", "777")),
+    "wrong column": (lambda tmp: record(tmp, drop=0.0), 5, ("senze2_V", "sense")),
+    "limits crossed": (lambda tmp: config(tmp, "[limits.split_hz]\nmin = 3.0\nmax = 1.0\n"), 2, ("split_hz", "3.0")),
+    "zero devices": (lambda tmp: ["run", "--devices", "0", "--out", str(tmp)], 2, ("devices", "0")),
+    "unwritable folder": (unwritable, 2, ("file", "--out")),
+    "no run in the folder": (foreign, 2, ("results", "gyroscreen run")),
+    "unknown command": (lambda _: ["rum"], 2, ("rum",)),
+    "not TOML": (lambda tmp: config(tmp, "[run\n"), 2, ("TOML",)),
+    "no scheduler": (
+        lambda tmp: ["run", "--devices", "1", "--out", str(tmp), "--scheduler", "tcp://127.0.0.1:9"],
+        2,
+        ("tcp://127.0.0.1:9",),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_wrong_input_gets_one_message_and_its_exit_code(case, tmp_path, capfd):
+    arguments, code, words = CASES[case]
+    assert call(arguments(tmp_path)) == code
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    message = captured.err.strip().splitlines()
+    assert len(message) == 1, captured.err
+    assert message[0].startswith("error: ")
+    for word in words:
+        assert word in message[0]
+
+
+@pytest.mark.parametrize(
+    ("sql", "words"),
+    [
+        ("SELEKT 1", ("SELEKT",)),
+        ("SELECT nonsense FROM devices", ("nonsense",)),
+        ("DROP VIEW devices", ("SELECT",)),
+        ("SELECT * FROM read_csv('/etc/passwd')", ("read_csv",)),
+    ],
+)
+def test_bad_sql_gets_one_message(sql, words, tmp_path, capfd):
+    from pipeline.store.provenance import provenance
+    from pipeline.store.run import create_run
+    from pipeline.store.schema import devices_table
+
+    store = create_run(tmp_path, "r1", "", provenance(1))
+    store.commit_block(0, devices_table({"device_id": ["D1"]}), None)
+    store.finish("complete", {})
+    assert call(["query", sql, "--results", str(tmp_path)]) == 2
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("error: ")
+    for word in words:
+        assert word in captured.err
+
+
+def test_help_names_every_command(capfd):
+    assert call(["--help"]) == 0
+    out = capfd.readouterr().out
+    for name in ("run", "query", "report", "verify", "identify", "check"):
+        assert name in out

@@ -1,0 +1,53 @@
+"""gyroscreen benchmark."""
+
+from __future__ import annotations
+
+import json as json_
+import resource
+import time
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from populations.draw import draw
+
+from ..block import Block, identify_virtual, population, virtual_block
+from ..config import load_config
+from ..coverage import Share, figures, run_study
+
+
+def coverage(devices: int, splits: str, seed: int, workers: int, json: bool) -> None:
+    """See ``gyroscreen benchmark coverage --help``."""
+    _show(figures(run_study(devices, splits, seed, workers)), json)
+
+
+def _show(found: dict[str, Any], json: bool) -> None:
+    if json:
+        plain = {k: {"count": v.count, "total": v.total} if isinstance(v, Share) else v for k, v in found.items()}
+        print(json_.dumps(plain))
+        return
+    for name, value in found.items():
+        print(f"{name:50s} {value:.3f}" if isinstance(value, float) else f"{name:50s} {value}")
+
+
+def throughput(devices: int, json: bool) -> None:
+    """See ``gyroscreen benchmark throughput --help``."""
+    config = load_config(None, {"devices": devices})
+    virtual_block(config, Block(0, 0, 2))  # compiled code and shared transforms are loaded once a worker
+    spec = population(config)
+    gain = float(spec.angular_gain)
+    with threadpool_limits(limits=1):
+        wall, cpu = time.perf_counter(), time.process_time()
+        drawn = draw(spec, config.run.seed, 0, devices)
+        ess = [identify_virtual(config, drawn, i, gain).columns.get("ess") for i in range(devices)]
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    _show(
+        {
+            "devices": devices,
+            "devices/s of wall time": devices / wall,
+            "devices/s of CPU time": devices / cpu,
+            "least ESS": min(float(e) for e in ess if isinstance(e, float)),
+            "peak memory of the process, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        },
+        json,
+    )
