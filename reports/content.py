@@ -22,7 +22,7 @@ from .causes import Pareto, StageLoss, pareto, stage_losses
 from .devices import Devices
 from .health import RouteDifference, Spread, StatusCount, route_differences, spreads, status_counts
 from .limits import Limits
-from .wording import main_cause, process_sentence, stage_sentence, undecided_sentence
+from .wording import cause_sentence, main_cause, process_sentence, stage_sentence, undecided_sentence
 from .worst import WorstDevice, worst_devices
 from .yields import (
     Clustering,
@@ -61,6 +61,7 @@ class Headline:
     """What is read in ten seconds: sentences, the empty ones left out by the page."""
 
     cause: str
+    share: str
     stage: str
     undecided: str
     process: str
@@ -142,6 +143,7 @@ def run_content(run: Run, limits: Limits, population_summary: Mapping[str, Any] 
         run_id=str(manifest.get("run_id", "")),
         headline=Headline(
             main_cause(total, bars),
+            cause_sentence(bars),
             stage_sentence(stages),
             undecided_sentence(total, statuses),
             process_sentence(clusters),

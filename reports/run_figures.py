@@ -27,9 +27,8 @@ from .limits import Limit
 from .wording import UNITS, label, limit_words
 from .worst import WorstDevice
 
-# theta, split, off-diagonal damping and imbalance: where a chirp leaves doubt, it is among these.
-CORNER = ("theta_deg", "split_hz", "c12_per_s", "sense_imbalance")
-CORNERS = 4
+# Where a chirp leaves doubt, it is among these.
+CORNER = {"theta_deg": "Δ theta", "split_hz": "Δ split", "c12_per_s": "Δ c12", "sense_imbalance": "Δ imbal."}
 
 
 def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
@@ -48,35 +47,46 @@ def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
 
 
 def corner_plots(worst: Sequence[WorstDevice], posterior: pa.Table | None) -> tuple[str, ...]:
-    """A corner plot a device, at most ``CORNERS``; "" for those without enough draws."""
-    plots: list[str] = []
-    for k, device in enumerate(worst):
-        drawn = sum(bool(plot) for plot in plots)
-        plots.append(_corner(k, device, posterior) if posterior is not None and drawn < CORNERS else "")
-    return tuple(plots)
+    """A corner plot for the first device of each kind of worst; "" for the others and for those without draws."""
+    first = [device.why not in {other.why for other in worst[:k]} for k, device in enumerate(worst)]
+    return tuple(
+        _corner(k, device, posterior) if chosen and posterior is not None else ""
+        for k, (device, chosen) in enumerate(zip(worst, first, strict=True))
+    )
 
 
 def _corner(k: int, device: WorstDevice, posterior: pa.Table) -> str:
-    names = [name for name in CORNER if name in posterior.column_names]
     rows = Devices(posterior.filter(pc.equal(posterior["device_id"], device.device_id)))
     truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
     columns: list[FloatArray] = []
     shown: list[float] = []
     labels: list[str] = []
-    for name in names:
+    for name in CORNER:
         values, truth = rows.number(name), truths.get(name, float("nan"))
-        unit = f", {UNITS[name]}" if UNITS[name] else ""
-        centre = mean_axis(values) if name in AXES else float(np.mean(values)) if values.size else 0.0
-        # Digits shared by all draws would crowd the ticks: they go into the label.
+        if not np.isfinite(values).any():
+            continue
+        # From the centre, in thousands of the unit: digits that all draws share would crowd the ticks.
+        centre = mean_axis(values) if name in AXES else float(np.nanmean(values))
         values = difference(values, centre) if name in AXES else values - centre
         truth = float(difference(truth, centre)) if name in AXES else truth - centre
-        columns.append(values)
-        shown.append(truth)
-        labels.append(f"{label(name)}{unit}\n{'+' if centre < 0 else '−'} {abs(centre):.5g}")
-    if not columns or not columns[0].size:
+        exponent = _thousands(float(np.nanstd(values)))
+        columns.append(values / 10.0**exponent)
+        shown.append(truth / 10.0**exponent)
+        labels.append(f"{CORNER[name]}\n{_unit(exponent, UNITS[name])}")
+    if not columns:
         return ""
     drawn = corner_plot(labels, np.stack(columns, axis=1), shown, f"corner-{k}", f"Posterior of {device.device_id}")
     return drawn or ""
+
+
+def _thousands(sd: float) -> int:
+    """Exponent in steps of three that leaves the sd between 0.2 and 200."""
+    return 3 * int(np.floor((np.log10(sd) + 0.7) / 3.0)) if sd > 0.0 else 0
+
+
+def _unit(exponent: int, unit: str) -> str:
+    power = f"10{str(exponent).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}" if exponent else ""
+    return f"{power} {unit}".strip() or "1"
 
 
 def _spans(content: RunContent) -> list[Span]:

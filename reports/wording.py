@@ -14,6 +14,9 @@ from .yields import Clustering, Yield
 
 UNITS = {quantity.name: "" if quantity.unit == "1" else quantity.unit for quantity in QUANTITIES}
 
+# The sign stays with its number at the end of a line.
+PERCENT = "\u00a0%"
+
 LABELS = {
     "theta_deg": "theta",
     "split_hz": "split",
@@ -56,8 +59,7 @@ def limit_words(limit: Limit) -> str:
         return f"≤ {high} {unit}".strip()
     if math.isinf(limit.high):
         return f"≥ {low} {unit}".strip()
-    arc = " (arc, modulo 180)" if limit.axis else ""
-    return f"{low} to {high} {unit}".strip() + arc
+    return f"{low} to {high} {unit}".strip()
 
 
 def percent(share: float) -> str:
@@ -66,12 +68,12 @@ def percent(share: float) -> str:
         return "–"
     digits = 1 if 0.001 <= share <= 0.999 or share in (0.0, 1.0) else 2
     text = f"{100.0 * share:.{digits}f}"
-    return f"{text.removesuffix('.0') if share in (0.0, 1.0) else text} %"
+    return f"{text.removesuffix('.0') if share in (0.0, 1.0) else text}{PERCENT}"
 
 
 def percent_range(low: float, high: float) -> str:
     """A range of shares in percent."""
-    return f"{percent(low).removesuffix(' %')} to {percent(high)}"
+    return f"{percent(low).removesuffix(PERCENT)} to {percent(high)}"
 
 
 def side(row: FailedLimit) -> str:
@@ -87,20 +89,28 @@ def side(row: FailedLimit) -> str:
 
 
 def main_cause(total: Yield, bars: Pareto) -> str:
-    """The most frequent failed limit among the failed devices, with the interval of its share."""
+    """The most frequently failed limit, in a few words."""
     if total.devices == 0:
         return "No devices: nothing to judge."
     if bars.failed == 0:
         return "No device failed."
     first = bars.limits[0]
     if first.failed == 0:
-        return f"{bars.failed} devices fail, none of them by a single limit that is improbable on its own."
-    of = "the one failed device" if bars.failed == 1 else f"{bars.failed} failed devices"
+        return "Several limits together, none of them improbable on its own."
+    return f"{label(first.limit.quantity).capitalize()} {side(first)}"
+
+
+def cause_sentence(bars: Pareto) -> str:
+    """How many failed devices the main cause explains, with the interval of its share; empty where none failed."""
+    if bars.failed == 0 or bars.limits[0].failed == 0:
+        return ""
+    first = bars.limits[0]
+    of = "the one failed device" if bars.failed == 1 else f"the {bars.failed} failed devices"
     share = percent_range(first.share.low, first.share.high)
-    alone = f"; {first.alone} break no other limit" if first.alone and bars.failed > 1 else ""
+    alone = f", {first.alone} of them nothing else" if bars.failed > 1 else ""
     return (
-        f"{label(first.limit.quantity).capitalize()} {side(first)}: {first.failed} of {of} "
-        f"({percent(first.failed / bars.failed)}, 95 % interval {share}){alone}."
+        f"{first.failed} of {of} break this limit ({percent(first.failed / bars.failed)}, "
+        f"95{PERCENT} interval {share}){alone}."
     )
 
 

@@ -35,7 +35,7 @@ class WorstDevice:
     verdict, status, reason, failed_limits : as in the results.
     p_pass, error : probability of conformity; rms of the residual over sigma.
     margin : distance of the estimates to the nearest limit (see ``Limit.margin``), negative outside.
-    estimates : theta, split and the limited quantities.
+    estimates : theta, split, c12, imbalance and the limited quantities.
     """
 
     device_id: str
@@ -87,7 +87,7 @@ def worst_devices(devices: Devices, limits: Limits, each: int = 2) -> tuple[Wors
 
 
 def _describe(devices: Devices, limits: Limits, k: int, why: str, margin: float) -> WorstDevice:
-    names = dict.fromkeys(("theta_deg", "split_hz", *limits.quantities))
+    names = dict.fromkeys(("theta_deg", "split_hz", "c12_per_s", "sense_imbalance", *limits.quantities))
     row = Devices(devices.table.slice(k, 1))
 
     def number(name: str) -> float:

@@ -240,7 +240,8 @@ def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: f
         return Clustering(by, g, 0.0, None, n, clopper_pearson(share * n, n, level))
     tail = 0.5 * (1.0 + level)
     student = float(stats.t.ppf(tail, n - 1.0)) / float(stats.t.ppf(tail, g - 1.0))
-    effective = min(n, n * binomial / max(variance, binomial / n) * student**2)
+    # A variance below the binomial one is luck of few groups: groups never tell more than their devices.
+    effective = n * min(1.0, binomial / variance if variance > 0.0 else 1.0) * student**2
     interval = clopper_pearson(share * effective, effective, level)
     return Clustering(
         by,

@@ -11,15 +11,15 @@ from scipy import stats
 from pipeline.arrays import FloatArray
 
 from ..calibration import NOMINAL, Coverage
-from .style import ACCENT, COLOURS, INK, MUTED, POINTS, RULE, style, to_svg
+from .style import ACCENT, COLOURS, INK, MUTED, POINTS, RULE, WIDTH, style, to_svg
 
 
 def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") -> str:
     """Coverage of the 90 % intervals of each (label, coverage), over the band that chance allows."""
     with style():
-        height = 0.235 * len(rows) + 0.75
-        figure = Figure(figsize=(9.6, height))
-        axes = figure.add_axes((0.26, 0.45 / height, 0.66, (height - 0.75) / height))
+        height = 0.26 * len(rows) + 0.8
+        figure = Figure(figsize=(WIDTH, height))
+        axes = figure.add_axes((0.26, 0.5 / height, 0.66, (height - 0.8) / height))
         for k, (_, row) in enumerate(rows):
             axes.fill_betweenx([-k - 0.5, -k + 0.5], 100 * row.band[0], 100 * row.band[1], color="#e3edf4", lw=0)
             colour = ACCENT if row.in_band else COLOURS["fail"]
@@ -33,14 +33,14 @@ def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") 
         axes.tick_params(axis="y", length=0)
         axes.set_ylim(-len(rows) + 0.5, 0.5)
         axes.set_xlim(min([100 * row.interval.low for _, row in rows] + [80.0]) - 1.0, 100.5)
-        axes.set_xlabel("truth inside the 90 % interval, % of devices (band: 95 % of chance; bars: 95 % intervals)")
+        axes.set_xlabel("truth inside the 90 % interval, % of devices (band: chance; bars: 95 % intervals)")
         return to_svg(figure, name, "Coverage of the 90 % intervals by quantity")
 
 
 def z_panels(panels: Sequence[tuple[str, FloatArray]], name: str = "z-scores") -> str:
     """For each (label, z): histogram over the standard normal, and normal quantile plot."""
     with style():
-        figure = Figure(figsize=(9.6, 2.7), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 2.9), layout="constrained")
         axes = figure.subplots(1, 2 * len(panels), squeeze=False)[0]
         grid = np.linspace(-4, 4, 121)
         for k, (label, z) in enumerate(panels):

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from .style import COLOURS, MUTED, RULE, style, to_svg
+from .style import COLOURS, MUTED, RULE, WIDTH, style, to_svg
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class StageBar:
 def pareto_bars(bars: Sequence[CauseBar], total: int, name: str = "pareto") -> str:
     """Horizontal bars, most frequent first; the solid part breaks this limit only."""
     with style():
-        height = 0.34 * len(bars) + 0.75
-        figure = Figure(figsize=(9.6, height))
-        axes = figure.add_axes((0.34, 0.42 / height, 0.6, 0.34 * len(bars) / height))
+        height = 0.36 * len(bars) + 0.95
+        figure = Figure(figsize=(WIDTH, height))
+        axes = figure.add_axes((0.38, 0.52 / height, 0.58, 0.36 * len(bars) / height))
         for k, bar in enumerate(bars):
             axes.barh(-k, bar.alone, height=0.66, color=COLOURS["fail"], label="this limit alone" if k == 0 else None)
             axes.barh(
@@ -67,7 +67,7 @@ def pareto_bars(bars: Sequence[CauseBar], total: int, name: str = "pareto") -> s
         axes.set_xlabel(f"devices, of {total} failed (a device may break several limits)")
         axes.grid(axis="x", color=RULE, lw=0.6)
         axes.set_axisbelow(True)
-        figure.legend(loc="upper right", ncols=2, bbox_to_anchor=(0.95, 1.0), borderaxespad=0.1)
+        figure.legend(loc="upper right", ncols=2, bbox_to_anchor=(0.97, 1.0), borderaxespad=0.1)
         return to_svg(figure, name, "Failed devices by limit")
 
 
@@ -75,9 +75,9 @@ def stage_bars(bars: Sequence[StageBar], name: str = "stages") -> str:
     """To the right, devices lost in fabrication and in packaging; to the left, those that packaging
     recovered."""
     with style():
-        height = 0.34 * len(bars) + 0.75
-        figure = Figure(figsize=(9.6, height))
-        axes = figure.add_axes((0.34, 0.42 / height, 0.6, 0.34 * len(bars) / height))
+        height = 0.36 * len(bars) + 0.95
+        figure = Figure(figsize=(WIDTH, height))
+        axes = figure.add_axes((0.38, 0.52 / height, 0.58, 0.36 * len(bars) / height))
         looks = (
             ("lost in fabrication", "fabrication", "#6b4c9a", "", 1),
             ("lost in packaging", "packaging", "#e0a040", "////", 1),
@@ -114,5 +114,5 @@ def stage_bars(bars: Sequence[StageBar], name: str = "stages") -> str:
         axes.set_xlabel("devices whose truth is outside the limit")
         axes.grid(axis="x", color=RULE, lw=0.6)
         axes.set_axisbelow(True)
-        figure.legend(loc="upper right", ncols=3, bbox_to_anchor=(0.95, 1.0), borderaxespad=0.1)
+        figure.legend(loc="upper right", ncols=3, bbox_to_anchor=(0.97, 1.0), borderaxespad=0.1)
         return to_svg(figure, name, "Devices lost in fabrication and in packaging, by limit")

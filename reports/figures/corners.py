@@ -37,7 +37,7 @@ def corner_plot(
     low, high = np.quantile(sample, [0.0025, 0.9975], axis=0)
     room = 0.15 * np.maximum(high - low, 1e-12)
     with style():
-        figure = Figure(figsize=(4.1, 4.1))
+        figure = Figure(figsize=(4.7, 4.7))
         corner.corner(
             sample,
             bins=18,
@@ -53,14 +53,22 @@ def corner_plot(
             levels=(0.393, 0.865),
             smooth=1.0,
             max_n_ticks=3,
-            labelpad=0.06,
-            label_kwargs={"fontsize": 8},
+            label_kwargs={"fontsize": 9.5},
             quiet=True,
         )
-        for axes in figure.axes:
-            axes.tick_params(labelsize=7, labelrotation=0, length=2)
+        count = len(chosen)
+        for k, axes in enumerate(list(figure.axes)):
+            row, column = divmod(k, count)
+            if column > row:
+                # Empty panels cost drawing time.
+                figure.delaxes(axes)
+                continue
+            axes.tick_params(labelsize=8.5, labelrotation=0, length=2)
             axes.spines[["top", "right"]].set_visible(True)
             axes.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
-            if axes.get_ylabel():
+            axes.xaxis.set_label_coords(0.5, -0.36)
+            if row != column:
                 axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+                axes.yaxis.set_label_coords(-0.48, 0.5)
+        figure.subplots_adjust(left=0.2, bottom=0.17, right=0.98, top=0.98)
         return to_svg(figure, name, description)

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from pipeline.arrays import FloatArray
 
 from ..limits import Limit
-from .style import COLOURS, EDGES, HATCHES, INK, LIMIT, MARKERS, MUTED, POINTS, RULE, style, to_svg
+from .style import COLOURS, EDGES, HATCHES, INK, LIMIT, MARKERS, MUTED, POINTS, RULE, WIDTH, style, to_svg
 
 
 def theta_and_split(
@@ -37,17 +37,25 @@ def theta_and_split(
     known = np.isfinite(theta_deg) & np.isfinite(split_hz)
     theta, split, verdict = theta_deg[known], split_hz[known], np.array(verdicts)[known]
     with style():
-        figure = Figure(figsize=(9.6, 3.35))
-        rose = figure.add_axes((0.02, 0.13, 0.27, 0.7), projection="polar")
+        figure = Figure(figsize=(WIDTH, 3.6))
+        rose = figure.add_axes((0.035, 0.15, 0.255, 0.68), projection="polar")
         assert isinstance(rose, PolarAxes)
         _rose(rose, theta, verdict, theta_limit)
-        plane = figure.add_axes((0.385, 0.15, 0.25, 0.68))
+        plane = figure.add_axes((0.4, 0.16, 0.245, 0.69))
         _plane(plane, theta, split, verdict, theta_limit, split_limit)
-        axes = figure.add_axes((0.72, 0.15, 0.27, 0.68))
+        axes = figure.add_axes((0.735, 0.16, 0.26, 0.69))
         _histogram(axes, split, verdict, split_limit)
         axes.set(xlabel="split, Hz", ylabel="devices")
         axes.set_title("Split")
-        figure.legend(handles=_handles(), loc="lower left", ncols=1, bbox_to_anchor=(0.0, 0.0), labelspacing=0.25)
+        figure.legend(
+            handles=_handles(),
+            loc="lower left",
+            ncols=1,
+            bbox_to_anchor=(-0.012, -0.02),
+            labelspacing=0.2,
+            handletextpad=0.3,
+            handlelength=1.2,
+        )
         return to_svg(figure, name, "Distributions of theta and of the split, with limits, by verdict")
 
 
@@ -58,7 +66,7 @@ def histograms(
     verdict = np.array(verdicts)
     with style():
         down = -(-len(panels) // 3)
-        figure = Figure(figsize=(9.6, 2.15 * down), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 2.4 * down), layout="constrained")
         for k, axes in enumerate(figure.subplots(down, 3, squeeze=False).ravel()):
             if k >= len(panels):
                 axes.set_axis_off()
@@ -86,7 +94,7 @@ def _histogram(axes: Axes, values: FloatArray, verdict: np.ndarray, limit: Limit
         axes.set_xlim(low, high)
         beyond = int(np.sum((values < low) | (values > high)))
         if beyond:
-            axes.set_title(f"{beyond} beyond the window, in its last bars", fontsize=8, weight="normal", color=MUTED)
+            axes.set_title(f"{beyond} beyond the window, in its last bars", fontsize=9, weight="normal", color=MUTED)
     for end in (limit.low, limit.high) if limit else ():
         if np.isfinite(end):
             axes.axvline(end, color=LIMIT, lw=1.1, ls=(0, (4, 2)))
@@ -135,7 +143,7 @@ def _rose(axes: PolarAxes, theta: FloatArray, verdict: np.ndarray, limit: Limit 
     axes.tick_params(axis="x", pad=-2)
     axes.grid(color=RULE, lw=0.5)
     axes.spines["polar"].set_color(RULE)
-    axes.set_title("Theta, as an axis", x=-0.02, y=1.1)
+    axes.set_title("Theta, as an axis", x=-0.1, y=1.13)
 
 
 def _plane(
@@ -162,7 +170,8 @@ def _plane(
                 [0, 2 * reach * np.cos(2 * np.radians(end))],
                 [0, 2 * reach * np.sin(2 * np.radians(end))],
                 color=LIMIT,
-                lw=0.9,
+                lw=1.1,
+                ls=(0, (4, 2)),
             )
     x, y = split * np.cos(2 * np.radians(theta)), split * np.sin(2 * np.radians(theta))
     for kind in COLOURS:

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from pipeline.arrays import FloatArray
 
-from .style import ACCENT, COLOURS, POINTS, RULE, style, to_svg
+from .style import ACCENT, COLOURS, POINTS, RULE, WIDTH, style, to_svg
 
 
 def route_scatter(
@@ -25,7 +26,7 @@ def route_scatter(
     """
     step = max(1, -(-split_hz.size // POINTS))
     with style():
-        figure = Figure(figsize=(9.6, 3.0), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
         for axes, (label, route, posterior) in zip(
             figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
         ):
@@ -38,6 +39,9 @@ def route_scatter(
                 axes.plot(x, y, ls="none", marker=marker, ms=3.2, mew=0.7, color=colour, alpha=0.8, label=legend)
             if axes.lines and any(line.get_xdata().size for line in axes.lines):
                 axes.set(xscale="log", yscale="log")
+                # Labels between the decades would run into each other.
+                axes.xaxis.set_minor_formatter(NullFormatter())
+                axes.yaxis.set_minor_formatter(NullFormatter())
             axes.set(xlabel="split, Hz", ylabel=label)
             axes.grid(color=RULE, lw=0.5)
             axes.legend(loc="best", handletextpad=0.2)

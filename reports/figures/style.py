@@ -29,18 +29,20 @@ EDGES: Mapping[str, str] = MappingProxyType({"pass": "#0072b2", "fail": "#d55e00
 MARKERS: Mapping[str, str] = MappingProxyType({"pass": "o", "fail": "X", "undecided": "D"})
 HATCHES: Mapping[str, str] = MappingProxyType({"pass": "", "fail": "////", "undecided": ".."})
 # Most points that a scatter draws: beyond it the page grows and nothing more is seen.
-POINTS = 1500
+POINTS = 700
+# Width of a figure [inch at 72 points]: that of the page.
+WIDTH = 10.25
 
 _RC: Mapping[str, Any] = MappingProxyType(
     {
         "svg.fonttype": "none",
         "svg.hashsalt": "gyroscreen",
         "font.family": "sans-serif",
-        "font.size": 9.0,
-        "axes.titlesize": 9.5,
+        "font.size": 11.0,
+        "axes.titlesize": 11.0,
         "axes.titleweight": "bold",
         "axes.titlelocation": "left",
-        "axes.labelsize": 9.0,
+        "axes.labelsize": 10.5,
         "axes.labelcolor": INK,
         "axes.edgecolor": MUTED,
         "axes.linewidth": 0.7,
@@ -52,11 +54,11 @@ _RC: Mapping[str, Any] = MappingProxyType(
         "ytick.color": MUTED,
         "xtick.labelcolor": INK,
         "ytick.labelcolor": INK,
-        "xtick.labelsize": 8.5,
-        "ytick.labelsize": 8.5,
+        "xtick.labelsize": 10.0,
+        "ytick.labelsize": 10.0,
         "legend.frameon": False,
-        "legend.fontsize": 8.5,
-        "hatch.linewidth": 0.5,
+        "legend.fontsize": 10.0,
+        "hatch.linewidth": 0.45,
         "figure.dpi": 72.0,
         "path.simplify": True,
     }

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle
 
 from pipeline.arrays import BoolArray, FloatArray
 
-from .style import COLOURS, EDGES, MARKERS, MUTED, RULE, style, to_svg
+from .style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, style, to_svg
 
 COLUMNS = 4
 MOST = 12
@@ -35,7 +35,7 @@ def wafer_maps(
     with style():
         across = min(COLUMNS, max(2, len(names)))
         down = -(-len(names) // across)
-        figure = Figure(figsize=(9.6, (2.55 if across == COLUMNS else 3.0) * down + 0.35), layout="constrained")
+        figure = Figure(figsize=(WIDTH, (2.75 if across == COLUMNS else 3.0) * down + 0.35), layout="constrained")
         grid = figure.subplots(down, across, squeeze=False)
         for k, axes in enumerate(grid.ravel()):
             if k >= len(names):
@@ -57,7 +57,7 @@ def wafer_maps(
                     mec=EDGES[kind],
                     mew=0.6,
                 )
-            axes.set_title(f"{names[k]}: {passed} of {n} pass", fontsize=8.5)
+            axes.set_title(f"{names[k]}: {passed} of {n} pass", fontsize=10)
         figure.legend(handles=_handles(), loc="outside lower left", ncols=3, handletextpad=0.3)
         return to_svg(figure, name, "Verdicts at the die positions of each wafer")
 
@@ -80,7 +80,7 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
     )
     radius = _radius(x_mm, y_mm)
     with style():
-        figure = Figure(figsize=(9.6, 3.4), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
         _outline(left, radius)
         size = _marker_size(places[:, 0], places[:, 1], radius, 2) ** 2
@@ -96,8 +96,9 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
             linewidths=0,
         )
         bar = figure.colorbar(marks, ax=left, shrink=0.8, pad=0.02)
-        bar.set_label("pass at this die position, %")
-        left.set_title(f"All wafers on one ({int(n.min())} to {int(n.max())} devices a position)")
+        bar.set_label("pass, %")
+        each = f"{n.min()}" if n.min() == n.max() else f"{n.min()} to {n.max()}"
+        left.set_title(f"All wafers on one ({each} devices a die)")
         _by_radius(right, np.hypot(x_mm[known], y_mm[known]), passed[known], radius)
         return to_svg(figure, name, "Share of passing devices by die position and by radius")
 
@@ -117,10 +118,10 @@ def _by_radius(axes: Axes, r_mm: FloatArray, passed: BoolArray, radius: float) -
         axes.plot([middle, middle], [100 * low, 100 * high], color=COLOURS["pass"], lw=1.2)
         axes.plot([middle], [100 * share], "o", color=COLOURS["pass"], ms=5)
         axes.annotate(
-            f"{here.size}", (middle, 100 * share), xytext=(6, 4), textcoords="offset points", fontsize=8, color=MUTED
+            f"{here.size}", (middle, 100 * share), xytext=(6, 4), textcoords="offset points", fontsize=9.5, color=MUTED
         )
     axes.set(xlim=(0, radius), ylim=(0, 100), xlabel="distance from the wafer centre, mm", ylabel="pass, %")
-    axes.set_title("Yield by ring of equal area, with 95 % intervals and devices")
+    axes.set_title("Yield by ring of equal area, 95 % intervals")
     axes.grid(axis="y", color=RULE, lw=0.6)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from .style import ACCENT, MUTED, RULE, style, to_svg
+from .style import ACCENT, MUTED, RULE, WIDTH, style, to_svg
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,8 @@ def yield_spans(spans: Sequence[Span], name: str = "yield-spans") -> str:
             if not any(one is not None and one.question == span.question for _, one in rows):
                 rows.append((span.question, None))
             rows.append((span.label, span))
-        figure = Figure(figsize=(9.6, 0.27 * len(rows) + 0.6))
-        axes = figure.add_axes(
-            (0.36, 0.42 / (0.27 * len(rows) + 0.6), 0.53, 0.27 * len(rows) / (0.27 * len(rows) + 0.6))
-        )
+        figure = Figure(figsize=(WIDTH, 0.3 * len(rows) + 0.65))
+        axes = figure.add_axes((0.36, 0.5 / (0.3 * len(rows) + 0.65), 0.53, 0.3 * len(rows) / (0.3 * len(rows) + 0.65)))
         low = min((span.low for span in spans), default=0.0)
         high = max((span.high for span in spans), default=1.0)
         room = max(0.02, 0.08 * (high - low))
@@ -40,18 +38,20 @@ def yield_spans(spans: Sequence[Span], name: str = "yield-spans") -> str:
         for k, (label, one) in enumerate(rows):
             y = -float(k)
             if one is None:
-                axes.text(-0.68, y, label, transform=axes.get_yaxis_transform(), va="center", weight="bold", fontsize=9)
+                axes.text(
+                    -0.675, y, label, transform=axes.get_yaxis_transform(), va="center", weight="bold", fontsize=10.5
+                )
                 continue
             axes.plot([100 * one.low, 100 * one.high], [y, y], color=ACCENT, lw=4, solid_capstyle="butt", alpha=0.55)
             axes.plot([100 * one.value], [y], marker="|", ms=11, mew=2, color="#003c5f")
-            axes.text(-0.65, y, label, transform=axes.get_yaxis_transform(), va="center", fontsize=9)
+            axes.text(-0.64, y, label, transform=axes.get_yaxis_transform(), va="center", fontsize=10.5)
             axes.text(
                 1.02,
                 y,
                 f"{100 * one.low:.1f} to {100 * one.high:.1f}",
                 transform=axes.get_yaxis_transform(),
                 va="center",
-                fontsize=8.5,
+                fontsize=10,
                 color=MUTED,
             )
         axes.set_ylim(-len(rows) + 0.4, 0.6)

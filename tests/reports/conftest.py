@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ class SyntheticRun:
     posterior: pa.Table | None
     manifest: Mapping[str, Any]
     config_toml: str = 'devices = 200\n[limits.split_hz]\nmax = 3.0  # <&"\n'
-    extra: Mapping[str, Any] = field(default_factory=dict)
 
 
 MANIFEST = {
@@ -132,11 +131,3 @@ def _synthetic(
 def synthetic_run() -> Callable[..., SyntheticRun]:
     """Builds a run: n devices, seed, virtual or measured, limits, wafers, draws."""
     return _synthetic
-
-
-def replace_text(run: SyntheticRun, column: str, value: str) -> SyntheticRun:
-    """The same run with one text column all alike."""
-    table = run.devices
-    place = table.column_names.index(column)
-    values = pa.array([value] * table.num_rows, pa.string())
-    return SyntheticRun(table.set_column(place, table.schema.field(column), values), run.posterior, run.manifest)
