@@ -89,9 +89,7 @@ def _roles(declared: Sequence[Role | None]) -> list[Role]:
     open_places = [k for k, role in enumerate(declared) if role is None]
     others_fit = len(open_places) > 1 or "fit" in declared
     last = open_places[-1] if open_places and others_fit and "validate" not in declared else None
-    return [
-        role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)
-    ]
+    return [role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)]
 
 
 def _per_channel(
@@ -122,13 +120,9 @@ def mend(record: Record, channels: Channels) -> Record:
         drive = drive * sign
     if (sign := _per_channel(channels.sense_polarity, sense.shape[1], "sense_polarity")) is not None:
         sense = sense * sign
-    if (
-        order := _per_channel(channels.drive_order, drive.shape[1], "drive_order", permutation=True)
-    ) is not None:
+    if (order := _per_channel(channels.drive_order, drive.shape[1], "drive_order", permutation=True)) is not None:
         drive = drive[:, order.astype(np.int64) - 1]
-    if (
-        order := _per_channel(channels.sense_order, sense.shape[1], "sense_order", permutation=True)
-    ) is not None:
+    if (order := _per_channel(channels.sense_order, sense.shape[1], "sense_order", permutation=True)) is not None:
         sense = sense[:, order.astype(np.int64) - 1]
     lag, at_rest = channels.lag_samples, record.at_rest
     if lag:
@@ -171,6 +165,7 @@ def _one(folder: Path, entry: RecordTable, role: Role, rate: float | None, docum
         at_rest=record.at_rest and entry.at_rest,
         rate_dps=entry.rate_dps,
         bias_v=entry.bias_v,
+        file=entry.file,
     )
 
 
@@ -273,9 +268,7 @@ def read_measurement(path: Path) -> Campaign | ModalRecord:
         modal = decode_modal_record(toml.read_text(path), path)
         return modal if modal is not None else read_campaign(path)
     record = dataclasses.replace(read_record(path, None), role="fit")
-    return Campaign(
-        device_id=path.stem, records=(record,), instrument=Instrument(sample_rate_hz=record.sample_rate_hz)
-    )
+    return Campaign(device_id=path.stem, records=(record,), instrument=Instrument(sample_rate_hz=record.sample_rate_hz))
 
 
 def _vectors(record: Record) -> dict[str, FloatArray]:
@@ -307,26 +300,20 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
         conditions = {"role": record.role, "rate_dps": record.rate_dps, "bias_v": record.bias_v}
         name = record.name if record.name != file else None
         at_rest = None if record.at_rest else False
-        entries.append(
-            toml.table("[[record]]", {"file": file, "name": name, **conditions, "at_rest": at_rest})
-        )
+        entries.append(toml.table("[[record]]", {"file": file, "name": name, **conditions, "at_rest": at_rest}))
     instrument = campaign.instrument
     text = "\n".join(
         part
         for part in [
             toml.table("[device]", {"id": campaign.device_id or None, "angular_gain": campaign.angular_gain}),
-            toml.table(
-                "[demodulation]", {"phase_error_deg": campaign.phase_error_deg, "drive": campaign.drive}
-            ),
+            toml.table("[demodulation]", {"phase_error_deg": campaign.phase_error_deg, "drive": campaign.drive}),
             toml.table(
                 "[instrument]",
                 {
                     "sample_rate_hz": instrument.sample_rate_hz,
                     "hold": instrument.hold,
                     "bias_v": instrument.bias_v,
-                    "antialias": None
-                    if instrument.antialias is None
-                    else dataclasses.asdict(instrument.antialias),
+                    "antialias": None if instrument.antialias is None else dataclasses.asdict(instrument.antialias),
                     "adc": None if instrument.adc is None else dataclasses.asdict(instrument.adc),
                 },
             ),

@@ -59,6 +59,7 @@ class Record:
     rate_dps : declared angular rate [deg/s]; ``None`` is unknown.
     bias_v : bias during this record [V]; ``None`` is the instrument's.
     clock : what its time column says; ``None`` where there was none.
+    file : file of its [[record]] in campaign.toml; ``None`` where it comes from none.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Record:
     rate_dps: float | None = None
     bias_v: float | None = None
     clock: Clock | None = None
+    file: str | None = None
 
     @property
     def duration_s(self) -> float:

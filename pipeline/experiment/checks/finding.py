@@ -1,0 +1,131 @@
+"""What a check found, and the TOML lines that mend it."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ..record import Channels
+from ..toml_files import table
+
+#: "fault": the campaign must be mended or measured again; "warning": a fit would suffer; "note": good to
+#: know.
+Severity = Literal["fault", "warning", "note"]
+
+
+@dataclass(frozen=True)
+class Mend:
+    """Keys of campaign.toml to write or replace.
+
+    ``instrument`` and ``channels``: key -> value under that table; ``record``: file -> key -> value in its
+    [[record]].
+    """
+
+    instrument: dict[str, Any] = field(default_factory=dict)
+    channels: dict[str, Any] = field(default_factory=dict)
+    record: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.instrument or self.channels or self.record)
+
+    def joined(self, other: Mend) -> Mend:
+        """Both mends in one; a key that both write takes ``other``'s value."""
+        names = self.record | other.record
+        records = {name: self.record.get(name, {}) | other.record.get(name, {}) for name in names}
+        return Mend(self.instrument | other.instrument, self.channels | other.channels, records)
+
+    @property
+    def toml(self) -> str:
+        """The lines to write."""
+        parts = [table("[instrument]", self.instrument), table("[channels]", self.channels)]
+        parts += [table("[[record]]", {"file": name, **keys}) for name, keys in self.record.items()]
+        return "\n".join(part for part in parts if part)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found.
+
+    Parameters
+    ----------
+    kind : such as "polarity", "swap", "lag", "hold", "clipping"; what kinds there are says ``check``.
+    text : one sentence for the user, numbers with units.
+    record, channel : where; ``None`` is the whole campaign.
+    value, sd : the number behind it and its standard deviation, in ``unit``; ``None`` where there is none.
+    mend : keys of campaign.toml that mend it; empty where nothing there can.
+    """
+
+    kind: str
+    severity: Severity
+    text: str
+    record: str | None = None
+    channel: str | None = None
+    value: float | None = None
+    sd: float | None = None
+    unit: str = ""
+    mend: Mend = field(default_factory=Mend)
+
+    @property
+    def toml(self) -> str:
+        """The lines that mend it, or an empty string."""
+        return self.mend.toml
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        shown = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "mend"}
+        return shown | {"toml": self.toml}
+
+
+def _composed(
+    polarity: tuple[int, ...] | None,
+    order: tuple[int, ...] | None,
+    more_polarity: tuple[int, ...] | None,
+    more_order: tuple[int, ...] | None,
+    count: int,
+) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
+    p, o = polarity or (1,) * count, order or tuple(range(1, count + 1))
+    mp, mo = more_polarity or (1,) * count, more_order or tuple(range(1, count + 1))
+    # Column f of the files sits at place o.index(f) of the records that were looked at.
+    signs = tuple(p[f] * mp[o.index(f + 1)] for f in range(count))
+    places = tuple(o[k - 1] for k in mo)
+    return (signs if -1 in signs else None), (places if places != tuple(range(1, count + 1)) else None)
+
+
+def composed(done: Channels, more: Channels, drives: int, senses: int) -> Channels:
+    """The one mend of the files that does ``done`` and then ``more`` (see ``campaign.mend``)."""
+    sense_polarity, sense_order = _composed(
+        done.sense_polarity, done.sense_order, more.sense_polarity, more.sense_order, senses
+    )
+    drive_polarity, drive_order = _composed(
+        done.drive_polarity, done.drive_order, more.drive_polarity, more.drive_order, drives
+    )
+    offset = done.drive_offset_v
+    if more.drive_offset_v is not None:
+        signs, order = done.drive_polarity or (1,) * drives, done.drive_order or tuple(range(1, drives + 1))
+        before = done.drive_offset_v or (0.0,) * drives
+        offset = tuple(before[f] + signs[f] * more.drive_offset_v[order.index(f + 1)] for f in range(drives))
+    return Channels(
+        sense_polarity, drive_polarity, sense_order, drive_order, offset, done.lag_samples + more.lag_samples
+    )
+
+
+def channel_mend(done: Channels, more: Channels, drives: int, senses: int) -> Mend:
+    """The [channels] keys that change when ``more`` is done after ``done``; a key back at its default says
+    so.
+    """
+    new = composed(done, more, drives, senses)
+    default: dict[str, Any] = {
+        "sense_polarity": [1] * senses,
+        "drive_polarity": [1] * drives,
+        "sense_order": list(range(1, senses + 1)),
+        "drive_order": list(range(1, drives + 1)),
+        "drive_offset_v": [0.0] * drives,
+        "lag_samples": 0,
+    }
+    changed = {}
+    for name, plain in default.items():
+        value = getattr(new, name)
+        if value != getattr(done, name):
+            changed[name] = plain if value is None else list(value) if isinstance(value, tuple) else value
+    return Mend(channels=changed)

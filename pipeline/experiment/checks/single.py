@@ -1,0 +1,69 @@
+"""Lag of a one-drive device, from the phase of its frequency response on both sides of a resonance.
+
+    arg H(f) = base - 2 pi f tau - zeta g(f/f_0) - (pi above f_0),   g(r) = 2 r / (1 - r^2)
+
+base is 0 or pi for a displacement pick-off, +-pi/2 for a velocity pick-off, so twice the phase is known
+modulo 2 pi. H = S_yu / S_uu by Welch's method, the declared hold and filter taken out; weights from the
+coherence.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.signal import coherence, csd, welch
+
+from ..antialias import filter_response
+from ..instrument import Instrument
+from ..record import Record
+from .wiring import hold_factor
+
+_MAX_LAG = 60.0
+_STEP = 0.02
+#: Nearer to the resonance than this, relative, damping and nonlinearity turn the phase.
+_NEAR = 0.1
+#: Least agreement of the phases (1 is perfect) for a lag to be told.
+_AGREEMENT = 0.9
+
+
+def single_lag(record: Record, sense: int, instrument: Instrument) -> tuple[float, float] | None:
+    """Lag and sd [samples] of ``sense`` (from 0) against the only drive; ``None`` where it cannot be told."""
+    u, y = record.drive_v[:, 0], record.sense_v[:, sense]
+    segment = min(2048, u.size // 8)
+    if segment < 64 or not np.any(u != u[0]):
+        return None
+    rate = record.sample_rate_hz
+    f, cross = csd(u, y, rate, nperseg=segment)
+    _, power = welch(u, rate, nperseg=segment)
+    _, coherent = coherence(u, y, rate, nperseg=segment)
+    driven = (power > 1e-3 * power.max()) & (f > 0.0) & (f < 0.45 * rate) & (coherent > 0.5)
+    if np.sum(driven) < 8:
+        return None
+    H = cross[driven] / power[driven]
+    f, coherent = f[driven], np.minimum(coherent[driven], 0.9999)
+    known = np.array([hold_factor(2j * math.pi * hz, rate, instrument.hold) for hz in f])
+    H = H / (known * filter_response(instrument.antialias, 2j * np.pi * f))
+    peak = float(f[np.argmax(np.abs(H))])
+    away = np.abs(f / peak - 1.0) > _NEAR
+    if np.sum(away) < 8:
+        return None
+    f, phase, weight = f[away], np.angle(H[away]), (coherent / (1.0 - coherent))[away]
+    weight = np.minimum(weight, 100.0 * np.median(weight))
+    lags = np.arange(-_MAX_LAG, _MAX_LAG, _STEP)
+    turning = np.exp(2j * (phase[None, :] + 2.0 * np.pi * f * lags[:, None] / rate))
+    score = np.abs(np.real(turning @ weight)) / np.sum(weight)
+    best = float(lags[np.argmax(score)])
+    if score.max() < _AGREEMENT:
+        return None
+    # Around the best lag the phase is linear in lag and damping.
+    left = phase + 2.0 * np.pi * f * best / rate
+    base = 0.5 * float(np.angle(np.sum(weight * np.exp(2j * left)).real + 0j))
+    left = np.angle(np.exp(2j * (left - base))) / 2.0
+    ratio = f / peak
+    design = np.stack([-2.0 * np.pi * f / rate, -2.0 * ratio / (1.0 - ratio**2)], axis=1)
+    root = np.sqrt(weight)[:, None]
+    solution = np.linalg.lstsq(design * root, left * root[:, 0], rcond=None)[0]
+    rest = (left - design @ solution) * root[:, 0]
+    spread = np.linalg.inv((design * root).T @ (design * root)) * np.sum(rest**2) / max(f.size - 2, 1)
+    return best + float(solution[0]), float(np.sqrt(spread[0, 0]))
