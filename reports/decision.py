@@ -75,16 +75,17 @@ def decide(limits: Limits, draws: Mapping[str, FloatArray], status: Sequence[str
     Parameters
     ----------
     limits : limits and rule.
-    draws : quantity -> (B, n) posterior draws in the units of the results columns; every limited quantity.
+    draws : quantity -> (B, n) posterior draws in the units of the results columns; every limited quantity;
+        (B, 1) for a quantity that is known exactly, or not at all (nan).
     status : B times "ok" or why the identification is not; only "ok" is judged.
 
     Raises
     ------
     UsageError : a limited quantity has no draws, or the shapes do not agree.
     """
-    _check_shapes(limits, draws, len(status))
-    each = conforms_each(limits, draws)
-    unknown = {name: np.isnan(np.asarray(draws[name])) for name in each}
+    values = _one_shape(limits, draws, len(status))
+    each = conforms_each(limits, values)
+    unknown = {name: np.isnan(values[name]) for name in each}
     surely = np.logical_and.reduce(list(each.values())).mean(axis=1)
     maybe = np.logical_and.reduce([met | unknown[name] for name, met in each.items()]).mean(axis=1)
     own = np.array([(met | unknown[name]).mean(axis=1) for name, met in each.items()])
@@ -110,13 +111,16 @@ def _failed(names: tuple[str, ...], probability: FloatArray) -> str:
     return ",".join(names[k] for k in order if probability[k] <= 0.5)
 
 
-def _check_shapes(limits: Limits, draws: Mapping[str, FloatArray], devices: int) -> None:
-    shapes = {name: np.shape(draws[name]) for name in limits.quantities if name in draws}
-    good = {shape for shape in shapes.values() if len(shape) == 2 and shape[0] == devices and shape[1] > 0}
-    if shapes and (len(good) != 1 or good != set(shapes.values())):
+def _one_shape(limits: Limits, draws: Mapping[str, FloatArray], devices: int) -> dict[str, FloatArray]:
+    """The draws of the limited quantities, those with a single draw repeated."""
+    values = {name: np.asarray(draws[name], dtype=np.float64) for name in limits.quantities if name in draws}
+    shapes = {name: array.shape for name, array in values.items()}
+    n = max((shape[-1] for shape in shapes.values() if shape), default=1)
+    if any(shape not in ((devices, n), (devices, 1)) for shape in shapes.values()) or n == 0:
         raise UsageError(
             "draws do not have one shape",
             value=shapes,
             allowed=f"({devices}, n) for every limited quantity, n >= 1, one row a status",
             next_step="stack the draws of each device as a row",
         )
+    return {name: np.broadcast_to(array, (devices, n)) for name, array in values.items()}

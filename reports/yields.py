@@ -18,6 +18,7 @@ Yields and probabilities are shares of one, not percent.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -273,4 +274,10 @@ def by_group(
     members: dict[tuple[str, str], list[str]] = {}
     for key, verdict in zip(keys, verdicts, strict=True):
         members.setdefault(key, []).append(verdict)
-    return tuple(GroupYield(lot, wafer, yield_of_verdicts(members[lot, wafer])) for lot, wafer in sorted(members))
+    order = sorted(members, key=lambda key: (natural(key[0]), natural(key[1])))
+    return tuple(GroupYield(lot, wafer, yield_of_verdicts(members[lot, wafer])) for lot, wafer in order)
+
+
+def natural(name: str) -> tuple[tuple[int, str], ...]:
+    """A key that sorts W2 before W10."""
+    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name))

@@ -13,6 +13,7 @@ from matplotlib.patches import Circle
 
 from pipeline.arrays import BoolArray, FloatArray
 
+from ..yields import natural
 from .style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, style, to_svg
 
 COLUMNS = 4
@@ -29,7 +30,7 @@ def wafer_maps(
     x_mm, y_mm : (B,) die centres from the wafer centre [mm]; nan is not drawn.
     verdicts, wafers : B each.
     """
-    names = sorted(set(wafers))[:MOST]
+    names = sorted(set(wafers), key=natural)[:MOST]
     verdict, wafer = np.array(verdicts), np.array(wafers)
     radius = _radius(x_mm, y_mm)
     with style():

@@ -82,3 +82,13 @@ def test_no_devices_is_no_error_and_missing_or_ragged_draws_are() -> None:
         decide(SPLIT, {"split_hz": np.ones((2, 10))}, ["ok"])
     with pytest.raises(UsageError, match="one shape"):
         decide(SPLIT, {"split_hz": np.ones((1, 0))}, ["ok"])
+    with pytest.raises(UsageError, match="one shape"):
+        decide(BOTH, {"split_hz": np.ones((1, 10)), "theta_deg": np.ones((1, 9))}, ["ok"])
+
+
+def test_a_quantity_without_draws_of_its_own_is_known_or_unknown_as_a_whole() -> None:
+    split = np.stack([_share(100), _share(0)])
+    known = decide(BOTH, {"split_hz": split, "theta_deg": np.full((2, 1), 90.0)}, ["ok"] * 2)
+    assert known.verdict == ("pass", "fail")
+    unknown = decide(BOTH, {"split_hz": split, "theta_deg": np.full((2, 1), np.nan)}, ["ok"] * 2)
+    assert unknown.verdict == ("undecided", "fail")

@@ -148,6 +148,7 @@ def test_groups_are_counted_by_wafer_and_by_lot() -> None:
         ("B", "W1", 1, 1),
     ]
     assert [(g.lot, g.result.devices) for g in by_group(verdicts, lots)] == [("A", 3), ("B", 1)]
+    assert [g.lot for g in by_group(["pass"] * 4, ["L10", "L2", "", "7"])] == ["", "7", "L2", "L10"]
 
 
 def test_risks_of_the_normal_process_are_the_published_ones() -> None:
