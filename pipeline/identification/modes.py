@@ -24,6 +24,8 @@ from .failure import IdentificationError
 from .poles import companion_poles, nearby_poles, polynomial_at, refine
 
 TAU = 2.0 * np.pi
+#: How much of a resonance must lie in the band, to each side.
+_HALF_WIDTHS = 3.0
 #: Newton's last correction and the distance of two poles, below which they count as converged, as one.
 _CONVERGED = 1e-10
 _SAME = 1e-12
@@ -102,7 +104,11 @@ def _companion_nearby(A: FloatArray, centre: complex) -> ComplexArray:
 
 
 def band_poles(model: ArxModel, sample_rate_hz: float, band_hz: tuple[float, float]) -> ComplexArray:
-    """The distinct stable poles z with arg z in the band, by ascending frequency."""
+    """The distinct stable poles z whose resonance lies in the band, by ascending frequency.
+
+    arg z -+ 3 half-widths, half-width = -ln|z|: what sticks out of the band is the model's way with its edges, where
+    nothing was driven, and may have any residue.
+    """
     low, high = (TAU * f / sample_rate_hz for f in band_hz)
     centre = complex(np.exp(0.5j * (low + high)))
     # The disc through both ends of the band; well damped poles far inside the circle are nobody's mode.
@@ -116,7 +122,8 @@ def band_poles(model: ArxModel, sample_rate_hz: float, band_hz: tuple[float, flo
     else:
         poles = poles[last < _CONVERGED]
     angle = np.angle(poles)
-    kept = poles[(angle > low) & (angle < high) & (np.abs(poles) < 1.0)]
+    reach = -_HALF_WIDTHS * np.log(np.abs(poles))
+    kept = poles[(reach > 0.0) & (angle - reach > low) & (angle + reach < high)]
     return np.asarray(kept[np.argsort(np.angle(kept))])
 
 

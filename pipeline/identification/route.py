@@ -29,8 +29,11 @@ from .failure import IdentificationError
 from .modes import ContinuousModes, modes_from_fractions, modes_of, to_continuous
 from .phase import correct_phase, without_filter
 
-#: Share of the in-phase pattern above which a mode counts as up-down; half-way between the two kinds.
-_UPDOWN_SHARE = 0.5
+#: In-phase share above which a mode is up-down (a tilt of 0.5 still is), and below which it rocks.
+_UPDOWN_SHARE = 0.8
+_ROCKING_SHARE = 0.5
+#: In-phase share beyond which a mode is a translation seen with one sign wrong.
+_REVERSED_SHARE = -0.9
 #: A mode stands alone when it is this many times farther from the other two than they are from each other.
 _ALONE = 10.0
 
@@ -100,7 +103,7 @@ def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
     share = M.sum(axis=(1, 2)) / (2.0 * np.linalg.norm(M, axis=(1, 2)))
     updown = int(np.argmax(share))
     alone = _standing_alone(modes.frequency_hz)
-    if alone not in (None, updown) and share[alone] < -_UPDOWN_SHARE:
+    if alone not in (None, updown) and share[alone] < _REVERSED_SHARE:
         raise IdentificationError(
             "all senses or all drives are reversed",
             value=f"in-phase share {share[alone]:+.2f} of the mode at {modes.frequency_hz[alone]:.2f} Hz",
@@ -108,12 +111,12 @@ def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
             next_step="change the sign of both sense columns, or of both drive columns",
         )
     rocking = [k for k in np.argsort(modes.frequency_hz) if k != updown]
-    if not share[updown] > _UPDOWN_SHARE or not np.all(share[rocking] < _UPDOWN_SHARE):
+    if not share[updown] > _UPDOWN_SHARE or not np.all(share[rocking] < _ROCKING_SHARE):
         shown = ", ".join(f"{f:.2f} Hz: {c:+.2f}" for f, c in zip(modes.frequency_hz, share))
         raise IdentificationError(
             "no two rocking modes and one up-down mode among the three strongest",
             value=f"in-phase share {shown}",
-            allowed=f"one mode above {_UPDOWN_SHARE}, two below",
+            allowed=f"one mode above {_UPDOWN_SHARE}, two below {_ROCKING_SHARE}",
             next_step="check polarity and order of the channels, and that the band holds all three modes",
         )
     return int(rocking[0]), int(rocking[1]), updown
