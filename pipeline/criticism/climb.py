@@ -129,6 +129,9 @@ def _pair(problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], r
     both = _fit(problem, (*here.fit.terms, first, second), one if one.ok else here.fit, fits)
     if not (one.ok and both.ok and both.chi2 <= one.chi2 <= here.fit.chi2):
         return ()
+    sizes = sum(score.parameters for score in here.scores if score.name in (first, second))
+    if not _worth(here.fit.chi2 - both.chi2, here, sizes, rules.alpha):
+        return ()
     whole = paired(here.fit.held, both.held)
     if whole.standing == "refused":
         return ()

@@ -26,6 +26,9 @@ from .scores import cells_of, falls
 from .tails import log_any, log_tail, normal_log_tail
 
 _WINDOW = 128
+#: Median of |N(0, 1)|, and the regions a family needs before its spread says something.
+_MEDIAN = 0.6745
+_FEW = 8
 
 
 @dataclass(frozen=True)
@@ -111,18 +114,20 @@ def _agreements(fit: FitResult, base: Baseline) -> Structure | None:
 
 
 def _regions(regions: Sequence[Region]) -> Structure | None:
+    """Energies against their family's median level, their variance taken from the family where it exceeds 2 dof."""
     log_p, where = [], []
     for family in sorted({region.family for region in regions}):
         own = [region for region in regions if region.family == family and region.dof > 0.0]
-        level = max(1.0, float(np.median([region.chi2 / region.dof for region in own]))) if own else 1.0
-        for region in own:
-            log_p.append(float(_log_energy(region.chi2 / level, region.dof)))
+        energy = np.array([region.chi2 if region.robust is None else region.robust for region in own])
+        dof = np.array([region.dof for region in own])
+        level = max(1.0, float(np.median(energy / dof))) if own else 1.0
+        z = (energy / level - dof) / np.sqrt(2.0 * dof)
+        spread = max(1.0, float(np.median(np.abs(z))) / _MEDIAN) if len(own) >= _FEW else 1.0
+        for region, value, count in zip(own, energy / level, dof):
+            # Scaled so that mean and variance are right: chi2 of dof / spread^2, times spread^2.
+            log_p.append(float(log_tail(value / spread**2, max(round(count / spread**2), 1))))
             where.append(f"{family} {dict(region.labels)}")
     return _strongest("region", log_p, where)
-
-
-def _log_energy(chi2: float, dof: float) -> FloatArray:
-    return log_tail(chi2, max(round(dof), 1))
 
 
 def _repeats(fit: FitResult, base: Baseline) -> Structure | None:

@@ -166,12 +166,14 @@ class Region:
     """A part of the data: where it is, its residual energy, and the degrees of freedom in it.
 
     ``family`` gathers regions that cut the data along one line (frequency, time, level); shares add up within one.
+    ``robust`` is the same energy with single outliers clipped, for tests that heavy-tailed noise must not set off.
     """
 
     family: str
     labels: Mapping[str, object]
     chi2: float
     dof: float
+    robust: float | None = None
 
 
 class Problem(Protocol):

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from ..arrays import FloatArray
 from .problem import FitResult
@@ -119,9 +118,6 @@ def _orthonormal(blocks: Sequence[FloatArray]) -> tuple[tuple[FloatArray, ...], 
     _, size, vt = np.linalg.svd(upper / scale)
     rank = int(np.sum(size > _RANK * size.max(initial=0.0))) if size.size else 0
     factor = size[:rank, None] * vt[:rank]
-    if rank == upper.shape[1] == upper.shape[0]:
-        # A triangular solve loses less than the singular vectors do where columns are nearly parallel.
-        return tuple(solve_triangular(upper.T, block.T, lower=True).T for block in blocks), upper
     inverse = vt[:rank].T / size[:rank] / scale[:, None]
     return tuple(block @ inverse for block in blocks), factor * scale
 

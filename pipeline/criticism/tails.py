@@ -21,13 +21,19 @@ def log_tail(statistic: FloatArray | float, k: int, dof: int | None = None) -> F
     t = np.maximum(np.asarray(statistic, dtype=np.float64), 0.0)
     if dof is None:
         plain = gammaincc(k / 2.0, t / 2.0)
-        far = _log_chi2_far(np.maximum(t, 1.0), k)
     else:
-        x = dof / (dof + t)
-        plain = betainc(dof / 2.0, k / 2.0, x)
-        far = dof / 2.0 * np.log(x) + (k / 2.0 - 1.0) * np.log1p(-np.minimum(x, 0.5))
-        far = far - np.log(dof / 2.0) - betaln(dof / 2.0, k / 2.0)
-    return np.asarray(np.where(plain > _TINY, np.log(np.maximum(plain, _TINY)), np.minimum(far, np.log(_TINY))))
+        plain = betainc(dof / 2.0, k / 2.0, dof / (dof + t))
+    near = np.log(np.maximum(plain, _TINY))
+    if np.all(plain > _TINY):
+        return np.asarray(near)
+    far = _log_chi2_far(np.maximum(t, 1.0), k) if dof is None else _log_f_far(t, k, dof)
+    return np.asarray(np.where(plain > _TINY, near, np.minimum(far, np.log(_TINY))))
+
+
+def _log_f_far(t: FloatArray, k: int, dof: int) -> FloatArray:
+    x = dof / (dof + t)
+    start = dof / 2.0 * np.log(x) + (k / 2.0 - 1.0) * np.log1p(-np.minimum(x, 0.5))
+    return np.asarray(start - np.log(dof / 2.0) - betaln(dof / 2.0, k / 2.0))
 
 
 def _log_chi2_far(t: FloatArray, k: int) -> FloatArray:
