@@ -115,6 +115,75 @@ def check(
     command(campaign, json)
 
 
+Folders = Annotated[Optional[list[Path]], typer.Option("--effects", help="Folder of your own effects; may repeat.")]  # noqa: UP045
+
+
+@app.command()
+def simulate(
+    out_dir: Annotated[Path, typer.Argument(help="Folder of the campaign to write.")],
+    config: Annotated[Optional[Path], typer.Option(help="Instrument, noise and hum (a run configuration).")] = None,  # noqa: UP045
+    device: Annotated[str, typer.Option(help="Plant parameters, as theta_deg=12,split_hz=1.5.")] = "",
+    effect: Annotated[Optional[list[str]], typer.Option(help="NAME or NAME:param=value,..; may repeat.")] = None,  # noqa: UP045
+    seed: Annotated[int, typer.Option(help="Device, sizes of effects and noise.")] = 1,
+    effects: Folders = None,
+) -> None:
+    """Measure a virtual device: write its campaign, and the truth beside it."""
+    from .commands.model import simulate as command
+
+    command(out_dir, config, device, effect or [], seed, effects or [])
+
+
+@app.command("effects")
+def effects_(
+    name: Annotated[Optional[str], typer.Argument(help="One effect in full; all by their laws without it.")] = None,  # noqa: UP045
+    effects: Folders = None,
+) -> None:
+    """List the effects that a device or its read-out may have."""
+    from .commands.model import effects as command
+
+    command(name, effects or [])
+
+
+model = typer.Typer(help="Show, change and export models.", no_args_is_help=True)
+app.add_typer(model, name="model")
+ModelFile = Annotated[Path, typer.Argument(help="Model file (TOML).")]
+
+
+@model.command()
+def show(file: ModelFile) -> None:
+    """Show a model file and its parameters."""
+    from .commands.model import show as command
+
+    command(file)
+
+
+@model.command()
+def add(effect: Annotated[str, typer.Argument(help="Effect.")], file: ModelFile, effects: Folders = None) -> None:
+    """Add an effect; creates the file."""
+    from .commands.model import change as command
+
+    command(effect, file, True, effects or [])
+
+
+@model.command()
+def drop(effect: Annotated[str, typer.Argument(help="Effect.")], file: ModelFile) -> None:
+    """Drop an effect."""
+    from .commands.model import change as command
+
+    command(effect, file, False, [])
+
+
+@model.command()
+def export(
+    measurement: Annotated[Path, typer.Argument(help="A campaign folder or a record.")],
+    out: Annotated[Optional[Path], typer.Option(help=".json or .mat; DEVICE.json without it.")] = None,  # noqa: UP045
+) -> None:
+    """Identify a device and write its state space, continuous and ZOH, with covariance."""
+    from .commands.model import export as command
+
+    command(measurement, out)
+
+
 benchmark = typer.Typer(help="Measure what the documents claim.", no_args_is_help=True)
 app.add_typer(benchmark, name="benchmark")
 

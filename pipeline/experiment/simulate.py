@@ -97,7 +97,8 @@ def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) 
     step_s = 1.0 / sample_rate_hz
     drive = np.ascontiguousarray(drive_v)
     if hold == "bandlimited":
-        drive = np.ascontiguousarray(resample_poly(drive, _OVERSAMPLING, 1, axis=0, window=_interpolator()))
+        columns = [resample_poly(column, _OVERSAMPLING, 1, window=_interpolator()) for column in drive.T]
+        drive = np.ascontiguousarray(np.stack(columns, axis=1))
         step_s /= _OVERSAMPLING
     z, g0, g1 = hold_gains(bank.poles, step_s, hold)
     batch, poles, senses, drives = bank.residues.shape

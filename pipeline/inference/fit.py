@@ -112,7 +112,7 @@ def _descend(start: FloatArray, likelihood: Compressed, sigma: FloatArray, reach
                     break
             damping = max(damping * 10.0, 1e-8)
         # A step of a thousandth of a standard deviation is a standstill.
-        small = float(np.sqrt(max(step @ gram @ step, 0.0))) < 1e-3
+        small = float(step @ gram @ step) < 1e-6
         if not improved:
             return x, small, shift
         fall = chi2 - float(moved @ moved)

@@ -17,7 +17,7 @@ from typing import Any
 
 import emcee
 import numpy as np
-from arviz_stats.base import array_stats
+from arviz_stats.base.array import array_stats
 
 from ..arrays import FloatArray
 from .compressed import Compressed, log_likelihood
