@@ -13,6 +13,13 @@ import pyarrow as pa
 from pipeline.arrays import BoolArray, FloatArray
 
 
+def wafer_name(lot: str, wafer: str) -> str:
+    """A wafer's name with its lot in front, unless it already begins with it: ("L1", "W2") and ("L1", "L1-W2")."""
+    rest = wafer.removeprefix(lot)
+    named = rest != wafer and not rest[:1].isalnum()
+    return wafer if named else f"{lot} {wafer}".strip()
+
+
 @dataclass(frozen=True, eq=False)
 class Devices:
     """Columns of a ``devices`` table, those that are there: a measured batch has no truth, maybe no wafer."""
@@ -45,4 +52,4 @@ class Devices:
     def wafers(self) -> tuple[str, ...]:
         """B names of wafers, unique over lots; "" where unknown."""
         pairs = zip(self.text("lot"), self.text("wafer"), strict=True)
-        return tuple(f"{lot} {wafer}".strip() if wafer else "" for lot, wafer in pairs)
+        return tuple(wafer_name(lot, wafer) if wafer else "" for lot, wafer in pairs)

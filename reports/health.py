@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from pipeline.arrays import FloatArray
 from .axial import difference
 from .devices import Devices
 
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 ROUTE_THETAS = ("theta_u1_deg", "theta_v1_deg", "theta_u2_deg", "theta_v2_deg")
 
 
@@ -55,9 +56,14 @@ class RouteDifference:
 
 
 def status_counts(devices: Devices) -> tuple[StatusCount, ...]:
-    """Status and reason, most frequent first, "ok" on top."""
-    count = Counter(zip(devices.text("status"), devices.text("status_reason"), strict=True))
-    rows = [StatusCount(status, reason, n) for (status, reason), n in count.items()]
+    """Status and reason, most frequent first, "ok" on top; reasons that differ in numbers only are one, with dots."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for status, reason in zip(devices.text("status"), devices.text("status_reason"), strict=True):
+        groups.setdefault((status, _NUMBER.sub("…", reason)), []).append(reason)
+    rows = [
+        StatusCount(status, dotted if len(set(reasons)) > 1 else reasons[0], len(reasons))
+        for (status, dotted), reasons in groups.items()
+    ]
     return tuple(sorted(rows, key=lambda row: (row.status != "ok", -row.devices, row.status, row.reason)))
 
 

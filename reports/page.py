@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.quantities import QUANTITIES
 
 from .content import Run, RunContent, run_content
-from .devices import Devices
+from .devices import Devices, wafer_name
 from .limits import Limits
 from .rendering import environment, interval, measured, stylesheet
 from .run_figures import corner_plots, run_figures
@@ -70,6 +70,7 @@ def render_run_report(run: Run, limits: Limits, *, population_summary: Mapping[s
         most_maps=12,
         with_estimate=int(np.sum(np.isfinite(devices.number("theta_deg")))),
         interval=interval,
+        wafer_name=wafer_name,
         truth_of=_truth,
     )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-from .wording import UNITS, label, limit_words, percent, percent_range
+from .wording import SUPERSCRIPT, UNITS, label, limit_words, percent, percent_range
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _DASH = "–"
@@ -96,5 +96,5 @@ def _fixed(value: float, sd: float, decimals: int) -> str:
 def _typeset(text: str) -> str:
     mantissa, _, exponent = text.partition("e")
     if exponent:
-        text = f"{mantissa}·10^{int(exponent)}"
+        return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}".replace("-", "−")
     return text.replace("-", "−")

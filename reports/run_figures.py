@@ -24,7 +24,7 @@ from .figures.wafermap import stacked_map, wafer_maps
 from .figures.yields import Span, yield_spans
 from .health import ROUTE_THETAS, miss
 from .limits import Limit
-from .wording import UNITS, label, limit_words
+from .wording import SUPERSCRIPT, UNITS, label, limit_words
 from .worst import WorstDevice
 
 # Where a chirp leaves doubt, it is among these.
@@ -85,7 +85,7 @@ def _thousands(sd: float) -> int:
 
 
 def _unit(exponent: int, unit: str) -> str:
-    power = f"10{str(exponent).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}" if exponent else ""
+    power = f"10{str(exponent).translate(SUPERSCRIPT)}" if exponent else ""
     return f"{power} {unit}".strip() or "1"
 
 

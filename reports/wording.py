@@ -16,6 +16,7 @@ UNITS = {quantity.name: "" if quantity.unit == "1" else quantity.unit for quanti
 
 # The sign stays with its number at the end of a line.
 PERCENT = "\u00a0%"
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 LABELS = {
     "theta_deg": "theta",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pipeline.arrays import FloatArray
 
@@ -40,6 +40,8 @@ def route_scatter(
             if axes.lines and any(line.get_xdata().size for line in axes.lines):
                 axes.set(xscale="log", yscale="log")
                 # Labels between the decades would run into each other.
+                axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
                 axes.xaxis.set_minor_formatter(NullFormatter())
                 axes.yaxis.set_minor_formatter(NullFormatter())
             axes.set(xlabel="split, Hz", ylabel=label)

@@ -161,6 +161,16 @@ def test_status_and_reason_are_counted_ok_first() -> None:
     ]
 
 
+def test_wafers_of_two_lots_never_share_a_name() -> None:
+    devices = _devices(lot=["L1", "L10", "L1", None, "L2"], wafer=["L10-W1", "L10-W1", "W1", "W1", None])
+    assert devices.wafers() == ("L1 L10-W1", "L10-W1", "L1 W1", "W1", "")
+
+
+def test_reasons_that_differ_in_numbers_only_are_one() -> None:
+    devices = _devices(status=["misfit"] * 3, status_reason=["error 1.2 above 1.1", "error 3e+02 above 1.1", "bias"])
+    assert [(row.reason, row.devices) for row in status_counts(devices)] == [("error … above …", 2), ("bias", 1)]
+
+
 def test_nested_facts_become_dotted_lines() -> None:
     rows = facts({"seed": 7, "versions": {"numpy": "2.4"}, "empty": None, "sweep": [1.0, 2.5]})
     assert [(row.name, row.value) for row in rows] == [("seed", "7"), ("versions.numpy", "2.4"), ("sweep", "1, 2.5")]

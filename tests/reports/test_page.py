@@ -189,6 +189,7 @@ def test_numbers_are_rounded_by_their_sd() -> None:
     assert measured(-30.76432, 0.0123) == "−30.764 ± 0.012"
     assert measured(1234.5, 60.0) == "1234 ± 60"
     assert measured(3.167e-4, 2e-7) == "0.00031670 ± 0.00000020"
+    assert number(2.2e-6, 2) == "2.2·10⁻⁶"
     assert measured(1.0, float("nan")) == "1.00000 ± ?"
     assert measured(float("nan"), 1.0) == "–"
     assert interval(0.99, 1.011, 0.0096) == "0.9900 to 1.0110"
