@@ -255,6 +255,6 @@ def check(campaign: Campaign) -> CheckReport:
     if driven and not silent_or_dead:
         # The matrices are small: threads would wait for each other longer than they work.
         with threadpool_limits(limits=1, user_api="blas"):
-            findings += _dynamic(campaign, driven)
+            findings += _dynamic(campaign, [look.without_bias(record, campaign.instrument) for record in driven])
     rank: dict[Severity, int] = {"fault": 0, "warning": 1, "note": 2}
     return CheckReport(tuple(sorted(findings, key=lambda finding: rank[finding.severity])), tuple(found))

@@ -6,6 +6,8 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
 from ..record import Channels
 from ..toml_files import table
 
@@ -125,7 +127,7 @@ def channel_mend(done: Channels, more: Channels, drives: int, senses: int) -> Me
     }
     changed = {}
     for name, plain in default.items():
-        value = getattr(new, name)
-        if value != getattr(done, name):
-            changed[name] = plain if value is None else list(value) if isinstance(value, tuple) else value
+        was, now = (plain if getattr(c, name) is None else getattr(c, name) for c in (done, new))
+        if np.any(np.not_equal(was, now)):
+            changed[name] = list(now) if isinstance(now, tuple) else now
     return Mend(channels=changed)

@@ -1,7 +1,6 @@
 """Mains hum: lines at the multiples of 50 or 60 Hz.
 
-a_h = 2 |sum w y exp(-j 2 pi h f t)| / sum w,    sd from the same sum at neighbouring frequencies, h f +-
-(3 .. 9)/T
+    a_h = 2 |sum w y exp(-j 2 pi h f t)| / sum w,    local level: rms of the same at h f +- (4 .. 18)/T
 """
 
 from __future__ import annotations
@@ -18,7 +17,9 @@ _HARMONICS = 10
 #: Some 80 lines are looked at in a campaign; this many local rms levels keep false alarms below 1e-5 for all
 #: of them.
 _THRESHOLD = 5.0
-_NEIGHBOURS = np.array([-9, -8, -7, -6, -5, -4, 4, 5, 6, 7, 8, 9], dtype=np.float64)
+#: Wide enough for some 20 independent frequencies; the window spreads a line over 2.
+_NEIGHBOURS = np.concatenate([np.arange(-18.0, -3.0), np.arange(4.0, 19.0)])
+_MIN_DURATION_S = 0.5
 
 
 def _amplitudes(y: FloatArray, frequencies_hz: FloatArray, sample_rate_hz: float) -> FloatArray:
@@ -35,7 +36,7 @@ def _lines(record: Record, mains_hz: float) -> tuple[FloatArray, FloatArray, Flo
     y = record.sense_v - record.sense_v.mean(axis=0)
     rate, duration = record.sample_rate_hz, record.duration_s
     harmonics: FloatArray = mains_hz * np.arange(1.0, _HARMONICS + 1.0)
-    harmonics = harmonics[harmonics + 10.0 / duration < rate / 2.0]
+    harmonics = harmonics[harmonics + 20.0 / duration < rate / 2.0]
     if harmonics.size and is_driven(record):
         drive = np.max(_amplitudes(record.drive_v - record.drive_v.mean(axis=0), harmonics, rate), axis=1)
         harmonics = harmonics[drive < 1e-4 * np.max(np.abs(record.drive_v))]
@@ -51,7 +52,7 @@ def hum(campaign: Campaign) -> list[Finding]:
     """
     silent = [record for record in campaign.records if not is_driven(record)]
     record = max(silent or campaign.records, key=lambda r: r.duration_s)
-    if record.duration_s < 10.0 / MAINS_HZ[0] * 2.0:
+    if record.duration_s < _MIN_DURATION_S:
         return []
     found = {mains: _lines(record, mains) for mains in MAINS_HZ}
     # Multiples of 300 Hz belong to both: the mains with more significant lines has them.

@@ -10,14 +10,15 @@ Units: volts, samples.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import rfft
 
-from ...arrays import FloatArray
-from ..instrument import Adc
+from ...arrays import BoolArray, FloatArray
+from ..instrument import Adc, Instrument
 from ..record import Campaign, Channels, Record
 from .finding import Finding, Mend, channel_mend
 
@@ -137,14 +138,26 @@ def offset(record: Record, found: Level) -> list[Finding]:
     return [Finding("offset", "note", text, record.name, found.channel, found.offset_v, sd, "V")]
 
 
+def _holds_bias(mean_v: FloatArray, instrument: Instrument) -> BoolArray:
+    """Drive columns whose mean is the bias, more or less."""
+    bias = abs(instrument.bias_v)
+    return (np.abs(mean_v - instrument.bias_v) < 0.3 * bias) if bias else np.zeros(mean_v.shape, dtype=bool)
+
+
+def without_bias(record: Record, instrument: Instrument) -> Record:
+    """The record with the bias taken off the drives that hold it."""
+    mean = record.drive_v.mean(axis=0)
+    return dataclasses.replace(record, drive_v=record.drive_v - np.where(_holds_bias(mean, instrument), mean, 0.0))
+
+
 def drive_offsets(campaign: Campaign) -> list[Finding]:
     """The bias in the drive columns, which are to hold the commanded samples without it."""
     drives, senses = campaign.records[0].drive_v.shape[1], campaign.records[0].sense_v.shape[1]
     means = np.array([record.drive_v.mean(axis=0) for record in campaign.records])
     swing = np.max([record.drive_v.std(axis=0) for record in campaign.records], axis=0)
     typical = np.median(means, axis=0)
-    is_bias = np.abs(typical - campaign.instrument.bias_v) < 0.3 * abs(campaign.instrument.bias_v)
-    if campaign.instrument.bias_v and np.any(is_bias):
+    is_bias = _holds_bias(typical, campaign.instrument)
+    if np.any(is_bias):
         amounts = tuple(float(f"{v:.6g}") if b else 0.0 for v, b in zip(typical, is_bias))
         mend = channel_mend(campaign.channels, Channels(drive_offset_v=amounts), drives, senses)
         text = f"the drive columns contain the bias ({', '.join(f'{v:.4g} V' for v in typical)})"

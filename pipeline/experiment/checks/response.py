@@ -162,20 +162,22 @@ def _columns(band: _Band, poles: ComplexArray, centre: float, half: float) -> tu
     return np.concatenate([ours, rest], axis=1), np.concatenate([free, free * late], axis=1)
 
 
-def respond(records: list[Record], order: int) -> Response | None:
-    """Poles and residues of ``order`` modes from the driven ``records``; ``None`` where the band cannot tell."""
-    used = sorted(records, key=lambda r: -r.duration_s)[:_MAX_RECORDS]
-    band = band_hz(used) if used else None
-    if band is None:
-        return None
-    poles = _poles([_spectra(r, 1, band) for r in used], order) if _enough(used, band, order) else None
-    if poles is None or not np.all(np.isfinite(poles)) or np.any(poles.real == 0.0):
-        return None
-    # Half bins tell what rings at the start from what rings at the end.
-    bands = [_spectra(r, 2, band) for r in used]
-    low, high = 2.0 * np.pi * band[0], 2.0 * np.pi * band[1]
-    parts = [_columns(b, poles, (low + high) / 2.0, (high - low) / 2.0) for b in bands]
-    rows = np.cumsum([0, *[b.w.size for b in bands]])
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Least squares for given poles: solution (columns, S), spread of its columns, variance of what is left (S,)."""
+
+    solution: ComplexArray
+    spread: ComplexArray
+    variance: FloatArray
+    relative_error: float
+    common: int
+    own: int
+
+
+def _linear(bands: list[_Band], poles: ComplexArray) -> _Linear:
+    low, high = min(float(band.w[0]) for band in bands), max(float(band.w[-1]) for band in bands)
+    parts = [_columns(band, poles, (low + high) / 2.0, (high - low) / 2.0) for band in bands]
+    rows = np.cumsum([0, *[band.w.size for band in bands]])
     common, own = parts[0][0].shape[1], parts[0][1].shape[1]
     matrix = np.zeros((rows[-1], common + own * len(bands)), dtype=np.complex128)
     for r, (ours, free) in enumerate(parts):
@@ -184,28 +186,54 @@ def respond(records: list[Record], order: int) -> Response | None:
         matrix[at, common + r * own : common + (r + 1) * own] = free
     scale = np.sqrt(np.mean(np.abs(matrix) ** 2, axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
-    Y = np.concatenate([b.Y for b in bands])
+    Y = np.concatenate([band.Y for band in bands])
     u, s, vh = np.linalg.svd(matrix / scale, full_matrices=False)
     good = s > 1e-10 * s[0]
     inverse = (vh[good].conj().T / s[good]) / scale[:, None]
     solution = inverse @ (u[:, good].conj().T @ Y)
     residual = Y - matrix @ solution
-    # Zero-padded bins come in pairs: half of them are independent.
-    variance = 2.0 * np.sum(np.abs(residual) ** 2, axis=0) / max(rows[-1] - 2 * matrix.shape[1], 1)
-    spread = inverse @ inverse.conj().T
-    senses, drives, count = Y.shape[1], bands[0].U.shape[1], poles.size
+    power = np.sum(np.abs(residual) ** 2, axis=0)
+    return _Linear(
+        solution,
+        inverse @ inverse.conj().T,
+        # Zero-padded bins come in pairs: half of them are independent.
+        2.0 * power / max(rows[-1] - 2 * matrix.shape[1], 1),
+        float(np.sqrt(np.sum(power) / np.sum(np.abs(Y) ** 2))),
+        common,
+        own,
+    )
+
+
+def respond(records: list[Record], order: int) -> Response | None:
+    """Poles and residues of ``order`` modes from the driven ``records``; ``None`` where the band cannot tell."""
+    used = sorted(records, key=lambda r: -r.duration_s)[:_MAX_RECORDS]
+    band = band_hz(used) if used else None
+    if band is None or not _enough(used, band, order):
+        return None
+    whole = [_spectra(r, 1, band) for r in used]
+    # Modes closer than a bin can be missed by one set of records and seen by another.
+    groups = [whole, *([[one] for one in whole] if len(whole) > 1 else [])]
+    candidates = [poles for group in groups if (poles := _poles(group, order)) is not None]
+    sound = [poles for poles in candidates if np.all(np.isfinite(poles)) and np.all(poles.real < 0.0)]
+    if not sound:
+        return None
+    # Half bins tell what rings at the start from what rings at the end.
+    bands = [_spectra(r, 2, band) for r in used]
+    fits = [_linear(bands, poles) for poles in sound]
+    best = min(range(len(fits)), key=lambda k: fits[k].relative_error)
+    poles, fit = sound[best], fits[best]
+    senses, drives, count = bands[0].Y.shape[1], bands[0].U.shape[1], poles.size
     span = count * drives
-    starts: ComplexArray = np.array([solution[common + r * own : common + r * own + count] for r in range(len(bands))])
-    start_at = [[common + r * own + p for p in range(count)] for r in range(len(bands))]
-    start_sd = np.sqrt(np.array([[np.real(spread[k, k]) * variance / 2.0 for k in at] for at in start_at]))
+    places = [[fit.common + r * fit.own + p for p in range(count)] for r in range(len(bands))]
+    start_sd = np.sqrt(np.array([[np.real(fit.spread[k, k]) * fit.variance / 2.0 for k in at] for at in places]))
     rate = used[0].sample_rate_hz
     return Response(
         poles=poles,
-        residues=solution[:span].reshape(count, drives, senses).transpose(0, 2, 1),
-        covariance=variance[:, None, None] * spread[None, :span, :span],
-        start_v=starts * 2.0 / rate,
-        start_sd_v=start_sd * 2.0 / rate,
-        relative_error=float(np.sqrt(np.sum(np.abs(residual) ** 2) / np.sum(np.abs(Y) ** 2))),
+        residues=fit.solution[:span].reshape(count, drives, senses).transpose(0, 2, 1),
+        covariance=fit.variance[:, None, None] * fit.spread[None, :span, :span],
+        start_v=fit.solution[np.array(places)] * (2.0 / rate),
+        start_sd_v=start_sd * (2.0 / rate),
+        relative_error=fit.relative_error,
         records=tuple(r.name for r in used),
     )
 

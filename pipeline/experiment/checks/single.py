@@ -20,7 +20,7 @@ from ..record import Record
 from .wiring import hold_factor
 
 _MAX_LAG = 60.0
-_STEP = 0.02
+_STEP = 0.1
 #: Nearer to the resonance than this, relative, damping and nonlinearity turn the phase.
 _NEAR = 0.1
 #: Least agreement of the phases (1 is perfect) for a lag to be told.
