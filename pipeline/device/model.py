@@ -273,13 +273,13 @@ class Model:
                     out[i] = 1e-4 * max(abs(values[name]), 1e-6) * zeta
         return out
 
-    def covariance_of_values(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Covariance (P, P) of the free parameters from that of the smooth coordinates, to first order."""
+    def turn(self, x: FloatArray) -> FloatArray:
+        """d(values of the free parameters)/dx (P, P) at smooth coordinates ``x``."""
+        turn = np.eye(x.size)
         if not self._smooth:
-            return covariance
+            return turn
         n = len(self._plant_names)
         step = self.built.steps(x[:n])
-        turn = np.eye(x.size)
         for i in range(n):
             moved = np.zeros(n)
             moved[i] = step[i]
@@ -288,6 +288,11 @@ class Model:
                 k = self._plant_names.index("theta_deg")
                 change[k] = (change[k] + 90.0) % 180.0 - 90.0
             turn[:n, i] = change / (2.0 * step[i])
+        return turn
+
+    def covariance_of_values(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Covariance (P, P) of the free parameters from that of the smooth coordinates, to first order."""
+        turn = self.turn(x)
         return np.asarray(turn @ covariance @ turn.T)
 
     def to_toml(self) -> str:

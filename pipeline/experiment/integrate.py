@@ -16,6 +16,7 @@ Shapes: N samples, M = (N - 1) SUBSTEPS + 1 grid points, n coordinates, D drives
 from __future__ import annotations
 
 import warnings
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,16 +42,131 @@ def _no_force(
     return
 
 
-@njit(inline="always")
-def _accelerate(forces: Any, count: int, p: Any, laws: Laws, t: float, scale: float, y: FloatArray, d: FloatArray, u: FloatArray, q: FloatArray, qd: FloatArray, out: FloatArray) -> None:  # fmt: skip
-    """a(t, x_l + d, u) into ``out`` (n,); y and d hold (scale q, q')."""
-    n = q.size
-    for i in range(n):
-        q[i] = (y[i] + d[i]) / scale
-        qd[i] = y[n + i] + d[n + i]
-        out[i] = 0.0
-    for k in range(count):
-        forces[k](t, q, qd, u, p[k], laws, out)
+def _make_march(half_size: int) -> Any:
+    """The kernel for at most ``half_size`` coordinates: loops of constant length run several times faster.
+
+    Arguments of what it returns: forces, how many, their parameters and laws; ``half``, ``held``, ``ramp`` (transposed:
+    (2H, 2H), (D, 2H), (D, 2H)) propagate a state (scale q, 0, q', 0) by half a substep; scale; time between samples;
+    substeps; coordinates n; drive (N, D); whether it is sloped between samples; start; then linear and deviation (M, 2H).
+    """
+    size = 2 * half_size
+
+    @njit(inline="always")
+    def propagate(transposed: FloatArray, x: FloatArray, out: FloatArray) -> None:
+        for i in range(size):
+            out[i] = transposed[0, i] * x[0]
+        for j in range(1, size):
+            for i in range(size):
+                out[i] += transposed[j, i] * x[j]
+
+    @njit(inline="always")
+    def kicked(transposed: FloatArray, a: FloatArray, out: FloatArray) -> None:
+        for i in range(size):
+            out[i] = transposed[half_size, i] * a[0]
+        for j in range(1, half_size):
+            for i in range(size):
+                out[i] += transposed[half_size + j, i] * a[j]
+
+    def march(
+        forces: Any,
+        count: int,
+        p: Any,
+        laws: Laws,
+        half: FloatArray,
+        held: FloatArray,
+        ramp: FloatArray,
+        scale: float,
+        step_s: float,
+        substeps: int,
+        n: int,
+        drive: FloatArray,
+        sloped: bool,
+        start: FloatArray,
+        linear: FloatArray,
+        deviation: FloatArray,
+    ) -> None:
+        drives = held.shape[0]
+        samples = drive.shape[0]
+        h = step_s / substeps
+        inverse = 1.0 / scale
+        q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
+        k1, k2, k3 = np.zeros(half_size), np.zeros(half_size), np.zeros(half_size)
+        y, e1, e2, w, trial = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+        middle, after, d, push = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
+        for i in range(size):
+            y[i] = start[i]
+            linear[0, i], deviation[0, i] = y[i], 0.0
+        for sample in range(samples - 1):
+            for k in range(drives):
+                slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
+            for sub in range(substeps):
+                local = sub * h
+                t = sample * step_s + local
+                for i in range(size):
+                    push[i] = 0.0
+                for k in range(drives):
+                    u[k] = drive[sample, k] + slope[k] * local
+                    for i in range(size):
+                        push[i] += held[k, i] * u[k] + ramp[k, i] * slope[k]
+                propagate(half, y, middle)
+                for i in range(size):
+                    middle[i] += push[i]
+                propagate(half, middle, after)
+                for k in range(drives):
+                    for i in range(size):
+                        push[i] += held[k, i] * slope[k] * (0.5 * h)
+                for i in range(size):
+                    after[i] += push[i]
+                if count > 0:
+                    for i in range(n):
+                        q[i], qd[i], out[i] = (y[i] + d[i]) * inverse, y[half_size + i] + d[half_size + i], 0.0
+                    for k in range(count):
+                        forces[k](t, q, qd, u, p[k], laws, out)
+                    for i in range(n):
+                        k1[i] = out[i]
+                    propagate(half, d, e1)
+                    kicked(half, k1, w)
+                    for i in range(size):
+                        trial[i] = middle[i] + e1[i] + 0.5 * h * w[i]
+                    for k in range(drives):
+                        u[k] += slope[k] * 0.5 * h
+                    for i in range(n):
+                        q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
+                    for k in range(count):
+                        forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
+                    for i in range(n):
+                        k2[i] = out[i]
+                        q[i] = (middle[i] + e1[i]) * inverse
+                        qd[i] = middle[half_size + i] + e1[half_size + i] + 0.5 * h * k2[i]
+                        out[i] = 0.0
+                    for k in range(count):
+                        forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
+                    for i in range(n):
+                        k3[i] = out[i]
+                    propagate(half, e1, e2)
+                    kicked(half, k3, trial)
+                    for i in range(size):
+                        trial[i] = after[i] + e2[i] + h * trial[i]
+                    for k in range(drives):
+                        u[k] += slope[k] * 0.5 * h
+                    for i in range(n):
+                        q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
+                    for k in range(count):
+                        forces[k](t + h, q, qd, u, p[k], laws, out)
+                    # d <- E^2 d + h/6 (E (E k1 + 2 (k2 + k3)) + k4),  E the exponential of half a substep
+                    for i in range(n):
+                        w[half_size + i] += 2.0 * (k2[i] + k3[i])
+                    propagate(half, w, trial)
+                    for i in range(size):
+                        d[i] = e2[i] + h / 6.0 * trial[i]
+                    for i in range(n):
+                        d[half_size + i] += h / 6.0 * out[i]
+                point = sample * substeps + sub + 1
+                for i in range(size):
+                    y[i] = after[i]
+                    linear[point, i], deviation[point, i] = y[i], d[i]
+
+    return march
 
 
 _KERNEL = types.void(
@@ -64,6 +180,7 @@ _KERNEL = types.void(
     types.float64,
     types.float64,
     types.int64,
+    types.int64,
     _MATRIX,
     types.boolean,
     _VECTOR,
@@ -72,101 +189,14 @@ _KERNEL = types.void(
 )
 
 
-def _march(
-    forces: Any,
-    count: int,
-    p: Any,
-    laws: Laws,
-    half: FloatArray,
-    held: FloatArray,
-    ramp: FloatArray,
-    scale: float,
-    step_s: float,
-    substeps: int,
-    drive: FloatArray,
-    sloped: bool,
-    start: FloatArray,
-    linear: FloatArray,
-    deviation: FloatArray,
-) -> None:
-    """March both over the grid; ``half``, ``held`` (2n, D) and ``ramp`` propagate by half a substep, states are (scale q, q')."""
-    size, drives = held.shape
-    n = size // 2
-    samples = drive.shape[0]
-    h = step_s / substeps
-    q, qd, u, slope = np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
-    k1, k2, k3, k4 = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    y, middle, after = start.copy(), np.empty(size), np.empty(size)
-    d, e1, e2, w, trial = np.zeros(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    linear[0], deviation[0] = y, d
-    for sample in range(samples - 1):
-        for k in range(drives):
-            slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
-        for sub in range(substeps):
-            local = sub * h
-            t = sample * step_s + local
-            for i in range(size):
-                total = 0.0
-                for j in range(size):
-                    total += half[i, j] * y[j]
-                for k in range(drives):
-                    total += held[i, k] * (drive[sample, k] + slope[k] * local) + ramp[i, k] * slope[k]
-                middle[i] = total
-            for i in range(size):
-                total = 0.0
-                for j in range(size):
-                    total += half[i, j] * middle[j]
-                for k in range(drives):
-                    total += held[i, k] * (drive[sample, k] + slope[k] * (local + 0.5 * h)) + ramp[i, k] * slope[k]
-                after[i] = total
-            if count > 0:
-                for k in range(drives):
-                    u[k] = drive[sample, k] + slope[k] * local
-                _accelerate(forces, count, p, laws, t, scale, y, d, u, q, qd, k1)
-                for i in range(size):
-                    moved, kicked = 0.0, 0.0
-                    for j in range(size):
-                        moved += half[i, j] * d[j]
-                    for j in range(n):
-                        kicked += half[i, n + j] * k1[j]
-                    e1[i], w[i] = moved, kicked
-                    trial[i] = moved + 0.5 * h * kicked
-                for k in range(drives):
-                    u[k] += slope[k] * 0.5 * h
-                _accelerate(forces, count, p, laws, t + 0.5 * h, scale, middle, trial, u, q, qd, k2)
-                for i in range(n):
-                    trial[i] = e1[i]
-                    trial[n + i] = e1[n + i] + 0.5 * h * k2[i]
-                _accelerate(forces, count, p, laws, t + 0.5 * h, scale, middle, trial, u, q, qd, k3)
-                for i in range(size):
-                    moved, kicked = 0.0, 0.0
-                    for j in range(size):
-                        moved += half[i, j] * e1[j]
-                    for j in range(n):
-                        kicked += half[i, n + j] * k3[j]
-                    e2[i] = moved
-                    trial[i] = moved + h * kicked
-                for k in range(drives):
-                    u[k] += slope[k] * 0.5 * h
-                _accelerate(forces, count, p, laws, t + h, scale, after, trial, u, q, qd, k4)
-                for i in range(size):
-                    kicked = 0.0
-                    for j in range(size):
-                        kicked += half[i, j] * w[j]
-                    for j in range(n):
-                        kicked += 2.0 * half[i, n + j] * (k2[j] + k3[j])
-                    d[i] = e2[i] + h / 6.0 * kicked
-                for i in range(n):
-                    d[n + i] += h / 6.0 * k4[i]
-            for i in range(size):
-                y[i] = after[i]
-            point = sample * substeps + sub + 1
-            linear[point], deviation[point] = y, d
-
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")
-    _march_compiled = njit(_KERNEL, cache=True, error_model="numpy")(_march)
+@lru_cache(maxsize=4)
+def _march_of(half_size: int) -> Any:
+    """The compiled kernel for at most ``half_size`` coordinates."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return njit(_KERNEL, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(
+            _make_march(half_size)
+        )
 
 
 def trajectory(
@@ -207,32 +237,43 @@ def trajectory(
     grown[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0]
     grown[2 * n : 2 * n + drives, 2 * n + drives :] = np.eye(drives)
     moved = expm(grown * (0.5 * step_s / substeps))
+    half_size = 4 * -(-n // 4)
+    place = np.concatenate([np.arange(n), half_size + np.arange(n)])
+
+    def placed(matrix: FloatArray) -> FloatArray:
+        """Rows of a transposed propagator (r, 2n) at their places in (r, 2H)."""
+        out = np.zeros((matrix.shape[0], 2 * half_size))
+        out[:, place] = matrix
+        return out
+
+    half = np.zeros((2 * half_size, 2 * half_size))
+    half[place] = placed(moved[: 2 * n, : 2 * n].T)
     points = (drive.shape[0] - 1) * substeps + 1
-    linear, deviation = np.empty((points, 2 * n)), np.empty((points, 2 * n))
-    laws_ready = [compiled_force(force) for force, _ in forces]
+    linear, deviation = np.empty((points, 2 * half_size)), np.empty((points, 2 * half_size))
     padding = MOST_FORCES - len(forces)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        _march_compiled(
-            tuple(laws_ready + [compiled_force(_no_force)] * padding),
+        _march_of(half_size)(
+            tuple([compiled_force(force) for force, _ in forces] + [compiled_force(_no_force)] * padding),
             len(forces),
             tuple([np.ascontiguousarray(p, dtype=np.float64) for _, p in forces] + [np.zeros(1)] * padding),
             laws,
-            np.ascontiguousarray(moved[: 2 * n, : 2 * n]),
-            np.ascontiguousarray(moved[: 2 * n, 2 * n : 2 * n + drives]),
-            np.ascontiguousarray(moved[: 2 * n, 2 * n + drives :]),
+            half,
+            placed(moved[: 2 * n, 2 * n : 2 * n + drives].T),
+            placed(moved[: 2 * n, 2 * n + drives :].T),
             scale,
             step_s,
             substeps,
+            n,
             np.ascontiguousarray(drive),
             hold != "zoh",
-            np.zeros(2 * n) if start is None else np.ascontiguousarray(start * unit),
+            placed((np.zeros(2 * n) if start is None else start * unit)[None])[0],
             linear,
             deviation,
         )
     if not np.isfinite(deviation[-1]).all():
         raise ConfigError("the motion diverges", next_step="check size and sign of the nonlinear effects")
-    return linear / unit, deviation / unit
+    return linear[:, place] / unit, deviation[:, place] / unit
 
 
 def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArray:
@@ -242,8 +283,8 @@ def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArr
     span = nodes[-1]
     basis = np.linalg.inv(np.vander(nodes / span, increasing=True))
     out = np.empty((poles.size, size), dtype=np.complex128)
-    s, w = np.polynomial.legendre.leggauss(48)
-    s, w = 0.5 * until * (s + 1.0), 0.5 * until * w
+    unit, weight = np.polynomial.legendre.leggauss(48)
+    s, w = 0.5 * until * (unit + 1.0), 0.5 * until * weight
     for j, q in enumerate(poles):
         if abs(q) * until < 40.0:
             moments = np.array([np.sum(w * np.exp(q * (until - s)) * (s / span) ** k) for k in range(size)])
@@ -301,12 +342,12 @@ def filtered(
     late_s : in [0, step_s); the last sample is read as if the remainder ended there.
     """
     samples = (remainder.shape[0] - 1) // substeps + 1
-    nodes = np.arange(substeps + 1) * (step_s / substeps)
-    interpolate = np.zeros(substeps + 1)
+    nodes: FloatArray = np.arange(substeps + 1) * (step_s / substeps)
+    interpolate: FloatArray = np.zeros(substeps + 1)
     interpolate[0] = 1.0
     if late_s > 0.0:
         fit = np.linalg.inv(np.vander(nodes / step_s, increasing=True))
-        interpolate = (late_s / step_s) ** np.arange(substeps + 1) @ fit
+        interpolate = np.asarray((late_s / step_s) ** np.arange(substeps + 1) @ fit)
     out = np.zeros((samples, remainder.shape[1]))
     windows = np.lib.stride_tricks.sliding_window_view(remainder, substeps + 1, axis=0)[::substeps]
     if np.any(static):

@@ -50,7 +50,7 @@ def remainder_volts(
         n = m.stiffness.shape[1]
         state = linear + deviation
         x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ reads.T
-        t = np.arange(state.shape[0]) * (clock.step_s / substeps)
+        t: FloatArray = np.arange(state.shape[0]) * (clock.step_s / substeps)
         seen = s
         for effect, p in system.senses:
             assert effect.sense is not None

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..device.effect import Effect
 from ..device.model import Model
+from ..device.parameters import Parameter
 from ..errors import ConfigError, MeasurementError
 from .instrument import Instrument
 from .linear import clock_of
@@ -97,7 +99,7 @@ def jacobian(
     base = assemble(model, model.to_values(x0), instrument, conditions)
     gridded = bool(base.forces or base.senses)
 
-    def run(i: int, value: float, how: Callable[..., FloatArray]) -> FloatArray:
+    def run(i: int, how: Callable[..., FloatArray], value: float) -> FloatArray:
         x = x0.copy()
         x[i] = value
         return how(assemble(model, model.to_values(x), instrument, conditions), record.drive_v, clock, start)
@@ -116,12 +118,13 @@ def jacobian(
 
             columns[:, :, i] = _slope(behind, x0[i], steps[i], *model.bounds(name))
             continue
+        how: Callable[..., FloatArray]
         if _is_gridded(model, name):
             how = remainder_volts
         else:
             how = volts if exact and gridded else linear_volts
         low, high = (-np.inf, np.inf) if "." not in name else model.bounds(name)
-        columns[:, :, i] = _slope(lambda value, i=i, how=how: run(i, value, how), x0[i], steps[i], low, high)
+        columns[:, :, i] = _slope(partial(run, i, how), x0[i], steps[i], low, high)
     if base.adcs:
         # Behind the converter a sample that is clipped does not move.
         y = volts(base, record.drive_v, clock, start) if clipped is None else clipped
@@ -235,15 +238,12 @@ def signatures(
 
 def _derivative(
     effect: Effect,
-    member: object,
+    member: Parameter,
     point: Mapping[str, float],
     moved: Callable[[Mapping[str, float], str, float], FloatArray],
     level: float,
 ) -> FloatArray:
     """dy/dp at the null, with a step that moves the record by about ``_SHARE`` of its level."""
-    from ..device.parameters import Parameter
-
-    assert isinstance(member, Parameter)
     step = 1e-2 * member.scale
     for _ in range(8):
         first = moved(point, member.name, member.null + step)

@@ -25,8 +25,9 @@ from ..device.plant import C12, GyroPlant, ModalPlant
 from ..errors import MeasurementError
 from ..experiment.instrument import Instrument
 from ..experiment.record import Record
+from .compressed import BandData, nuisance_basis
 from .fit import maximise, start_from_modes
-from .inband import BandData, features, make_band, nuisance_basis
+from .inband import features, make_band
 
 _ROUNDS = 20
 #: Degrees of B and T beyond that of A: the tails of what resonates outside the band.
@@ -86,9 +87,7 @@ def modes_from_spectra(
                 distance = np.abs(t[:, 1][:, None] - weight_roots)
                 weight = 1.0 / np.maximum(np.prod(distance, axis=1), 1e-12)
             transient, _ = np.linalg.qr(t * weight[:, None])
-            a = np.concatenate(
-                [t[:, : modes + 1] * (y[:, s] * weight)[:, None] for s in range(y.shape[1])], axis=1
-            )
+            a = np.concatenate([t[:, : modes + 1] * (y[:, s] * weight)[:, None] for s in range(y.shape[1])], axis=1)
             b = np.concatenate([t * (u[:, d] * weight)[:, None] for d in range(u.shape[1])], axis=1)
             rows.append(a - transient @ (transient.T @ a))
             inputs.append(b - transient @ (transient.T @ b))
@@ -159,7 +158,10 @@ def find_start(
         residues = residues_of(records, poles, held, low, high)
         out: dict[str, float] = {}
         for k, p in enumerate(poles):
-            out[f"f{k + 1}_hz"], out[f"zeta{k + 1}"] = abs(p) / (2.0 * np.pi), float(np.clip(-p.real / abs(p), 1e-6, 0.9))
+            out[f"f{k + 1}_hz"], out[f"zeta{k + 1}"] = (
+                abs(p) / (2.0 * np.pi),
+                float(np.clip(-p.real / abs(p), 1e-6, 0.9)),
+            )
             gain = (residues[k] * 2j * p.imag / (1.0 if plant.displacement else p)).real
             for a in range(plant.senses):
                 for b in range(plant.drives):

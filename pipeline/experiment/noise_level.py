@@ -1,0 +1,142 @@
+"""How noisy a campaign is, never from a model's own residual.
+
+    silent    rms of the silent records less offset, trend and lines; LSB^2/12 added where silence does not exercise the ADC
+    repeats   rms of the difference of records with the same drive, over sqrt 2
+    local     what a local polynomial in frequency (response and transient, second order) leaves of each record, median over
+              windows
+
+Shapes: N samples, S senses.  sigma (S,) [V], the standard deviation of a sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from scipy.fft import rfft
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from ..arrays import FloatArray
+from ..errors import MeasurementError
+from .instrument import Adc
+from .lines import line_basis
+from .record import Campaign, Record
+
+Source = Literal["silent", "repeats", "local"]
+
+#: A bin this many times above the median of its neighbourhood is a line (chance 1e-6 a bin in white noise).
+_LINE = 20.0
+_NEIGHBOURS = 201
+#: Below this many LSB of noise, silence does not exercise the converter.
+_EXERCISED_LSB = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevel:
+    """sigma_v (S,) [V] a sample; where it came from; the degrees of freedom behind it (a channel)."""
+
+    sigma_v: FloatArray
+    source: Source
+    dof: int
+
+
+def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, int]:
+    """Variance (S,) of y (N, S) less offset, trend, harmonics of ``line_hz`` and any other narrow line; its dof."""
+    samples = y.shape[0]
+    basis = line_basis(samples, sample_rate_hz, line_hz, True)
+    power = np.abs(rfft((y - basis @ (basis.T @ y)) * np.hanning(samples)[:, None], axis=0)[1:]) ** 2
+    reach = min(_NEIGHBOURS, power.shape[0] | 1)
+    # A Hann window spreads a line over three bins whatever its frequency.
+    level = median_filter(power, size=(reach, 1), mode="nearest") / np.log(2.0)
+    line = maximum_filter1d(power > _LINE * level, size=5, axis=0)
+    kept = np.maximum(np.sum(~line, axis=0), 1)
+    window = np.sum(np.hanning(samples) ** 2)
+    lost = samples / max(samples - basis.shape[1], 1)
+    return np.sum(np.where(line, 0.0, power), axis=0) / kept / window * lost, int(2 * kept.min())
+
+
+def _silent(records: tuple[Record, ...], line_hz: float | None, adc: Adc | None) -> NoiseLevel:
+    total, dof = np.zeros(records[0].sense_v.shape[1]), 0
+    for record in records:
+        variance, own = _spectral_variance(record.sense_v, record.sample_rate_hz, line_hz)
+        total, dof = total + own * variance, dof + own
+    variance = total / dof
+    if adc is not None:
+        quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2
+        variance = np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)
+    return NoiseLevel(np.sqrt(variance), "silent", dof)
+
+
+def _repeated(campaign: Campaign) -> list[tuple[Record, Record]]:
+    driven = [r for r in campaign.records if r.role != "noise" and np.any(r.drive_v)]
+    return [
+        (a, b)
+        for a, b in combinations(driven, 2)
+        if a.drive_v.shape == b.drive_v.shape
+        and np.array_equal(a.drive_v, b.drive_v)
+        and (a.bias_v, a.rate_dps) == (b.bias_v, b.rate_dps)
+        and a.at_rest
+        and b.at_rest
+    ]
+
+
+def _local_variance(record: Record) -> tuple[FloatArray, int]:
+    """Median over windows of what a local quadratic in frequency leaves, (S,), and the dof of all windows."""
+    samples, drives = record.drive_v.shape
+    y, u = rfft(record.sense_v - record.sense_v.mean(axis=0), axis=0), rfft(record.drive_v, axis=0)
+    unknowns = 3 * (drives + 1)
+    width = 4 * unknowns
+    starts = range(1, y.shape[0] - width, width)
+    x = np.linspace(-1.0, 1.0, width)[:, None] ** np.arange(3)
+    left = []
+    for first in starts:
+        rows = slice(first, first + width)
+        columns = np.concatenate([x, *(x * u[rows, d : d + 1] for d in range(drives))], axis=1)
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        basis, size, _ = np.linalg.svd(columns, full_matrices=False)
+        basis = basis[:, size > 1e-9 * size[0]]
+        rest = y[rows] - basis @ (basis.conj().T @ y[rows])
+        left.append(np.sum(np.abs(rest) ** 2, axis=0) / (width - basis.shape[1]) / samples)
+    free = width - unknowns
+    # Median of a mean of ``free`` exponentials: 1 - 1/(3 free).
+    return np.median(left, axis=0) / (1.0 - 1.0 / (3.0 * free)), 2 * free * len(left)
+
+
+def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
+    """Noise of ``campaign`` a sample and channel.
+
+    Parameters
+    ----------
+    campaign : records; those with role "noise" are silent.
+    line_hz : mains frequency, whose harmonics are removed exactly; other narrow lines in silence are found.
+
+    Raises
+    ------
+    MeasurementError : a channel shows no noise at all (then no error in sigmas exists), or records are too short to tell.
+    """
+    silent = campaign.with_role("noise")
+    repeats = _repeated(campaign)
+    if silent:
+        level = _silent(silent, line_hz, campaign.instrument.adc)
+    elif repeats:
+        total, dof = np.zeros(repeats[0][0].sense_v.shape[1]), 0
+        for a, b in repeats:
+            variance, own = _spectral_variance((a.sense_v - b.sense_v) / np.sqrt(2.0), a.sample_rate_hz, line_hz)
+            total, dof = total + own * variance, dof + own
+        level = NoiseLevel(np.sqrt(total / dof), "repeats", dof)
+    else:
+        found = [_local_variance(r) for r in campaign.records if r.drive_v.shape[0] > 50 * (r.drive_v.shape[1] + 1)]
+        if not found:
+            raise MeasurementError("records are too short to tell the noise", next_step="add a silent record")
+        dof = sum(own for _, own in found)
+        level = NoiseLevel(np.sqrt(sum(own * variance for variance, own in found) / dof), "local", dof)
+    if not np.all(level.sigma_v > 0.0):
+        raise MeasurementError(
+            "a sense channel shows no noise",
+            value=level.sigma_v.tolist(),
+            allowed="sigma above zero in every channel",
+            next_step="declare the converter ([instrument] adc) or add a silent record",
+        )
+    return level
