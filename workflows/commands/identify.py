@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.errors import UsageError
 from pipeline.experiment.campaign import read_measurement
+from pipeline.experiment.check import CheckReport
 from pipeline.experiment.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.identification.route import RouteResult, identify_modal
@@ -92,6 +93,14 @@ def identified(campaign: Campaign, model: Path | None) -> tuple[dict[str, Any], 
     return columns, _text(columns, reference)
 
 
+def rounded(value: float, sd: float | None) -> str:
+    """``value`` with as many digits as two digits of its sd deserve."""
+    if sd is None or not sd > 0.0 or not math.isfinite(sd):
+        return f"{value:.6g}"
+    digits = 1 - math.floor(math.log10(sd))
+    return f"{value:.{max(digits, 0)}f}" if digits < 13 else f"{value:.6g}"
+
+
 def _text(columns: dict[str, Any], reference: dict[str, dict[str, float]]) -> list[str]:
     lines = [f"device {columns['device_id']}: {columns['status']}"]
     if columns.get("status_reason"):
@@ -99,14 +108,14 @@ def _text(columns: dict[str, Any], reference: dict[str, dict[str, float]]) -> li
     units = {q.name: q.unit for q in QUANTITIES}
     shown = [q for q in columns if f"{q}_sd" in columns]
     for name in shown:
-        if name not in columns:
-            continue
         unit = "" if units.get(name, "1") == "1" else f" {units[name]}"
-        low, high = columns.get(f"{name}_q05"), columns.get(f"{name}_q95")
-        span = "" if low is None or high is None else f"   90 % {low:.8g} to {high:.8g}"
-        lines.append(f"  {name:20s} {columns[name]:.8g} +- {columns[f'{name}_sd']:.2g}{unit}{span}")
-    if columns.get("error") is not None:
-        lines.append(f"  error {columns['error']:.4f}, relative error {columns['relative_error']:.3g}")
+        sd, low, high = (columns.get(f"{name}_{end}") for end in ("sd", "q05", "q95"))
+        value = rounded(columns[name], sd)
+        span = "" if low is None or high is None else f"   90 %: {rounded(low, sd)} to {rounded(high, sd)}"
+        lines.append(f"  {name:20s} {value} +- {sd:.2g}{unit}{span}")
+    error = "unknown (no silent record and no repeats)" if columns.get("error") is None else f"{columns['error']:.4f}"
+    if columns.get("relative_error") is not None:
+        lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")
     for name, r in reference.items():
         lines.append(f"  reference {name}: {r['reference']:g} +- {r['reference_sd']:g}, z = {r['z']:+.2f}")
     return lines
@@ -123,4 +132,20 @@ def check(campaign: Path, json: bool) -> None:
     if json:
         print(json_.dumps(report.to_dict()))
         return
-    print(report)
+    print("\n".join(_check_text(report)))
+
+
+def _check_text(report: CheckReport) -> list[str]:
+    lines = ["levels      record                channel   offset V      rms V     peak V    floor V"]
+    for level in report.levels:
+        floor = "" if level.floor_v is None else f"{level.floor_v:10.3g}"
+        numbers = f"{level.offset_v:10.2g} {level.rms_v:10.4g} {level.peak_v:10.4g} {floor}"
+        lines.append(f"            {level.record:20s}  {level.channel:8s} {numbers}")
+    for finding in report.findings:
+        where = " ".join(part for part in (finding.record, finding.channel) if part)
+        lines.append(f"{finding.severity + ':':11s} {where + ': ' if where else ''}{finding.text}")
+    if not report.findings:
+        lines.append("nothing wrong was found")
+    if report.toml:
+        lines += ["", "# in campaign.toml, this mends it:", report.toml.rstrip()]
+    return lines
