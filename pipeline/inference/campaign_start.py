@@ -133,6 +133,19 @@ def residues_of(
     return np.asarray(np.moveaxis(complex_found.reshape(poles.size, -1, found.shape[1]), 2, 1))
 
 
+def gyro_start(
+    records: Sequence[Record], instrument: Instrument, sigma_v: FloatArray, low_hz: float, high_hz: float
+) -> FloatArray:
+    """Cartesian parameters (12,) of plant "gyro" from the spectra of ``records`` in the band; hold "zoh" or "foh"."""
+    poles = modes_from_spectra(records, 3, low_hz, high_hz, sigma_v)
+    residues = residues_of(records, poles, instrument, low_hz, high_hz)
+    # Up-down moves all electrodes alike; rocking has the opposite sign, and cancels across the axes.
+    alike = residues.real.sum(axis=(1, 2)) / np.linalg.norm(residues.real, axis=(1, 2))
+    third = int(np.argmax(alike))
+    order = [k for k in range(3) if k != third] + [third]
+    return start_from_modes(poles[order], residues[order])
+
+
 def find_start(
     model: Model, records: Sequence[Record], instrument: Instrument, sigma_v: FloatArray
 ) -> dict[str, float]:
@@ -168,13 +181,7 @@ def find_start(
                     out[f"gain{k + 1}_s{a + 1}d{b + 1}"] = float(gain[a, b])
         return out
     assert isinstance(plant, GyroPlant)
-    poles = modes_from_spectra(records, 3, low, high, sigma_v)
-    residues = residues_of(records, poles, held, low, high)
-    # Up-down moves all electrodes alike; rocking has the opposite sign, and cancels across the axes.
-    alike = residues.real.sum(axis=(1, 2)) / np.linalg.norm(residues.real, axis=(1, 2))
-    third = int(np.argmax(alike))
-    order = [k for k in range(3) if k != third] + [third]
-    x = start_from_modes(poles[order], residues[order])
+    x = gyro_start(records, held, sigma_v, low, high)
     data = []
     for record in records:
         band = make_band(record.drive_v, replace(held, sample_rate_hz=record.sample_rate_hz), low, high)

@@ -23,6 +23,7 @@ from ..experiment.record import Record
 from ..experiment.simulate import respond
 from ..identification.failure import IdentificationError
 from ..identification.route import RouteResult, identify_record
+from .campaign_start import gyro_start
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
 from .gate import Gate, Goodness, full_band_error, misfit_reason, theta_bias_bound_deg
@@ -105,6 +106,26 @@ def _starts(routes: Sequence[RouteResult]) -> list[FloatArray]:
     return [start for start in out if np.all(np.isfinite(start))]
 
 
+def _spectral_starts(
+    fit_records: Sequence[FitRecord], sigma_v: FloatArray, instrument: Instrument, settings: IdentificationSettings
+) -> list[FloatArray]:
+    """The start that the records' spectra give, without the ARX model; none where they hold no three modes."""
+    records = [item.record for item in fit_records]
+    try:
+        start = gyro_start(records, instrument, sigma_v, settings.low_hz, settings.high_hz)
+    except (np.linalg.LinAlgError, ValueError):
+        return []
+    return [start] if np.all(np.isfinite(start)) else []
+
+
+def _rank(fit: Fit) -> tuple[bool, float]:
+    return fit.converged, -fit.chi2
+
+
+def _explains(fit: Fit) -> bool:
+    return fit.converged and fit.chi2 < fit.dof + 6.0 * math.sqrt(2.0 * fit.dof)
+
+
 def _best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
     """The best converged fit; later starts are tried only while none explains the band."""
     best: Fit | None = None
@@ -115,9 +136,9 @@ def _best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence
             continue
         if not np.all(np.isfinite(fit.x)) or not np.all(np.isfinite(fit.covariance)):
             continue
-        if best is None or (fit.converged, -fit.chi2) > (best.converged, -best.chi2):
+        if best is None or _rank(fit) > _rank(best):
             best = fit
-        if best.converged and best.chi2 < best.dof + 6.0 * math.sqrt(2.0 * best.dof):
+        if _explains(best):
             break
     return best
 
@@ -169,13 +190,17 @@ def identify_device(
             )
         except IdentificationError as error:
             reason = error.what
-    if not found:
-        return _failed(columns, f"the paper's route found no start: {reason}")
-    columns |= _route_columns(found[0])
+    if found:
+        columns |= _route_columns(found[0])
     data = [BandData(i.band, i.band.transform(i.record.sense_v), i.nuisance) for i in fit_records]
     fit = _best_fit(data, sigma_v, _starts(found))
+    if fit is None or not _explains(fit):
+        # A device of very low Q is lost to the ARX model but not to the spectra.
+        second = _best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings))
+        fit = second if second is not None and (fit is None or _rank(second) > _rank(fit)) else fit
     if fit is None or not fit.converged:
-        return _failed(columns, "the likelihood has no maximum near any start")
+        why = "the likelihood has no maximum near any start"
+        return _failed(columns, why if found else f"{why}; the paper's route: {reason}")
     try:
         posterior = sample(fit, sampler, seed)
     except np.linalg.LinAlgError:
