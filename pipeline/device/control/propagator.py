@@ -1,0 +1,60 @@
+"""Exact propagator of the rocking plant under modulated torques, one step of the controller.
+
+    psi'' + (C + 2 kappa Omega J) psi' + K psi = Re(W exp(j omega t)),      J = [[0, -1], [1, 0]]      (the paper, eq. 1)
+
+W (complex torques) and Omega, omega are constant over a step T.  With the torques' carriers as states p + j q = W exp(j omega t),
+
+    d/dt (psi, psi', p, q) = (A0 + a E1 + b E2) (psi, psi', p, q),   a = 2 kappa Omega,   b = omega - omega_c
+
+and exp(T (A0 + a E1 + b E2)) is needed at every step for other a and b.  It is expanded to second order in (a T, b T) (below
+1e-2: the rest is below 1e-7 of what rate and detuning do in that step), the coefficients exact: a and b are replaced by
+commuting nilpotent matrices of the algebra R[a, b] / (degree > 2), of which one matrix exponential gives all six.
+
+State (psi_x, psi_y, psi_x', psi_y', p_x, p_y, q_x, q_y).  Shapes: B devices.  Units: psi in V s, torques in V/s (mass-normalised).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import expm
+
+from ...arrays import FloatArray
+
+#: Monomials 1, a, b, a^2, a b, b^2, in the order of the coefficients.
+_MONOMIALS: tuple[tuple[int, int], ...] = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+_J: FloatArray = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def _multiplication(a: int, b: int) -> FloatArray:
+    """Multiplication by a^i b^j in the algebra, (6, 6)."""
+    out = np.zeros((6, 6))
+    for column, (i, j) in enumerate(_MONOMIALS):
+        if (i + a, j + b) in _MONOMIALS:
+            out[_MONOMIALS.index((i + a, j + b)), column] = 1.0
+    return out
+
+
+def propagators(damping: FloatArray, stiffness: FloatArray, carrier: FloatArray, step_s: float) -> FloatArray:
+    """Coefficients P_m of (psi, psi') after a step = sum_m a^i b^j P_m (psi, psi', p, q), (B, 6, 4, 8).
+
+    Parameters
+    ----------
+    damping : C (B, 2, 2) [1/s].
+    stiffness : K (B, 2, 2) [1/s^2].
+    carrier : omega_c (B,) [rad/s].
+    step_s : T [s].
+    """
+    eye = np.eye(2)
+    rate, detuning = np.zeros((8, 8)), np.zeros((8, 8))
+    rate[2:4, 2:4] = -_J
+    detuning[4:6, 6:8], detuning[6:8, 4:6] = -eye, eye
+    plain = np.zeros((damping.shape[0], 8, 8))
+    plain[:, :2, 2:4] = eye
+    plain[:, 2:4, :2] = -stiffness
+    plain[:, 2:4, 2:4] = -damping
+    plain[:, 2:4, 4:6] = eye
+    plain += carrier[:, None, None] * detuning
+    changing = np.kron(_multiplication(1, 0), rate) + np.kron(_multiplication(0, 1), detuning)
+    whole = expm(step_s * (np.stack([np.kron(np.eye(6), one) for one in plain]) + changing))
+    # The first block column is the element of the algebra itself.
+    return np.ascontiguousarray(whole.reshape(-1, 6, 8, 6, 8)[:, :, :4, 0, :])

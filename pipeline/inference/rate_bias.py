@@ -1,0 +1,91 @@
+"""Rate bias of a device, and its state after a trim, from posterior draws: estimates with their uncertainty.
+
+    rate_bias = Omega_Q tan(phi) + inphase_bias,      Omega_Q = (w1^2 - w2^2) sin 2theta / (4 kappa omega0)
+
+(``pipeline.device.bias``).  Frequencies, axes and damping come with the draws; kappa and the demodulation phase phi are known to a
+standard deviation each, drawn along.  Shapes: n draws.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..device.bias import quantities_of, rate_biases_dps
+from ..device.gyro import split_hz, to_cartesian
+from ..device.rebalance import self_oscillation_hz
+from ..device.trim import TrimResult
+from ..errors import ConfigError
+from .device import RateSettings
+from .summary import summarise
+
+
+def bias_draws(
+    draws: FloatArray,
+    angular_gain: float | FloatArray,
+    phase_error_deg: float | FloatArray,
+    drive: Literal["f1", "f2", "locked"] = "locked",
+) -> dict[str, FloatArray]:
+    """The rate biases of ``pipeline.device.bias`` [deg/s], each (n,), of physical draws (n, 12).
+
+    angular_gain and phase_error_deg may differ from draw to draw; a "locked" drive runs at its own frequency, sqrt(K_yy).
+    Raises ConfigError for an angular gain that is not positive, or |phi| >= 90 deg.
+    """
+    phi = np.asarray(phase_error_deg, dtype=np.float64)
+    if not np.all(np.abs(phi) < 90.0):
+        raise ConfigError("demodulation phase error too large", value=phase_error_deg, allowed="(-90, 90) deg")
+    found = rate_biases_dps(draws, angular_gain, 0.0, "f2" if drive == "f2" else "f1")
+    quadrature = found["quadrature_rate_dps"]
+    if drive == "locked":
+        quadrature = quadrature * draws[..., 0] / self_oscillation_hz(draws)
+    leaked = quadrature * np.tan(np.deg2rad(phi))
+    inphase = found["inphase_bias_dps"]
+    return {
+        "quadrature_rate_dps": quadrature,
+        "quadrature_bias_dps": leaked,
+        "inphase_bias_dps": inphase,
+        "rate_bias_dps": leaked + inphase,
+    }
+
+
+def bias_from_posterior(
+    draws: FloatArray,
+    angular_gain: tuple[float, float],
+    phase_error_deg: tuple[float, float],
+    random: np.random.Generator,
+    drive: Literal["f1", "f2", "locked"] = "locked",
+) -> dict[str, float]:
+    """Median, sd and 90 % interval of each rate bias: <q>, <q>_sd, <q>_q05, <q>_q95 [deg/s].
+
+    Parameters
+    ----------
+    draws : physical (n, 12), the columns of ``pipeline.device.gyro.PHYSICAL``.
+    angular_gain : kappa and its sd (0: exact); drawn lognormal with that median and relative sd.
+    phase_error_deg : phi and its sd [deg] (0: exact); drawn normal.
+    random : stream of these draws.
+    drive : what sets omega0.
+
+    Raises
+    ------
+    ConfigError : kappa not positive, a negative sd, or a phase that comes near 90 deg (10 sd).
+    """
+    (kappa, kappa_sd), (phi, phi_sd) = angular_gain, phase_error_deg
+    if not (kappa > 0.0 and kappa_sd >= 0.0 and phi_sd >= 0.0):
+        raise ConfigError("angular gain positive, sds not negative", value=(angular_gain, phase_error_deg))
+    if not abs(phi) + 10.0 * phi_sd < 90.0:
+        raise ConfigError(
+            "demodulation phase error too large", value=phase_error_deg, allowed="|phi| + 10 sd below 90 deg"
+        )
+    count = draws.shape[0]
+    kappas = kappa * np.exp(kappa_sd / kappa * random.standard_normal(count))
+    phis = phi + phi_sd * random.standard_normal(count)
+    return summarise(bias_draws(draws, kappas, phis, drive))
+
+
+def trimmed_summary(result: TrimResult, rate: RateSettings) -> dict[str, float]:
+    """<q>, <q>_sd, <q>_q05, <q>_q95 of every quantity after the trim (biases only where kappa is known)."""
+    draws = quantities_of(result.after, rate.angular_gain, rate.phase_error_deg, rate.drive)
+    draws["split_hz"] = split_hz(to_cartesian(result.after))
+    return summarise({name: values for name, values in draws.items() if not np.all(np.isnan(values))})
