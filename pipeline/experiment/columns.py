@@ -27,7 +27,7 @@ JITTER_TOLERANCE = 0.05
 MIN_SAMPLES = 16
 
 _NAME = re.compile(r"(drive|sense)([1-9][0-9]*)_V")
-_ALIKE = re.compile(r"(drive|sense|time)", re.IGNORECASE)
+_ALIKE = re.compile(r"(drive|sense|time)\D*(\d*)", re.IGNORECASE)
 
 
 def _renamed(name: str, found: Mapping[str, NDArray[Any]], mapping: Mapping[str, str]) -> dict[str, NDArray[Any]]:
@@ -78,16 +78,16 @@ def _numbered(name: str, columns: Mapping[str, NDArray[Any]], kind: str) -> list
 def _no_lookalikes(name: str, columns: Mapping[str, NDArray[Any]]) -> None:
     """A column that was meant as a channel but is misspelt must not be dropped in silence."""
     for key in columns:
-        if key != "time_s" and not _NAME.fullmatch(key) and _ALIKE.match(key):
-            near = difflib.get_close_matches(
-                key, ["time_s", *(f"{k}{n}_V" for k in ("drive", "sense") for n in range(1, 9))], 1, 0.0
-            )
-            raise MeasurementError(
-                f"{name}: a column looks like a channel but is not named as one",
-                value=key,
-                allowed="time_s, drive<k>_V, sense<k>_V with volts and seconds in them",
-                next_step=f"rename it to {near[0]}; if it is no channel, to a name that starts otherwise",
-            )
+        if key == "time_s" or _NAME.fullmatch(key) or not (alike := _ALIKE.match(key)):
+            continue
+        kind = alike[1].lower()
+        meant = "time_s" if kind == "time" else f"{kind}{int(alike[2] or 1) or 1}_V"
+        raise MeasurementError(
+            f"{name}: a column looks like a channel but is not named as one",
+            value=key,
+            allowed="time_s, drive<k>_V, sense<k>_V with volts and seconds in them",
+            next_step=f"rename it to {meant}; if it is no channel, to a name that starts otherwise",
+        )
 
 
 def _numbers(name: str, key: str, values: NDArray[Any]) -> FloatArray:

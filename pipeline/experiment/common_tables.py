@@ -40,7 +40,7 @@ def references(table: dict[str, tuple[float, float]], where: str) -> dict[str, t
     """[reference] with every quantity known and every sd positive, else :class:`ConfigError`."""
     for name, (value, sd) in table.items():
         if name not in NAMES:
-            near = difflib.get_close_matches(name, NAMES, n=1)
+            near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.5)
             raise ConfigError(
                 f"{where}: [reference] names no result quantity",
                 value=name,

@@ -1,6 +1,6 @@
 """Mains hum: lines at the multiples of 50 or 60 Hz.
 
-    a_h = 2 |sum w y exp(-j 2 pi h f t)| / sum w,    local level: rms of the same at h f +- (4 .. 18)/T
+a_h = 2 |sum w y exp(-j 2 pi h f t)| / sum w,    local level: rms of the same at h f +- (4 .. 18)/T
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Levels of each channel, from the samples alone: offset, noise floor, converter steps, clipping, silence,
-drive.
+"""Levels of each channel, from the samples alone: offset, noise floor, converter, clipping, silence, drive.
 
-    floor   sigma^2 = median |DFT of the Hann-windowed samples|^2 / (ln 2 sum w^2)    most bins of a record
-    hold noise clip    runs of 3 or more samples at one extreme that are entered by a step no smooth top has
+    floor   sigma^2 = median |DFT of the Hann-windowed samples|^2 / (ln 2 sum w^2), since most bins hold noise
+    clip    runs of 3 or more samples at one extreme that are entered by a step no smooth top has
     LSB     the smallest step between values, if all values lie on its multiples
 
 Units: volts, samples.

@@ -2,9 +2,8 @@
 
     arg H(f) = base - 2 pi f tau - zeta g(f/f_0) - (pi above f_0),   g(r) = 2 r / (1 - r^2)
 
-base is 0 or pi for a displacement pick-off, +-pi/2 for a velocity pick-off, so twice the phase is known
-modulo 2 pi. H = S_yu / S_uu by Welch's method, the declared hold and filter taken out; weights from the
-coherence.
+base is 0 or pi for a displacement pick-off, +-pi/2 for a velocity pick-off, so twice the phase is known modulo 2 pi.
+H = S_yu / S_uu by Welch's method, the declared hold and filter taken out; weights from the coherence.
 """
 
 from __future__ import annotations

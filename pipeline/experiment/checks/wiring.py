@@ -1,6 +1,6 @@
 """Polarity, order and lag of the channels of a two-drive, two-sense device, from its residues.
 
-Of the family (paper, eqs. 9 to 11), with k = s, g > 0 the gains:
+Of the family (paper, eqs. 9 to 11), with gains g > 0:
 
     up-down             R_3 = g_z K_S [[1, 1], [1, 1]] K_D              all signs positive
     rocking, both modes R_1 + R_2 = g_r K_S M_S M_D K_D,   M_S M_D = [[0, -2], [-2, 0]]
@@ -8,13 +8,11 @@ Of the family (paper, eqs. 9 to 11), with k = s, g > 0 the gains:
 whatever theta, split and damping axes are, since the modes' residues add up to the first Markov parameter.  A
 sample lag of tau turns the residue of a pole p by exp(-p tau).
 
-- lag: R_3 and R_1 + R_2 must have opposite signs where both are large, which fixes tau to +-91 samples at 10
-kHz; then R_3 must
-  be real, which refines it.
-- polarity: the signs of R_3.  Turning a sense and a drive channel together, or all, changes nothing that is
-linear. - order: R_1 + R_2 lies off the diagonal; on it where the senses or the drives are swapped (which of
-them cannot be told: the
-  two differ in the sign of theta).  Both swapped is a mirror image, and invisible.
+- lag: where both are large, R_3 and R_1 + R_2 have opposite signs, which fixes tau to +-91 samples at 10 kHz; then
+  R_3 must be real, which refines it.
+- polarity: the signs of R_3.  Turning a sense and a drive channel together, or all, changes nothing that is linear.
+- order: R_1 + R_2 lies off the diagonal; on it where the senses or the drives are swapped (which of them cannot be
+  told: the two differ in the sign of theta).  Both swapped is a mirror image, and invisible.
 """
 
 from __future__ import annotations
