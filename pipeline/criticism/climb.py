@@ -173,7 +173,7 @@ def _prune(
                 continue
             level = max(1.0, fit.chi2 / max(fit.dof, 1))
             rise = max(less.chi2 - fit.chi2, 0.0) / level
-            own = max(len(fit.columns[term]), 1)
+            own = max(less.dof - fit.dof, 1)
             log_p = float(log_tail(rise, own, None if fit.noise_known else max(fit.dof, 1)))
             if log_p > np.log(rules.alpha) and (worst is None or log_p > worst[0]):
                 worst = (log_p, less, term)

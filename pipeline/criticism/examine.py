@@ -68,7 +68,9 @@ def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
     base = baseline(fit)
     signatures = problem.signatures(fit)
     projected = project(base, signatures.blocks)
-    scores, null = score_all(projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed)
+    scores, null = score_all(
+        projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
+    )
     regions: Sequence[Region] = problem.regions(fit)
     left = goodness(fit, base, problem.probes(fit), regions)
     return Look(fit, signatures, projected, scores, null, left, tuple(regions))

@@ -108,6 +108,8 @@ def _agreements(fit: FitResult, base: Baseline) -> Structure | None:
         log_p.append(overall.log_p)
         where.append(f"all parameters by {name}")
         for term, columns in fit.columns.items():
+            if not columns:
+                continue
             log_p.append(agreement(base, name, parts, columns).log_p)
             where.append(f"{term} by {name}")
     return _strongest("agreement", log_p, where)

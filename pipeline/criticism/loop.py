@@ -138,7 +138,10 @@ def wrong_forms(fit: FitResult, alpha: float) -> dict[str, Agreement]:
     """Terms of a fit whose size disagrees between blocks, or between the values of a label."""
     base = baseline(fit)
     asked = [
-        (term, columns, name, parts) for term, columns in fit.columns.items() for name, parts in partitions(fit).items()
+        (term, columns, name, parts)
+        for term, columns in fit.columns.items()
+        if columns
+        for name, parts in partitions(fit).items()
     ]
     found: dict[str, Agreement] = {}
     for term, columns, name, parts in asked:

@@ -30,12 +30,14 @@ class Block:
     residual : (n, m), unit variance where model and noise are right.
     labels : conditions, such as {"level": "0.35", "direction": "up"}; sizes of a term are compared across them.
     repeat : blocks with the same mark are repeats: row by row the same but for the noise.
+    nuisances : free amplitudes of this block, to compare held-out blocks fairly.
     """
 
     name: str
     residual: FloatArray
     labels: Mapping[str, str] = field(default_factory=dict)
     repeat: str | None = None
+    nuisances: int = 0
 
     @property
     def rows(self) -> FloatArray:
@@ -148,17 +150,28 @@ class Candidate:
     grid: tuple[Mapping[str, float], ...] = ({},)
 
 
+@dataclass(frozen=True)
+class LocalCandidate:
+    """An absent term whose amplitudes are free in every block (lines of the mains).
+
+    For each grid point the fall of chi2, which is chi2 of ``dof`` where the term does nothing; ``reach`` is the fall that
+    could be expected of the strongest there may be.
+    """
+
+    name: str
+    falls: tuple[float, ...]
+    dof: int
+    grid: tuple[Mapping[str, float], ...] = ({},)
+    reach: float = np.inf
+
+
 @dataclass(frozen=True, eq=False)
 class Signatures:
-    """Candidates and their columns: for each fitted block Z_b (n m, K)."""
+    """Candidates and their columns: for each fitted block Z_b (n m, K); and those that are local to the blocks."""
 
     candidates: tuple[Candidate, ...]
     blocks: tuple[FloatArray, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the candidates, in order."""
-        return tuple(candidate.name for candidate in self.candidates)
+    local: tuple[LocalCandidate, ...] = ()
 
 
 @dataclass(frozen=True)

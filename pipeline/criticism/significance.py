@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from .problem import Candidate
+from .problem import Candidate, LocalCandidate
 from .projection import Projected
 from .scores import Cell, Score, cells_of, estimate, falls, visibility
 from .tails import log_any, log_tail, trials_of
@@ -64,6 +64,7 @@ def simulate_null(
     known: bool = True,
     draws: int = DRAWS,
     seed: int = 0,
+    local: Sequence[LocalCandidate] = (),
 ) -> Null:
     """Draw the null of the scores of some candidates.
 
@@ -73,6 +74,7 @@ def simulate_null(
     candidates, cells : I of each, see ``cells_of``.
     known : the noise level is known.
     draws, seed : of the simulation.
+    local : candidates with free amplitudes in every block; one cell each, independent of all others.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x5C07E,)))
     size, vector = np.linalg.eigh(projected.covariance)
@@ -83,7 +85,7 @@ def simulate_null(
     rest: FloatArray | None = None
     if not known:
         rest = np.sum(normal**2, axis=0) + rng.chisquare(max(projected.dof - root.shape[1], 0) or 1e-9, draws)
-    log_p = np.zeros((len(candidates), draws))
+    log_p = np.zeros((len(candidates) + len(local), draws))
     trials = np.ones(len(candidates))
     for i, (candidate, own) in enumerate(zip(candidates, cells)):
         log_p[i] = _log_single(projected, own, scores, rest)
@@ -91,7 +93,11 @@ def simulate_null(
             quantile = float(np.quantile(log_p[i], _CALIBRATED))
             trials[i] = trials_of(quantile, _CALIBRATED)
             log_p[i] = log_any(log_p[i], trials[i])
-    smallest = np.sort(log_p.min(axis=0)) if len(candidates) else np.zeros(draws)
+    for i, other in enumerate(local, len(candidates)):
+        # The smallest of several uniform numbers.
+        log_p[i] = np.log(-np.expm1(np.log1p(-rng.random(draws)) / len(other.falls)))
+        log_p[i] = log_any(log_p[i], len(other.falls))
+    smallest = np.sort(log_p.min(axis=0)) if len(log_p) else np.zeros(draws)
     return Null(trials, smallest, known)
 
 
@@ -118,10 +124,11 @@ def score_all(
     known: bool = True,
     draws: int = DRAWS,
     seed: int = 0,
+    local: Sequence[LocalCandidate] = (),
 ) -> tuple[tuple[Score, ...], Null]:
     """Score every candidate, most significant first, and the null they were judged by."""
     cells = [cells_of(projected, candidate) for candidate in candidates]
-    null = simulate_null(projected, candidates, cells, known, draws, seed)
+    null = simulate_null(projected, candidates, cells, known, draws, seed, local)
     rest = None if known else np.array([projected.chi2])
     scores = []
     for i, (candidate, own) in enumerate(zip(candidates, cells)):
@@ -145,4 +152,12 @@ def score_all(
                 snr >= WORTH,
             )
         )
+    for other in local:
+        best = int(np.argmax(other.falls))
+        # Where the residual as a whole is above the noise, so may be its lines.
+        level = max(projected.chi2 / max(projected.dof, 1), 1.0 if known else 0.0)
+        log_p = float(log_any(log_tail(other.falls[best] / max(level, 1e-300), other.dof), len(other.falls)))
+        values = {name: (value, float("nan")) for name, value in other.grid[best].items()}
+        p_value, snr = null.p_family(log_p), float(np.sqrt(other.reach / max(level, 1e-300)))
+        scores.append(Score(other.name, other.falls[best], other.dof, values, log_p, p_value, 1.0, snr, snr >= WORTH))
     return tuple(sorted(scores, key=lambda score: (score.log_p_single, -score.delta_chi2))), null

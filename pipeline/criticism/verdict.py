@@ -42,6 +42,9 @@ def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, 
     for term in here.fit.terms:
         if term not in added:
             continue
+        if not here.fit.columns.get(term):
+            found.append(TermClass(term, (term,), ()))
+            continue
         near = rivals(here.fit, term, here.signatures)
         members = [term]
         size = len(here.fit.columns[term])

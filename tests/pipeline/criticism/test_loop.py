@@ -16,6 +16,7 @@ from pipeline.criticism.problem import Block
 from pipeline.criticism.rates import rates, share
 
 RULES = Rules(draws=2000)
+X, SCALE_HELD_OUT = np.linspace(-1.0, 1.0, 400), 0.8
 
 
 def _names(found: Any) -> int:
@@ -103,13 +104,11 @@ def test_a_term_that_acts_in_one_block_only_has_the_right_place_and_the_wrong_fo
 
 def test_a_rung_that_held_out_data_contradict_is_refused(toy: Any) -> None:
     # The held-out block has the term with the opposite sign: what the fit foretells of it is wrong.
-    problem = toy.problem(6)
-    from_cube = [20.0 * c for c in problem.columns("cube")]
-    data = [y + c[:, 0] for y, c in zip(problem.data, from_cube)]
-    data[-1] = problem.data[-1] - from_cube[-1][:, 0]
+    problem = toy.problem(6, {"line": 40.0})
+    data = [*problem.data[:-1], 2.0 * (1.0 + 2.0 * SCALE_HELD_OUT * X) - problem.data[-1]]
     ladder = refine(type(problem)(tuple(data)), rules=RULES)
-    assert "cube" in ladder.refused
-    assert "cube" not in ladder.terms
+    assert "line" in ladder.refused
+    assert "line" not in ladder.terms
     assert ladder.verdict == "unknown"
 
 
