@@ -36,6 +36,11 @@ def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend
     return basis
 
 
+def lines_removed(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:
+    """Degrees of freedom a channel that :func:`without_lines` takes."""
+    return 1 if line_hz is None else 1 + 2 * (math.ceil(sample_rate_hz / 2.0 / line_hz - 1e-9) - 1)
+
+
 def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> FloatArray:
     """y (N, S) less its offset and the harmonics of ``line_hz``, by least squares."""
     samples = y.shape[0]
@@ -54,7 +59,7 @@ def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, ad
     samples = y.shape[0]
     trend = line_basis(samples, sample_rate_hz, None, True)
     rest = without_lines(y - trend @ (trend.T @ y), sample_rate_hz, line_hz)
-    removed = trend.shape[1] + (0 if line_hz is None else 2 * (math.ceil(sample_rate_hz / 2.0 / line_hz) - 1))
+    removed = 1 + lines_removed(samples, sample_rate_hz, line_hz)
     variance = np.sum(rest**2, axis=0) / max(samples - removed, 1)
     if adc is not None:
         quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2

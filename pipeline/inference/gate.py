@@ -1,6 +1,6 @@
 """The goodness-of-fit gate: does the model explain the record well enough for its sd to be believed?
 
-    error            = rms((measured - model) / sigma), full band, offset (and hum lines) removed
+    error            = rms((measured - model) / sigma), full band, offset (and hum lines) removed and counted
     theta_bias_bound = sd(theta) sqrt(excess) sqrt(1 - s^2) / s,   excess = chi2 - dof - 3 sqrt(2 dof), if positive
 
 A fit hides most of a missing effect in its own parameters: of an effect's signature only a share s survives as residual
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..experiment.lines import without_lines
+from ..experiment.lines import lines_removed, without_lines
 
 SURVIVING_SHARE = 0.16
 
@@ -50,8 +50,10 @@ def full_band_error(
 ) -> tuple[float, float]:
     """error and relative error of one record; measured and model (N, S) [V], sigma (S,) [V]."""
     rest = without_lines(measured_v - model_v, sample_rate_hz, line_hz)
-    level = np.sqrt(np.mean(measured_v**2))
-    return float(np.sqrt(np.mean((rest / sigma_v) ** 2))), float(np.sqrt(np.mean(rest**2)) / max(level, 1e-300))
+    samples, senses = measured_v.shape
+    dof = senses * (samples - lines_removed(samples, sample_rate_hz, line_hz))
+    error = np.sqrt(np.sum((rest / sigma_v) ** 2) / dof)
+    return float(error), float(np.linalg.norm(rest) / max(float(np.linalg.norm(measured_v)), 1e-300))
 
 
 def misfit_reason(goodness: Goodness, gate: Gate) -> str | None:
