@@ -29,11 +29,12 @@ import numpy as np
 from msgspec import Meta
 
 from ..arrays import FloatArray
-from ..errors import ConfigError, MeasurementError, UsageError
+from ..errors import MeasurementError, UsageError
 from . import toml_files as toml
 from .columns import MIN_SAMPLES, assemble
 from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
 from .instrument import Adc, Hold, Instrument
+from .mend import mend
 from .modal_record import ModalRecord, decode_modal_record
 from .readers import existing, read_columns, read_record, write_columns
 from .record import Campaign, Channels, Record, Role
@@ -90,55 +91,6 @@ def _roles(declared: Sequence[Role | None]) -> list[Role]:
     others_fit = len(open_places) > 1 or "fit" in declared
     last = open_places[-1] if open_places and others_fit and "validate" not in declared else None
     return [role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)]
-
-
-def _per_channel(
-    values: tuple[float, ...] | None, count: int, what: str, *, permutation: bool = False
-) -> FloatArray | None:
-    if values is None:
-        return None
-    wanted = f"a permutation of 1..{count}" if permutation else f"{count} values, one a column of the files"
-    if len(values) != count or (permutation and sorted(values) != list(range(1, count + 1))):
-        raise ConfigError(
-            f"[channels] {what} does not fit the records",
-            value=list(values),
-            allowed=wanted,
-            next_step="correct it",
-        )
-    return np.array(values)
-
-
-def mend(record: Record, channels: Channels) -> Record:
-    """``record`` with ``channels`` applied to it, in the order of the table above.
-
-    Raises :class:`ConfigError` where ``channels`` is for another number of channels, or a lag leaves nothing.
-    """
-    drive, sense = record.drive_v, record.sense_v
-    if (offset := _per_channel(channels.drive_offset_v, drive.shape[1], "drive_offset_v")) is not None:
-        drive = drive - offset
-    if (sign := _per_channel(channels.drive_polarity, drive.shape[1], "drive_polarity")) is not None:
-        drive = drive * sign
-    if (sign := _per_channel(channels.sense_polarity, sense.shape[1], "sense_polarity")) is not None:
-        sense = sense * sign
-    if (order := _per_channel(channels.drive_order, drive.shape[1], "drive_order", permutation=True)) is not None:
-        drive = drive[:, order.astype(np.int64) - 1]
-    if (order := _per_channel(channels.sense_order, sense.shape[1], "sense_order", permutation=True)) is not None:
-        sense = sense[:, order.astype(np.int64) - 1]
-    lag, at_rest = channels.lag_samples, record.at_rest
-    if lag:
-        count = drive.shape[0] - abs(lag)
-        if count < MIN_SAMPLES:
-            raise ConfigError(
-                "[channels] lag_samples leaves nothing of a record",
-                value=lag,
-                allowed=f"below {drive.shape[0] - MIN_SAMPLES} in size for {record.name}",
-                next_step="correct it",
-            )
-        # A sense that comes early loses the drive's first samples: the device moved already unless those were
-        # zero.
-        at_rest = at_rest and (lag > 0 or not np.any(drive[:-lag]))
-        drive, sense = (drive[:count], sense[lag:]) if lag > 0 else (drive[-lag:], sense[:count])
-    return dataclasses.replace(record, drive_v=drive, sense_v=sense, at_rest=at_rest)
 
 
 def _cut(record: Record, start: int, stop: int | None, where: str) -> Record:

@@ -95,7 +95,7 @@ def _composed(
 
 
 def composed(done: Channels, more: Channels, drives: int, senses: int) -> Channels:
-    """The one mend of the files that does ``done`` and then ``more`` (see ``campaign.mend``)."""
+    """The one mend of the files that does ``done`` and then ``more`` (see ``mend.mend``)."""
     sense_polarity, sense_order = _composed(
         done.sense_polarity, done.sense_order, more.sense_polarity, more.sense_order, senses
     )

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import ConfigError, GyroscreenError, MeasurementError, UsageError
-from pipeline.experiment.campaign import mend, read_campaign, read_measurement, write_campaign
+from pipeline.experiment.campaign import read_campaign, read_measurement, write_campaign
 from pipeline.experiment.checks.finding import composed
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
+from pipeline.experiment.mend import mend
 from pipeline.experiment.readers import WRITTEN, write_columns
 from pipeline.experiment.record import Campaign, Channels, Record
 
