@@ -7,14 +7,14 @@ function for each stage of the signal path that the effect touches (most touch o
 |---|---|---|
 | drive       | (v, p, context) -> u                            | samples (N, D) [V] that make force; memoryless |
 | mechanics   | (mechanics, p, context) -> Mechanics            | linear and time-invariant; may append coordinates |
-| force       | (t, q, qd, u, p, laws, out) -> None             | adds acceleration (n,) [V/s] to ``out``; compiled, so plain arithmetic |
-| sense       | (x, xd, s, t, p, context) -> s                  | pick-off volts (M, S) from motion x [V s], velocity xd [V] |
+| force       | (t, q, qd, u, p, laws, out) -> None             | adds acceleration (n,) [V/s] to ``out``; compiled   |
+| sense       | (x, xd, s, t, p, context) -> s                  | pick-off volts (M, S) from motion x (M, S) [V s] |
 | readout     | (readout, p, context) -> Readout                | linear and time-invariant |
 | adc         | (y, p, context) -> y                            | on the samples (N, S) [V] |
 | disturbance | (t, p, context) -> basis (N, L)                 | regressors with a free amplitude a channel and record |
 
-p (k,) are the effect's parameters in the order declared, families spread out.  At the null value the stages are not even
-called, so the null is no effect bit by bit.
+p (k,) are the effect's parameters in the order declared, families spread out.  At the null value the stages are not
+even called, so the null is no effect bit by bit.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Effect:
     source : citation or derivation.
     signature : how a record shows it.
     parameters : parameters and families, in the order in which ``p`` holds them.
-    plants : where it makes sense: "gyro", "modal" (any drives and senses), "resonator" (modal, one drive and one sense).
+    plants : where it makes sense: "gyro", "modal" (any channels), "resonator" (modal, one drive and one sense).
     condition : declared condition of a record that fixes the (only) parameter: "rate", or none.
 
     Raises

@@ -42,7 +42,8 @@ class Parameter:
     scale : a size that matters; the unit of steps and searches.
     prior : "uniform" over [low, high], or "normal(mean, sd)".
     per : what a family is spread over.
-    grid : values to scan where the parameter does not exist at the null of its effect (a pole's frequency, a clip level).
+    grid : values to scan where the parameter does not exist at the null of its effect (a pole's frequency, a clip
+        level).
     fitted : false where the grid is all there is (mains frequency).
     quantity : name of the result quantity it is, if it is one.
     """

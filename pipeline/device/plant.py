@@ -22,7 +22,7 @@ C12 = "c12_per_s"
 
 
 class Plant(Protocol):
-    """What the engine asks of a plant.  ``names`` below are plant parameters in order, c12_per_s last where it is free."""
+    """What the engine asks of a plant; ``names`` are its parameters in order, c12_per_s last where the model has it."""
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -77,6 +77,7 @@ _GYRO_PARAMETERS = (
     Parameter("sense_imbalance", "1", -0.99, 0.99, "(K_S2 - K_S1)/(K_S2 + K_S1)"),
     Parameter("drive_imbalance", "1", -0.99, 0.99, "(K_D2 - K_D1)/(K_D2 + K_D1)"),
 )
+_GYRO_SHAPE = Shape(2, 2, ("x", "y"))
 _WITHOUT_C12 = tuple(i for i, name in enumerate(PHYSICAL) if name != C12)
 
 
@@ -89,7 +90,7 @@ class GyroPlant:
     """
 
     kinds: frozenset[str] = frozenset({"gyro"})
-    shape: Shape = Shape(2, 2, ("x", "y"))
+    shape: Shape = _GYRO_SHAPE
     parameters: tuple[Parameter, ...] = _GYRO_PARAMETERS
 
     def mechanics(self, values: Mapping[str, float]) -> Mechanics:
@@ -136,7 +137,8 @@ class GyroPlant:
 class ModalPlant:
     """H(s) = sum_k B_k s / (s^2 + 2 zeta_k omega_k s + omega_k^2), without the s for a displacement pick-off.
 
-    B_k (S, D) = gain<k>_s<a>d<b> [1/s; for displacement 1/s^2].  Coordinates q_(k,a): one a mode and sense, driven by the
+    B_k (S, D) = gain<k>_s<a>d<b> [1/s; for displacement 1/s^2].  Coordinates q_(k,a): one a mode and sense, driven by
+    the
     row a of B_k and seen by sense a alone.
     """
 

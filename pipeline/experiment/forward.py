@@ -2,8 +2,8 @@
 
     v --drive--> u --mechanics, forces--> S --sense--> + feedthrough --read-out, delay--> converter --> y
 
-Linear parts are exact at the sample times.  Where a force or a pick-off law acts, its remainder on top of the linear part is
-integrated on a finer grid (``integrate``) and added.  Noise, offset and hum are not part of it.
+Linear parts are exact at the sample times.  Where a force or a pick-off law acts, its remainder on top of the linear
+part is integrated on a finer grid (``integrate``) and added.  Noise, offset and hum are not part of it.
 
 Shapes: N samples, D drives, S senses.  Units: volts.
 """

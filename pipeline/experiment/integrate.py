@@ -6,9 +6,9 @@ The linear trajectory x_l under the held drive is exact (matrix exponential); wh
 
     d' = A d + (0, a(t, x_l + d, u))
 
-by Lawson-RK4 with the exact exponential of A, ``SUBSTEPS`` steps a sample: no cancellation, and the kinks of the held drive
-stay in the exact part.  Its remainder in volts, r = (V, D) d + (sense laws), is smooth between samples, so the read-out's poles
-see it exactly as the polynomial through the ``SUBSTEPS`` + 1 values of each sample interval.
+by Lawson-RK4 with the exact exponential of A, ``SUBSTEPS`` steps a sample: no cancellation, and the kinks of the held
+drive stay in the exact part.  Its remainder in volts, r = (V, D) d + (sense laws), is smooth between samples, so the
+read-out's poles see it exactly as the polynomial through the ``SUBSTEPS`` + 1 values of each sample interval.
 
 Shapes: N samples, M = (N - 1) SUBSTEPS + 1 grid points, n coordinates, D drives, S senses.  State (2n,): (q, q').
 """
@@ -47,7 +47,8 @@ def _make_march(half_size: int) -> Any:
 
     Arguments of what it returns: forces, how many, their parameters and laws; ``half``, ``held``, ``ramp`` (transposed:
     (2H, 2H), (D, 2H), (D, 2H)) propagate a state (scale q, 0, q', 0) by half a substep; scale; time between samples;
-    substeps; coordinates n; drive (N, D); whether it is sloped between samples; start; then linear and deviation (M, 2H).
+    substeps; coordinates n; drive (N, D); whether it is sloped between samples; start; then linear and deviation (M,
+    2H).
     """
     size = 2 * half_size
 
@@ -189,7 +190,7 @@ _KERNEL = types.void(
 )
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _march_of(half_size: int) -> Any:
     """The compiled kernel for at most ``half_size`` coordinates."""
     with warnings.catch_warnings():
@@ -237,7 +238,7 @@ def trajectory(
     grown[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0]
     grown[2 * n : 2 * n + drives, 2 * n + drives :] = np.eye(drives)
     moved = expm(grown * (0.5 * step_s / substeps))
-    half_size = 4 * -(-n // 4)
+    half_size = 1 << (n - 1).bit_length()
     place = np.concatenate([np.arange(n), half_size + np.arange(n)])
 
     def placed(matrix: FloatArray) -> FloatArray:
@@ -298,7 +299,15 @@ def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArr
 
 
 @njit(cache=True)
-def _filter(z: ComplexArray, w: ComplexArray, z_out: ComplexArray, w_out: ComplexArray, residues: ComplexArray, r: FloatArray, out: FloatArray) -> None:  # fmt: skip
+def _filter(
+    z: ComplexArray,
+    w: ComplexArray,
+    z_out: ComplexArray,
+    w_out: ComplexArray,
+    residues: ComplexArray,
+    r: FloatArray,
+    out: FloatArray,
+) -> None:
     """Poles z (J,) with weights w (J, m + 1) over remainders r (M, S) -> out (N, S), read off after z_out, w_out."""
     poles, width = w.shape
     samples, senses = out.shape
@@ -335,7 +344,8 @@ def filtered(
 
     Parameters
     ----------
-    poles, residues : of the read-out, (J,) and (J, S, S): one of each conjugate pair, real ones with half their residue.
+    poles, residues : of the read-out, (J,) and (J, S, S): one of each conjugate pair, real ones with half their
+        residue.
     static : (S, S).
     remainder : volts on the fine grid.
     step_s : time between samples [s].
@@ -346,8 +356,8 @@ def filtered(
     interpolate: FloatArray = np.zeros(substeps + 1)
     interpolate[0] = 1.0
     if late_s > 0.0:
-        fit = np.linalg.inv(np.vander(nodes / step_s, increasing=True))
-        interpolate = np.asarray((late_s / step_s) ** np.arange(substeps + 1) @ fit)
+        fit: FloatArray = np.linalg.inv(np.vander(nodes / step_s, increasing=True)).astype(np.float64)
+        interpolate[:] = (late_s / step_s) ** np.arange(substeps + 1) @ fit
     out = np.zeros((samples, remainder.shape[1]))
     windows = np.lib.stride_tricks.sliding_window_view(remainder, substeps + 1, axis=0)[::substeps]
     if np.any(static):

@@ -2,9 +2,10 @@
 
     y = G(s) exp(-s tau) [H(s) u + (R + s C) v]
 
-G H in partial fractions: G(p_k) R_k at the mechanics' poles p_k, Q_j H(q_j) at the read-out's q_j.  The feedthrough behind a
-filter is Q_j (R + q_j C) at q_j and (sum_j Q_j) C at once; without a filter R v and C times the slope of v that arrives at the
-sample.  A delay reads each state before its sample: with m + 1 = ceil(tau f_s) and t = (m + 1)/f_s - tau,
+G H in partial fractions: G(p_k) R_k at the mechanics' poles p_k, Q_j H(q_j) at the read-out's q_j.  The feedthrough
+behind a filter is Q_j (R + q_j C) at q_j and (sum_j Q_j) C at once; without a filter R v and C times the slope of v
+that arrives at the sample.  A delay reads each state before its sample: with m + 1 = ceil(tau f_s) and t = (m +
+1)/f_s - tau,
 
     x((n f_s) - tau) = e^{p t} x[n - m - 1] + (response to the held drive over t)
 

@@ -1,8 +1,10 @@
 """How noisy a campaign is, never from a model's own residual.
 
-    silent    rms of the silent records less offset, trend and lines; LSB^2/12 added where silence does not exercise the ADC
+    silent    rms of the silent records less offset, trend and lines; LSB^2/12 added where silence does not exercise
+    the ADC
     repeats   rms of the difference of records with the same drive, over sqrt 2
-    local     what a local polynomial in frequency (response and transient, second order) leaves of each record, median over
+    local     what a local polynomial in frequency (response and transient, second order) leaves of each record,
+    median over
               windows
 
 Shapes: N samples, S senses.  sigma (S,) [V], the standard deviation of a sample.
@@ -114,7 +116,8 @@ def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
 
     Raises
     ------
-    MeasurementError : a channel shows no noise at all (then no error in sigmas exists), or records are too short to tell.
+    MeasurementError : a channel shows no noise at all (then no error in sigmas exists), or records are too short to
+        tell.
     """
     silent = campaign.with_role("noise")
     repeats = _repeated(campaign)

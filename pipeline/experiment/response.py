@@ -1,6 +1,7 @@
 """What an assembled system answers to drive samples.
 
-    y = linear part (exact at the samples) + read-out of the remainder  r = S(x_l + d) - S_linear(x_l),   then the converter
+    y = linear part (exact at the samples) + read-out of the remainder  r = S(x_l + d) - S_linear(x_l),   then the
+    converter
 
 Shapes: N samples, D drives, S senses, n coordinates.  Units: volts, seconds.
 """
@@ -50,7 +51,7 @@ def remainder_volts(
         n = m.stiffness.shape[1]
         state = linear + deviation
         x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ reads.T
-        t: FloatArray = np.arange(state.shape[0]) * (clock.step_s / substeps)
+        t = np.arange(state.shape[0], dtype=np.float64) * (clock.step_s / substeps)
         seen = s
         for effect, p in system.senses:
             assert effect.sense is not None

@@ -1,8 +1,9 @@
 """Derivatives of the record: to the parameters of a model, and to those of an effect that is not in it.
 
-Central differences in the model's smooth coordinates; one-sided of second order where a range ends.  Columns of the plant and
-of linear effects run through the exact bank; those of forces and pick-off laws through the integrator, whose deviation is
-free of cancellation.  With strong nonlinear effects ``exact`` runs every column through the integrator.
+Central differences in the model's smooth coordinates through the exact bank, one-sided of second order where a range
+ends; one-sided ones through the integrator for forces and pick-off laws, whose deviation is free of cancellation.
+With strong nonlinear effects ``exact`` adds the remainder's share to the columns of the plant and of linear effects
+too.
 
 Shapes: N samples, S senses, P free parameters, k parameters of an effect.
 """
@@ -70,6 +71,56 @@ def _is_adc(model: Model, name: str) -> bool:
     return effect in model.effects and "adc" in model.effect(effect).stages
 
 
+def tuned_steps(
+    model: Model,
+    parameters: Mapping[str, float],
+    record: Record,
+    instrument: Instrument,
+    *,
+    angular_gain: float | None = None,
+    start: FloatArray | None = None,
+) -> FloatArray:
+    """Steps (P,) for ``jacobian``: those of forces and pick-off laws move this record by about ``_SHARE`` of its level.
+
+    Arguments as in ``forward``.
+    """
+    clock = clock_of(record.sample_rate_hz, instrument.hold)
+    conditions = conditions_of(record, instrument, angular_gain)
+    x0 = model.to_internal(model.complete(parameters))
+    steps = model.steps(x0)
+    base = assemble(model, model.to_values(x0), instrument, conditions)
+    y0, r0 = volts(base, record.drive_v, clock, start), remainder_volts(base, record.drive_v, clock, start)
+    level = float(np.sqrt(np.mean(y0**2)))
+
+    def share(i: int, step: float) -> float:
+        x = x0.copy()
+        x[i] += step if x0[i] + step <= model.bounds(model.free[i])[1] else -step
+        try:
+            r = remainder_volts(
+                assemble(model, model.to_values(x), instrument, conditions), record.drive_v, clock, start
+            )
+        except ConfigError:
+            return np.inf
+        return float(np.sqrt(np.mean((r - r0) ** 2))) / max(level, 1e-300)
+
+    for i, name in enumerate(model.free):
+        if _is_gridded(model, name):
+            steps[i] = _tuned(
+                partial(share, i), float(steps[i]), 0.25 * (model.bounds(name)[1] - model.bounds(name)[0])
+            )
+    return steps
+
+
+def _tuned(share: Callable[[float], float], step: float, most: float) -> float:
+    """The step whose share of the record is about ``_SHARE``."""
+    for _ in range(12):
+        found = share(step)
+        if found == 0.0 or 0.01 * _SHARE <= found <= 10.0 * _SHARE:
+            break
+        step = min(step * (1e-3 if not np.isfinite(found) else float(np.clip(_SHARE / found, 1e-6, 1e6))), most)
+    return step
+
+
 def jacobian(
     model: Model,
     parameters: Mapping[str, float],
@@ -79,6 +130,7 @@ def jacobian(
     angular_gain: float | None = None,
     start: FloatArray | None = None,
     exact: bool = False,
+    steps: FloatArray | None = None,
 ) -> FloatArray:
     """dy/dx (N, S, P) at ``parameters``; x are the smooth coordinates of ``model.free`` (``model.to_internal``).
 
@@ -86,6 +138,7 @@ def jacobian(
     ----------
     model, parameters, record, instrument, angular_gain, start : as in ``forward``.
     exact : plant columns through the integrator too.
+    steps : (P,) of the differences; ``None`` is ``tuned_steps``.
 
     Raises
     ------
@@ -95,7 +148,8 @@ def jacobian(
     clock = clock_of(record.sample_rate_hz, instrument.hold)
     conditions = conditions_of(record, instrument, angular_gain)
     x0 = model.to_internal(model.complete(parameters))
-    steps = model.steps(x0)
+    if steps is None:
+        steps = tuned_steps(model, parameters, record, instrument, angular_gain=angular_gain, start=start)
     base = assemble(model, model.to_values(x0), instrument, conditions)
     gridded = bool(base.forces or base.senses)
 
@@ -104,8 +158,8 @@ def jacobian(
         x[i] = value
         return how(assemble(model, model.to_values(x), instrument, conditions), record.drive_v, clock, start)
 
-    columns = np.empty((*record.sense_v.shape, x0.size))
-    clipped = None
+    columns = np.zeros((*record.sense_v.shape, x0.size))
+    clipped = remainder = None
     for i, name in enumerate(model.free):
         if _is_adc(model, name):
             clipped = volts(base, record.drive_v, clock, start) if clipped is None else clipped
@@ -118,13 +172,14 @@ def jacobian(
 
             columns[:, :, i] = _slope(behind, x0[i], steps[i], *model.bounds(name))
             continue
-        how: Callable[..., FloatArray]
-        if _is_gridded(model, name):
-            how = remainder_volts
-        else:
-            how = volts if exact and gridded else linear_volts
-        low, high = (-np.inf, np.inf) if "." not in name else model.bounds(name)
-        columns[:, :, i] = _slope(partial(run, i, how), x0[i], steps[i], low, high)
+        if not _is_gridded(model, name):
+            low, high = (-np.inf, np.inf) if "." not in name else model.bounds(name)
+            columns[:, :, i] = _slope(partial(run, i, linear_volts), x0[i], steps[i], low, high)
+        if _is_gridded(model, name) or (exact and gridded):
+            # Deviations are free of cancellation: one side is enough, inside the range.
+            remainder = remainder_volts(base, record.drive_v, clock, start) if remainder is None else remainder
+            step = steps[i] if "." not in name or x0[i] + steps[i] <= model.bounds(name)[1] else -steps[i]
+            columns[:, :, i] += (run(i, remainder_volts, x0[i] + step) - remainder) / step
     if base.adcs:
         # Behind the converter a sample that is clipped does not move.
         y = volts(base, record.drive_v, clock, start) if clipped is None else clipped
@@ -145,7 +200,8 @@ class Signature:
     effect : its name.
     names : of the parameters that the columns are derivatives to, k of them.
     point : values of its other parameters (those of a grid).
-    columns : (N, S, k) dy/dp at the null; for a parameter that only acts beyond a threshold (a clip level) the change of y
+    columns : (N, S, k) dy/dp at the null; for a parameter that only acts beyond a threshold (a clip level) the change
+        of y
         from no effect to ``point``.  Free regressors of a disturbance are ``basis`` (N, L) instead, k = 0.
     basis : (N, L), L = 0 but for disturbances.
     """
@@ -170,7 +226,8 @@ def signatures(
 ) -> tuple[Signature, ...]:
     """Signatures of the absent ``effect`` in one record, at ``parameters`` of ``model``.
 
-    One where all its parameters exist at the null; else one a point of the grid of those that do not (the product over them).
+    One where all its parameters exist at the null; else one a point of the grid of those that do not (the product
+    over them).
 
     Parameters
     ----------
@@ -244,14 +301,15 @@ def _derivative(
     level: float,
 ) -> FloatArray:
     """dy/dp at the null, with a step that moves the record by about ``_SHARE`` of its level."""
-    step = 1e-2 * member.scale
-    for _ in range(8):
-        first = moved(point, member.name, member.null + step)
-        share = float(np.sqrt(np.mean(first**2))) / max(level, 1e-300)
-        if share == 0.0 or 0.01 * _SHARE <= share <= 10.0 * _SHARE:
-            break
-        step *= _SHARE / share
-        step = min(step, 0.25 * (member.high - member.null))
+
+    def share(step: float) -> float:
+        try:
+            first = moved(point, member.name, member.null + step)
+        except ConfigError:
+            return np.inf
+        return float(np.sqrt(np.mean(first**2))) / max(level, 1e-300)
+
+    step = _tuned(share, 1e-2 * member.scale, 0.25 * (member.high - member.null))
     if member.null - step >= member.low:
         return (moved(point, member.name, member.null + step) - moved(point, member.name, member.null - step)) / (
             2.0 * step

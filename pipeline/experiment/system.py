@@ -1,7 +1,7 @@
 """A model at given parameters, met by one record: everything the forward model needs, assembled once.
 
-Effects act stage by stage in the order of the signal; inside a stage in the order of their names, and at its null an effect
-does not act at all.  A declared angular rate acts whether or not the model has ``angular_rate``.
+Effects act stage by stage in the order of the signal; inside a stage in the order of their names, and at its null an
+effect does not act at all.  A declared angular rate acts whether or not the model has ``angular_rate``.
 """
 
 from __future__ import annotations

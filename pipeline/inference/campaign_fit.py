@@ -2,12 +2,12 @@
 
     x^ = argmin  sum_records |P (y - f(x)) / sigma|^2 + priors,        covariance = (J^T J)^-1
 
-P projects out what is free in every record and channel: the offset, the lines of mains_hum where it is in the model, and the
-filter's transient where a record does not start at rest; the mechanics' initial state is then fitted too.  Held-out records
-are only judged: their own nuisances are refitted and counted.
+P projects out what is free in every record and channel: the offset, the lines of mains_hum where it is in the model,
+and the filter's transient where a record does not start at rest; the mechanics' initial state is then fitted too.
+Held-out records are only judged: their own nuisances are refitted and counted.
 
-Gauss-Newton with Levenberg's damping in the model's smooth coordinates.  The residual is always exact; the plant's columns of J
-leave nonlinear effects out while those are weak (the step then contracts at their relative strength).
+Gauss-Newton with Levenberg's damping in the model's smooth coordinates.  The residual is always exact; the plant's
+columns of J leave nonlinear effects out while those are weak (the step then contracts at their relative strength).
 
 Shapes: N samples, S senses, P free parameters, L nuisances a channel.
 """
@@ -19,27 +19,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..device.model import Model
 from ..device.plant import C12
 from ..errors import ConfigError, MeasurementError
 from ..experiment.antialias import filter_poles
-from ..experiment.forward import jacobian
 from ..experiment.instrument import Instrument
 from ..experiment.linear import clock_of, free_response
 from ..experiment.noise_level import NoiseLevel
 from ..experiment.record import Campaign, Record, Role
-from ..experiment.response import converted, linear_volts, volts
+from ..experiment.response import converted, linear_volts, remainder_volts, volts
+from ..experiment.sensitivity import jacobian, tuned_steps
 from ..experiment.system import System, assemble, conditions_of
 from .campaign_start import find_start
 
 _ITERATIONS = 40
 #: Expected fall of chi2 (in units of chi2/dof, at least 1) at which the fit stands still: a hundredth of a sd.
 _STANDSTILL = 1e-4
+#: The same where a trial does not fall any more: rounding and inexact columns, a tenth of a sd.
+_CLOSE = 1e-2
 #: Share of the record made by forces and pick-off laws from which the plant's columns are computed with them.
 _STRONG = 0.1
+#: And below which they always suffice without.
+_FAINT = 1e-3
 
 Estimate = tuple[float, float]
+#: Inverse normal matrix of an initial state, its cross terms with x, its slope.
+_Back = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +53,8 @@ class RecordFit:
     """One record as the fitted model explains it.
 
     predicted_v (N, S) [V] without nuisances; residual (N, S) in sigmas, nuisances taken out; dof = N S less nuisances;
-    error = sqrt(chi2 / dof); relative_error = rms of residual volts over rms of the measured; misfit = sqrt(error^2 - 1).
+    error = sqrt(chi2 / dof); relative_error = rms of residual volts over rms of the measured; misfit = sqrt(error^2 -
+    1).
     start (2n,): fitted initial state, ``None`` where the record starts at rest.
     """
 
@@ -105,7 +112,7 @@ class CampaignFit:
 
 
 def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, instrument: Instrument) -> FloatArray:
-    """Orthonormal basis (N, L) of what is free in every channel of ``record``: offset, lines, the filter's transient."""
+    """Orthonormal basis (N, L) of what is free in every channel of ``record``: offset, lines, the filter transient."""
     samples = record.drive_v.shape[0]
     t = np.arange(samples) / record.sample_rate_hz
     columns = [np.ones((samples, 1))]
@@ -175,17 +182,40 @@ class _Problem:
     def residual(self, values: Mapping[str, float], task: _Task, start: FloatArray | None) -> FloatArray:
         return self.whiten(task.record.sense_v - self.predict(values, task, start), task)
 
-    def start_columns(self, values: Mapping[str, float], task: _Task) -> FloatArray:
-        """(N S, 2 n): what the initial state moves, in sigmas."""
+    def start_columns(
+        self, values: Mapping[str, float], task: _Task, start: FloatArray | None, exact: bool
+    ) -> FloatArray:
+        """(N S, 2 n): what the initial state moves, in sigmas; ``exact`` with what nonlinear effects make of it."""
         system = self.system(values, task.record)
         clock = clock_of(task.record.sample_rate_hz, self.instrument.hold)
-        n, own = system.mechanics.stiffness.shape[1], task.coordinates
+        m = system.mechanics
+        n, own = m.stiffness.shape[1], task.coordinates
         samples = task.record.drive_v.shape[0]
-        columns = free_response(system.mechanics, system.readout, samples * clock.stride, clock)[:: clock.stride]
-        chosen = columns[:, :, [*range(own), *range(n, n + own)]]
-        return self.whiten(chosen, task).reshape(-1, 2 * own)
+        columns = free_response(m, system.readout, samples * clock.stride, clock)[:: clock.stride]
+        chosen = [*range(own), *range(n, n + own)]
+        columns = columns[:, :, chosen]
+        full = self.full_start(system, task, start)
+        if exact and full is not None:
+            v = task.record.drive_v
+            before = remainder_volts(system, v, clock, full)
+            omega = np.sqrt(np.diagonal(m.stiffness[0]))
+            seen = np.max(np.abs(m.position_sense[0]) + omega * np.abs(m.velocity_sense[0]), axis=0)
+            motion = 1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / seen
+            steps = np.concatenate([motion, motion * omega])
+            for column, i in enumerate(chosen):
+                moved = full.copy()
+                moved[i] += steps[i]
+                columns[:, :, column] += (remainder_volts(system, v, clock, moved) - before) / steps[i]
+        return self.whiten(columns, task).reshape(-1, 2 * own)
 
-    def columns(self, values: Mapping[str, float], task: _Task, start: FloatArray | None, exact: bool) -> FloatArray:
+    def steps(self, values: Mapping[str, float], task: _Task, start: FloatArray | None) -> FloatArray:
+        """Steps (P,) of the differences, as ``task`` asks for them."""
+        full = self.full_start(self.system(values, task.record), task, start)
+        return tuned_steps(self.model, values, task.record, self.instrument, angular_gain=self.angular_gain, start=full)
+
+    def columns(
+        self, values: Mapping[str, float], task: _Task, start: FloatArray | None, exact: bool, steps: FloatArray
+    ) -> FloatArray:
         """(N S, P): what the free parameters move, in sigmas."""
         system = self.system(values, task.record)
         full = self.full_start(system, task, start)
@@ -197,6 +227,7 @@ class _Problem:
             angular_gain=self.angular_gain,
             start=full,
             exact=exact,
+            steps=steps,
         )
         return self.whiten(found, task).reshape(-1, found.shape[-1])
 
@@ -247,22 +278,22 @@ def _point(
 
 
 def _equations(
-    problem: _Problem, at: _Point, tasks: tuple[_Task, ...], exact: bool
-) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray, FloatArray] | None]]:
+    problem: _Problem, at: _Point, tasks: tuple[_Task, ...], exact: bool, steps: FloatArray
+) -> tuple[FloatArray, FloatArray, list[_Back | None]]:
     """Normal matrix (P, P) and slope (P,), initial states eliminated; what recovers those, record by record."""
     values = problem.model.to_values(at.x)
     size = at.x.size
     normal, slope = np.zeros((size, size)), np.zeros(size)
-    back: list[tuple[FloatArray, FloatArray, FloatArray] | None] = []
+    back: list[_Back | None] = []
     for task, start, residual in zip(tasks, at.starts, at.residuals):
-        j, r = problem.columns(values, task, start, exact), residual.reshape(-1)
+        j, r = problem.columns(values, task, start, exact, steps), residual.reshape(-1)
         normal += j.T @ j
         slope += j.T @ r
         if start is None:
             back.append(None)
             continue
-        f = problem.start_columns(values, task)
-        inverse = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True)
+        f = problem.start_columns(values, task, start, exact)
+        inverse: FloatArray = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True).astype(np.float64)
         cross, own = f.T @ j, f.T @ r
         normal -= cross.T @ inverse @ cross
         slope -= cross.T @ inverse @ own
@@ -284,7 +315,7 @@ def _inside(model: Model, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     return low, high
 
 
-def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Damped step (P,) of the ``moving`` parameters, and the undamped one."""
     scale = np.sqrt(np.diagonal(normal))
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -302,20 +333,25 @@ def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: FloatA
 def _descend(problem: _Problem, at: _Point, tasks: tuple[_Task, ...], dof: int) -> tuple[_Point, FloatArray, bool]:
     """From ``at`` down to where the fit stands still: the point, the normal matrix there, whether it converged."""
     low, high = _inside(problem.model, at.x)
+    # The loudest record sets the steps of the differences for all, and tells how strong nonlinear effects are.
+    loudest = max(range(len(tasks)), key=lambda k: float(np.mean(tasks[k].record.drive_v ** 2)))
+    task = tasks[loudest]
+    steps = problem.steps(problem.model.to_values(at.x), task, at.starts[loudest])
+    exact = problem.strength(problem.model.to_values(at.x), task) > _STRONG
     damping = 0.0
-    exact = any(problem.strength(problem.model.to_values(at.x), task) > _STRONG for task in tasks)
     normal = np.zeros((at.x.size, at.x.size))
     for _ in range(_ITERATIONS):
-        normal, slope, back = _equations(problem, at, tasks, exact)
+        normal, slope, back = _equations(problem, at, tasks, exact, steps)
         # A parameter at the end of its range moves only inwards.
         moving = ~((at.x <= low) & (slope < 0.0)) & ~((at.x >= high) & (slope > 0.0))
         noise = max(1.0, at.chi2 / dof)
+        _, newton = _solve(normal, slope, 0.0, moving)
+        expected = float(newton @ slope) + sum(float(b[2] @ b[0] @ b[2]) for b in back if b is not None)
+        if expected < _STANDSTILL * noise:
+            return at, normal, True
         accepted: _Point | None = None
         for _ in range(14):
-            step, newton = _solve(normal, slope, damping, moving)
-            expected = float(newton @ slope)
-            if expected < _STANDSTILL * noise and all(b is None for b in back):
-                return at, normal, True
+            step, _ = _solve(normal, slope, damping, moving)
             x = np.clip(at.x + step, low, high)
             starts = tuple(
                 start if b is None or start is None else start + b[0] @ (b[2] - b[1] @ (x - at.x))
@@ -325,27 +361,28 @@ def _descend(problem: _Problem, at: _Point, tasks: tuple[_Task, ...], dof: int) 
             if trial is not None and trial.chi2 <= at.chi2:
                 accepted = trial
                 break
+            if trial is not None and expected < _CLOSE * noise and trial.chi2 - at.chi2 < _CLOSE * noise:
+                break
             damping = max(10.0 * damping, 1e-6)
         if accepted is None:
-            small = float(newton @ slope) < 1e-2 * noise
-            if small or exact or problem.strength(problem.model.to_values(at.x), tasks[0]) == 0.0:
-                return at, normal, small
+            still = expected < _CLOSE * noise
+            if still or exact or problem.strength(problem.model.to_values(at.x), task) < _FAINT:
+                return at, normal, still
             exact, damping = True, 0.0
             continue
         fall = at.chi2 - accepted.chi2
         at = accepted
         damping = 0.0 if damping <= 1e-6 else damping * 0.1
-        if fall < _STANDSTILL * noise:
+        if not exact and problem.strength(problem.model.to_values(at.x), task) > _FAINT:
+            strength = problem.strength(problem.model.to_values(at.x), task)
+            exact = strength > _STRONG or fall < 0.5 * expected
+        elif fall < _STANDSTILL * noise:
             return at, normal, True
-        if not exact:
-            exact = fall < 0.5 * expected and any(
-                problem.strength(problem.model.to_values(at.x), task) > 0.02 for task in tasks[:1]
-            )
     return at, normal, False
 
 
 def _inverse(normal: FloatArray) -> tuple[FloatArray, bool]:
-    """Covariance from the normal matrix, in units of each parameter's own sensitivity, and whether all are determined."""
+    """Covariance from the normal matrix, in units of each sensitivity, and whether all are determined."""
     scale = np.sqrt(np.diagonal(normal))
     determined = bool(np.all(scale > 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
@@ -364,9 +401,13 @@ def _judge(problem: _Problem, values: Mapping[str, float], task: _Task, start: F
     lost = task.basis.shape[1] * record.sense_v.shape[1] + 2 * task.coordinates
     if task.coordinates and start is None:
         start = np.zeros(2 * task.coordinates)
-        for _ in range(4):
-            f, r = problem.start_columns(values, task), problem.residual(values, task, start).reshape(-1)
-            start = start + np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True) @ (f.T @ r)
+        f = problem.start_columns(values, task, start, problem.strength(values, task) > _FAINT)
+        solve = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True) @ f.T
+        for _ in range(6):
+            step = solve @ problem.residual(values, task, start).reshape(-1)
+            start = start + step
+            if float(np.sum((f @ step) ** 2)) < _CLOSE:
+                break
     predicted = problem.predict(values, task, start)
     residual = problem.whiten(record.sense_v - predicted, task)
     chi2, dof = float(np.vdot(residual, residual)), residual.size - lost
@@ -398,7 +439,8 @@ def fit_campaign(
     model : plant and effects; a modal plant takes its numbers of channels from the records.
     campaign : at least one driven record with role "fit".
     noise : sigma of each channel.
-    start : parameter values to start from (other names are ignored); what is missing is found from the records (plant) or
+    start : parameter values to start from (other names are ignored); what is missing is found from the records
+        (plant) or
         starts at its null (effects).
 
     Raises
@@ -460,7 +502,7 @@ def fit_campaign(
         for k, sign in zip(i, (-1.0, 1.0)):
             if k >= 0:
                 turn[k] = sign
-        split = (values["f2_hz"] - values["f1_hz"], float(np.sqrt(max(turn @ covariance @ turn, 0.0))))
+        split = (values["f2_hz"] - values["f1_hz"], float(np.sqrt(max(float(turn @ covariance @ turn), 0.0))))
     return CampaignFit(
         model,
         {name: (value, sd.get(name, 0.0)) for name, value in values.items()},

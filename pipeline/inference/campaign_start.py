@@ -4,8 +4,8 @@ In the driven band, with x in [-1, 1] for frequency, every record obeys
 
     A(x) Y_a(x) = sum_d B_ad(x) U_d(x) + T_a(x),        A, B, T complex polynomials; A and B common to the records
 
-A of the degree of the number of modes.  B and T are projected out, A is the smallest singular vector, and the rows are
-reweighted by 1/|A| until the roots stand still (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56).
+A of the degree of the number of modes.  B and T are projected out, A is the smallest singular vector, and the rows
+are reweighted by 1/|A| until the roots stand still (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56).
 Residues follow from the poles by linear least squares with exact transients.
 """
 

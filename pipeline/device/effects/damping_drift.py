@@ -16,8 +16,8 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="damping_drift",
     law="C (1 + gamma t), t from the start of the record, all modes",
-    source="gas damping is proportional to pressure at low pressure (free molecular flow), so C follows a leak or outgassing",
-    signature="peaks passed late are broader (or sharper) than those passed early; flips with the direction of the sweep",
+    source="free molecular gas damping is proportional to pressure, so C follows a leak or outgassing",
+    signature="peaks passed late are broader than those passed early; flips with the sweep direction",
     parameters=(Parameter("gamma", "1/s", -0.3, 10.0, "relative drift of all damping", scale=0.05),),
     force=force,
 )

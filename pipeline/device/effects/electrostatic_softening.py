@@ -23,7 +23,7 @@ EFFECT = Effect(
     name="electrostatic_softening",
     law="electrode k pulls with K_Dk {(V_b/2 + u_k)/(1 - x_k/g)^2 - V_b/2 - V_b x_k/g},  x = M_D^T psi + z",
     source="parallel plate, force (V_b + v)^2 / (g - x)^2: Senturia, Microsystem Design (2001), section 6.4",
-    signature="as a softening cubic with even harmonics; parametric, so it depends on drive and motion together; grows as bias^2",
+    signature="as a softening cubic with even harmonics; drive and motion multiply; grows as bias^2",
     parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse gap of the drive electrodes", scale=10.0),),
     force=force,
     plants=("gyro",),

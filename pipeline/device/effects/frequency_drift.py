@@ -16,7 +16,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="frequency_drift",
     law="K (1 + beta t), t from the start of the record, all modes",
-    source="temperature coefficient of Young's modulus, about -60 ppm/K for silicon: Hopcroft et al., JMEMS 19 (2010) 229",
+    source="temperature coefficient of Young's modulus of silicon: Hopcroft et al., JMEMS 19 (2010) 229",
     signature="detuning late in a record; flips with the direction of the sweep",
     parameters=(Parameter("beta", "1/s", -0.1, 0.1, "relative drift of all stiffness", scale=1e-4),),
     force=force,

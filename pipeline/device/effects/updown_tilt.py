@@ -21,7 +21,7 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 EFFECT = Effect(
     name="updown_tilt",
     law="z is driven by f_z - t_x tau_x and seen as z' (1, 1) + t_x z' (1, -1)",
-    source="mode shape z with psi_x = -t_x z; K_zx = sum k y of the springs does not vanish (reciprocity fixes the drive side)",
+    source="mode shape psi_x = -t_x z from K_zx = sum k y of the springs; reciprocity fixes the drive side",
     signature="the up-down residue is no longer along (1, 1); only at the up-down resonance",
     parameters=(Parameter("t_x", "1", -1.0, 1.0, "rotation about x in the up-down mode", scale=0.01),),
     mechanics=mechanics,
