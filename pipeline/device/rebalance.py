@@ -2,8 +2,8 @@
 
     psi'' + 2 kappa Omega [[0, -1], [1, 0]] psi' + C psi' + K psi = tau      (eq. 1, mass-normalised)
 
-The drive loop holds psi_y' = A cos Phi, the rebalance loop holds psi_x at zero; then row x of (1) is the rebalance torque and
-row y the drive torque, with nothing left out:
+The drive loop holds psi_y' = A cos Phi, the rebalance loop holds psi_x at zero; then row x of (1) is the rebalance
+torque and row y the drive torque, with nothing left out:
 
     tau_x = K_xy psi_y + (C_xy - 2 kappa Omega) psi_y',    K_xy = 1/2 (w1^2 - w2^2) sin 2theta,
                                                            C_xy = 1/2 (c11 - c22) sin 2theta + c12 cos 2theta      (4)
@@ -16,8 +16,8 @@ so, as envelopes over that of psi_y' (in phase + j quadrature), and demodulated 
     Omega_indicated = -Re[exp(-j phi) tau_x / psi_y'] / (2 kappa cos phi)
                     = Omega + K_xy tan(phi) / (2 kappa omega0) - C_xy / (2 kappa)
 
-A phase-locked drive runs where its torque is in phase with the velocity: omega0^2 = K_yy, between the two modes.  The paper's
-convention omega0 = w1 or w2 differs from it by less than the relative split, and so does the quadrature rate.
+A phase-locked drive runs where its torque is in phase with the velocity: omega0^2 = K_yy, between the two modes.  The
+paper's convention omega0 = w1 or w2 differs from it by less than the relative split, and so does the quadrature rate.
 
 The electrodes are taken as torques about x and y: gains, up-down mode and noise play no part here.
 Shapes: B devices, N samples, M envelope points, W last samples.  Units: psi in V s, psi' in V, torques in V/s, kappa 1.
@@ -38,7 +38,7 @@ from .gyro import TAU, gyro_mechanics
 
 @dataclass(frozen=True, eq=False)
 class Waveforms:
-    """The last W samples: position (B, W, 2) [V s], velocity (B, W, 2) [V], torque (B, W, 2) [V/s], phase Phi (B, W) [rad]."""
+    """The last W samples of psi (B, W, 2) [V s], psi' (B, W, 2) [V], tau (B, W, 2) [V/s] and Phi (B, W) [rad]."""
 
     position: FloatArray
     velocity: FloatArray
@@ -87,7 +87,7 @@ class Rebalance:
 
 
 def self_oscillation_hz(physical: FloatArray) -> FloatArray:
-    """sqrt(K_yy) / 2 pi = sqrt(w1^2 sin^2 theta + w2^2 cos^2 theta) / 2 pi of physical parameters (..., 12): where (3) rings."""
+    """sqrt(w1^2 sin^2 theta + w2^2 cos^2 theta) / 2 pi [Hz] of physical parameters (..., 12): where (3) rings."""
     f1, f2, theta = physical[..., 0], physical[..., 1], np.deg2rad(physical[..., 6])
     return np.asarray(np.hypot(f1 * np.sin(theta), f2 * np.cos(theta)))
 
@@ -184,7 +184,7 @@ def operate(
         )
     waveforms = Waveforms(wave[:, :, :2], wave[:, :, 2:4], wave[:, :, 4:6], wave[:, :, 6])
     return Operation(
-        np.arange(envelope.shape[1]) * every * step_s,
+        np.arange(envelope.shape[1], dtype=np.float64) * (every * step_s),
         envelope[:, :, 0],
         envelope[:, :, 1],
         envelope[:, :, 2],
@@ -195,19 +195,25 @@ def operate(
     )
 
 
+def _over(torque: ComplexArray, velocity: ComplexArray) -> ComplexArray:
+    """torque / velocity, nan while nothing moves yet."""
+    moving = velocity != 0.0
+    return np.asarray(np.where(moving, torque / np.where(moving, velocity, 1.0), complex(np.nan, np.nan)))
+
+
 def settled(operation: Operation, last_s: float = 0.2) -> Rebalance:
     """Mean of the last ``last_s`` seconds.
 
     Raises
     ------
-    ConfigError : amplitude or ratio of the torques still move by more than 1e-3 (of the amplitude, of the largest ratio or 1 per
-    second) there: the loops have not settled, or the rate is not constant.
+    ConfigError : amplitude or ratio of the torques still move by more than 1e-3 there (of the amplitude; of the largest
+    ratio or 1 per second): the loops have not settled, or the rate is not constant.
     """
     last = operation.time_s >= operation.time_s[-1] - last_s
     velocity = operation.drive_velocity[:, last]
     amplitude = np.abs(velocity)
-    ratio = operation.rebalance_torque[:, last] / velocity
-    driven = operation.drive_torque[:, last] / velocity
+    ratio = _over(operation.rebalance_torque[:, last], velocity)
+    driven = _over(operation.drive_torque[:, last], velocity)
     moves = np.maximum(
         np.ptp(amplitude, axis=1) / amplitude.mean(axis=1),
         np.abs(ratio - ratio[:, -1:]).max(axis=1) / np.maximum(np.abs(ratio).max(axis=1), 1.0),
@@ -259,15 +265,15 @@ def measured_biases_dps(
 def output_rate_dps(
     operation: Operation, angular_gain: float | FloatArray, phase_error_deg: float | FloatArray = 0.0
 ) -> FloatArray:
-    """Indicated rate (B, M) while the rate changes; kappa and phi (B,) or one for all."""
-    ratio = operation.rebalance_torque / operation.drive_velocity
+    """Indicated rate (B, M) while the rate changes, nan while nothing moves yet; kappa and phi (B,) or one for all."""
+    ratio = _over(operation.rebalance_torque, operation.drive_velocity)
     kappa, phi = (np.asarray(one, dtype=np.float64)[..., None] for one in (angular_gain, phase_error_deg))
     return indicated_rate_dps(ratio.real, ratio.imag, kappa, phi)
 
 
 @dataclass(frozen=True, eq=False)
 class ScaleFactor:
-    """Indicated against true rate, each (B,): slope [1], offset at zero [deg/s], largest distance from the line [deg/s]."""
+    """Indicated against true rate, each (B,): slope [1], offset and largest distance from the line [deg/s]."""
 
     slope: FloatArray
     offset_dps: FloatArray

@@ -4,20 +4,21 @@ A pair of electrodes opposite one another at azimuth beta, under bias V, pulls w
 
     K_e = -k_e V^2 n n^T,   n = (cos beta, sin beta),   k_e = 4 pi omega |s|         [(rad/s)^2 / V^2]
 
-s the softening [Hz/V^2] of a rocking mode along n (eps A V^2 / g^3 times the arm squared, over the inertia).  With K as mean and
-complex anisotropy, K = m I + [[Re a, Im a], [Im a, -Re a]], and u_e = V_e^2, tuning is linear and exact:
+s the softening [Hz/V^2] of a rocking mode along n (eps A V^2 / g^3 times the arm squared, over the inertia).  With K as
+mean and complex anisotropy, K = m I + [[Re a, Im a], [Im a, -Re a]], and u_e = V_e^2, tuning is linear and exact:
 
     m' = m - 1/2 sum k_e u_e,      a' = a - 1/2 sum k_e u_e exp(2 i beta_e),      C unchanged in the x, y frame
     omega_2^2 - omega_1^2 = 2 |a'|,      -a' = |a'| exp(2 i theta),      Omega_Q = Im a' / (2 kappa omega0)
-    omega_3'^2 = omega_3^2 - sum k_e u_e G_z / (2 G_r)        (electrodes at the arm of the drive electrodes, M_D^T M_D = 2)
+    omega_3'^2 = omega_3^2 - sum k_e u_e G_z / (2 G_r)        (electrodes at the drive electrodes' arm: M_D^T M_D = 2)
 
-Gains k_e are known to a relative sd, independent from pair to pair.  The plan is the u that minimises the expected squared distance
-of a' from its target a_t, from where the electrodes stand (u_0, at which K was measured):
+Gains k_e are known to a relative sd, independent from pair to pair.  The plan is the u that minimises the expected
+squared distance of a' from its target a_t, seen from where the electrodes stand (u_0, at which K was measured):
 
-    E |a' - a_t|^2 = |<a> - a_t - 1/2 sum <k_e> (u_e - u_0e) exp(2 i beta_e)|^2 + 1/4 sum var(k_e) (u_e - u_0e)^2 + const,
-    0 <= u_e <= V_max^2
+    E |a' - a_t|^2 = |<a> - a_t - 1/2 sum <k_e> (u_e - u_0e) exp(2 i beta_e)|^2
+                   + 1/4 sum var(k_e) (u_e - u_0e)^2 + const,                        0 <= u_e <= V_max^2
 
-a bounded least-squares problem: scipy's lsq_linear by active sets (BVLS), exact.  Its second term makes it unique, and least in volts.
+a bounded least-squares problem: scipy's lsq_linear by active sets (BVLS), exact.  Its second term makes it unique, and
+keeps the voltages small.
 
 Shapes: n draws, B devices, E electrode pairs.  Units: V, Hz, deg; K in (rad/s)^2, mass-normalised.
 """
@@ -32,77 +33,19 @@ from scipy.optimize import lsq_linear
 from ..arrays import BoolArray, ComplexArray, FloatArray
 from ..errors import ConfigError
 from .gyro import TAU, split_hz, to_cartesian, to_physical
+from .trim_electrodes import Electrodes
 
 #: Gain uncertainty below which the plan is made as if it were this: keeps it unique.
 _LEAST_SD = 1e-6
 
 
 @dataclass(frozen=True)
-class Electrodes:
-    """Trim electrode pairs.
-
-    azimuth_deg : beta_e (E,) [deg], modulo 180.
-    gain_per_v2 : k_e (E,) [(rad/s)^2 / V^2], see :func:`gain_per_v2`.
-    gain_sd : relative sd of each k_e.
-    most_v : V_max [V].
-    """
-
-    azimuth_deg: tuple[float, ...]
-    gain_per_v2: tuple[float, ...]
-    gain_sd: float = 0.05
-    most_v: float = 15.0
-
-    def __post_init__(self) -> None:
-        if not self.azimuth_deg or len(self.azimuth_deg) != len(self.gain_per_v2):
-            raise ConfigError(
-                "trim electrodes need an azimuth and a gain each",
-                value=(self.azimuth_deg, self.gain_per_v2),
-                allowed="two lists of the same length, one or more",
-            )
-        if not (np.all(np.isfinite(self.azimuth_deg)) and np.all(np.isfinite(self.gain_per_v2))):
-            raise ConfigError("trim electrodes must be finite numbers", value=(self.azimuth_deg, self.gain_per_v2))
-        if min(self.gain_per_v2) <= 0.0:
-            raise ConfigError("trim gains must be positive", value=self.gain_per_v2, allowed="> 0 (rad/s)^2/V^2")
-        if not 0.0 <= self.gain_sd < 1.0:
-            raise ConfigError("relative sd of the trim gains", value=self.gain_sd, allowed="[0, 1)")
-        if not 0.0 < self.most_v < float("inf"):
-            raise ConfigError("the limit of the trim voltages must be positive", value=self.most_v, allowed="> 0 V")
-
-    def directions(self) -> ComplexArray:
-        """exp(2 i beta_e) (E,), exact where 2 beta is a multiple of 90 deg."""
-        turns = np.mod(np.array(self.azimuth_deg) / 45.0, 4.0)
-        whole = np.array([1.0, 1j, -1.0, -1j])[np.round(turns).astype(int) % 4]
-        return np.asarray(np.where(turns == np.round(turns), whole, np.exp(0.5j * np.pi * turns)))
-
-    def draw_gains(self, random: np.random.Generator, count: int) -> FloatArray:
-        """Gains over nominal (count, E): lognormal, mean 1, relative sd ``gain_sd``."""
-        spread = np.sqrt(np.log1p(self.gain_sd**2))
-        return np.asarray(np.exp(spread * random.standard_normal((count, len(self.azimuth_deg))) - spread**2 / 2.0))
-
-
-def gain_per_v2(softening_hz_per_v2: float, rocking_hz: float) -> float:
-    """k_e = 4 pi omega |s| of one pair that lowers the mode along its azimuth by s V^2; -0.03 Hz/V^2 for A = 4 mm^2, g = 10 um."""
-    return 2.0 * TAU * TAU * rocking_hz * abs(softening_hz_per_v2)
-
-
-def standard_electrodes(
-    azimuth_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0),
-    softening_hz_per_v2: float = -0.03,
-    rocking_hz: float = 535.5,
-    gain_sd: float = 0.05,
-    most_v: float = 15.0,
-) -> Electrodes:
-    """Equal pairs at ``azimuth_deg``; four at 45 deg reach every anisotropy."""
-    gain = gain_per_v2(softening_hz_per_v2, rocking_hz)
-    return Electrodes(azimuth_deg, (gain,) * len(azimuth_deg), gain_sd, most_v)
-
-
-@dataclass(frozen=True)
 class Target:
     """What trimming aims at.
 
-    split_hz and theta_deg both given: that split, the lower axis at theta.  Split alone: that split, the axes where they are.
-    theta alone: an axis, lower or upper, at theta (at 0 or 90: no quadrature); the split falls out as it may.
+    split_hz and theta_deg both given: that split, the lower axis at theta.  Split alone: that split, the axes where
+    they are.  theta alone: an axis, lower or upper, at theta (at 0 or 90: no quadrature), and whatever
+    split follows.
     """
 
     split_hz: float | None = 0.0
@@ -120,9 +63,9 @@ class TrimResult:
     """One device's trim.
 
     voltages_v, at_limit : (E,).
-    before, after : physical draws (n, 12), K at the measurement and after the trim (gain uncertainty included in ``after``).
-    missing_hz : distance of the planned anisotropy from its target, as a split [Hz]; more than the planner's own
-        trace where a limit binds.
+    before, after : physical draws (n, 12) at the measurement and after the trim, the gains' uncertainty included.
+    missing_hz : distance of the planned anisotropy from its target, as a split [Hz]: what a binding limit leaves, or
+        gain_sd^2 of the way, which the plan stays short where none binds.
     shift_hz : planned change of the mean rocking frequency [Hz].
     """
 
@@ -136,7 +79,7 @@ class TrimResult:
 
 def _mean_and_anisotropy(cartesian: FloatArray) -> tuple[FloatArray, ComplexArray]:
     omega0 = cartesian[..., 0]
-    return omega0**2, omega0 * (cartesian[..., 1] + 1j * cartesian[..., 2])
+    return omega0**2, np.asarray(omega0 * (cartesian[..., 1] + 1j * cartesian[..., 2]), dtype=np.complex128)
 
 
 def trimmed_physical(
@@ -146,7 +89,7 @@ def trimmed_physical(
     gains: FloatArray | None = None,
     present_v: FloatArray | None = None,
 ) -> FloatArray:
-    """Physical parameters (..., 12) under trim voltages: K' = K - sum k_e (V_e^2 - V_0e^2) n n^T, C as it was, re-expressed.
+    """Physical parameters (..., 12) under trim voltages: K' = K - sum k_e (V_e^2 - V_0e^2) n n^T, C as it was.
 
     Parameters
     ----------
@@ -186,7 +129,10 @@ def trimmed_physical(
     omega0 = np.sqrt(mean)
     out[..., 0], out[..., 6] = omega0, np.sqrt(third)
     out[..., 1], out[..., 2] = anisotropy.real / omega0, anisotropy.imag / omega0
-    return to_physical(out)
+    after = to_physical(out)
+    # Gains and imbalances pass through untouched, not by way of their logarithms.
+    after[..., 8:] = physical[..., 8:]
+    return after
 
 
 def _solve(
@@ -251,8 +197,8 @@ def trim(
     electrodes : pairs, gains with their uncertainty, limit.
     target : what to aim at.
     random : stream for the gain uncertainty.
-    present_v : voltages (E,) at the measurement [V]; 0 by default.  Planning from there makes a second round correct the gains'
-        errors on the first.
+    present_v : voltages (E,) at the measurement [V]; 0 by default.  Planning from there makes a second round correct
+        what the gains' errors left in the first.
 
     Raises
     ------
@@ -279,7 +225,7 @@ def trim(
 
 @dataclass(frozen=True, eq=False)
 class TrimmedBatch:
-    """Devices after the trim: physical (B, 12), voltages_v (B, E), at_limit (B, E), true split_hz (B,) free of cancellation."""
+    """Devices after the trim: physical (B, 12), voltages_v and at_limit (B, E), split_hz (B,) free of cancellation."""
 
     physical: FloatArray
     voltages_v: FloatArray

@@ -2,8 +2,8 @@
 
     rate_bias = Omega_Q tan(phi) + inphase_bias,      Omega_Q = (w1^2 - w2^2) sin 2theta / (4 kappa omega0)
 
-(``pipeline.device.bias``).  Frequencies, axes and damping come with the draws; kappa and the demodulation phase phi are known to a
-standard deviation each, drawn along.  Shapes: n draws.
+(``pipeline.device.bias``).  Frequencies, axes and damping come with the draws; kappa and the demodulation phase phi are
+known to a standard deviation each and drawn along.  Shapes: n draws.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def bias_draws(
 ) -> dict[str, FloatArray]:
     """The rate biases of ``pipeline.device.bias`` [deg/s], each (n,), of physical draws (n, 12).
 
-    angular_gain and phase_error_deg may differ from draw to draw; a "locked" drive runs at its own frequency, sqrt(K_yy).
+    angular_gain and phase_error_deg may differ from draw to draw; a "locked" drive runs at its own frequency.
     Raises ConfigError for an angular gain that is not positive, or |phi| >= 90 deg.
     """
     phi = np.asarray(phase_error_deg, dtype=np.float64)

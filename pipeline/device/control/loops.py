@@ -4,14 +4,15 @@ The loops live in the frame of a numerically controlled oscillator with phase Ph
 
     v = Re(V exp(j Phi)),      V[n+1] = V[n] + 2 g T (v[n] - Re(V[n] exp(j Phi[n]))) exp(-j Phi[n])        (demodulator)
 
-a demodulator with feedback: bandwidth g, and no ripple at twice the frequency once settled.  With V_y of psi_y', V_x of psi_x':
+a demodulator with feedback: bandwidth g, and no ripple at twice the frequency once settled.  With V_y of psi_y', V_x of
+psi_x':
 
     drive       tau_y = Re(T_y exp(j Phi)),   Re T_y = PI(A - Re V_y);   phase-locked: omega = omega_c + PI(Im V_y) / A,
                 Im T_y = 0, so torque and velocity are in phase;   forced: omega = omega_c, Im T_y = PI(-Im V_y)
     rebalance   tau_x = -Re(PI(V_x) exp(j Phi)) - G psi_x',   G the gain of the direct (high-gain) loop
 
-Seen from the envelope the plant is an integrator with gain 1/2, so PI(e) = 2 b (e + b/4 int e dt) closes at bandwidth b, critically
-damped, and the phase loop is b (e + b/4 int e dt).
+Seen from the envelope the plant is an integrator with gain 1/2, so PI(e) = 2 b (e + b/4 int e dt) closes at bandwidth
+b, critically damped, and the phase loop is b (e + b/4 int e dt).
 Units: velocities V, torques V/s, bandwidths rad/s inside.
 """
 
@@ -52,7 +53,8 @@ class Loops:
     """Amplitude and bandwidths of the loops.
 
     amplitude_v : A, amplitude of psi_y' [V].
-    drive_hz, rebalance_hz : closed-loop bandwidths of amplitude and phase, and of the rebalance loop [Hz]; 0 opens the latter.
+    drive_hz : closed-loop bandwidth of amplitude and phase [Hz].
+    rebalance_hz : closed-loop bandwidth of the demodulated rebalance loop [Hz]; 0 opens it.
     direct_per_s : G, gain of the direct rebalance loop [1/s].
     demodulator_hz : bandwidth of the demodulators inside the loops [Hz].
     output_hz : bandwidth of the demodulator of the rebalance torque [Hz].
@@ -101,10 +103,10 @@ def close_loops(
     omega_out: FloatArray,
     wave: FloatArray,
 ) -> None:
-    """Run one device from rest; writes envelope (M, 4) = V_y, V_x, T_y, tau_x's, omega (M,), and the last samples (W, 7).
+    """Run one device from rest; writes envelope (M, 4) = V_y, V_x, T_y, tau_x's, omega_out (M,) and wave (W, 7).
 
-    ``step`` (6, 4, 8) from :func:`propagators`, with ``direct`` already in its damping; ``coriolis`` a[n] = 2 kappa Omega (N,);
-    a row of ``wave`` is psi_x, psi_y, psi_x', psi_y', tau_x, tau_y, Phi at the sample.
+    ``step`` (6, 4, 8) from :func:`propagators`, with ``direct`` already in its damping; ``coriolis`` a[n] = 2 kappa
+    Omega (N,); a row of ``wave`` is psi_x, psi_y, psi_x', psi_y', tau_x, tau_y, Phi at the sample.
     """
     samples = coriolis.size
     state = np.zeros(8)

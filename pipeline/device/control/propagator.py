@@ -1,16 +1,18 @@
 """Exact propagator of the rocking plant under modulated torques, one step of the controller.
 
-    psi'' + (C + 2 kappa Omega J) psi' + K psi = Re(W exp(j omega t)),      J = [[0, -1], [1, 0]]      (the paper, eq. 1)
+    psi'' + (C + 2 kappa Omega J) psi' + K psi = Re(W exp(j omega t)),    J = [[0, -1], [1, 0]]    (the paper, eq. 1)
 
-W (complex torques) and Omega, omega are constant over a step T.  With the torques' carriers as states p + j q = W exp(j omega t),
+W (complex torques) and Omega, omega are constant over a step T.  With the torques' carriers as states
+p + j q = W exp(j omega t),
 
     d/dt (psi, psi', p, q) = (A0 + a E1 + b E2) (psi, psi', p, q),   a = 2 kappa Omega,   b = omega - omega_c
 
-and exp(T (A0 + a E1 + b E2)) is needed at every step for other a and b.  It is expanded to second order in (a T, b T) (below
-1e-2: the rest is below 1e-7 of what rate and detuning do in that step), the coefficients exact: a and b are replaced by
-commuting nilpotent matrices of the algebra R[a, b] / (degree > 2), of which one matrix exponential gives all six.
+and exp(T (A0 + a E1 + b E2)) is needed at every step for other a and b.  It is expanded to second order in (a T, b T),
+which stay below 1e-2 (what is cut off is 1e-5 of what rate and detuning do, 1e-7 where these are below 1e-3), with
+exact coefficients: a and b are replaced by commuting nilpotent matrices of the algebra R[a, b] / (degree > 2), of which
+one matrix exponential gives all six.
 
-State (psi_x, psi_y, psi_x', psi_y', p_x, p_y, q_x, q_y).  Shapes: B devices.  Units: psi in V s, torques in V/s (mass-normalised).
+State (psi_x, psi_y, psi_x', psi_y', p_x, p_y, q_x, q_y).  Shapes: B devices.  Units: psi in V s, torques in V/s.
 """
 
 from __future__ import annotations
