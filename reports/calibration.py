@@ -16,7 +16,7 @@ from scipy import stats
 from pipeline.arrays import FloatArray
 from pipeline.quantities import AXES, NAMES
 
-from .axial import difference, in_arc
+from pipeline.axial import difference, in_arc
 from .devices import Devices
 from .limits import Limits
 from .risk import CountedRisk, Risk, counted_risk, expected_risk

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 
-from .axial import difference
+from pipeline.axial import difference
 from .devices import Devices
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")

@@ -29,7 +29,7 @@ from pipeline.arrays import BoolArray, FloatArray
 from pipeline.errors import ConfigError
 from pipeline.quantities import AXES, NAMES
 
-from .axial import PERIOD_DEG, in_arc
+from pipeline.axial import PERIOD_DEG, in_arc
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from pipeline.arrays import FloatArray
 from pipeline.quantities import AXES
 
-from .axial import difference, mean_axis
+from pipeline.axial import difference, mean_axis
 from .calibration import z_scores
 from .content import RunContent
 from .devices import Devices

@@ -5,22 +5,21 @@ Units are in the names of the keys.  What is left out has the default of the pap
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, Excitation, Multisine
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.measure import Hum
 from pipeline.inference.gate import Gate
 from pipeline.inference.sample import SamplerSettings
+from pipeline.toml_files import converted, decode, read_text
 from reports.limits import DEFAULT_LIMITS, Limits, load_limits
 
-from .toml import read_toml, to_struct
 
 DEFAULT_CONFIG = Path(__file__).parent / "configs" / "default.toml"
 
@@ -220,14 +219,18 @@ def load_config(path: Path | None, overrides: dict[str, Any] | None = None) -> R
     ConfigError : anything in it cannot be run; nothing has run by then.
     """
     source = path or DEFAULT_CONFIG
-    table = read_toml(source)
-    table["run"] = {**table.get("run", {}), **(overrides or {})}
-    config = to_struct(table, RunConfig, source.name)
-    _check(config, source)
+    try:
+        text = read_text(source)
+    except MeasurementError as error:
+        raise ConfigError(error.what, value=error.value, next_step=error.next_step) from None
+    config = decode(text, RunConfig, source.name)
+    changed = msgspec.to_builtins(config.run) | (overrides or {})
+    config = msgspec.structs.replace(config, run=converted(changed, Run, "[run]"))
+    _check(config)
     return config
 
 
-def _check(config: RunConfig, source: Path) -> None:
+def _check(config: RunConfig) -> None:
     e, i, noise = config.experiment, config.identification, config.noise
     if not len(e.start_hz) == len(e.stop_hz) == len(e.amplitude_v) == 2:
         raise ConfigError(
@@ -263,11 +266,7 @@ def to_struct_from_toml(text: str, where: str) -> RunConfig:
     ------
     ConfigError : it was edited into something that cannot be run.
     """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{where} is not valid TOML", value=str(error)) from error
-    return to_struct(table, RunConfig, where)
+    return decode(text.encode(), RunConfig, where)
 
 
 def to_toml_table(config: RunConfig) -> dict[str, Any]:

@@ -20,11 +20,11 @@ from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
+from pipeline.axial import difference
 from pipeline.device.gyro import split_hz, to_cartesian, to_physical
 from pipeline.errors import UsageError
 from pipeline.inference.compressed import BandData
 from pipeline.inference.fit import information_covariance
-from pipeline.inference.summary import wrap_axis_deg
 from populations.draw import Draw, draw
 
 from .block import identify_virtual, physical_of, population, shared_record, virtual_records
@@ -104,7 +104,7 @@ def bound_sd(config: RunConfig, physical: FloatArray, sigma_v: FloatArray) -> tu
         behind[i] -= _STEP
         pair = np.stack([ahead, behind])
         theta, split = to_physical(pair)[:, 6], split_hz(pair)
-        slope[0, i] = wrap_axis_deg(theta[0] - theta[1]) / (2.0 * _STEP)
+        slope[0, i] = float(difference(theta[0], theta[1])) / (2.0 * _STEP)
         slope[1, i] = (split[0] - split[1]) / (2.0 * _STEP)
     variance = np.einsum("qi,ij,qj->q", slope, covariance, slope)
     return float(np.sqrt(variance[0])), float(np.sqrt(variance[1]))
@@ -132,9 +132,9 @@ def _row(config: RunConfig, drawn: Draw, i: int, gain: float) -> Row:
     total = np.sqrt(sigma**2 + (adc.lsb_v**2 / 12.0 if adc else 0.0))
     sd_theta, sd_split = bound_sd(config, physical_of(drawn.true)[i], np.full(2, total))
     c: dict[str, Any] = result.columns
-    off = float(wrap_axis_deg(np.array(c["theta_deg"] - theta)))
-    low = float(wrap_axis_deg(np.array(c["theta_deg_q05"] - theta)))
-    high = float(wrap_axis_deg(np.array(c["theta_deg_q95"] - theta)))
+    off = float(difference(c["theta_deg"], theta))
+    low = float(difference(c["theta_deg_q05"], theta))
+    high = float(difference(c["theta_deg_q95"], theta))
     return Row(
         split,
         result.status,

@@ -30,7 +30,7 @@ from msgspec import Meta
 
 from ..arrays import FloatArray
 from ..errors import MeasurementError, UsageError
-from . import toml_files as toml
+from .. import toml_files as toml
 from .columns import MIN_SAMPLES, assemble
 from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
 from .instrument import Adc, Hold, Instrument

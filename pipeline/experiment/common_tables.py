@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from ..errors import ConfigError
 from ..quantities import NAMES
-from . import toml_files as toml
+from .. import toml_files as toml
 from .instrument import AntiAlias
 
 Positive = Annotated[float, Meta(gt=0.0)]

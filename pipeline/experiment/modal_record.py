@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from ..arrays import FloatArray
 from ..errors import ConfigError, MeasurementError, UsageError
-from . import toml_files as toml
+from .. import toml_files as toml
 from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
 from .instrument import AntiAlias
 from .readers import existing

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
+from ..axial import mean_axis, wrap
 from ..device.gyro import M_D, M_S
 
 
@@ -64,12 +65,7 @@ class Axes:
     @property
     def mean_deg(self) -> float:
         """Axial mean of the four: half the angle of sum exp(2 i theta), in (-90, 90] deg."""
-        return wrap_axis_deg(float(np.rad2deg(np.angle(np.exp(2j * np.deg2rad(self.theta_deg)).sum())) / 2.0))
-
-
-def wrap_axis_deg(angle_deg: float) -> float:
-    """The same axis in (-90, 90] deg."""
-    return 90.0 - (90.0 - angle_deg) % 180.0
+        return mean_axis(self.theta_deg)
 
 
 def gains_from_updown(M3: FloatArray) -> Gains:
@@ -97,7 +93,7 @@ def axes(M1: FloatArray, M2: FloatArray, gains: Gains) -> Axes:
             np.arctan2(-vt[1, 0, 0], vt[1, 0, 1]),
         ]
     )
-    u1, v1, u2, v2 = (wrap_axis_deg(float(angle)) for angle in angles)
+    u1, v1, u2, v2 = (float(wrap(angle)) for angle in angles)
     return Axes(
         u1,
         v1,

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import FloatArray
+from ..axial import wrap
 from ..errors import MeasurementError
 from ..experiment.lines import hum_line, silent_sigma
 from ..experiment.record import Campaign
@@ -18,7 +19,6 @@ from ..quantities import AXES
 from .device import DeviceResult, IdentificationSettings, RateSettings, identify_device, prepare
 from .gate import Gate
 from .sample import SamplerSettings
-from .summary import wrap_axis_deg
 
 
 def is_inband(campaign: Campaign) -> bool:
@@ -89,7 +89,7 @@ def reference_comparison(campaign: Campaign, result: DeviceResult) -> dict[str, 
             continue
         difference = found - value
         if name in AXES:
-            difference = float(wrap_axis_deg(np.array(difference)))
+            difference = float(wrap(difference))
         combined = float(np.hypot(sd, found_sd))
         out[name] = {
             "reference": value,

@@ -19,11 +19,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..arrays import ComplexArray, FloatArray
+from ..axial import wrap
 from ..device.gyro import gyro_modes
 from ..experiment.antialias import behind_filter
 from ..experiment.instrument import AntiAlias
 from ..identification.route import RouteResult
-from .summary import wrap_axis_deg
 
 _FREE = ("theta_deg", "rocking_gain", "updown_gain", "sense_imbalance", "drive_imbalance")
 _PLACES = (6, 8, 9, 10, 11)
@@ -85,6 +85,6 @@ def fit_modal(route: RouteResult, antialias: AntiAlias | None) -> ModalFit:
     slope: FloatArray = np.asarray(found.jac, dtype=np.float64)
     covariance = variance * np.linalg.inv(slope.T @ slope)
     values = dict(zip(_FREE, (float(v) for v in found.x)))
-    values["theta_deg"] = float(wrap_axis_deg(np.array(values["theta_deg"])))
+    values["theta_deg"] = float(wrap(values["theta_deg"]))
     sd = dict(zip(_FREE, (float(v) for v in np.sqrt(np.diag(covariance)))))
     return ModalFit(values, sd, float(np.sqrt(squared / measured.shape[0])), rest)

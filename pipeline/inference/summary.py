@@ -14,12 +14,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arrays import FloatArray
+from ..axial import wrap
 from ..quantities import AXES
-
-
-def wrap_axis_deg(angle_deg: FloatArray) -> FloatArray:
-    """The same axis in (-90, 90] deg."""
-    return np.asarray(90.0 - np.mod(90.0 - angle_deg, 180.0))
 
 
 def summarise(draws: Mapping[str, FloatArray]) -> dict[str, float]:
@@ -30,11 +26,11 @@ def summarise(draws: Mapping[str, FloatArray]) -> dict[str, float]:
     for i, name in enumerate(names):
         if name in AXES:
             centre[i] = np.rad2deg(np.angle(np.mean(np.exp(2j * np.deg2rad(lines[i]))))) / 2.0
-            lines[i] = wrap_axis_deg(lines[i] - centre[i])
+            lines[i] = wrap(lines[i] - centre[i])
     found = np.quantile(lines, [0.05, 0.5, 0.95], axis=1) + centre
     sd = np.std(lines, axis=1)
     out: dict[str, float] = {}
     for i, name in enumerate(names):
-        q05, q50, q95 = wrap_axis_deg(found[:, i]) if name in AXES else found[:, i]
+        q05, q50, q95 = wrap(found[:, i]) if name in AXES else found[:, i]
         out |= {name: float(q50), f"{name}_sd": float(sd[i]), f"{name}_q05": float(q05), f"{name}_q95": float(q95)}
     return out

@@ -12,7 +12,7 @@ import pytest
 
 from pipeline.quantities import MODEL, NAMES
 from pipeline.store.schema import devices_table, posterior_table
-from reports.axial import wrap
+from pipeline.axial import wrap
 from reports.decision import decide
 from reports.limits import DEFAULT_LIMITS, Limits
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import ConfigError
-from reports.axial import difference, in_arc, mean_axis, wrap
+from pipeline.axial import difference, in_arc, mean_axis, wrap
 from reports.limits import DEFAULT_LIMITS, Limit, load_limits
 
 

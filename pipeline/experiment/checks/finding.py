@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..record import Channels
-from ..toml_files import table
+from ...toml_files import table
 
 #: "fault": the campaign must be mended or measured again; "warning": a fit would suffer; "note": good to
 #: know.

@@ -120,7 +120,7 @@ def merged(text, patch):
 
 
 def toml_of(tree):
-    from pipeline.experiment.toml_files import table
+    from pipeline.toml_files import table
 
     tables = [table(f"[{name}]", values) for name, values in tree.items() if name != "record"]
     return "\n".join([*tables, *(table("[[record]]", entry) for entry in tree["record"])])

@@ -12,7 +12,8 @@ import pytest
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.modal_record import ModalRecord, read_modal_record
 from pipeline.experiment.record import Record
-from pipeline.identification.axes import axes, gains_from_updown, wrap_axis_deg
+from pipeline.axial import difference
+from pipeline.identification.axes import axes, gains_from_updown
 from pipeline.identification.bandpass import bandpass, window_slice
 from pipeline.identification.failure import IdentificationError
 from pipeline.identification.modes import modes_from_fractions
@@ -100,9 +101,9 @@ def test_at_60_db_the_estimates_scatter_as_measured(run_gyro: Callable[..., Reco
 @pytest.mark.parametrize("theta", [-89.999, -45.0, 0.0, 30.0, 90.0])
 def test_theta_is_an_axis_wherever_it_points(run_gyro: Callable[..., Record], theta: float) -> None:
     result = identify_record(run_gyro(theta_deg=theta), INSTRUMENT)
-    off = [wrap_axis_deg(float(found) - theta) for found in result.axes.theta_deg]
+    off = [float(difference(found, theta)) for found in result.axes.theta_deg]
     np.testing.assert_allclose(off, 0.0, atol=1e-4)
-    assert abs(wrap_axis_deg(result.axes.mean_deg - theta)) < 1e-4
+    assert abs(float(difference(result.axes.mean_deg, theta))) < 1e-4
     assert np.all((result.axes.theta_deg > -90.0) & (result.axes.theta_deg <= 90.0))
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.arrays import BoolArray, FloatArray
+from .arrays import BoolArray, FloatArray
 
 PERIOD_DEG = 180.0
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from ..errors import ConfigError, MeasurementError
+from .errors import ConfigError, MeasurementError
 
 T = TypeVar("T", bound=msgspec.Struct)
 _MAX_BYTES = 2**24
@@ -48,10 +48,24 @@ def decode(text: bytes, kind: type[T], where: str) -> T:
             allowed="TOML 1.0",
             next_step="correct the line named",
         ) from error
+    return converted(tree, kind, where)
+
+
+def converted(tree: Any, kind: type[T], where: str) -> T:
+    """A TOML table as ``kind``; whatever is wrong in it is one :class:`ConfigError`."""
     try:
         return msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
-        raise _explained(str(error), kind, where) from error
+        raise _explained(str(error), tree, kind, where) from error
+
+
+def _value_at(tree: Any, path: str) -> Any:
+    """The value at a msgspec path, or ``None`` where the path runs through a list."""
+    for part in re.findall(r"\.([A-Za-z0-9_]+)|(\[)", path):
+        if part[1] or not isinstance(tree, dict):
+            return None
+        tree = tree.get(part[0])
+    return tree
 
 
 def _fields(kind: Any, path: str) -> list[str]:
@@ -71,7 +85,7 @@ def _fields(kind: Any, path: str) -> list[str]:
     return [f.encode_name for o in options if isinstance(o, msgspec.inspect.StructType) for f in o.fields]
 
 
-def _explained(message: str, kind: type, where: str) -> ConfigError:
+def _explained(message: str, tree: Any, kind: type, where: str) -> ConfigError:
     clause, _, path = message.partition(" - at `")
     path = path.rstrip("`") or "$"
     place = path.lstrip("$").lstrip(".") or "the top level"
@@ -91,10 +105,13 @@ def _explained(message: str, kind: type, where: str) -> ConfigError:
             allowed=", ".join(_fields(kind, path)),
             next_step=f"write {missing[1]}" if missing[1] != "record" else 'write [[record]] and file = ".."',
         )
+    found = _value_at(tree, path)
     return ConfigError(
         f"{where}: wrong value at {place}",
-        value=clause,
-        allowed="plain numbers in the unit of the key's name, strings from the documented choices",
+        value=clause if found is None else found,
+        allowed="plain numbers in the unit of the key's name, strings from the documented choices"
+        if found is None
+        else clause,
         next_step=f"correct {place}",
     )
 
