@@ -242,8 +242,11 @@ def analogue_envelopes(p, kappa, rate_at, loops, times):
         e = 0.25 * r * v_x
         d_out = 2.0 * out * (tau[0] - (shown * turn).real) / turn
         return np.array(
-            [*velocity, *acceleration, omega, 0.25 * b * v_y.imag / amplitude, d_x.real, d_x.imag, d_y.real, d_y.imag]
-            + [e.real, e.imag, 0.25 * b * (amplitude - v_y.real), d_out.real, d_out.imag]
+            [
+                *(*velocity, *acceleration, omega, 0.25 * b * v_y.imag / amplitude),
+                *(d_x.real, d_x.imag, d_y.real, d_y.imag),
+                *(e.real, e.imag, 0.25 * b * (amplitude - v_y.real), d_out.real, d_out.imag),
+            ]
         )
 
     found = solve_ivp(slope, (0.0, times[-1]), np.zeros(15), "DOP853", times, rtol=1e-9, atol=1e-12)
@@ -291,6 +294,7 @@ def test_settled_refuses_loops_that_still_move(bench):
         ({"sample_rate_hz": 5_000.0}, "too few controller samples"),
         ({"angular_gain": 0.0}, "angular gain"),
         ({"rate_dps": np.zeros(7)}, "rate does not fit"),
+        ({"loops": Loops(demodulator_hz=9_000.0)}, "do not hold"),
     ],
 )
 def test_what_cannot_run_is_said(arguments, message):
