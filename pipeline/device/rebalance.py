@@ -138,7 +138,8 @@ def operate(
         )
     step_s, samples = 1.0 / sample_rate_hz, round(duration_s * sample_rate_hz)
     rates = np.asarray(rate_dps, dtype=np.float64)
-    if rates.ndim > 2 or (rates.ndim and rates.shape[-1] not in (1, samples)) or rates.size == 0:
+    along, across = rates.shape[-1:] or (1,), rates.shape[:-1] or (1,)
+    if rates.ndim > 2 or along[0] not in (1, samples) or across[0] not in (1, batch):
         raise ConfigError(
             "the rate does not fit the run",
             value=rates.shape,

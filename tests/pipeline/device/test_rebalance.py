@@ -294,6 +294,7 @@ def test_settled_refuses_loops_that_still_move(bench):
         ({"sample_rate_hz": 5_000.0}, "too few controller samples"),
         ({"angular_gain": 0.0}, "angular gain"),
         ({"rate_dps": np.zeros(7)}, "rate does not fit"),
+        ({"rate_dps": np.zeros((3, 1))}, "rate does not fit"),
         ({"loops": Loops(demodulator_hz=9_000.0)}, "do not hold"),
     ],
 )
