@@ -25,7 +25,8 @@ _PIECE_S = 0.05
 
 
 @lru_cache(maxsize=32)
-def _sections(sample_rate_hz: float, low_hz: float, high_hz: float) -> FloatArray:
+def bandpass_sections(sample_rate_hz: float, low_hz: float, high_hz: float) -> FloatArray:
+    """G_bp as second-order sections (4, 6), read-only; raises as :func:`bandpass`."""
     if not 0.0 < low_hz < high_hz < sample_rate_hz / 2.0:
         raise IdentificationError(
             "the identification band does not fit the sample rate",
@@ -78,7 +79,7 @@ def bandpass(signal: FloatArray, sample_rate_hz: float, low_hz: float = 400.0, h
     ------
     IdentificationError : the band does not lie between 0 and f_s / 2.
     """
-    sections = _sections(sample_rate_hz, low_hz, high_hz)
+    sections = bandpass_sections(sample_rate_hz, low_hz, high_hz)
     out = np.empty(signal.shape)
     _run_sections(sections, np.ascontiguousarray(signal), out)
     return out

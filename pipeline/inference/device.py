@@ -122,11 +122,12 @@ def _rank(fit: Fit) -> tuple[bool, float]:
     return fit.converged, -fit.chi2
 
 
-def _explains(fit: Fit) -> bool:
+def explains(fit: Fit) -> bool:
+    """Whether the fit converged to a chi2 that is not significantly above its degrees of freedom (6 sd)."""
     return fit.converged and fit.chi2 < fit.dof + 6.0 * math.sqrt(2.0 * fit.dof)
 
 
-def _best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
+def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
     """The best converged fit; later starts are tried only while none explains the band."""
     best: Fit | None = None
     for start in starts:
@@ -138,7 +139,7 @@ def _best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence
             continue
         if best is None or _rank(fit) > _rank(best):
             best = fit
-        if _explains(best):
+        if explains(best):
             break
     return best
 
@@ -193,10 +194,10 @@ def identify_device(
     if found:
         columns |= _route_columns(found[0])
     data = [BandData(i.band, i.band.transform(i.record.sense_v), i.nuisance) for i in fit_records]
-    fit = _best_fit(data, sigma_v, _starts(found))
-    if fit is None or not _explains(fit):
+    fit = best_fit(data, sigma_v, _starts(found))
+    if fit is None or not explains(fit):
         # A device of very low Q is lost to the ARX model but not to the spectra.
-        second = _best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings))
+        second = best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings))
         fit = second if second is not None and (fit is None or _rank(second) > _rank(fit)) else fit
     if fit is None or not fit.converged:
         why = "the likelihood has no maximum near any start"
