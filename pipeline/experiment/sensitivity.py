@@ -29,7 +29,7 @@ from .response import converted, linear_volts, remainder_volts, volts
 from .system import assemble, conditions_of
 
 #: A step of an effect's parameter moves the record by about this share.
-_SHARE = 1e-4
+_SHARE = 1e-6
 _GRIDDED_STAGES = {"force", "sense"}
 
 

@@ -1,0 +1,110 @@
+"""The integrated path equals the exact one wherever both apply."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.arrays import FloatArray
+from pipeline.device.effect import Laws
+from pipeline.device.mechanics import Mechanics
+from pipeline.device.model import Model, PlantSpec
+from pipeline.device.readout import plain_readout
+from pipeline.errors import ConfigError
+from pipeline.experiment.antialias import filter_poles
+from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.instrument import AntiAlias
+from pipeline.experiment.integrate import filtered, trajectory
+from pipeline.experiment.linear import Clock, linear_response, upper_poles
+
+RATE = 10_000.0
+PLANT = Model(PlantSpec("modal", 3, "velocity", 1, 2)).built
+VALUES = {"f1_hz": 534.5, "f2_hz": 536.4, "f3_hz": 590.3, "zeta1": 3e-4, "zeta2": 2e-4, "zeta3": 1e-3} | {
+    f"gain{k}_s1d{d}": gain
+    for k, d, gain in [(1, 1, 7.0), (1, 2, -2.0), (2, 1, 3.0), (2, 2, 6.0), (3, 1, 5.0), (3, 2, 4.9)]
+}
+DRIVE = drive_samples(Chirp((500.0, 620.0), (620.0, 500.0), (2.0, 2.0), 0.3), RATE)
+
+
+def spring(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    for i in range(q.size):
+        for j in range(q.size):
+            out[i] -= p[0] * laws.stiffness[i, j] * q[j]
+
+
+def rate(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    out[0] += 2.0 * p[0] * qd[1]
+    out[1] -= 2.0 * p[0] * qd[0]
+
+
+def pull(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    for i in range(q.size):
+        for k in range(u.size):
+            out[i] += p[0] * laws.drive[i, k] * u[k]
+
+
+def _laws(m: Mechanics) -> Laws:
+    return Laws(m.damping[0], m.stiffness[0], m.drive[0], np.zeros((2, 3)), 5.0, 5.0, 3)
+
+
+def _changed(name: str, m: Mechanics, p: float) -> Mechanics:
+    if name == "spring":
+        return replace(m, stiffness=m.stiffness * (1.0 + p))
+    if name == "pull":
+        return replace(m, drive=m.drive * (1.0 + p))
+    g = np.zeros((1, 3, 3))
+    g[0, 0, 1], g[0, 1, 0] = -2.0 * p, 2.0 * p
+    return replace(m, gyroscopic=g)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize(("law", "p"), [(spring, 3e-3), (rate, 2.0), (pull, 0.3)])
+@pytest.mark.parametrize("late_s", [0.0, 3.7e-5])
+def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
+    law: Any, p: float, hold: Any, late_s: float
+) -> None:
+    m = PLANT.mechanics(VALUES)
+    readout = plain_readout(*filter_poles(AntiAlias()), 1, 2)
+    clock = Clock(1.0 / RATE, hold, 1)
+    _, deviation = trajectory(m, [(law, np.array([p]))], _laws(m), DRIVE, clock.step_s, hold, None)
+    q, g = upper_poles(readout)
+    found = filtered(q, g, readout.static, deviation[:, 3:] @ m.velocity_sense[0].T, clock.step_s, late_s)
+    # Reading late is reading a record with a negative delay: the shift is undone here.
+    early = replace(readout, delay_s=clock.step_s - late_s if late_s else 0.0)
+    expected = linear_response(_changed(law.__name__, m, p), early, DRIVE, DRIVE, clock)
+    expected = expected - linear_response(m, early, DRIVE, DRIVE, clock)
+    if late_s:
+        found, expected = found[:-1], expected[1:]
+    assert np.max(np.abs(found - expected)) < 1e-6 * np.max(np.abs(expected))
+
+
+def test_halving_the_step_changes_nothing_that_matters() -> None:
+    m = PLANT.mechanics(VALUES)
+    force = [(spring, np.array([0.02]))]
+    ends = [trajectory(m, force, _laws(m), DRIVE, 1.0 / RATE, "zoh", None, n)[1][::n][-1] for n in (4, 8, 16)]
+    coarse, fine = (np.max(np.abs(e - ends[2])[3:] / np.max(np.abs(ends[2][3:]))) for e in ends[:2])
+    assert coarse < 1e-6
+    # Fourth order.
+    assert fine < coarse / 10.0
+
+
+def test_a_free_motion_starts_where_it_is_put() -> None:
+    m = PLANT.mechanics(VALUES)
+    start = np.array([1e-4, -2e-4, 0.0, 0.1, 0.2, -0.3])
+    linear, deviation = trajectory(m, [], _laws(m), np.zeros((200, 2)), 1.0 / RATE, "zoh", start)
+    t = np.arange(linear.shape[0]) / (4.0 * RATE)
+    for i in range(3):
+        omega, c = np.sqrt(m.stiffness[0, i, i]), m.damping[0, i, i] / 2.0
+        damped = np.sqrt(omega**2 - c**2)
+        wave = start[i] * np.cos(damped * t) + (start[3 + i] + c * start[i]) / damped * np.sin(damped * t)
+        assert np.max(np.abs(linear[:, i] - np.exp(-c * t) * wave)) < 1e-11 * np.max(np.abs(wave))
+    assert not np.any(deviation)
+
+
+def test_more_forces_than_slots_are_refused() -> None:
+    m = PLANT.mechanics(VALUES)
+    with pytest.raises(ConfigError, match="too many forces"):
+        trajectory(m, [(spring, np.zeros(1))] * 9, _laws(m), DRIVE[:10], 1e-4, "zoh", None)
