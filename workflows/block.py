@@ -6,23 +6,27 @@ cannot change a result.  Random streams: SeedSequence(seed, spawn_key=(stream, n
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
+import populations
 from pipeline.arrays import FloatArray
 from pipeline.device.bias import quantities_of
 from pipeline.device.gyro import PHYSICAL, gyro_modes
-from pipeline.errors import GyroscreenError
+from pipeline.device.model import Model
+from pipeline.errors import ConfigError, GyroscreenError
 from pipeline.experiment.antialias import behind_filter
-from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.excitation import drive_samples
+from pipeline.experiment.forward import forward
 from pipeline.experiment.lines import silent_sigma
 from pipeline.experiment.measure import measured
 from pipeline.experiment.record import Record
@@ -83,10 +87,7 @@ def population_of(config_spec: str, values: tuple[tuple[str, float], ...]) -> Po
 
 
 def _shipped_spec(name: str) -> Path | None:
-    import populations
-
-    folder = Path(populations.__file__).parent / "specs"
-    return None if name == "cloverleaf" else folder / f"{name}.toml"
+    return None if name == "cloverleaf" else Path(populations.__file__).parent / "specs" / f"{name}.toml"
 
 
 def population(config: RunConfig) -> PopulationSpec:
@@ -116,8 +117,6 @@ def physical_of(values: Mapping[str, FloatArray]) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def _shared(config_key: bytes) -> FitRecord:
-    import msgspec
-
     config = msgspec.msgpack.decode(config_key, type=RunConfig)
     instrument = config.instrument.instrument()
     drive = drive_samples(config.experiment.excitation(), instrument.sample_rate_hz)
@@ -127,18 +126,45 @@ def _shared(config_key: bytes) -> FitRecord:
 
 def shared_record(config: RunConfig) -> FitRecord:
     """Drive, band and nuisance basis that every virtual device of a run shares."""
-    import msgspec
-
     return _shared(msgspec.msgpack.encode(config))
+
+
+def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
+    """Pick-off volts (N, 2) of device i of a draw, before hum, noise and converter; with the effects that the run names."""
+    instrument = config.instrument.instrument()
+    shared = shared_record(config).record
+    physical = physical_of(drawn.true)[i : i + 1]
+    if not config.experiment.effects:
+        bank = behind_filter(gyro_modes(physical), instrument.antialias)
+        return respond(bank, shared.drive_v, instrument.sample_rate_hz, instrument.hold)[0]
+    model = physics_of(config)
+    values = dict(zip(PHYSICAL, physical[0].tolist()))
+    for name, parameters in drawn.effects.items():
+        if name in config.experiment.effects:
+            values |= {f"{name}.{parameter}": float(value[i]) for parameter, value in parameters.items()}
+    return forward(model, values, shared, instrument)
+
+
+def physics_of(config: RunConfig) -> Model:
+    """The model that virtual devices obey: the plant with c12, and the effects that [experiment] names.
+
+    Raises
+    ------
+    ConfigError : an effect that does not exist, or that no population draws.
+    """
+    named = config.experiment.effects
+    model = Model(effects=tuple(dict.fromkeys(("offdiagonal_damping", *named))))
+    drawn = draw(population(config), config.run.seed, 0, 1).effects
+    for name in named:
+        if name not in drawn:
+            raise ConfigError("no irregularity gives this effect a size", value=name, allowed=", ".join(sorted(drawn)))
+    return model
 
 
 def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray, FloatArray, float]:
     """Silent and fit record (N, 2) [V] of device i of a draw, and the sigma of its noise [V]."""
     instrument = config.instrument.instrument()
-    shared = shared_record(config)
-    physical = physical_of(drawn.true)[i : i + 1]
-    bank = behind_filter(gyro_modes(physical), instrument.antialias)
-    volts = respond(bank, shared.record.drive_v, instrument.sample_rate_hz, instrument.hold)[0]
+    volts = virtual_volts(config, drawn, i)
     sigma = config.noise.sigma_v or 0.001
     if config.noise.snr_db is not None:
         window = window_slice(volts, instrument.sample_rate_hz, config.identification.window_s)
@@ -262,9 +288,14 @@ def virtual_block(config: RunConfig, block: Block) -> BlockTables:
         return tables_of(block.index, drawn.device_id, fixed, results, limits, config.posterior.stored_draws)
 
 
+def declared_id(folder: Path) -> str:
+    """The device id of a campaign folder; the folder's name where its campaign.toml cannot be read (its row says why)."""
+    try:
+        return str(tomllib.loads((folder / "campaign.toml").read_text(encoding="utf-8"))["device"]["id"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return folder.name
+
+
 def campaign_folders(path: Path) -> tuple[Path, ...]:
     """Folders below ``path`` that hold a campaign.toml, in order of their names."""
     return tuple(sorted(file.parent for file in path.glob("*/campaign.toml")))
-
-
-__all__ = ["Block", "BlockTables", "blocks_of", "campaign_folders", "read_campaign", "virtual_block"]

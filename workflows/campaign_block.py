@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
-from pipeline.inference.campaign import identify_campaign
+from pipeline.inference.campaign import identify_campaign, reference_comparison
 from pipeline.inference.device import DeviceResult
 
 from .block import Block, BlockTables, settings_of, tables_of
@@ -28,6 +29,10 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
         result = identify_campaign(
             campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed
         )
+        compared = reference_comparison(campaign, result)
+        if compared:
+            text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())
+            result = replace(result, columns={**result.columns, "reference": text})
     except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         # One unreadable campaign is a row that says so, not the end of the night.
         reason = f"{error}"

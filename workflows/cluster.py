@@ -115,16 +115,10 @@ def in_parallel(
 
 
 def _next_done(running: Any, timeout_s: float) -> Any:
-    try:
-        return running.next_batch(block=False)[0] if running.has_ready() else _wait(running, timeout_s)
-    except StopIteration:
-        return None
-
-
-def _wait(running: Any, timeout_s: float) -> Any:
+    """The next finished future, or ``None`` after ``timeout_s``."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         if running.has_ready():
             return next(running)
-        time.sleep(0.01)
+        time.sleep(0.005)
     return None

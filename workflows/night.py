@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from pipeline.store.run import RunStore, create_run, open_run
 from reports.page import render_run_report
 from reports.yields import yield_of_verdicts
 
-from .block import Block, BlockTables, blocks_of, campaign_folders, population, shared_record, virtual_block
+from .block import Block, BlockTables, blocks_of, campaign_folders, declared_id, physics_of, population, shared_record, virtual_block
 from .campaign_block import campaign_block
 from .cluster import cluster, in_parallel, worker_count
 from .config import RunConfig, to_struct_from_toml, to_toml_table
@@ -78,6 +79,7 @@ def plan(config: RunConfig) -> Night:
     """
     if config.source.kind == "population":
         population(config)
+        physics_of(config)
         shared_record(config)
         return Night(config, config.run.devices, blocks_of(config, config.run.devices), ())
     root = Path(config.source.path or ".")
@@ -89,6 +91,17 @@ def plan(config: RunConfig) -> Night:
             allowed="folders that hold a campaign.toml",
             next_step="check [source] path",
         )
+    names: dict[str, Path] = {}
+    for folder in folders:
+        name = declared_id(folder)
+        if name in names:
+            raise ConfigError(
+                "two campaigns of one device id",
+                value=name,
+                allowed="one campaign a device",
+                next_step=f"change [device] id in {names[name].name} or {folder.name}",
+            )
+        names[name] = folder
     return Night(config, len(folders), blocks_of(config, len(folders)), folders)
 
 
@@ -117,6 +130,14 @@ def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
 def resume(results: Path, run_id: str) -> tuple[Night, RunStore]:
     """The night of a run that stopped, from its own run.toml."""
     store = open_run(results, None if run_id == "latest" else run_id)
+    before, now = store.manifest.provenance, provenance(0)
+    changed = [key for key in ("versions", "simd", "python") if before.get(key) != now[key]]
+    if changed:
+        store.log({"event": "resumed elsewhere", "changed": changed})
+        print(
+            f"warning: {', '.join(changed)} differ from when the run began; its table may differ in the last digits",
+            file=sys.stderr,
+        )
     config = to_struct_from_toml(store.config_toml, f"run.toml of {store.run_id}")
     return plan(config), store
 

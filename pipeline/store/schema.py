@@ -107,6 +107,7 @@ _DECISION = (
     _text("cause", "main cause of the loss"),
     _text("status", "ok, not_converged, fit_failed or misfit"),
     _text("status_reason", "why the status is not ok"),
+    _text("reference", "values of another instrument against the posterior, as quantity z=difference/combined sd"),
 )
 
 DEVICES: tuple[Column, ...] = (

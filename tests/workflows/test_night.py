@@ -9,13 +9,16 @@ import time
 from pathlib import Path
 
 import pytest
+from distributed import LocalCluster
 
+from pipeline.experiment.campaign import write_campaign
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
 from pipeline.store.run import open_run
 from workflows.block import Block, virtual_block
 from workflows.cli import call
 from workflows.config import load_config
+from workflows.simulate import campaign_config, simulate
 
 CONFIG = """
 [run]
@@ -96,6 +99,36 @@ def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> Non
     whole = virtual_block(config, Block(0, 0, 3)).devices
     alone = virtual_block(config, Block(5, 2, 1)).devices
     assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
+
+
+def test_a_cluster_that_somebody_else_runs_gives_the_same_table(night: Path, tmp_path: Path) -> None:
+    config, results = tmp_path / "far.toml", tmp_path / "far"
+    config.write_text(CONFIG.format(devices=8, block=4))
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as elsewhere:
+        code = call(
+            ["run", str(config), "--out", str(results), "--scheduler", elsewhere.scheduler_address, "--json"]
+        )
+    assert code == 0
+    assert digest(results) == digest(night)
+
+
+def test_measured_campaigns_are_judged_like_virtual_devices(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        made = simulate(campaign_config(None), {}, ["offdiagonal_damping:c12=0.5"], seed)
+        write_campaign(made.campaign, tmp_path / "lot" / f"device-{seed}")
+    (tmp_path / "lot" / "broken").mkdir()
+    (tmp_path / "lot" / "broken" / "campaign.toml").write_text("nothing = true\n")
+    with (tmp_path / "lot" / "device-1" / "campaign.toml").open("a") as file:
+        file.write("\n[reference]\nf3_hz = [590.0, 50.0]\n")
+    config = tmp_path / "lot.toml"
+    config.write_text(f'[source]\nkind = "campaigns"\npath = "{tmp_path / "lot"}"\n')
+    assert call(["run", str(config), "--out", str(tmp_path / "out"), "--workers", "1", "--json"]) == 0
+    rows = {row["device_id"]: row for row in read_run(tmp_path / "out").devices.to_pylist()}
+    assert rows["virtual-1"]["status"] == rows["virtual-2"]["status"] == "ok"
+    assert rows["virtual-1"]["c12_per_s"] == pytest.approx(0.5, abs=5e-4)
+    assert rows["virtual-1"]["reference"].startswith("f3_hz z=")
+    assert rows["broken"]["status"] == "fit_failed"
+    assert "nothing" in rows["broken"]["status_reason"]
 
 
 def test_a_gate_that_the_user_set_fails_with_code_1_and_keeps_the_results(tmp_path: Path) -> None:
