@@ -25,6 +25,8 @@ from reports.decision import Verdict, decide
 from reports.limits import Limits
 
 _SEED = 1
+#: Share of an interval below which the samples left at the end are not worth an estimate of their own.
+_REST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,7 @@ def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[S
     stream = None
     noise = None
     previous: FloatArray | None = None
-    pending = False
+    done = 0
     for block in blocks:
         mended = mend(block, bench.channels)
         if stream is None:
@@ -96,13 +98,13 @@ def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[S
             stream = start_stream(instrument, bench.settings)
         for state, due in steps(stream, mended.drive_v, mended.sense_v):
             stream = state
-            pending = bool(stream.driven) and not due
             if due:
+                done = stream.driven
                 noise = noise or noise_of(stream)
                 found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
                 previous = found.x
                 yield Step(found, *verdict_of(found, limits), route)
-    if stream is not None and pending:
+    if stream is not None and stream.driven - done > _REST * (stream.due - done):
         noise = noise or noise_of(stream)
         found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
         yield Step(found, *verdict_of(found, limits), route)
