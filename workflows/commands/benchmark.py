@@ -18,16 +18,17 @@ from ..coverage import Share, figures, run_study
 
 def coverage(devices: int, splits: str, seed: int, workers: int, json: bool) -> None:
     """See ``gyroscreen benchmark coverage --help``."""
-    _show(figures(run_study(devices, splits, seed, workers)), json)
+    show(figures(run_study(devices, splits, seed, workers)), json)
 
 
-def _show(found: dict[str, Any], json: bool) -> None:
+def show(found: dict[str, Any], json: bool) -> None:
+    """Figures by name, as lines or as one JSON object."""
     if json:
         plain = {k: {"count": v.count, "total": v.total} if isinstance(v, Share) else v for k, v in found.items()}
         print(json_.dumps(plain))
         return
     for name, value in found.items():
-        print(f"{name:50s} {value:.3f}" if isinstance(value, float) else f"{name:50s} {value}")
+        print(f"{name:58s} {value:.3f}" if isinstance(value, float) else f"{name:58s} {value}")
 
 
 def throughput(devices: int, json: bool) -> None:
@@ -41,7 +42,7 @@ def throughput(devices: int, json: bool) -> None:
         drawn = draw(spec, config.run.seed, 0, devices)
         ess = [identify_virtual(config, drawn, i, gain).columns.get("ess") for i in range(devices)]
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    _show(
+    show(
         {
             "devices": devices,
             "devices/s of wall time": devices / wall,
