@@ -12,6 +12,7 @@ Shapes: N samples, B devices, P poles, S senses, D drives.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -97,8 +98,8 @@ def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) 
     step_s = 1.0 / sample_rate_hz
     drive = np.ascontiguousarray(drive_v)
     if hold == "bandlimited":
-        columns = [resample_poly(column, _OVERSAMPLING, 1, window=_interpolator()) for column in drive.T]
-        drive = np.ascontiguousarray(np.stack(columns, axis=1))
+        window: Any = _interpolator()
+        drive = np.ascontiguousarray(resample_poly(drive, _OVERSAMPLING, 1, axis=0, window=window))
         step_s /= _OVERSAMPLING
     z, g0, g1 = hold_gains(bank.poles, step_s, hold)
     batch, poles, senses, drives = bank.residues.shape
