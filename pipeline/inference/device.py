@@ -133,7 +133,7 @@ def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[
     for start in starts:
         try:
             fit = maximise(records, sigma_v, start)
-        except (np.linalg.LinAlgError, FloatingPointError, ValueError):
+        except (np.linalg.LinAlgError, ArithmeticError, ValueError):
             continue
         if not np.all(np.isfinite(fit.x)) or not np.all(np.isfinite(fit.covariance)):
             continue
