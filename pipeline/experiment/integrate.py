@@ -96,7 +96,9 @@ def _make_march(half_size: int) -> Any:
         middle, after, d, push = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
         for i in range(size):
             y[i] = start[i]
-            linear[0, i], deviation[0, i] = y[i], 0.0
+        for i in range(n):
+            linear[0, i], linear[0, n + i] = y[i] * inverse, y[half_size + i]
+            deviation[0, i], deviation[0, n + i] = 0.0, 0.0
         for sample in range(samples - 1):
             for k in range(drives):
                 slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
@@ -165,7 +167,9 @@ def _make_march(half_size: int) -> Any:
                 point = sample * substeps + sub + 1
                 for i in range(size):
                     y[i] = after[i]
-                    linear[point, i], deviation[point, i] = y[i], d[i]
+                for i in range(n):
+                    linear[point, i], linear[point, n + i] = y[i] * inverse, y[half_size + i]
+                    deviation[point, i], deviation[point, n + i] = d[i] * inverse, d[half_size + i]
 
     return march
 
@@ -250,7 +254,7 @@ def trajectory(
     half = np.zeros((2 * half_size, 2 * half_size))
     half[place] = placed(moved[: 2 * n, : 2 * n].T)
     points = (drive.shape[0] - 1) * substeps + 1
-    linear, deviation = np.empty((points, 2 * half_size)), np.empty((points, 2 * half_size))
+    linear, deviation = np.empty((points, 2 * n)), np.empty((points, 2 * n))
     padding = MOST_FORCES - len(forces)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -274,7 +278,7 @@ def trajectory(
         )
     if not np.isfinite(deviation[-1]).all():
         raise ConfigError("the motion diverges", next_step="check size and sign of the nonlinear effects")
-    return linear[:, place] / unit, deviation[:, place] / unit
+    return linear, deviation
 
 
 def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArray:

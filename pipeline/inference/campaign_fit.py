@@ -38,6 +38,8 @@ _ITERATIONS = 40
 _STANDSTILL = 1e-4
 #: The same where a trial does not fall any more: rounding and inexact columns, a tenth of a sd.
 _CLOSE = 1e-2
+#: Expected fall of chi2 below which the columns of the step before, updated, still serve.
+_SMALL_STEP = 3e3
 #: Share of the record made by forces and pick-off laws from which the plant's columns are computed with them.
 _STRONG = 0.1
 #: And below which they always suffice without.
@@ -263,47 +265,89 @@ def _prior_rows(model: Model, values: Mapping[str, float]) -> FloatArray:
 
 
 def _point(
-    problem: _Problem, x: FloatArray, tasks: tuple[_Task, ...], starts: tuple[FloatArray | None, ...]
+    problem: _Problem,
+    x: FloatArray,
+    tasks: tuple[_Task, ...],
+    starts: tuple[FloatArray | None, ...],
+    most: float = np.inf,
 ) -> _Point | None:
-    """The point at ``x``, or ``None`` where no device can be."""
+    """The point at ``x``, or ``None`` where no device can be or chi2 exceeds ``most``."""
     try:
         values = problem.model.to_values(x)
         if not problem.model.allowed(values):
             return None
-        residuals = tuple(problem.residual(values, task, start) for task, start in zip(tasks, starts))
+        chi2 = float(np.sum(_prior_rows(problem.model, values)[0] ** 2))
+        residuals: list[FloatArray] = []
+        for task, start in zip(tasks, starts):
+            residuals.append(problem.residual(values, task, start))
+            chi2 += float(np.vdot(residuals[-1], residuals[-1]))
+            if not (np.isfinite(chi2) and chi2 <= most):
+                return None
     except (ConfigError, np.linalg.LinAlgError):
         return None
-    chi2 = sum(float(np.vdot(r, r)) for r in residuals) + float(np.sum(_prior_rows(problem.model, values)[0] ** 2))
-    return _Point(x, starts, residuals, chi2) if np.isfinite(chi2) else None
+    return _Point(x, starts, tuple(residuals), chi2)
+
+
+_Sensitivity = tuple[FloatArray, FloatArray | None]
+
+
+def _sensitivities(
+    problem: _Problem, at: _Point, tasks: tuple[_Task, ...], exact: bool, steps: FloatArray
+) -> list[_Sensitivity]:
+    """Columns of x (N S, P) and of the initial state (N S, 2 n) of each record, in sigmas."""
+    values = problem.model.to_values(at.x)
+    return [
+        (
+            problem.columns(values, task, start, exact, steps),
+            None if start is None else problem.start_columns(values, task, start, exact),
+        )
+        for task, start in zip(tasks, at.starts)
+    ]
 
 
 def _equations(
-    problem: _Problem, at: _Point, tasks: tuple[_Task, ...], exact: bool, steps: FloatArray
+    problem: _Problem, at: _Point, sensitivities: list[_Sensitivity]
 ) -> tuple[FloatArray, FloatArray, list[_Back | None]]:
     """Normal matrix (P, P) and slope (P,), initial states eliminated; what recovers those, record by record."""
-    values = problem.model.to_values(at.x)
     size = at.x.size
     normal, slope = np.zeros((size, size)), np.zeros(size)
     back: list[_Back | None] = []
-    for task, start, residual in zip(tasks, at.starts, at.residuals):
-        j, r = problem.columns(values, task, start, exact, steps), residual.reshape(-1)
+    for (j, f), residual in zip(sensitivities, at.residuals):
+        r = residual.reshape(-1)
         normal += j.T @ j
         slope += j.T @ r
-        if start is None:
+        if f is None:
             back.append(None)
             continue
-        f = problem.start_columns(values, task, start, exact)
         inverse: FloatArray = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True).astype(np.float64)
         cross, own = f.T @ j, f.T @ r
         normal -= cross.T @ inverse @ cross
         slope -= cross.T @ inverse @ own
         back.append((inverse, cross, own))
-    rows = _prior_rows(problem.model, values)
+    rows = _prior_rows(problem.model, problem.model.to_values(at.x))
     if np.any(rows[1]):
         turned = rows[1][:, None] * problem.model.turn(at.x)
         normal += turned.T @ turned
         slope -= turned.T @ rows[0]
     return normal, slope, back
+
+
+def _updated(
+    sensitivities: list[_Sensitivity], before: _Point, after: _Point, weight: FloatArray
+) -> list[_Sensitivity]:
+    """Broyden's update: the columns of x put right along the step just made, at no cost."""
+    step = after.x - before.x
+    along = weight * step
+    length = float(along @ step)
+    if length == 0.0:
+        return sensitivities
+    out: list[_Sensitivity] = []
+    for (j, f), r0, r1, s0, s1 in zip(sensitivities, before.residuals, after.residuals, before.starts, after.starts):
+        missed = (r0 - r1).reshape(-1) - j @ step
+        if f is not None and s0 is not None and s1 is not None:
+            missed -= f @ (s1 - s0)
+        out.append((j + np.outer(missed, along / length), f))
+    return out
 
 
 def _inside(model: Model, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -339,9 +383,12 @@ def _descend(problem: _Problem, at: _Point, tasks: tuple[_Task, ...], dof: int) 
     steps = problem.steps(problem.model.to_values(at.x), task, at.starts[loudest])
     exact = problem.strength(problem.model.to_values(at.x), task) > _STRONG
     damping = 0.0
+    sensitivities: list[_Sensitivity] | None = None
     normal = np.zeros((at.x.size, at.x.size))
     for _ in range(_ITERATIONS):
-        normal, slope, back = _equations(problem, at, tasks, exact, steps)
+        if sensitivities is None:
+            sensitivities = _sensitivities(problem, at, tasks, exact, steps)
+        normal, slope, back = _equations(problem, at, sensitivities)
         # A parameter at the end of its range moves only inwards.
         moving = ~((at.x <= low) & (slope < 0.0)) & ~((at.x >= high) & (slope > 0.0))
         noise = max(1.0, at.chi2 / dof)
@@ -350,34 +397,37 @@ def _descend(problem: _Problem, at: _Point, tasks: tuple[_Task, ...], dof: int) 
         if expected < _STANDSTILL * noise:
             return at, normal, True
         accepted: _Point | None = None
-        for _ in range(14):
+        for _ in range(8):
             step, _ = _solve(normal, slope, damping, moving)
             x = np.clip(at.x + step, low, high)
             starts = tuple(
                 start if b is None or start is None else start + b[0] @ (b[2] - b[1] @ (x - at.x))
                 for start, b in zip(at.starts, back)
             )
-            trial = _point(problem, x, tasks, starts)
+            trial = _point(problem, x, tasks, starts, at.chi2 + _CLOSE * noise)
             if trial is not None and trial.chi2 <= at.chi2:
                 accepted = trial
                 break
-            if trial is not None and expected < _CLOSE * noise and trial.chi2 - at.chi2 < _CLOSE * noise:
+            if trial is not None and expected < _CLOSE * noise:
                 break
-            damping = max(10.0 * damping, 1e-6)
+            damping = max(30.0 * damping, 1e-4)
+        strength = problem.strength(problem.model.to_values((accepted or at).x), task)
         if accepted is None:
             still = expected < _CLOSE * noise
-            if still or exact or problem.strength(problem.model.to_values(at.x), task) < _FAINT:
+            if still or exact or strength < _FAINT:
                 return at, normal, still
-            exact, damping = True, 0.0
+            exact, damping, sensitivities = True, 0.0, None
             continue
         fall = at.chi2 - accepted.chi2
+        sensitivities = _updated(sensitivities, at, accepted, np.diagonal(normal))
         at = accepted
-        damping = 0.0 if damping <= 1e-6 else damping * 0.1
-        if not exact and problem.strength(problem.model.to_values(at.x), task) > _FAINT:
-            strength = problem.strength(problem.model.to_values(at.x), task)
-            exact = strength > _STRONG or fall < 0.5 * expected
-        elif fall < _STANDSTILL * noise:
+        damping = 0.0 if damping <= 1e-4 else damping * 0.1
+        poor = expected > noise and fall < 0.5 * expected
+        was_exact, exact = exact, exact or strength > _STRONG or (poor and strength > _FAINT)
+        if fall < _STANDSTILL * noise and exact == was_exact:
             return at, normal, True
+        if poor or expected > _SMALL_STEP * noise or exact != was_exact:
+            sensitivities = None
     return at, normal, False
 
 
@@ -390,8 +440,6 @@ def _inverse(normal: FloatArray) -> tuple[FloatArray, bool]:
     determined = determined and bool(values[0] > 1e-13 * values[-1])
     kept = np.where(values > 1e-13 * values[-1], values, np.inf)
     covariance = (vectors / kept) @ vectors.T / np.outer(safe, safe)
-    undetermined = np.flatnonzero(scale == 0.0)
-    covariance[undetermined, undetermined] = np.inf
     return np.asarray(covariance), determined
 
 
@@ -475,7 +523,9 @@ def fit_campaign(
     x_covariance, determined = _inverse(normal)
     values = model.to_values(at.x)
     covariance = model.covariance_of_values(at.x, x_covariance)
-    sd = dict(zip(model.free, np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).tolist()))
+    # What leaves no trace in the fit records is not known at all.
+    unknown = np.where(np.diagonal(normal) > 0.0, 0.0, np.inf)
+    sd = dict(zip(model.free, (np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) + unknown).tolist()))
     start_of = {id(task.record): s for task, s in zip(tasks, at.starts)}
     judged = []
     for record in campaign.records:
