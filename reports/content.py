@@ -22,6 +22,7 @@ from .causes import Pareto, StageLoss, pareto, stage_losses
 from .devices import Devices
 from .health import RouteDifference, Spread, StatusCount, route_differences, spreads, status_counts
 from .limits import Limits
+from .trim import TrimYield, trim_yield, true_conformity
 from .wording import cause_sentence, main_cause, process_sentence, stage_sentence, undecided_sentence
 from .worst import WorstDevice, worst_devices
 from .yields import (
@@ -98,6 +99,7 @@ class RunContent:
     causes: tuple[tuple[str, int], ...]
     pareto: Pareto
     stages: tuple[StageLoss, ...]
+    trim: TrimYield | None
     coverages: tuple[Coverage, ...]
     verdict_check: VerdictCheck | None
     statuses: tuple[StatusCount, ...]
@@ -156,6 +158,7 @@ def run_content(run: Run, limits: Limits, population_summary: Mapping[str, Any] 
         causes=tuple(sorted(Counter(filter(None, devices.text("cause"))).items(), key=lambda row: (-row[1], row[0]))),
         pareto=bars,
         stages=stages,
+        trim=trim_yield(devices, true_conformity(devices, limits)),
         coverages=coverages(devices),
         verdict_check=check_verdicts(devices, limits),
         statuses=statuses,

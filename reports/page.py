@@ -88,6 +88,7 @@ def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
             ("yield", "Yield", True),
             ("wafers", "Wafers", bool(content.wafers)),
             ("distributions", "Theta and split", True),
+            ("trim", "Electronic tuning", content.trim is not None),
             ("calibration", "Calibration", True),
             ("health", "Convergence", True),
             ("route", "The paper's route", bool(content.routes)),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -48,8 +48,9 @@ from reports.decision import conforms, decide
 from reports.limits import Limits
 
 from .config import RunConfig
+from .trimming import trimmed_columns
 
-_NOISE_STREAM, _POSTERIOR_STREAM = 101, 102
+_NOISE_STREAM, _POSTERIOR_STREAM, _TRIM_STREAM = 101, 102, 107
 
 
 @dataclass(frozen=True)
@@ -267,6 +268,21 @@ def tables_of(
     return BlockTables(index, devices, posterior, statuses)
 
 
+def _with_trim(
+    config: RunConfig, limits: Limits, results: Sequence[DeviceResult], drawn: Draw, gain: float
+) -> list[DeviceResult]:
+    """The results with their trim columns, where the run has a [trim]."""
+    if config.trim is None:
+        return list(results)
+    physical, rate = physical_of(drawn.true), rate_of(config, gain)
+    out = []
+    for i, result in enumerate(results):
+        seed = _seed(config, _TRIM_STREAM, int(drawn.index[i]))
+        more = trimmed_columns(config.trim, limits, result, physical[i], rate, seed)
+        out.append(replace(result, columns={**result.columns, **more}))
+    return out
+
+
 def virtual_block(config: RunConfig, block: Block) -> BlockTables:
     """Draw, chirp, identify and judge the virtual devices of ``block``."""
     with threadpool_limits(limits=1):
@@ -276,6 +292,7 @@ def virtual_block(config: RunConfig, block: Block) -> BlockTables:
         results = [_guarded(config, drawn, i, gain) for i in range(block.count)]
         truth = truth_columns(config, drawn, gain)
         limits = config.judged_by()
+        results = _with_trim(config, limits, results, drawn, gain)
         fixed = {
             "lot": list(drawn.lot),
             "wafer": list(drawn.wafer),

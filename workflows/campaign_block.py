@@ -12,10 +12,11 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.inference.campaign import identify_campaign, reference_comparison
-from pipeline.inference.device import DeviceResult
+from pipeline.inference.device import DeviceResult, RateSettings
 
 from .block import Block, BlockTables, settings_of, tables_of
 from .config import RunConfig
+from .trimming import trimmed_columns
 
 _CAMPAIGN_STREAM = 103
 
@@ -33,6 +34,10 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
         if compared:
             text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())
             result = replace(result, columns={**result.columns, "reference": text})
+        if config.trim is not None:
+            rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
+            more = trimmed_columns(config.trim, config.judged_by(), result, None, rate, seed.spawn(1)[0])
+            result = replace(result, columns={**result.columns, **more})
     except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         # One unreadable campaign is a row that says so, not the end of the night.
         reason = f"{error}"

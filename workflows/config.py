@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from pipeline.device.trim import Target
+from pipeline.device.trim_electrodes import Electrodes, standard_electrodes
 from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, Excitation, Multisine
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
@@ -161,6 +163,30 @@ class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
         return Gate(self.error_max, self.theta_bias_max_deg)
 
 
+class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Electronic tuning after the test: pairs of trim electrodes, and what they aim at; absent: no trim.
+
+    ``softening_hz_per_v2`` is what a pair does to the mode along its azimuth, known to a relative sd of ``gain_sd``.
+    """
+
+    azimuth_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)
+    softening_hz_per_v2: Annotated[float, Meta(lt=0.0)] = -0.03
+    gain_sd: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.05
+    most_v: Positive = 15.0
+    split_hz: NotNegative | None = 0.0
+    theta_deg: float | None = None
+
+    def electrodes(self) -> Electrodes:
+        """The electrodes that the table describes."""
+        return standard_electrodes(
+            self.azimuth_deg, self.softening_hz_per_v2, gain_sd=self.gain_sd, most_v=self.most_v
+        )
+
+    def target(self) -> Target:
+        """What the trim aims at."""
+        return Target(self.split_hz, self.theta_deg)
+
+
 class Targets(Struct, frozen=True, forbid_unknown_fields=True):
     """Gates on the whole run: they set the exit code 1, nothing else."""
 
@@ -182,6 +208,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     posterior: PosteriorTable = PosteriorTable()
     gate: GateTable = GateTable()
     targets: Targets = Targets()
+    trim: TrimTable | None = None
     rule: dict[str, Any] = {}
     limits: dict[str, Any] = {}
 
@@ -257,6 +284,9 @@ def _check(config: RunConfig) -> None:
     if config.source.kind == "campaigns" and config.source.path is None:
         raise ConfigError('[source] kind = "campaigns" needs a path', allowed="a folder of campaign folders")
     config.judged_by()
+    if config.trim is not None:
+        config.trim.electrodes()
+        config.trim.target()
 
 
 def to_struct_from_toml(text: str, where: str) -> RunConfig:

@@ -14,6 +14,7 @@ The lattice's models are those of ``fit_arx`` on the same samples, which is quic
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -33,7 +34,7 @@ from pipeline.identification.failure import IdentificationError
 from pipeline.inference.compressed import BandData, nuisance_basis
 from pipeline.inference.inband import Band, make_band
 from pipeline.inference.snapshot import Snapshot, snapshot
-from pipeline.inference.stream import StreamSettings, route_of, starts_of
+from pipeline.inference.stream import StreamSettings, route_of, start_orders, starts_of
 from populations.draw import Draw, draw
 from reports.decision import Verdict, conforms
 from reports.limits import Limits
@@ -82,13 +83,13 @@ def _look(
     sense = fit_v[:samples]
 
     def starts() -> Sequence[FloatArray]:
-        try:
-            model = fit_arx(filtered[:samples, :2], filtered[:samples, 2:], i.order, direct=instrument.hold != "zoh")
-            route = route_of(model, instrument, settings)
-        except (IdentificationError, np.linalg.LinAlgError):
-            route = None
+        routes = []
+        for order in start_orders(i.order):
+            with suppress(IdentificationError, np.linalg.LinAlgError):
+                model = fit_arx(filtered[:samples, :2], filtered[:samples, 2:], order, direct=instrument.hold != "zoh")
+                routes.append(route_of(model, instrument, settings))
         record = Record("so far", instrument.sample_rate_hz, band.drive_v, sense)
-        return starts_of(route, record, instrument, settings, sigma_v)
+        return starts_of(routes, record, instrument, settings, sigma_v)
 
     data = BandData(band, band.transform(sense), nuisance)
     return snapshot(data, sigma_v, previous, starts, rate_of(config, gain), config.gate.gate(), seed)

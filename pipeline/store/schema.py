@@ -110,12 +110,27 @@ _DECISION = (
     _text("reference", "values of another instrument against the posterior, as quantity z=difference/combined sd"),
 )
 
+_TRIM = (
+    _text("trim_voltages_v", "trim voltages in the order of the electrodes, comma separated [V]; null without [trim]"),
+    _number("trim_at_limit", "1", "1 where a trim voltage is at its limit, else 0"),
+    _number("trimmed_theta_deg", "deg", "theta foretold after the trim, the gains' uncertainty included"),
+    _number("trimmed_theta_deg_sd", "deg", "standard deviation of trimmed_theta_deg"),
+    _number("trimmed_split_hz", "Hz", "split foretold after the trim, the gains' uncertainty included"),
+    _number("trimmed_split_hz_sd", "Hz", "standard deviation of trimmed_split_hz"),
+    _number("trimmed_p_pass", "1", "probability of conformity foretold after the trim"),
+    _text("trimmed_verdict", "verdict foretold after the trim"),
+    _number("trimmed_true_split_hz", "Hz", "true split after the trim, with the true gains of its electrodes"),
+    _number("trimmed_true_theta_deg", "deg", "true theta after the trim"),
+    _number("trimmed_true_conforms", "1", "1 where the true device conforms to all limits after the trim, else 0"),
+)
+
 DEVICES: tuple[Column, ...] = (
     *_ORIGIN,
     *(column for quantity in QUANTITIES for column in _estimate(quantity)),
     *_ROUTE,
     *_QUALITY,
     *_DECISION,
+    *_TRIM,
     *(column for quantity in QUANTITIES for column in _virtual(quantity)),
 )
 

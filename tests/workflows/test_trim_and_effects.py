@@ -1,0 +1,45 @@
+"""What a run may add: trims after the test, and effects beside the model's own."""
+
+import numpy as np
+import pytest
+
+from pipeline.errors import ConfigError
+from workflows.block import Block, virtual_block
+from workflows.config import load_config
+
+
+def rows(tmp_path, text, count=6):
+    path = tmp_path / "run.toml"
+    path.write_text(text)
+    return virtual_block(load_config(path), Block(0, 0, count)).devices.to_pylist()
+
+
+def test_trimmed_truth_lies_within_what_the_posterior_foretells(tmp_path):
+    found = rows(tmp_path, "[trim]\nsplit_hz = 0.5\ntheta_deg = 0.0\n", 10)
+    z = [(r["trimmed_true_split_hz"] - r["trimmed_split_hz"]) / r["trimmed_split_hz_sd"] for r in found]
+    assert np.sqrt(np.mean(np.square(z))) < 2.5
+    for r in found:
+        assert r["trimmed_true_split_hz"] == pytest.approx(0.5, abs=0.6)
+        assert len(r["trim_voltages_v"].split(",")) == 4
+
+
+def test_a_trim_that_costs_nothing_changes_nothing(tmp_path):
+    found = rows(tmp_path, "[trim]\nsplit_hz = 0.0\nmost_v = 1e-6\n", 2)
+    for r in found:
+        assert r["trim_at_limit"] == 1.0
+        assert r["trimmed_split_hz"] == pytest.approx(r["split_hz"], abs=1e-6)
+        assert r["trimmed_verdict"] == r["verdict"]
+
+
+def test_an_effect_outside_the_model_is_flagged_as_misfit(tmp_path):
+    found = rows(tmp_path, '[experiment]\neffects = ["updown_tilt"]\n')
+    assert sum(r["status"] == "misfit" for r in found) >= 3
+    for r in found:
+        if r["status"] == "misfit":
+            assert r["verdict"] == "undecided"
+            assert "error" in r["status_reason"] or "bias" in r["status_reason"]
+
+
+def test_an_effect_that_no_irregularity_sizes_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no irregularity"):
+        rows(tmp_path, '[experiment]\neffects = ["loop_delay"]\n', 1)
