@@ -6,6 +6,7 @@ import pytest
 from pipeline.errors import ConfigError
 from workflows.block import Block, virtual_block
 from workflows.config import load_config
+from workflows.night import plan
 
 
 def rows(tmp_path, text, count=6):
@@ -41,5 +42,7 @@ def test_an_effect_outside_the_model_is_flagged_as_misfit(tmp_path):
 
 
 def test_an_effect_that_no_irregularity_sizes_is_refused(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text('[experiment]\neffects = ["loop_delay"]\n')
     with pytest.raises(ConfigError, match="no irregularity"):
-        rows(tmp_path, '[experiment]\neffects = ["loop_delay"]\n', 1)
+        plan(load_config(path))
