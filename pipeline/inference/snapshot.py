@@ -32,6 +32,9 @@ Status = Literal["ok", "not_converged", "fit_failed", "misfit"]
 _FREEDOM = 20.0
 _PROPOSALS = 4000
 _DRAWS = 2000
+#: How often a fit that has not settled is gone on with, and the fall of chi2 below which it is not.
+_CONTINUED = 4
+_FALLS = 0.95
 #: Effective number of proposals below which a posterior is too far from normal to be known by them.
 _LEAST_ESS = 200.0
 
@@ -82,6 +85,19 @@ def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray,
     return kept, bool(1.0 / np.sum(weight**2) >= _LEAST_ESS)
 
 
+def _persistent_fit(data: BandData, sigma_v: FloatArray, start: FloatArray) -> Fit | None:
+    """The fit from ``start``, gone on with while it has not settled but still falls: early starts are far away."""
+    fit = best_fit([data], sigma_v, [start])
+    for _ in range(_CONTINUED):
+        if fit is None or fit.converged:
+            break
+        further = best_fit([data], sigma_v, [fit.x])
+        if further is None or not (further.converged or further.chi2 < _FALLS * fit.chi2):
+            break
+        fit = further
+    return fit
+
+
 def snapshot(
     data: BandData,
     sigma_v: FloatArray,
@@ -107,13 +123,16 @@ def snapshot(
     A snapshot in every case: what goes wrong is its status.
     """
     duration = data.band.samples / data.band.sample_rate_hz
-    fit = None if previous is None else best_fit([data], sigma_v, [previous])
-    if fit is None or not explains(fit):
-        second = best_fit([data], sigma_v, starts())
-        if second is not None and (fit is None or not fit.converged or (second.converged and second.chi2 < fit.chi2)):
-            fit = second
+    fit = None if previous is None else _persistent_fit(data, sigma_v, previous)
+    for start in [] if fit is not None and explains(fit) else starts():
+        other = _persistent_fit(data, sigma_v, start)
+        if other is not None and (fit is None or (other.converged, -other.chi2) > (fit.converged, -fit.chi2)):
+            fit = other
+        if fit is not None and explains(fit):
+            break
     if fit is None or not fit.converged or fit.dof <= 0:
-        return Snapshot(duration, "fit_failed", "the likelihood has no maximum near any start yet", {}, {}, None)
+        x = None if fit is None else fit.x
+        return Snapshot(duration, "fit_failed", "the likelihood has no maximum near any start yet", {}, {}, x)
     ratio = fit.chi2 / fit.dof
     # Few bins scatter more than the gate of a whole record allows for: 3 sd of chi2 are taken off.
     error = math.sqrt(max(ratio - 3.0 * math.sqrt(2.0 / fit.dof), 0.0))

@@ -213,28 +213,33 @@ def route_of(model: ArxModel, instrument: Instrument, settings: StreamSettings) 
 
 
 def starts_of(
-    route: RouteResult | None, record: Record, instrument: Instrument, settings: StreamSettings, sigma_v: FloatArray
+    routes: Sequence[RouteResult], record: Record, instrument: Instrument, settings: StreamSettings, sigma_v: FloatArray
 ) -> list[FloatArray]:
-    """Starting points (12,): the route's modes with and without damping anisotropy, and the record's spectrum."""
+    """Starting points (12,): modes of each route with and without damping anisotropy, and those of the record's spectrum."""
     found: list[FloatArray] = []
-    if route is not None:
+    for route in routes:
         start = start_from_modes(route.poles, route.residues)
         flat = start.copy()
         flat[4:6] = 0.0
         found += [start, flat]
-    with contextlib.suppress(np.linalg.LinAlgError, ValueError):
+    with contextlib.suppress(np.linalg.LinAlgError, ArithmeticError, ValueError):
         found.append(gyro_start([record], instrument, sigma_v, settings.low_hz, settings.high_hz))
     return [start for start in found if np.all(np.isfinite(start))]
 
 
-def lattice_route(stream: Stream) -> RouteResult | None:
-    """The paper's route from the lattice as it stands; ``None`` while it holds no three modes."""
+def lattice_route(stream: Stream, order: int | None = None) -> RouteResult | None:
+    """The paper's route from the lattice as it stands, at any order up to its own; ``None`` while it holds no three modes."""
     if stream.lattice is None:
         return None
     try:
-        return route_of(arx_of(stream.lattice), stream.instrument, stream.settings)
+        return route_of(arx_of(stream.lattice, order), stream.instrument, stream.settings)
     except (IdentificationError, np.linalg.LinAlgError):
         return None
+
+
+def start_orders(order: int) -> tuple[int, ...]:
+    """Orders whose modes may start a fit: with little data a lower one than the wanted is the better."""
+    return order, order // 2, order // 4
 
 
 def estimate(
@@ -275,6 +280,8 @@ def estimate(
     record = Record("so far", instrument.sample_rate_hz, drive, sense)
 
     def starts() -> Sequence[FloatArray]:
-        return starts_of(route, record, instrument, settings, sigma_v)
+        lower = [lattice_route(stream, order) for order in start_orders(settings.order)[1:]]
+        routes = [one for one in (route, *lower) if one is not None]
+        return starts_of(routes, record, instrument, settings, sigma_v)
 
     return snapshot(data, sigma_v, previous, starts, rate, gate, seed), route

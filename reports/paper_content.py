@@ -1,0 +1,186 @@
+"""What the page of the paper shows: printed numbers beside ours, and the arrays of its figures.
+
+A printed number agrees when it differs by no more than half a unit of its last digit.  Every other one carries the reason.
+
+Shapes: N samples, F frequencies, S = 2 senses, D = 2 drives.  Units in the names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.arrays import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True)
+class PrintedNumber:
+    """One number of the paper.
+
+    Parameters
+    ----------
+    name, where : what it is, and the equation, table or section that prints it.
+    printed : as printed.
+    ours : computed from what the paper itself prints before it; ``None`` where it is an input.
+    record : the same by the whole chain from a simulated record of eq. (14); ``None`` where a record has no say.
+    unit : of all of them.
+    remark : why they differ, where they do.
+    """
+
+    name: str
+    where: str
+    printed: str
+    ours: float | None
+    record: float | None = None
+    unit: str = ""
+    remark: str = ""
+
+    @property
+    def value(self) -> float:
+        """The printed number."""
+        return float(self.printed)
+
+    @property
+    def half_digit(self) -> float:
+        """Half a unit of the last printed digit."""
+        mantissa, _, exponent = self.printed.lower().partition("e")
+        decimals = len(mantissa.partition(".")[2])
+        return 0.5 * 10.0 ** (int(exponent or 0) - decimals)
+
+    @property
+    def compared(self) -> float:
+        """What stands beside the print: ours, or else the record's."""
+        found = self.ours if self.ours is not None else self.record
+        return float("nan") if found is None else found
+
+    @property
+    def deviation(self) -> float:
+        """Compared less printed."""
+        return self.compared - self.value
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the deviation is rounding."""
+        return abs(self.deviation) <= self.half_digit * (1.0 + 1e-9)
+
+
+@dataclass(frozen=True)
+class NumberGroup:
+    """Numbers of one section of the page; ``has_record`` where at least one comes from a record too."""
+
+    title: str
+    note: str
+    rows: tuple[PrintedNumber, ...]
+
+    @property
+    def has_record(self) -> bool:
+        """Whether the column of the record is shown."""
+        return any(row.record is not None and row.ours is not None for row in self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordView:
+    """Figure 4: sense (N, 2) [V] at time (N,) [s] and its power spectral density (F, 2) [V^2/Hz] at frequency (F,)."""
+
+    time_s: FloatArray
+    sense_v: FloatArray
+    frequency_hz: FloatArray
+    psd: FloatArray
+    line_hz: float
+    resonance_hz: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseView:
+    """Figures 5 and 6: responses (F, 2, 2) of models by name, on a wide and on a narrow grid [Hz]."""
+
+    wide_hz: FloatArray
+    wide: ComplexArray
+    narrow_hz: FloatArray
+    narrow: dict[str, ComplexArray]
+
+
+@dataclass(frozen=True, eq=False)
+class HankelView:
+    """Hankel singular values (K,) of the order-40 model and of eq. (14), and the printed ones (8,)."""
+
+    model: FloatArray
+    eq14: FloatArray
+    printed: FloatArray
+    error_bound: float
+
+
+@dataclass(frozen=True, eq=False)
+class OrderView:
+    """Against the order (n,), one set a window: theta (n, 4) [deg], split (n,) [Hz] and in-band phase change (n,) [deg]."""
+
+    order: FloatArray
+    window_s: tuple[float, ...]
+    theta_deg: tuple[FloatArray, ...]
+    split_hz: tuple[FloatArray, ...]
+    phase_change_deg: tuple[FloatArray, ...]
+    true_theta_deg: float
+    true_split_hz: float
+
+
+@dataclass(frozen=True, eq=False)
+class StepsView:
+    """Two-step route and one-step fit: |error of theta| [deg] over split (n,) [Hz], a row a damping share (m, n).
+
+    share (m,) is c12 / sqrt(c11 c22); ``limit`` the route's error without noise; ``sd`` the posterior's own.
+    """
+
+    split_hz: FloatArray
+    share: FloatArray
+    route_deg: FloatArray
+    limit_deg: FloatArray
+    fit_deg: FloatArray
+    sd_deg: FloatArray
+
+
+@dataclass(frozen=True)
+class ChainRow:
+    """One quantity of the virtual device: truth, and what balanced and modal truncation and the one-step fit make of it."""
+
+    name: str
+    unit: str
+    truth: float
+    balanced: float
+    modal: float
+    fit: float
+    fit_sd: float
+
+
+@dataclass(frozen=True)
+class BiasRow:
+    """One coefficient of eq. (3) to (6): as printed, as corrected, and as the simulated loops show it."""
+
+    equation: str
+    name: str
+    unit: str
+    printed: float | None
+    corrected: float
+    loops: float
+    remark: str
+
+
+@dataclass(frozen=True, eq=False)
+class PaperContent:
+    """The whole page."""
+
+    groups: dict[str, NumberGroup]
+    records: RecordView
+    responses: ResponseView
+    hankel: HankelView
+    orders: OrderView
+    steps: StepsView
+    chain: tuple[ChainRow, ...]
+    thetas_deg: dict[str, FloatArray]
+    biases: tuple[BiasRow, ...]
+    lattice_theta_deg: float
+    phase_deg: float
+    hinf_change: float
+
+    @property
+    def numbers(self) -> tuple[PrintedNumber, ...]:
+        """All printed numbers, in the order of the page."""
+        return tuple(row for group in self.groups.values() for row in group.rows)
