@@ -14,12 +14,11 @@ from __future__ import annotations
 import json
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -327,81 +326,14 @@ def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _text(name)
 
 
-def _plant_of(data: Any) -> PlantSpec:
-    if data == "gyro":
-        return PlantSpec()
-    allowed = '"gyro" or { kind = "modal", modes = 1, sense = "velocity" | "displacement" }'
-    if not isinstance(data, dict) or data.get("kind") not in ("gyro", "modal"):
-        raise ConfigError("plant cannot be read", value=data, allowed=allowed)
-    extra = set(data) - {"kind", "modes", "sense", "senses", "drives"}
-    if extra:
-        raise ConfigError("plant has an unknown key", value=sorted(extra), allowed=allowed)
-    if data["kind"] == "gyro":
-        return PlantSpec()
-    numbers = {key: data.get(key, 1) for key in ("modes", "senses", "drives")}
-    for key, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 64:
-            raise ConfigError(f"plant.{key} is not a number of channels or modes", value=value, allowed="1 to 64")
-    sense = data.get("sense", "velocity")
-    if sense not in ("velocity", "displacement"):
-        raise ConfigError("plant.sense cannot be read", value=sense, allowed='"velocity", "displacement"')
-    return PlantSpec("modal", numbers["modes"], sense, numbers["senses"], numbers["drives"])
-
-
-def model_of(data: Mapping[str, Any], folder: Path) -> Model:
-    """The model that ``data`` (a parsed model file) says; effect folders are relative to ``folder``.
-
-    Raises
-    ------
-    ConfigError : a key is unknown, or a value is not what the head of the module says.
-    """
-    known = {"plant", "effects", "effect_folders", "fixed", "prior"}
-    extra = set(data) - known
-    if extra:
-        raise ConfigError("model file has an unknown key", value=sorted(extra), allowed=", ".join(sorted(known)))
-    lists: dict[str, tuple[str, ...]] = {}
-    for key in ("effects", "effect_folders"):
-        found = data.get(key, [])
-        if not isinstance(found, list) or not all(isinstance(item, str) for item in found):
-            raise ConfigError(f"{key} is not a list of names", value=found, allowed='["name", ..]')
-        lists[key] = tuple(found)
-    tables: dict[str, dict[str, Any]] = {}
-    for key in ("fixed", "prior"):
-        found = data.get(key, {})
-        if not isinstance(found, dict):
-            raise ConfigError(f"{key} is not a table", value=found, allowed="parameter = value")
-        # [fixed.gain_drift] gamma = 0.1 says the same as [fixed] "gain_drift.gamma" = 0.1
-        tables[key] = {
-            full: value
-            for name, item in found.items()
-            for full, value in (
-                {f"{name}.{k}": v for k, v in item.items()} if isinstance(item, dict) else {name: item}
-            ).items()
-        }
-    folders = tuple(str(folder / name) for name in lists["effect_folders"])
-    return Model(_plant_of(data.get("plant", "gyro")), lists["effects"], tables["fixed"], tables["prior"], folders)
-
-
-def load_model(path: str | Path, effect_folders: Iterable[str | Path] = ()) -> Model:
-    """The model file at ``path``, and more folders of effects.
-
-    Raises
-    ------
-    ConfigError : the file cannot be read or does not say a model.
-    """
-    path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError("model file cannot be read", value=str(path), next_step=str(error)) from error
-    # Folders must be known before the effects are looked up.
-    extra = [str(Path(folder).resolve()) for folder in effect_folders]
-    if extra and isinstance(data.get("effect_folders", []), list):
-        data["effect_folders"] = [*data.get("effect_folders", []), *extra]
-    return model_of(data, path.parent)
-
-
 #: The paper's own model (c12 = 0): where compare, diagnose and refine start.
 DEFAULT_COMPARE_MODEL = Model()
 #: The screening run's.
 SCREENING_MODEL = Model(effects=("offdiagonal_damping",))
+
+
+def load_model(path: str | Path, effect_folders: Iterable[str | Path] = ()) -> Model:
+    """The model file at ``path``, see ``model_file.load_model``."""
+    from .model_file import load_model as load
+
+    return load(path, effect_folders)

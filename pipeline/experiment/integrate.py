@@ -356,7 +356,7 @@ def filtered(
     late_s : in [0, step_s); the last sample is read as if the remainder ended there.
     """
     samples = (remainder.shape[0] - 1) // substeps + 1
-    nodes: FloatArray = np.arange(substeps + 1) * (step_s / substeps)
+    nodes = np.arange(substeps + 1, dtype=np.float64) * (step_s / substeps)
     interpolate: FloatArray = np.zeros(substeps + 1)
     interpolate[0] = 1.0
     if late_s > 0.0:

@@ -257,6 +257,9 @@ def signatures(
     t = np.arange(y0.shape[0]) / record.sample_rate_hz
 
     def moved(point: Mapping[str, float], name: str, value: float) -> FloatArray:
+        if found.adc is not None and found.stages == ("adc",):
+            p = np.array([value if m.name == name else point.get(m.name, m.null) for m in members])
+            return found.adc(y0, p, before.context) - y0
         trial = {**values, **{found.full_name(m): point[m.name] for m in scanned}}
         trial[found.full_name(next(m for m in members if m.name == name))] = value
         system = assemble(larger, larger.complete(trial), instrument, conditions)

@@ -1,0 +1,233 @@
+"""Gauss-Newton with Levenberg's damping, down to where a fit of a campaign stands still.
+
+Columns are computed while steps are long and updated (Broyden, Math. Comp. 19 (1965) 577) where they are short; the residual
+is always exact.  Initial states of records that do not start at rest are eliminated record by record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..device.model import Model
+from ..errors import ConfigError
+from .campaign_problem import Problem, Task
+
+_ITERATIONS = 40
+#: Expected fall of chi2 (in units of chi2/dof, at least 1) at which the fit stands still: a hundredth of a sd.
+_STANDSTILL = 1e-4
+#: The same where a trial does not fall any more: rounding and inexact columns, a tenth of a sd.
+CLOSE = 1e-2
+#: Expected fall of chi2 below which the columns of the step before, updated, still serve.
+_SMALL_STEP = 3e3
+#: Share of the record made by forces and pick-off laws from which the plant's columns are computed with them.
+_STRONG = 0.1
+#: And below which they always suffice without.
+FAINT = 1e-3
+
+#: Inverse normal matrix of an initial state, its cross terms with x, its slope.
+_Back = tuple[FloatArray, FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where the fit stands: smooth coordinates, initial states by record, residuals, chi2 with priors."""
+
+    x: FloatArray
+    starts: tuple[FloatArray | None, ...]
+    residuals: tuple[FloatArray, ...]
+    chi2: float
+
+
+def _prior_rows(model: Model, values: Mapping[str, float]) -> FloatArray:
+    """(value - mean)/sd of each free parameter with a normal prior, 0 elsewhere, (P,); and 1/sd in the second row."""
+    rows = np.zeros((2, len(model.free)))
+    for i, name in enumerate(model.free):
+        kind, mean, sd = model.prior_of(name)
+        if kind == "normal":
+            rows[:, i] = (values[name] - mean) / sd, 1.0 / sd
+    return rows
+
+
+def point_at(
+    problem: Problem,
+    x: FloatArray,
+    tasks: tuple[Task, ...],
+    starts: tuple[FloatArray | None, ...],
+    most: float = np.inf,
+) -> Point | None:
+    """The point at ``x``, or ``None`` where no device can be or chi2 exceeds ``most``."""
+    try:
+        values = problem.model.to_values(x)
+        if not problem.model.allowed(values):
+            return None
+        chi2 = float(np.sum(_prior_rows(problem.model, values)[0] ** 2))
+        residuals: list[FloatArray] = []
+        for task, start in zip(tasks, starts):
+            residuals.append(problem.residual(values, task, start))
+            chi2 += float(np.vdot(residuals[-1], residuals[-1]))
+            if not (np.isfinite(chi2) and chi2 <= most):
+                return None
+    except (ConfigError, np.linalg.LinAlgError):
+        return None
+    return Point(x, starts, tuple(residuals), chi2)
+
+
+_Sensitivity = tuple[FloatArray, FloatArray | None]
+
+
+def _sensitivities(
+    problem: Problem, at: Point, tasks: tuple[Task, ...], exact: bool, steps: FloatArray
+) -> list[_Sensitivity]:
+    """Columns of x (N S, P) and of the initial state (N S, 2 n) of each record, in sigmas."""
+    values = problem.model.to_values(at.x)
+    return [
+        (
+            problem.columns(values, task, start, exact, steps),
+            None if start is None else problem.start_columns(values, task, start, exact),
+        )
+        for task, start in zip(tasks, at.starts)
+    ]
+
+
+def _equations(
+    problem: Problem, at: Point, sensitivities: list[_Sensitivity]
+) -> tuple[FloatArray, FloatArray, list[_Back | None]]:
+    """Normal matrix (P, P) and slope (P,), initial states eliminated; what recovers those, record by record."""
+    size = at.x.size
+    normal, slope = np.zeros((size, size)), np.zeros(size)
+    back: list[_Back | None] = []
+    for (j, f), residual in zip(sensitivities, at.residuals):
+        r = residual.reshape(-1)
+        normal += j.T @ j
+        slope += j.T @ r
+        if f is None:
+            back.append(None)
+            continue
+        inverse: FloatArray = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True).astype(np.float64)
+        cross, own = f.T @ j, f.T @ r
+        normal -= cross.T @ inverse @ cross
+        slope -= cross.T @ inverse @ own
+        back.append((inverse, cross, own))
+    rows = _prior_rows(problem.model, problem.model.to_values(at.x))
+    if np.any(rows[1]):
+        turned = rows[1][:, None] * problem.model.turn(at.x)
+        normal += turned.T @ turned
+        slope -= turned.T @ rows[0]
+    return normal, slope, back
+
+
+def _updated(sensitivities: list[_Sensitivity], before: Point, after: Point, weight: FloatArray) -> list[_Sensitivity]:
+    """Broyden's update: the columns of x put right along the step just made, at no cost."""
+    step = after.x - before.x
+    along = weight * step
+    length = float(along @ step)
+    if length == 0.0:
+        return sensitivities
+    out: list[_Sensitivity] = []
+    for (j, f), r0, r1, s0, s1 in zip(sensitivities, before.residuals, after.residuals, before.starts, after.starts):
+        missed = (r0 - r1).reshape(-1) - j @ step
+        if f is not None and s0 is not None and s1 is not None:
+            missed -= f @ (s1 - s0)
+        out.append((j + np.outer(missed, along / length), f))
+    return out
+
+
+def _inside(model: Model, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper limits (P,) of the smooth coordinates; only effects' parameters have their own."""
+    low, high = np.full(x.size, -np.inf), np.full(x.size, np.inf)
+    for i, name in enumerate(model.free):
+        if "." in name:
+            low[i], high[i] = model.bounds(name)
+    return low, high
+
+
+def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Damped step (P,) of the ``moving`` parameters, and the undamped one."""
+    scale = np.sqrt(np.diagonal(normal))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    use = np.flatnonzero(moving & (np.diagonal(normal) > 0.0))
+    unit = (normal / np.outer(scale, scale))[np.ix_(use, use)]
+    values, vectors = np.linalg.eigh(unit)
+    values = np.maximum(values, 1e-14 * values[-1]) if values.size else values
+    along = vectors.T @ (slope / scale)[use]
+    steps = np.zeros((2, slope.size))
+    steps[0, use] = vectors @ (along / (values + damping)) / scale[use]
+    steps[1, use] = vectors @ (along / values) / scale[use]
+    return steps[0], steps[1]
+
+
+def descend(problem: Problem, at: Point, tasks: tuple[Task, ...], dof: int) -> tuple[Point, FloatArray, bool]:
+    """From ``at`` down to where the fit stands still: the point, the normal matrix there, whether it converged."""
+    low, high = _inside(problem.model, at.x)
+    # The loudest record sets the steps of the differences for all, and tells how strong nonlinear effects are.
+    loudest = max(range(len(tasks)), key=lambda k: float(np.mean(tasks[k].record.drive_v ** 2)))
+    task = tasks[loudest]
+    steps = problem.steps(problem.model.to_values(at.x), task, at.starts[loudest])
+    exact = problem.strength(problem.model.to_values(at.x), task) > _STRONG
+    damping = 0.0
+    sensitivities: list[_Sensitivity] | None = None
+    normal = np.zeros((at.x.size, at.x.size))
+    for _ in range(_ITERATIONS):
+        fresh = sensitivities is None
+        if sensitivities is None:
+            sensitivities = _sensitivities(problem, at, tasks, exact, steps)
+        normal, slope, back = _equations(problem, at, sensitivities)
+        # A parameter at the end of its range moves only inwards.
+        moving = ~((at.x <= low) & (slope < 0.0)) & ~((at.x >= high) & (slope > 0.0))
+        noise = max(1.0, at.chi2 / dof)
+        _, newton = _solve(normal, slope, 0.0, moving)
+        expected = float(newton @ slope) + sum(float(b[2] @ b[0] @ b[2]) for b in back if b is not None)
+        if expected < _STANDSTILL * noise:
+            return at, normal, True
+        accepted: Point | None = None
+        for _ in range(8):
+            step, _ = _solve(normal, slope, damping, moving)
+            x = np.clip(at.x + step, low, high)
+            starts = tuple(
+                start if b is None or start is None else start + b[0] @ (b[2] - b[1] @ (x - at.x))
+                for start, b in zip(at.starts, back)
+            )
+            trial = point_at(problem, x, tasks, starts, at.chi2 + CLOSE * noise)
+            if trial is not None and trial.chi2 <= at.chi2:
+                accepted = trial
+                break
+            if trial is not None and expected < CLOSE * noise:
+                break
+            damping = max(30.0 * damping, 1e-4)
+        strength = problem.strength(problem.model.to_values((accepted or at).x), task)
+        if accepted is None and not fresh and expected >= CLOSE * noise:
+            sensitivities, damping = None, 0.0
+            continue
+        if accepted is None:
+            still = expected < CLOSE * noise
+            if still or exact or strength < FAINT:
+                return at, normal, still
+            exact, damping, sensitivities = True, 0.0, None
+            continue
+        fall = at.chi2 - accepted.chi2
+        sensitivities = _updated(sensitivities, at, accepted, np.diagonal(normal))
+        at = accepted
+        damping = 0.0 if damping <= 1e-4 else damping * 0.1
+        poor = expected > noise and fall < 0.5 * expected
+        was_exact, exact = exact, exact or strength > _STRONG or (poor and strength > FAINT)
+        if fall < _STANDSTILL * noise and exact == was_exact:
+            return at, normal, True
+        if poor or expected > _SMALL_STEP * noise or exact != was_exact:
+            sensitivities = None
+    return at, normal, False
+
+
+def covariance_of(normal: FloatArray) -> tuple[FloatArray, bool]:
+    """Covariance from the normal matrix, in units of each sensitivity, and whether all are determined."""
+    scale = np.sqrt(np.diagonal(normal))
+    determined = bool(np.all(scale > 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(normal / np.outer(safe, safe))
+    determined = determined and bool(values[0] > 1e-13 * values[-1])
+    kept = np.where(values > 1e-13 * values[-1], values, np.inf)
+    covariance = (vectors / kept) @ vectors.T / np.outer(safe, safe)
+    return np.asarray(covariance), determined

@@ -1,0 +1,83 @@
+"""The noise level is the noise, whatever else is in the records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.device.model import DEFAULT_COMPARE_MODEL
+from pipeline.errors import MeasurementError
+from pipeline.experiment.excitation import Chirp, Multisine, Silence, drive_samples
+from pipeline.experiment.forward import forward
+from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
+from pipeline.experiment.measure import Hum, measured
+from pipeline.experiment.noise_level import noise_level
+from pipeline.experiment.record import Campaign, Record
+
+PLANT = {
+    "f1_hz": 534.5,
+    "f2_hz": 536.4,
+    "f3_hz": 590.3,
+    "zeta1": 3.167e-4,
+    "zeta2": 1.586e-4,
+    "zeta3": 1.17e-3,
+    "theta_deg": -32.0,
+    "rocking_gain": 7.0,
+    "updown_gain": 5.0,
+    "sense_imbalance": 0.07,
+    "drive_imbalance": 0.01,
+}
+RATE = 10_000.0
+
+
+def _campaign(
+    sigma: float, hum: Hum, adc: Adc | None, *excitations: tuple[Chirp | Multisine | Silence, str]
+) -> Campaign:
+    random = np.random.default_rng(5)
+    instrument = Instrument(antialias=AntiAlias(), adc=adc)
+    records = []
+    for i, (excitation, role) in enumerate(excitations):
+        drive = drive_samples(excitation, RATE)
+        bare = Record(f"record-{i}", RATE, drive, np.zeros_like(drive), role)  # type: ignore[arg-type]
+        y = 0.01 + forward(DEFAULT_COMPARE_MODEL, PLANT, bare, instrument)
+        records.append(replace(bare, sense_v=measured(y, RATE, sigma, hum, adc, random)))
+    return Campaign("device", tuple(records), instrument)
+
+
+HUM = Hum(50.013, (5e-3, 0.0, 2e-3, 0.0, 1e-3))
+
+
+@pytest.mark.parametrize("hum", [Hum(), HUM])
+def test_silence_gives_sigma_with_hum_of_any_frequency(hum: Hum) -> None:
+    level = noise_level(_campaign(1e-3, hum, None, (Silence(), "noise"), (Chirp(duration_s=0.5), "fit")))
+    assert level.source == "silent"
+    assert np.all(np.abs(level.sigma_v / 1e-3 - 1.0) < 4.0 / np.sqrt(2.0 * level.dof) + 0.003)
+
+
+def test_a_converter_that_silence_does_not_exercise_adds_its_own_noise() -> None:
+    adc = Adc(bits=12, full_scale_v=10.0)
+    level = noise_level(_campaign(0.1 * adc.lsb_v, Hum(), adc, (Silence(), "noise"), (Chirp(duration_s=0.5), "fit")))
+    assert np.all(level.sigma_v >= adc.lsb_v / np.sqrt(12.0))
+    assert np.all(level.sigma_v < 1.1 * adc.lsb_v / np.sqrt(12.0))
+
+
+def test_repeats_serve_without_silence() -> None:
+    chirp = Chirp(duration_s=1.0)
+    level = noise_level(_campaign(1e-3, HUM, None, (chirp, "fit"), (chirp, "fit")))
+    assert level.source == "repeats"
+    assert np.all(np.abs(level.sigma_v / 1e-3 - 1.0) < 4.0 / np.sqrt(2.0 * level.dof) + 0.003)
+
+
+def test_a_local_fit_in_frequency_serves_without_either() -> None:
+    level = noise_level(_campaign(1e-3, Hum(), None, (Chirp(), "fit"), (Multisine(), "validate")))
+    assert level.source == "local"
+    assert np.all(np.abs(level.sigma_v / 1e-3 - 1.0) < 0.02)
+
+
+def test_a_channel_without_noise_is_refused() -> None:
+    campaign = _campaign(0.0, Hum(), None, (Silence(), "noise"), (Chirp(duration_s=0.5), "fit"))
+    silent = replace(campaign.records[0], sense_v=np.zeros_like(campaign.records[0].sense_v))
+    with pytest.raises(MeasurementError, match="no noise"):
+        noise_level(replace(campaign, records=(silent, campaign.records[1])))
