@@ -1,0 +1,265 @@
+"""Fixed-step Runge-Kutta integration (order 8) of a device with its whole signal path as one state vector.
+
+    psi_x, psi_y, z, w      mechanics, w a parasitic mode; q'' = F f(v, q) - C(t) q' - K(t) q + nonlinear forces
+    m_x, m_y                memory of the suspension (hysteresis, heat)
+    r_k, r_k'               a resonance of pick-off k in front of its filter
+    b_kj, b_kj'             biquads j = 1..4 of the anti-alias filter of channel k
+
+The drive is held over every sample, so steps never straddle an edge; what a stray capacitance passes, an impulse
+C (v_n - v_{n-1}), is a jump of the first biquad's velocity.  A slow pick-off stands behind the filter (both are linear):
+p' = (y - p)/T is solved exactly for the quintic through y, y', y'' at both ends of a step.
+
+Nothing here is shared with the models of ``pipeline``.  Units: volts, seconds; motion in V s.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy.integrate import DOP853
+
+from pipeline.arrays import FloatArray
+
+#: Coordinates psi_x, psi_y, z, w; two channels of four biquads.
+COORDINATES = 4
+_MEMORY = 2 * COORDINATES
+_RESONANCE = _MEMORY + 2
+_FILTER = _RESONANCE + 4
+STATES = _FILTER + 16
+
+# Dormand and Prince's method of order 8 with 12 stages (Hairer, Norsett & Wanner, Solving ODEs I, section II.5).
+_STAGES = 12
+_A: FloatArray = np.ascontiguousarray(DOP853.A[:_STAGES, :_STAGES])
+_B: FloatArray = np.ascontiguousarray(DOP853.B[:_STAGES])
+_C: FloatArray = np.ascontiguousarray(DOP853.C[:_STAGES])
+
+
+class Physics(NamedTuple):
+    """Every number of the equations of motion; zero is no effect unless said otherwise.
+
+    stiffness, damping (4, 4), the latter with the gyroscopic part; drive (4, 2); sense (2, 4) of velocities;
+    drive_motion, sense_motion (2, 4) motion of the electrodes; crosstalk (2, 2), identity without;
+    resistive, capacitive (2, 2); filter_damping (4,) 2 zeta omega_c and filter_square omega_c^2 of the biquads.
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    drive: FloatArray
+    sense: FloatArray
+    drive_motion: FloatArray
+    sense_motion: FloatArray
+    crosstalk: FloatArray
+    resistive: FloatArray
+    capacitive: FloatArray
+    filter_damping: FloatArray
+    filter_square: float
+    bias_v: float
+    square_law: float
+    inverse_drive_gap: float
+    inverse_sense_gap: float
+    stiffness_drift: float
+    damping_drift: float
+    gain_drift: float
+    cubic: float
+    quadratic_x: float
+    quadratic_y: float
+    drag: float
+    pickoff_time_s: float
+    delay_s: float
+    friction: float
+    friction_speed: float
+    hysteresis: float
+    hysteresis_reach: float
+    stop: float
+    stop_gap: float
+    coupling: float
+    pump: float
+    pump_omega: float
+    heating: float
+    cooling_per_s: float
+    resonance_omega: float
+    resonance_damping: float
+
+
+@njit(cache=True)
+def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
+    """dy/dt of the state (STATES,) at time t [s] under the held drive v (2,) [V], written to ``dy``."""
+    n = COORDINATES
+    warm = 1.0 + g.stiffness_drift * t
+    if g.pump != 0.0:
+        warm += g.pump * np.cos(g.pump_omega * t)
+    loss = 1.0 + g.damping_drift * t
+    for i in range(n):
+        a = 0.0
+        for j in range(n):
+            a -= warm * g.stiffness[i, j] * y[j] + loss * g.damping[i, j] * y[n + j]
+        dy[i] = y[n + i]
+        dy[n + i] = a
+    for k in range(2):
+        u = v[k] + g.square_law * v[k] * v[k] / (2.0 * g.bias_v)
+        if g.inverse_drive_gap != 0.0:
+            closed = 0.0
+            for j in range(n):
+                closed += g.drive_motion[k, j] * y[j]
+            closed *= g.inverse_drive_gap
+            half = 0.5 * g.bias_v
+            u = (half + u) / ((1.0 - closed) * (1.0 - closed)) - half - g.bias_v * closed
+        for i in range(n):
+            dy[n + i] += g.drive[i, k] * u
+    x, z, xd, zd = y[0], y[1], y[n], y[n + 1]
+    radius2 = x * x + z * z
+    speed = np.sqrt(xd * xd + zd * zd)
+    dy[n] -= g.cubic * radius2 * x + g.quadratic_x * x * x + g.drag * speed * xd
+    dy[n + 1] -= g.cubic * radius2 * z + g.quadratic_y * z * z + g.drag * speed * zd
+    dy[_MEMORY] = dy[_MEMORY + 1] = 0.0
+    if g.friction != 0.0:
+        rub = g.friction / np.sqrt(speed * speed + g.friction_speed * g.friction_speed)
+        dy[n] -= rub * xd
+        dy[n + 1] -= rub * zd
+    if g.hysteresis != 0.0:
+        for i in range(2):
+            h, s = y[_MEMORY + i], y[n + i]
+            dy[_MEMORY + i] = s - 0.5 * (abs(s) * h + s * abs(h)) / g.hysteresis_reach
+            dy[n + i] -= g.hysteresis * h
+    if g.stop != 0.0:
+        radius = np.sqrt(radius2)
+        if radius > g.stop_gap:
+            push = g.stop * (1.0 - g.stop_gap / radius)
+            dy[n] -= push * x
+            dy[n + 1] -= push * z
+    if g.coupling != 0.0:
+        dy[n] -= 2.0 * g.coupling * x * z
+        dy[n + 1] -= g.coupling * x * x
+    if g.heating != 0.0:
+        dy[_MEMORY] = speed * speed - g.cooling_per_s * y[_MEMORY]
+        for j in range(2):
+            for i in range(2):
+                dy[n + i] -= g.heating * y[_MEMORY] * g.stiffness[i, j] * y[j]
+    _read(t, y, v, g, dy)
+
+
+@njit(cache=True)
+def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
+    n = COORDINATES
+    seen = np.empty(2)
+    for k in range(2):
+        s, closed = 0.0, 0.0
+        for j in range(n):
+            s += g.sense[k, j] * y[n + j]
+            closed += g.sense_motion[k, j] * y[j]
+        open_ = 1.0 - g.inverse_sense_gap * closed
+        seen[k] = s / (open_ * open_) * (1.0 + g.gain_drift * t)
+        seen[k] += g.resistive[k, 0] * v[0] + g.resistive[k, 1] * v[1]
+    for k in range(2):
+        volts = g.crosstalk[k, 0] * seen[0] + g.crosstalk[k, 1] * seen[1]
+        r = _RESONANCE + 2 * k
+        dy[r] = dy[r + 1] = 0.0
+        if g.resonance_omega > 0.0:
+            dy[r] = y[r + 1]
+            square = g.resonance_omega * g.resonance_omega
+            dy[r + 1] = square * (volts - y[r]) - g.resonance_damping * y[r + 1]
+            volts = y[r]
+        for j in range(4):
+            b = _FILTER + 8 * k + 2 * j
+            dy[b] = y[b + 1]
+            dy[b + 1] = g.filter_square * (volts - y[b]) - g.filter_damping[j] * y[b + 1]
+            volts = y[b]
+
+
+@njit(cache=True)
+def _step(t: float, h: float, y: FloatArray, v: FloatArray, g: Physics, stages: FloatArray, trial: FloatArray) -> None:
+    """One step of length h [s], in place."""
+    for i in range(_STAGES):
+        for k in range(STATES):
+            trial[k] = y[k]
+        for j in range(i):
+            a = h * _A[i, j]
+            if a != 0.0:
+                for k in range(STATES):
+                    trial[k] += a * stages[j, k]
+        slope(t + _C[i] * h, trial, v, g, stages[i])
+    for j in range(_STAGES):
+        b = h * _B[j]
+        if b != 0.0:
+            for k in range(STATES):
+                y[k] += b * stages[j, k]
+
+
+@njit(cache=True)
+def _filtered(y: FloatArray, g: Physics, out: FloatArray) -> None:
+    """(2, 3): what the filters give, y, y', y''."""
+    for k in range(2):
+        b = _FILTER + 8 * k + 6
+        out[k, 0], out[k, 1] = y[b], y[b + 1]
+        out[k, 2] = g.filter_square * (y[b - 2] - y[b]) - g.filter_damping[3] * y[b + 1]
+
+
+@njit(cache=True)
+def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> float:
+    """p(h) of lag p' = y - p, y the quintic with y, y', y'' = ``a`` (3,) at 0 and ``b`` (3,) at h."""
+    # y = sum c_i s^i with s = time / h.
+    c = np.empty(6)
+    c[0], c[1], c[2] = a[0], a[1] * h, 0.5 * a[2] * h * h
+    d0 = b[0] - (c[0] + c[1] + c[2])
+    d1 = b[1] * h - (c[1] + 2.0 * c[2])
+    d2 = b[2] * h * h - 2.0 * c[2]
+    c[3] = 10.0 * d0 - 4.0 * d1 + 0.5 * d2
+    c[4] = -15.0 * d0 + 7.0 * d1 - d2
+    c[5] = 6.0 * d0 - 3.0 * d1 + 0.5 * d2
+    # The polynomial that solves the equation: e_i = c_i - (lag/h) (i + 1) e_{i+1}.
+    e = np.empty(6)
+    e[5] = c[5]
+    for i in range(4, -1, -1):
+        e[i] = c[i] - lag / h * (i + 1) * e[i + 1]
+    return e[0] + e[1] + e[2] + e[3] + e[4] + e[5] + np.exp(-h / lag) * (p - e[0])
+
+
+@njit(cache=True)
+def integrate(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatArray:
+    """The record (N, 2) [V] from rest at the drive samples v (N, 2), ``steps`` steps a sample.
+
+    A delay of (d + f) samples reads the path d whole samples and a piece of one earlier.
+    """
+    count = v.shape[0]
+    out = np.zeros((count, 2))
+    y = np.zeros(STATES)
+    stages, trial = np.zeros((_STAGES, STATES)), np.zeros(STATES)
+    before, after = np.zeros((2, 3)), np.zeros((2, 3))
+    slow = np.zeros(2)
+    late = g.delay_s / sample_s
+    whole = int(np.floor(late))
+    piece = late - whole
+    for n in range(count):
+        for k in range(2):
+            jump = 0.0
+            for i in range(2):
+                for d in range(2):
+                    was = v[n - 1, d] if n > 0 else 0.0
+                    jump += g.crosstalk[k, i] * g.capacitive[i, d] * (v[n, d] - was)
+            y[_FILTER + 8 * k + 1] += g.filter_square * jump
+        if piece == 0.0 and n + whole < count:
+            for k in range(2):
+                out[n + whole, k] = slow[k] if g.pickoff_time_s > 0.0 else y[_FILTER + 8 * k + 6]
+        start = n * sample_s
+        # The record's next sample lies (1 - f) into this hold: two pieces, each of equal steps.
+        for part in range(2):
+            length = (1.0 - piece) if part == 0 else piece
+            if length == 0.0:
+                continue
+            m = max(1, int(np.ceil(steps * length - 1e-9)))
+            h = length * sample_s / m
+            for i in range(m):
+                if g.pickoff_time_s > 0.0:
+                    _filtered(y, g, before)
+                _step(start + i * h, h, y, v[n], g, stages, trial)
+                if g.pickoff_time_s > 0.0:
+                    _filtered(y, g, after)
+                    for k in range(2):
+                        slow[k] = lagged(slow[k], before[k], after[k], h, g.pickoff_time_s)
+            start += length * sample_s
+            if part == 0 and piece > 0.0 and n + whole + 1 < count:
+                for k in range(2):
+                    out[n + whole + 1, k] = slow[k] if g.pickoff_time_s > 0.0 else y[_FILTER + 8 * k + 6]
+    return out

@@ -1,0 +1,161 @@
+"""The truth behind a hidden-effect campaign: a gyro and its read-out with full laws, written from the equations alone.
+
+    psi'' + C psi' + K psi = G_r M_D K_D f,   z'' + c33 z' + omega3^2 z = G_z (1, 1) K_D f
+    S = K_S (M_S psi' + (1, 1)^T z')
+
+The laws are those of the table "Effect names" of the design, and ``OUTSIDE`` names physics that no library effect has.
+Only plain dataclasses are shared with the models under test.
+
+Values are by name: "effect.parameter", the plant's as in its result columns.  Units: SI, angles in degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from pipeline.arrays import FloatArray
+from pipeline.errors import ConfigError
+from pipeline.experiment.instrument import Instrument
+
+from .integrator import COORDINATES, Physics, integrate
+
+#: Steps a sample; at 10 kHz the error of a record is then below 1e-8 of its signal.
+STEPS = 4
+
+#: Physics outside the library: name -> (law, library effects that may fairly be taken for it).
+OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
+    "coulomb_friction": ("psi'' -= F psi' / sqrt(|psi'|^2 + s^2)", ()),
+    "hysteresis": ("psi_i'' -= k h_i,  h' = psi' - (|psi'| h + psi' |h|)/(2 r): Bouc-Wen", ()),
+    "stop": ("psi'' -= k (1 - g/|psi|) psi where |psi| > g", ()),
+    "mode_coupling": ("potential c psi_x^2 psi_y", ("quadratic_stiffness",)),
+    "parametric_pumping": ("K (1 + h cos(2 pi f t))", ()),
+    "self_heating": ("K (1 + b T),  T' = |psi'|^2 - T/tau", ()),
+    "pickoff_resonance": ("w^2 / (s^2 + 2 zeta w s + w^2) in front of the filter", ("pickoff_pole", "loop_delay")),
+}
+
+
+def _turned(axis_deg: float, first: float, second: float, cross: float = 0.0) -> FloatArray:
+    """The symmetric tensor with these components in axes turned by ``axis_deg``."""
+    c, s = math.cos(math.radians(axis_deg)), math.sin(math.radians(axis_deg))
+    axes = np.array([[c, -s], [s, c]])
+    return np.asarray(axes @ np.array([[first, cross], [cross, second]]) @ axes.T)
+
+
+def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
+    """The equations of motion at ``values``; names that are absent are no effect.
+
+    Raises
+    ------
+    ConfigError : an instrument that this simulator does not have.
+    """
+    filter_ = instrument.antialias
+    if instrument.hold != "zoh" or filter_ is None or filter_.order != 8:
+        raise ConfigError("hidden campaigns need zero-order hold and an anti-alias filter of order 8", value=instrument)
+
+    def of(name: str) -> float:
+        return float(values.get(name, 0.0))
+
+    omega = [2.0 * math.pi * values[f"f{i}_hz"] for i in (1, 2, 3)]
+    loss = [2.0 * values[f"zeta{i}"] * w for i, w in zip((1, 2, 3), omega)]
+    n = COORDINATES
+    stiffness, damping = np.eye(n), np.zeros((n, n))
+    stiffness[:2, :2] = _turned(values["theta_deg"], omega[0] ** 2, omega[1] ** 2)
+    damping[:2, :2] = _turned(values["theta_deg"], loss[0], loss[1], of("c12_per_s"))
+    stiffness[2, 2], damping[2, 2] = omega[2] ** 2, loss[2]
+    rate = of("angular_rate.Omega")
+    damping[0, 1] -= 2.0 * rate
+    damping[1, 0] += 2.0 * rate
+    if "parasitic_mode.f" in values:
+        own = 2.0 * math.pi * values["parasitic_mode.f"]
+        stiffness[3, 3], damping[3, 3] = own**2, 2.0 * values["parasitic_mode.zeta"] * own
+
+    sign = np.array([-1.0, 1.0])
+    d, s = values["drive_imbalance"], values["sense_imbalance"]
+    torque_gain = 1.0 + sign * (d + of("electrode_mismatch.m_D"))
+    rocking_sense = 1.0 + sign * (s + of("electrode_mismatch.m_S"))
+    phi, tilt = math.radians(of("electrode_misalignment.phi")), of("updown_tilt.t_x")
+    lever = np.array([[-1.0, 1.0], [1.0, 1.0]])
+    turn = np.array([[math.cos(phi), -math.sin(phi)], [math.sin(phi), math.cos(phi)]])
+    drive = np.zeros((n, 2))
+    drive[:2] = values["rocking_gain"] * turn @ lever * torque_gain
+    drive[2] = values["updown_gain"] * (1.0 - tilt * lever[0]) * (1.0 + sign * d)
+    drive[3] = of("parasitic_mode.b_d1"), of("parasitic_mode.b_d2")
+    seen = np.array([[-1.0, -1.0], [1.0, -1.0]])
+    sense = np.zeros((2, n))
+    sense[:, :2] = rocking_sense[:, None] * seen
+    sense[:, 2] = (1.0 + sign * s) * np.array([1.0 + tilt, 1.0 - tilt])
+    if "parasitic_mode.f" in values:
+        angle = math.radians(values["parasitic_mode.a"])
+        sense[:, 3] = math.cos(angle), math.sin(angle)
+    drive_motion, sense_motion = np.zeros((2, n)), np.zeros((2, n))
+    drive_motion[:, :2], sense_motion[:, :2] = lever.T, seen
+    drive_motion[:, 2] = sense_motion[:, 2] = 1.0
+
+    def paths(effect: str, symbol: str) -> FloatArray:
+        return np.array([[of(f"{effect}.{symbol}_s{i}d{j}") for j in (1, 2)] for i in (1, 2)])
+
+    corner = 2.0 * math.pi * filter_.corner_hz
+    return Physics(
+        stiffness=stiffness,
+        damping=damping,
+        drive=drive,
+        sense=sense,
+        drive_motion=drive_motion,
+        sense_motion=sense_motion,
+        crosstalk=np.array([[1.0, of("pickoff_crosstalk.a")], [of("pickoff_crosstalk.b"), 1.0]]),
+        resistive=paths("resistive_feedthrough", "R"),
+        capacitive=paths("capacitive_feedthrough", "C"),
+        filter_damping=np.array([2.0 * math.sin((2 * j - 1) * math.pi / 16.0) * corner for j in range(1, 5)]),
+        filter_square=corner**2,
+        bias_v=float(instrument.bias_v),
+        square_law=of("drive_nonlinearity.eps"),
+        inverse_drive_gap=of("electrostatic_softening.1/g"),
+        inverse_sense_gap=of("sense_nonlinearity.1/g"),
+        stiffness_drift=of("frequency_drift.beta"),
+        damping_drift=of("damping_drift.gamma"),
+        gain_drift=of("gain_drift.gamma"),
+        cubic=of("cubic_stiffness.k3"),
+        quadratic_x=of("quadratic_stiffness.k2x"),
+        quadratic_y=of("quadratic_stiffness.k2y"),
+        drag=of("nonlinear_damping.d"),
+        pickoff_time_s=of("pickoff_pole.T"),
+        delay_s=of("loop_delay.tau"),
+        friction=of("coulomb_friction.F"),
+        friction_speed=float(values.get("coulomb_friction.s", 1.0)),
+        hysteresis=of("hysteresis.k"),
+        hysteresis_reach=float(values.get("hysteresis.r", 1.0)),
+        stop=of("stop.k"),
+        stop_gap=of("stop.g"),
+        coupling=of("mode_coupling.c"),
+        pump=of("parametric_pumping.h"),
+        pump_omega=2.0 * math.pi * of("parametric_pumping.f"),
+        heating=of("self_heating.b"),
+        cooling_per_s=1.0 / float(values.get("self_heating.tau", 1.0)),
+        resonance_omega=2.0 * math.pi * of("pickoff_resonance.f"),
+        resonance_damping=4.0 * math.pi * of("pickoff_resonance.f") * of("pickoff_resonance.zeta"),
+    )
+
+
+def response(
+    values: Mapping[str, float], drive_v: FloatArray, instrument: Instrument, steps: int = STEPS
+) -> FloatArray:
+    """The noise-free record (N, 2) [V] from rest, clipped where the converter's input stage saturates.
+
+    Raises
+    ------
+    ConfigError : an instrument that this simulator does not have, or a motion that diverges.
+    """
+    v = np.ascontiguousarray(drive_v, dtype=np.float64)
+    y = integrate(v, 1.0 / instrument.sample_rate_hz, steps, physics(values, instrument))
+    if not np.all(np.isfinite(y)):
+        raise ConfigError("the motion diverges", next_step="hide a weaker effect")
+    return clipped(y, values)
+
+
+def clipped(y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    """``y`` [V] behind the input stage of the converter."""
+    inverse = float(values.get("adc_saturation.1/level", 0.0))
+    return y if inverse == 0.0 else np.clip(y, -1.0 / inverse, 1.0 / inverse)
