@@ -133,7 +133,9 @@ def frequency_numbers(found: RouteResult) -> NumberGroup:
 
 def hankel_numbers(eq14: FloatArray, reduction: Reduction) -> NumberGroup:
     """Hankel singular values: of eq. (14), and of the order-40 model of the record."""
-    inconsistent = "does not follow from the printed M and ζ: a light mode has |M|₂/(4ζω), that is 11.8, 6.48, 3.30 here"
+    inconsistent = (
+        "does not follow from the printed M and ζ: a light mode has |M|₂/(4ζω), that is 11.8, 6.48, 3.30 here"
+    )
     rest = "what of the record is no mode: noise, hum and distortion of that record, not a property of the device"
     rows = tuple(
         PrintedNumber(

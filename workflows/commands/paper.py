@@ -1,0 +1,27 @@
+"""gyroscreen paper."""
+
+from __future__ import annotations
+
+import json as json_
+import sys
+from pathlib import Path
+
+from ..paper import write_paper
+from .identify import plain
+
+
+def paper(out: Path, json: bool) -> None:
+    """Redraw the paper as one page in the folder ``out``."""
+    path, content, seconds = write_paper(out, say=lambda what: print(f"  {what}", file=sys.stderr))
+    numbers = content.numbers
+    if json:
+        rows = [
+            {
+                "name": row.name, "where": row.where, "printed": row.value, "ours": row.ours,
+                "record": row.record, "deviation": plain(row.deviation), "agrees": row.agrees, "remark": row.remark,
+            }
+            for row in numbers
+        ]  # fmt: skip
+        print(json_.dumps({"page": str(path), "seconds": seconds, "numbers": rows}))
+        return
+    print(f"{path}: {sum(row.agrees for row in numbers)} of {len(numbers)} printed numbers agree; {seconds:.0f} s")
