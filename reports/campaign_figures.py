@@ -1,0 +1,200 @@
+"""The figures of a campaign's page, from its records and its content: name -> SVG text, "" where nothing can be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .campaign_content import CampaignContent
+from .campaign_wording import effect_words
+from .figures.channels import ChannelError, channel_errors
+from .figures.ladder import LadderPoint, ladder_plot
+from .figures.level import LevelCurve, level_plot
+from .figures.resonance import ResonancePanel, resonance_plot
+from .figures.spectrogram import SpectrogramRow, spectrograms
+from .record_view import RecordView, by_level, drive_band, drive_frequency, spectra, time_frequency
+
+#: Records that are pictured: pictures of all would bury what they show.
+_PICTURED = 3
+_RESONANCES = 4
+#: Most records in the figures of level and channels.
+_RECORDS = 24
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure about one record: SVG text and what it shows."""
+
+    record: str
+    what: str
+    svg: str
+
+
+@dataclass(frozen=True)
+class CampaignFigures:
+    """All figures; empty where nothing can be drawn."""
+
+    ladder: str
+    resonances: tuple[Picture, ...]
+    spectrograms: tuple[Picture, ...]
+    level: str
+    channels: str
+
+
+def campaign_figures(
+    content: CampaignContent, before: Sequence[RecordView], after: Sequence[RecordView] | None
+) -> CampaignFigures:
+    """All figures of the page.
+
+    Parameters
+    ----------
+    content : of the page.
+    before, after : the records as the first and the last model explain them; records are paired by name.
+    """
+    usable = [view for view in before if view.measured_v.shape[0] >= 64 and view.residual.size][:_RECORDS]
+    pairs = [(view, _same(view, after)) for view in usable]
+    worst = _worst(pairs)
+    groups = _resonances(content, usable)
+    return CampaignFigures(
+        ladder=_ladder(content),
+        resonances=tuple(
+            Picture(pair[0].name, f"around {_hz(group)} Hz", _resonance(pair, group, f"resonance-{k}-{j}"))
+            for k, pair in enumerate(worst[:2])
+            for j, group in enumerate(groups)
+        ),
+        spectrograms=tuple(
+            Picture(pair[0].name, "over time and frequency", _spectrogram(pair, f"spectrogram-{k}"))
+            for k, pair in enumerate(worst)
+        ),
+        level=_level(pairs),
+        channels=_channels(pairs),
+    )
+
+
+_Pair = tuple[RecordView, RecordView | None]
+
+
+def _same(view: RecordView, after: Sequence[RecordView] | None) -> RecordView | None:
+    for other in after or ():
+        if other.name == view.name and other.residual.shape == view.residual.shape:
+            return other
+    return None
+
+
+def _worst(pairs: Sequence[_Pair]) -> list[_Pair]:
+    """The worst fitted and the worst held-out record, then the worst of the others; repeats of a drive only once."""
+    order = sorted(pairs, key=lambda pair: -pair[0].error)
+    first = [next((p for p in order if p[0].role == role), None) for role in ("fit", "validate")]
+    chosen = [pair for pair in first if pair is not None]
+    for pair in order:
+        alike = any(np.array_equal(pair[0].drive_v, other.drive_v) for other, _ in chosen)
+        if not alike and len(chosen) < _PICTURED:
+            chosen.append(pair)
+    return chosen
+
+
+def _ladder(content: CampaignContent) -> str:
+    if not content.rungs:
+        return ""
+    relative = not any(one.error_fit or one.error_validate for one in content.rungs)
+    points = [
+        LadderPoint(one.name, one.status, one.relative_error, None, None, None)
+        if relative
+        else LadderPoint(one.name, one.status, one.error_fit, one.error_validate, one.misfit_fit, one.misfit_validate)
+        for one in content.rungs
+    ]
+    return ladder_plot(points, [effect_words(name) for name, _ in content.refused][:4], relative)
+
+
+def _resonances(content: CampaignContent, views: Sequence[RecordView]) -> list[list[float]]:
+    """Resonances [Hz] of the fitted model, close ones together; of the strongest response where none is known."""
+    known = sorted(
+        value.value
+        for row in content.parameters
+        if row.name.startswith("f") and row.name.endswith("_hz") and (value := row.after or row.before) is not None
+    )
+    if not views:
+        return []
+    if not known:
+        strongest = max(views, key=lambda view: float(np.ptp(view.measured_v)))
+        low, high = drive_band(strongest)
+        seen = spectra(strongest, (low, high))
+        if not seen.frequency_hz.size:
+            return []
+        known = [float(seen.frequency_hz[int(np.argmax(seen.measured.max(axis=1)))])]
+    reach = _half_width(views[0])
+    groups: list[list[float]] = []
+    for frequency in known:
+        if groups and frequency - groups[-1][-1] < reach:
+            groups[-1].append(frequency)
+        else:
+            groups.append([frequency])
+    nyquist = 0.5 * min(view.sample_rate_hz for view in views)
+    return [group for group in groups if group[-1] < nyquist][:_RESONANCES]
+
+
+def _half_width(view: RecordView) -> float:
+    """Thirty lines of the record's Fourier transform [Hz]: a resonance that a record can resolve fills a few."""
+    return 30.0 * view.sample_rate_hz / view.measured_v.shape[0]
+
+
+def _hz(group: Sequence[float]) -> str:
+    return " and ".join(f"{one:.1f}" for one in group)
+
+
+def _resonance(pair: _Pair, group: Sequence[float], name: str) -> str:
+    half = _half_width(pair[0])
+    band = (max(group[0] - half, 0.0), group[-1] + half)
+    panels = [
+        ResonancePanel("before" if not later else "after", spectra(view, band), later)
+        for later, view in enumerate(pair)
+        if view is not None
+    ]
+    if not all(panel.spectra.frequency_hz.size > 1 for panel in panels):
+        return ""
+    return resonance_plot([ResonancePanel(p.title, p.spectra, bool(p.after)) for p in panels], group, name)
+
+
+def _spectrogram(pair: _Pair, name: str) -> str:
+    views = [view for view in pair if view is not None]
+    titles = ["before", "after"][: len(views)]
+    nyquist = 0.5 * pair[0].sample_rate_hz
+    low, high = drive_band(pair[0])
+    room = max(0.2 * (high - low), _half_width(pair[0]))
+    near = (max(low - room, 0.0), min(high + room, nyquist))
+    bands = [("full band, Hz", (0.0, nyquist), 120.0)]
+    if near[1] - near[0] < 0.7 * nyquist:
+        bands.append(("band of the drive, Hz", near, 30.0))
+    rows = []
+    for label, band, segments in bands:
+        pictures = tuple(time_frequency(view, segments, band) for view in views)
+        if all(picture.over_noise_db.size for picture in pictures):
+            rows.append(SpectrogramRow(label, band, pictures))
+    if not rows:
+        return ""
+    return spectrograms(rows, titles, *drive_frequency(pair[0]), name)
+
+
+def _level(pairs: Sequence[_Pair]) -> str:
+    curves = [
+        LevelCurve(channel, view.role == "validate", bool(later), *by_level(view, channel))
+        for pair in pairs
+        for later, view in enumerate(pair)
+        if view is not None
+        for channel in range(view.senses)
+    ]
+    if not any(curve.level_v.size for curve in curves):
+        return ""
+    return level_plot(curves, pairs[0][0].senses)
+
+
+def _channels(pairs: Sequence[_Pair]) -> str:
+    rows = []
+    for first, second in pairs:
+        now = None if second is None else second.channel_errors()
+        for channel, error in enumerate(first.channel_errors()):
+            left = None if now is None else float(now[channel])
+            rows.append(ChannelError(first.name, first.role, channel, float(error), left))
+    return channel_errors(rows, pairs[0][0].senses) if rows else ""

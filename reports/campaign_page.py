@@ -1,0 +1,118 @@
+"""The page of a campaign: one self-contained HTML file that opens offline.
+
+compare, diagnose, refine, records --content--> CampaignContent --figures, templates--> HTML
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from pipeline.device.effect import Effect, find_effects
+
+from .campaign_content import CampaignContent, campaign_content
+from .campaign_figures import CampaignFigures, campaign_figures
+from .campaign_rows import Value, parameter_label
+from .campaign_wording import effect_words, error_words, kind_words, listed, p_words
+from .record_view import RecordView
+from .rendering import environment, measured, number, stylesheet
+
+__all__ = ["RecordView", "effect_texts", "render_campaign_report"]
+
+TEMPLATES = Path(__file__).parent / "templates"
+#: Rows of a table that are shown without a click.
+_SHOWN = 10
+
+
+def render_campaign_report(
+    device_id: str,
+    compare: Mapping[str, Any],
+    diagnose: Mapping[str, Any] | None,
+    refine: Mapping[str, Any] | None,
+    before: Sequence[RecordView],
+    after: Sequence[RecordView] | None,
+    *,
+    library: Mapping[str, Mapping[str, str]] | None = None,
+    verdicts: Mapping[str, str] | None = None,
+    truth: str | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """The page of a campaign as HTML text; the same input gives the same page.
+
+    Parameters
+    ----------
+    device_id : of the campaign.
+    compare, diagnose, refine : JSON of the three commands; absent keys leave out what they would have shown.
+    before, after : the records as the first and the last model explain them; none for a modal record.
+    library : effect -> law, signature, source, and units under "unit.<parameter>" (:func:`effect_texts`); what it does
+        not hold is taken from the library of the project.
+    verdicts : "before" and "after" of the decision.
+    truth : what was hidden, where somebody knows; shown at the end.
+    provenance : shown as it is; nested tables become dotted names.
+    """
+    texts = {**effect_texts(find_effects())}
+    for name, entry in (library or {}).items():
+        texts[name] = {**texts.get(name, {}), **entry}
+    content = campaign_content(
+        device_id, compare, diagnose, refine, library=texts, verdicts=verdicts, truth=truth, provenance=provenance
+    )
+    figures = campaign_figures(content, before, after)
+    env = environment()
+    env.filters["effect_name"] = effect_words
+    # Templates that are included see what the page was given, but their macros see globals only.
+    env.globals.update(
+        effect=effect_words, error=error_words, sized=_sized, p_words=p_words, chi2_width=_chi2_width, listed=listed
+    )
+    return env.get_template("campaign.html.j2").render(
+        c=content,
+        f=figures,
+        stylesheet=stylesheet() + Markup((TEMPLATES / "campaign.css").read_text(encoding="utf-8")),
+        sections=_sections(content, figures),
+        shown=_SHOWN,
+        parameter=parameter_label,
+        kind_words=kind_words,
+    )
+
+
+def _sized(value: Value) -> str:
+    return measured(value.value, value.sd) if value.sd > 0.0 else number(value.value, 6)
+
+
+def _chi2_width(fall: float, widest: float) -> float:
+    """Width [px] of the bar of a fall of chi2, logarithmic from 1."""
+    if not (fall > 1.0 and widest > 1.0):
+        return 1.0
+    return float(min(100.0 * math.log(fall) / math.log(widest), 100.0))
+
+
+def effect_texts(effects: Mapping[str, Effect]) -> dict[str, dict[str, str]]:
+    """Law, signature and source of effects in words, and the unit of each parameter under "unit.<parameter>"."""
+    return {
+        name: {
+            "law": effect.law,
+            "signature": effect.signature,
+            "source": effect.source,
+            **{f"unit.{parameter.name}": parameter.unit for parameter in effect.parameters},
+        }
+        for name, effect in effects.items()
+    }
+
+
+def _sections(content: CampaignContent, figures: CampaignFigures) -> tuple[tuple[str, str], ...]:
+    return tuple(
+        (key, name)
+        for key, name, there in (
+            ("ladder", "Ladder", bool(content.rungs)),
+            ("where", "Where it fails", bool(content.regions or figures.channels)),
+            ("candidates", "Candidates", bool(content.candidates)),
+            ("parameters", "Parameters", bool(content.parameters)),
+            ("laws", "The physics", bool(content.laws)),
+            ("truth", "The truth", bool(content.truth)),
+            ("provenance", "Provenance", bool(content.provenance)),
+        )
+        if there
+    )

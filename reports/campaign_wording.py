@@ -1,0 +1,228 @@
+"""Sentences of a campaign's page, from verdicts and errors.  No HTML."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .wording import PERCENT, SUPERSCRIPT, percent
+
+_WORDS = {
+    "offdiagonal": "off-diagonal",
+    "updown": "up-down",
+    "pickoff": "pick-off",
+    "adc": "ADC",
+}
+_HELD = "on records the fit had not seen"
+
+
+@dataclass(frozen=True)
+class Fall:
+    """An error before and after.
+
+    Parameters
+    ----------
+    before, after : ``None`` where not known.
+    held_out : on records that the fit had not seen.
+    relative : rms(measured - model) / rms(measured), where the noise is not known.
+    """
+
+    before: float | None
+    after: float | None
+    held_out: bool
+    relative: bool = False
+
+    @property
+    def where(self) -> str:
+        """On which records."""
+        return _HELD if self.held_out else "on the fitted records"
+
+    @property
+    def what(self) -> str:
+        """The error's name."""
+        return "relative error" if self.relative else "error"
+
+
+def effect_words(name: str) -> str:
+    """An effect's name in words: "pickoff_pole" is "pick-off pole"."""
+    return " ".join(_WORDS.get(word, word) for word in name.split("_"))
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """ "a, b and c" """
+    return f"{', '.join(names[:-1])} {last} {names[-1]}" if len(names) > 1 else "".join(names)
+
+
+def error_words(value: float | None, relative: bool = False) -> str:
+    """An error with the digits that matter: two decimals near the noise, three figures far above it."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if relative:
+        return percent(value) if value >= 0.001 else f"{100.0 * value:.2g}{PERCENT}"
+    return (
+        f"{value:,.0f}".replace(",", "\u202f")
+        if value >= 1000.0
+        else f"{value:.3g}"
+        if value >= 10.0
+        else f"{value:.2f}"
+    )
+
+
+def missing_sentence(
+    verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]], added: bool, tried: Sequence[str] = ()
+) -> str:
+    """What was missing, in one sentence.
+
+    Parameters
+    ----------
+    verdict : of the last rung, of the diagnosis, or "" where only a comparison was made.
+    effects : added or named.
+    classes : members that these records cannot tell apart.
+    added : the effects are in the last model ("was"), not only named ("is").
+    tried : rungs climbed although a misfit is left.
+    """
+    was = "was" if added else "is"
+    if verdict == "fit_failed":
+        return "The model could not be fitted, so nothing can be said about what is missing."
+    if verdict == "unknown":
+        also = (
+            f" {listed([effect_words(name) for name in effects or tried]).capitalize()} alone cannot account for it."
+            if effects or tried
+            else ""
+        )
+        return f"Something {was} missing that no effect of the library explains.{also}"
+    if not effects:
+        if verdict == "class" and classes:
+            return f"What {was} missing: {_one_of(classes[0])}."
+        if verdict == "adequate":
+            return "Nothing is missing: these records show no effect beyond the model."
+        return "How well the model explains these records."
+    words = [_with_class(name, classes) for name in effects]
+    return f"What {was} missing: {listed(words)}."
+
+
+def _with_class(name: str, classes: Sequence[Sequence[str]]) -> str:
+    for members in classes:
+        if name in members and len(members) > 1:
+            return _one_of(members)
+    return effect_words(name)
+
+
+def _one_of(members: Sequence[str]) -> str:
+    return listed([effect_words(name) for name in members], "or")
+
+
+def fall_sentence(fall: Fall, verdict: str) -> str:
+    """How far the error fell, or where it stands; empty where it is not known."""
+    before, after = error_words(fall.before, fall.relative), error_words(fall.after, fall.relative)
+    if fall.before is not None and fall.after is not None:
+        if before == after or fall.after > fall.before:
+            return f"The {fall.what} went from {before} to {after} {fall.where}."
+        return f"The {fall.what} fell from {before} to {after} {fall.where}."
+    if fall.before is None and fall.after is None:
+        return ""
+    value = after if fall.after is not None else before
+    if fall.relative:
+        return f"The {fall.what} is {value} {fall.where}."
+    if verdict in ("", "effect", "class", "unknown", "fit_failed"):
+        return f"The {fall.what} is {value} {fall.where}; 1.00 would be the noise alone."
+    return f"The {fall.what} is {value} {fall.where}: the noise alone gives 1.00."
+
+
+def standing_notes(
+    verdict: str,
+    classes: Sequence[Sequence[str]],
+    statuses: Mapping[str, str],
+    wrong_form: Mapping[str, Any],
+    left: str,
+    why: str,
+    separating: str,
+) -> tuple[str, ...]:
+    """What the reader must know beside the two sentences of the head."""
+    notes = []
+    for members in classes:
+        if len(members) > 1:
+            how = f" A record that would: {separating}." if separating else " No record of this instrument would."
+            notes.append(f"These records cannot tell {_one_of(members)} apart.{how}")
+    for name in wrong_form:
+        by = wrong_form[name].get("by", "") if isinstance(wrong_form[name], Mapping) else ""
+        notes.append(
+            f"Right place, wrong form: the size of {effect_words(name)} disagrees"
+            + (f" between {_parts(str(by))}." if by else ".")
+        )
+    doubted = [
+        effect_words(name) for name, status in statuses.items() if status == "partial" and name not in wrong_form
+    ]
+    if doubted and verdict != "unknown":
+        notes.append(
+            f"Partial: {listed(doubted)} is significant on the fitted records, and the held-out ones see too little of it "
+            "to confirm it."
+            if len(doubted) == 1
+            else f"Partial: {listed(doubted)} are significant on the fitted records, and the held-out ones see too little "
+            "of them to confirm them."
+        )
+    if verdict == "unknown" and left:
+        notes.append(f"What is left: {left}.")
+    if verdict == "fit_failed" and why:
+        notes.append(f"Why: {why}.")
+    return tuple(notes)
+
+
+def _parts(partition: str) -> str:
+    return {"block": "records", "level": "drive levels", "direction": "sweep directions"}.get(
+        partition, f"{partition}s"
+    )
+
+
+def kind_words(kind: str) -> str:
+    """A kind of region, as in "By ..."."""
+    return {
+        "resonance": "resonance",
+        "line": "fixed line",
+        "broadband": "band of frequencies",
+        "harmonic": "harmonic of the drive",
+        "level": "level of the response",
+    }.get(kind, kind.replace("_", " "))
+
+
+def p_words(p_value: float | None) -> str:
+    """A p-value; the power of ten where it is small, and its order alone where it is tiny."""
+    if p_value is None:
+        return "–"
+    if p_value < 1e-99:
+        return "< 10⁻⁹⁹"
+    if p_value < 1e-3:
+        exponent = math.floor(math.log10(p_value))
+        return f"{p_value / 10.0**exponent:.0f}·10{str(exponent).translate(SUPERSCRIPT)}"
+    return f"{p_value:.2g}"
+
+
+def region_words(region: Mapping[str, Any]) -> str:
+    """Where a region lies: record, channel, band, time, and whatever else labels it."""
+    parts = []
+    for key, value in region.items():
+        if value is None or key in ("kind", "share", "error", "explained", "p_value"):
+            continue
+        span = _span(value)
+        if key == "band_hz":
+            parts.append(f"{span} Hz")
+        elif key == "time_s":
+            parts.append(f"{span} s")
+        elif key == "channel":
+            parts.append(f"sense {value}" if not str(value).startswith("sense") else str(value))
+        elif key == "record":
+            parts.append(str(value))
+        elif key.endswith(("_hz", "_s", "_v")):
+            stem, _, unit = key.rpartition("_")
+            parts.append(f"{stem.replace('_', ' ')} {span} {unit.replace('hz', 'Hz').replace('v', 'V')}")
+        else:
+            parts.append(f"{key.replace('_', ' ')} {span}")
+    return ", ".join(parts) or "everywhere"
+
+
+def _span(value: Any) -> str:
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return " to ".join(_span(end) for end in value)
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
