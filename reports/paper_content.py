@@ -1,6 +1,7 @@
 """What the page of the paper shows: printed numbers beside ours, and the arrays of its figures.
 
-A printed number agrees when it differs by no more than half a unit of its last digit.  Every other one carries the reason.
+A printed number agrees when it differs by no more than half a unit of its last digit, and is consistent when it differs by
+no more than that and what its inputs leave open.  Every other one carries the reason.
 
 Shapes: N samples, F frequencies, S = 2 senses, D = 2 drives.  Units in the names.
 """
@@ -8,6 +9,7 @@ Shapes: N samples, F frequencies, S = 2 senses, D = 2 drives.  Units in the name
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from pipeline.arrays import ComplexArray, FloatArray
 
@@ -24,6 +26,8 @@ class PrintedNumber:
     record : the same by the whole chain from a simulated record of eq. (14); ``None`` where a record has no say.
     unit : of all of them.
     remark : why they differ, where they do.
+    relation : "=", or "<" and ">" where the print states a bound.
+    spread : how far the compared number can move within the rounding of its inputs, or by the noise of the record (3 sd).
     """
 
     name: str
@@ -33,6 +37,8 @@ class PrintedNumber:
     record: float | None = None
     unit: str = ""
     remark: str = ""
+    spread: float = 0.0
+    relation: Literal["=", "<", ">"] = "="
 
     @property
     def value(self) -> float:
@@ -59,8 +65,15 @@ class PrintedNumber:
 
     @property
     def agrees(self) -> bool:
-        """Whether the deviation is rounding."""
+        """Whether the deviation is the rounding of the print, or the bound holds."""
+        if self.relation != "=":
+            return self.deviation < 0.0 if self.relation == "<" else self.deviation > 0.0
         return abs(self.deviation) <= self.half_digit * (1.0 + 1e-9)
+
+    @property
+    def consistent(self) -> bool:
+        """Whether it is that, or what the inputs leave open."""
+        return self.agrees or abs(self.deviation) <= self.half_digit * (1.0 + 1e-9) + self.spread
 
 
 @dataclass(frozen=True)
@@ -101,12 +114,16 @@ class ResponseView:
 
 @dataclass(frozen=True, eq=False)
 class HankelView:
-    """Hankel singular values (K,) of the order-40 model and of eq. (14), and the printed ones (8,)."""
+    """Hankel singular values (K,) of the order-40 model and of eq. (14), and the printed ones (8,).
+
+    ``error_bound`` of six states over the whole axis, ``band_error`` what they leave around the modes, both as H-infinity norms.
+    """
 
     model: FloatArray
     eq14: FloatArray
     printed: FloatArray
     error_bound: float
+    band_error: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,9 +33,12 @@ def render_paper(content: PaperContent) -> str:
 
 
 _STYLE = """
-td.yes { color: #00694e; white-space: nowrap; } td.no { color: #a34700; white-space: nowrap; }
-table.numbers { width: 100%; } table.numbers td:last-child { width: 40%; }
-table.numbers tr.no td:nth-child(3), table.numbers tr.no td:nth-child(4) { font-weight: 600; }
+body { max-width: 900px; } figure svg { width: 100%; }
+td.yes { color: #00694e; }
+table.numbers { width: 100%; }
+table.numbers td:not(:last-child) { white-space: nowrap; }
+table.numbers td:last-child { width: 38%; }
+table.numbers tr.no td { font-weight: 600; } table.numbers tr.no td:last-child { font-weight: 400; }
 .big { font-size: 1.5rem; font-weight: 700; line-height: 1.25; margin: 4px 0 8px; }
 """
 
@@ -44,7 +47,7 @@ def printed(row: PrintedNumber) -> str:
     """The number with the digits of the print."""
     mantissa, _, exponent = row.printed.partition("e")
     text = f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}" if exponent else mantissa
-    return text.replace("-", "−")
+    return {"=": "", "<": "< ", ">": "> "}[row.relation] + text.replace("-", "−")
 
 
 def ours(value: float | None, row: PrintedNumber) -> str:
@@ -62,6 +65,10 @@ def ours(value: float | None, row: PrintedNumber) -> str:
 
 
 def deviation(row: PrintedNumber) -> str:
-    """Deviation with its sign; in percent of the print beside it where it is large."""
+    """Deviation with its sign; whether it holds for a bound."""
+    if row.relation != "=":
+        return "holds" if row.agrees else "does not hold"
+    if abs(row.deviation) < 1e-9 * abs(row.value):
+        return "0"
     sign = "+" if row.deviation > 0.0 else ""
-    return sign + number(row.deviation, 2) if row.deviation else "0"
+    return sign + number(row.deviation, 2)

@@ -1,30 +1,30 @@
 """The printed numbers of the paper, each beside the one that follows from what is printed before it.
 
 Inputs are eq. (14) and (15) with the one sign put right (``configs/eq14.toml``); everything else is computed from them:
-phase correction (16), Markov parameters (17), singular values, gains (18), the four thetas, Tables 1 and 2.
+phase correction (16), Markov parameters (17), singular values, gains (18), the four thetas.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.experiment.modal_record import ModalRecord, read_modal_record
-from pipeline.identification.damping_study import largest_axis_error_deg, largest_damping_eigenvalue, rocking_motion
+from pipeline.identification.axes import axes, gains_from_updown
 from pipeline.identification.hankel import StateSpace, balance
 from pipeline.identification.modes import ContinuousModes, hold_gain, modes_from_fractions
 from pipeline.identification.phase import correct_phase_hinf
 from pipeline.identification.reduction import Reduction
-from pipeline.identification.route import RouteResult, identify_modal
+from pipeline.identification.route import RouteResult, identify_modal, route_from_modes
 from reports.paper_content import NumberGroup, PrintedNumber
 
 EQ14 = Path(__file__).parent / "configs" / "eq14.toml"
 RATE_HZ = 10_000.0
-TAU = 2.0 * np.pi
 _CHANNELS = ("S1/D1", "S1/D2", "S2/D1", "S2/D2")
 _R1 = (("6.067", "-0.9687", "-21.06", "3.649"), ("-5.423", "-19.02", "-1.233", "-4.559"),
        ("21.31", "21.34", "23.09", "23.13"))  # fmt: skip
@@ -34,7 +34,11 @@ _M = (("6.240", "-0.8787", "-26.52", "4.014"), ("-5.425", "-24.10", "1.153", "-5
       ("27.49", "27.53", "29.70", "29.74"))  # fmt: skip
 HANKEL = ("15.2", "15.2", "6.75", "6.75", "3.49", "3.48", "0.0652", "0.0651")
 THETAS = ("-30.76", "-36.44", "-33.40", "-32.31")
-_ROUNDED = "rounding of the inputs: eq. (14) and (15) are printed to four digits"
+_ROUNDED = "within the rounding of eq. (14) and (15)"
+_NOISE = "within the noise of the record (3 sd)"
+
+
+Relation = Literal["=", "<", ">"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,47 +76,106 @@ def hankel_of(modes: ContinuousModes) -> FloatArray:
     return balance(StateSpace(a, b, c, np.zeros((senses, drives)))).hankel
 
 
-def _matrix(
-    name: str, where: str, printed: Sequence[str], ours: FloatArray | None, record: FloatArray, remarks: dict[int, str]
-) -> list[PrintedNumber]:
-    flat = None if ours is None else ours.ravel()
-    return [
-        PrintedNumber(
-            f"{name}, {_CHANNELS[k]}",
-            where,
-            text,
-            None if flat is None else float(flat[k]),
-            float(record.ravel()[k]),
-            remark=remarks.get(k, ""),
+def derived(route: RouteResult, M: FloatArray | None = None) -> dict[str, float]:
+    """Everything that Section 4 prints of a device, by name; ``M`` (3, 2, 2) in place of the route's own."""
+    M = route.M if M is None else M
+    out: dict[str, float] = {}
+    filtered = route.filtered
+    for k in range(3):
+        out[f"frequency of mode {k + 1}"] = float(filtered.frequency_hz[k])
+        out[f"damping ratio of mode {k + 1}"] = float(filtered.zeta[k])
+        for name, matrix in (("R1", filtered.R1[k]), ("R0", filtered.R0[k])):
+            out |= {f"{name} of mode {k + 1}, {c}": float(v) for c, v in zip(_CHANNELS, matrix.ravel())}
+        out |= {f"M{k + 1}, {c}": float(v) for c, v in zip(_CHANNELS, M[k].ravel())}
+    u, size, vt = np.linalg.svd(M[2])
+    sense, drive = np.abs(u[:, 0]), np.abs(vt[0])
+    out |= {"K_S1": sense[0], "K_S2": sense[1], "K_D1": drive[0], "K_D2": drive[1]}
+    out |= {"σ1 of M3": size[0], "σ2 of M3": size[1], "condition of M3": size[0] / size[1]}
+    out["sense gain imbalance"] = 100.0 * (1.0 - sense[0] / sense[1])
+    found = axes(M[0], M[1], gains_from_updown(M[2]))
+    for k, (first, second) in enumerate(found.singular_values):
+        # The paper takes singular vectors of unit length for the gains, we a mean gain of one.
+        scale = 1.0 / (sense.mean() * drive.mean())
+        out[f"σ1 of M̃{k + 1} · ν_S ν_D"], out[f"σ2 of M̃{k + 1} · ν_S ν_D"] = first * scale, second * scale
+        out[f"condition of M̃{k + 1}"] = first / second
+    out |= {f"θ from {name}": float(v) for name, v in zip(("u1", "v1", "u2", "v2"), found.theta_deg)}
+    out["largest discrepancy"] = float(np.ptp(found.theta_deg))
+    out["discrepancy of mode 2, about"] = float(abs(found.theta_deg[2] - found.theta_deg[3]))
+    return {name: float(value) for name, value in out.items()}
+
+
+def rounding_spread(eq14: Eq14, draws: int = 300) -> dict[str, float]:
+    """How far each derived number moves while the inputs move within half a unit of their last digit."""
+    random = np.random.default_rng(0)
+    record = eq14.record
+    centre = derived(eq14.route)
+    spread = dict.fromkeys(centre, 0.0)
+    for _ in range(draws):
+        f = record.frequency_hz + random.uniform(-0.05, 0.05, 3)
+        zeta = record.zeta + random.uniform(-1.0, 1.0, 3) * np.array([0.5e-7, 0.5e-7, 0.5e-6])
+        r1, r0 = (_within(printed, random) for printed in (_R1, _R0))
+        r0[2, 0, 1] *= -1.0
+        moved = derived(route_from_modes(modes_from_fractions(f, zeta, r1, r0), record.antialias))
+        spread = {name: max(spread[name], abs(moved[name] - centre[name])) for name in centre}
+    return spread
+
+
+def _within(printed: Sequence[Sequence[str]], random: np.random.Generator) -> FloatArray:
+    numbers = [[PrintedNumber("", "", text, None) for text in row] for row in printed]
+    drawn = [[n.value + n.half_digit * random.uniform(-1.0, 1.0) for n in row] for row in numbers]
+    return np.array(drawn).reshape(3, 2, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """Derived numbers from eq. (14), from a record of it, and how far each may move by rounding and by noise."""
+
+    eq14: dict[str, float]
+    record: dict[str, float]
+    rounding: dict[str, float]
+    noise: dict[str, float]
+
+    def row(
+        self, name: str, where: str, printed: str, unit: str = "", remark: str = "", relation: Relation = "="
+    ) -> PrintedNumber:
+        """A number that follows from eq. (14)."""
+        row = PrintedNumber(
+            name, where, printed, self.eq14[name], self.record[name], unit, remark, self.rounding[name], relation
         )
-        for k, text in enumerate(printed)
-    ]
+        return row if row.agrees or remark or not row.consistent else replace(row, remark=_ROUNDED)
+
+    def again(self, name: str, where: str, printed: str, unit: str = "", remark: str = "") -> PrintedNumber:
+        """A number of eq. (14) or (15) itself, from the record."""
+        row = PrintedNumber(name, where, printed, None, self.record[name], unit, remark, self.noise[name])
+        return row if row.agrees or remark or not row.consistent else replace(row, remark=_NOISE)
 
 
-def model_numbers(found: RouteResult) -> NumberGroup:
+def sources(eq14: Eq14, found: Sequence[RouteResult]) -> Sources:
+    """Of eq. (14) and of routes from records of it that differ in their noise; the first one is shown."""
+    each = [derived(route) for route in found]
+    sd = {name: float(np.std([one[name] for one in each], ddof=1)) for name in each[0]}
+    hinf = derived(eq14.route, correct_phase_hinf(eq14.modes, eq14.record.antialias))
+    return Sources(hinf, each[0], rounding_spread(eq14), {name: 3.0 * value for name, value in sd.items()})
+
+
+def model_numbers(of: Sources) -> NumberGroup:
     """Eq. (14) and (15) identified again from a simulated record of them."""
-    filtered = found.filtered
-    f, zeta = filtered.frequency_hz, filtered.zeta
-    by_print = "identified again, with the noise of a 60 dB record"
     rows = []
     for k, (text, damping) in enumerate(zip(("534.5", "536.4", "590.3"), ("3.167e-4", "1.586e-4", "11.70e-4"))):
-        rows.append(PrintedNumber(f"frequency of mode {k + 1}", "eq. (15)", text, None, float(f[k]), "Hz"))
-        rows.append(PrintedNumber(f"damping ratio of mode {k + 1}", "eq. (15)", damping, None, float(zeta[k])))
+        rows.append(of.again(f"frequency of mode {k + 1}", "eq. (15)", text, "Hz"))
+        rows.append(of.again(f"damping ratio of mode {k + 1}", "eq. (15)", damping))
     sign = "sign misprinted: +64740; with −64740 the up-down mode would not move all electrodes alike"
-    for k in range(3):
-        rows += _matrix(f"R1 of mode {k + 1}", "eq. (14)", _R1[k], None, filtered.R1[k], {})
-        rows += _matrix(f"R0 of mode {k + 1}", "eq. (14)", _R0[k], None, filtered.R0[k], {1: sign} if k == 2 else {})
-    with_why = tuple(row if row.agrees or row.remark else _because(row, by_print) for row in rows)
+    for name, printed in (("R1", _R1), ("R0", _R0)):
+        for k in range(3):
+            for j, channel in enumerate(_CHANNELS):
+                why = sign if (name, k, j) == ("R0", 2, 1) else ""
+                rows.append(of.again(f"{name} of mode {k + 1}, {channel}", "eq. (14)", printed[k][j], "", why))
     return NumberGroup(
         "The six-state model, eq. (14) and (15)",
-        "A record was simulated from eq. (14) itself (the paper's chirps, 60 dB, hum, 16 bits) and identified by the paper's "
-        "chain: bandpass, 2 s window, lattice of order 40, three modes, zero-order hold inverted.",
-        with_why,
+        "A record was simulated from eq. (14) itself (the paper's chirps, 60 dB, hum, 16 bits) and identified by the "
+        "paper's chain: bandpass, 2 s window, lattice of order 40, three modes, zero-order hold inverted.",
+        tuple(rows),
     )
-
-
-def _because(row: PrintedNumber, remark: str) -> PrintedNumber:
-    return PrintedNumber(row.name, row.where, row.printed, row.ours, row.record, row.unit, remark)
 
 
 def frequency_numbers(found: RouteResult) -> NumberGroup:
@@ -120,23 +183,19 @@ def frequency_numbers(found: RouteResult) -> NumberGroup:
     instrument = "another instrument on the real device: cannot be computed; the print itself is this far from eq. (15)"
     f = (534.5, 536.4, 590.3)
     rows = [
-        PrintedNumber(f"vibrometer, mode {k + 1}", "sec. 4.1", text, f[k], None, "Hz", instrument)
+        PrintedNumber(f"vibrometer, mode {k + 1}", "sec. 4.1", text, f[k], None, "Hz", "as above" if k else instrument)
         for k, text in enumerate(("534.6", "536.5", "590.0"))
     ]
     rows.append(PrintedNumber("frequency split", "Table 2", "1.90", f[1] - f[0], found.arx_split_hz, "Hz"))
     share = 100.0 * (f[1] - f[0]) / f[0]
-    rows.append(
-        PrintedNumber("split, bound", "sec. 4.2", "0.4", share, None, "%", "printed as “less than 0.4 %”: it is")
-    )
+    rows.append(PrintedNumber("split over frequency", "sec. 4.2", "0.4", share, None, "%", relation="<"))
     return NumberGroup("Frequencies", "", tuple(rows))
 
 
 def hankel_numbers(eq14: FloatArray, reduction: Reduction) -> NumberGroup:
     """Hankel singular values: of eq. (14), and of the order-40 model of the record."""
-    inconsistent = (
-        "does not follow from the printed M and ζ: a light mode has |M|₂/(4ζω), that is 11.8, 6.48, 3.30 here"
-    )
-    rest = "what of the record is no mode: noise, hum and distortion of that record, not a property of the device"
+    first = "does not follow from the printed M and ζ: a light mode has |M|₂/(4ζω), that is 11.8, 6.48 and 3.30 here"
+    rest = "what of the record is no mode (noise, hum): a property of that record, not of the device"
     rows = tuple(
         PrintedNumber(
             f"Hankel value {k + 1}",
@@ -144,149 +203,53 @@ def hankel_numbers(eq14: FloatArray, reduction: Reduction) -> NumberGroup:
             text,
             float(eq14[k]) if k < 6 else None,
             float(reduction.hankel[k]),
-            remark=inconsistent if k < 6 else rest,
+            remark=first if k == 0 else "as above" if k < 6 else rest if k == 6 else "as above",
         )
         for k, text in enumerate(HANKEL)
     )
     return NumberGroup("Hankel singular values", "", rows)
 
 
-def markov_numbers(eq14: Eq14, found: RouteResult) -> NumberGroup:
+def markov_numbers(of: Sources) -> NumberGroup:
     """M1 to M3 by the H-infinity phase correction (16)."""
-    ours = correct_phase_hinf(eq14.modes, eq14.record.antialias)
-    rows: list[PrintedNumber] = []
     sign = "sign misprinted: eq. (14) has −1.233 s − 727.3 there, and only −1.153 gives the printed singular values"
-    for k in range(3):
-        rows += _matrix(f"M{k + 1}", "eq. (17)", _M[k], ours[k], found.M[k], {2: sign} if k == 1 else {})
-    return NumberGroup(
-        "First Markov parameters, eq. (16) and (17)",
-        "",
-        tuple(row if row.agrees or row.remark else _because(row, _ROUNDED) for row in rows),
+    rows = tuple(
+        of.row(f"M{k + 1}, {channel}", "eq. (17)", _M[k][j], "", sign if (k, j) == (1, 2) else "")
+        for k in range(3)
+        for j, channel in enumerate(_CHANNELS)
     )
+    return NumberGroup("First Markov parameters, eq. (16) and (17)", "", rows)
 
 
-def gain_numbers(eq14: Eq14, found: RouteResult) -> NumberGroup:
+def gain_numbers(of: Sources) -> NumberGroup:
     """SVD of M3, the gains, and the rank-one tests of the rocking modes."""
-    pair = []
-    for M, gains in ((eq14.route.M, eq14.route.gains), (found.M, found.gains)):
-        u, size, vt = np.linalg.svd(M[2])
-        sense, drive = np.abs(u[:, 0]), np.abs(vt[0])
-        scale = 1.0 / (sense.mean() * drive.mean())
-        pair.append((sense, drive, size, scale, gains))
-    (sense, drive, size, scale, _), (sense_r, drive_r, size_r, scale_r, _) = pair
-    digits = "M3 is printed to four digits, which fixes its second singular value only to 0.003"
-    rows = [
-        PrintedNumber("K_S1", "sec. 4.2", "0.6793", sense[0], sense_r[0]),
-        PrintedNumber("K_S2", "sec. 4.2", "0.7338", sense[1], sense_r[1]),
-        PrintedNumber("K_D1", "sec. 4.2", "0.7066", drive[0], drive_r[0]),
-        PrintedNumber("K_D2", "sec. 4.2", "0.7076", drive[1], drive_r[1]),
-        PrintedNumber("first singular value of M3", "sec. 4.2", "57.27", size[0], size_r[0]),
-        PrintedNumber("second singular value of M3", "sec. 4.2", "1.370e-5", size[1], size_r[1], remark=digits),
-        PrintedNumber(
-            "condition of M3, at least", "sec. 4.2", "4e6", size[0] / size[1], size_r[0] / size_r[1],
-            remark=digits + "; no measurement of a device reaches 4·10⁶",
-        ),
-        PrintedNumber(
-            "sense gain imbalance", "sec. 4.2", "7.4", 100.0 * (1.0 - sense[0] / sense[1]),
-            100.0 * (1.0 - sense_r[0] / sense_r[1]), "%",
-        ),
-    ]  # fmt: skip
-    values = (("26.6797", "0.0656"), ("26.2276", "0.0490"))
-    for k, texts in enumerate(values):
-        ours, theirs = eq14.route.axes.singular_values[k], found.axes.singular_values[k]
-        for j, text in enumerate(texts):
-            which = ("first", "second")[j]
-            rows.append(
-                PrintedNumber(
-                    f"{which} singular value of M̃{k + 1} · ν_S ν_D",
-                    "sec. 4.2",
-                    text,
-                    ours[j] * scale,
-                    theirs[j] * scale_r,
-                )
-            )
-        rows.append(
-            PrintedNumber(
-                f"condition of M̃{k + 1}, above", "sec. 4.2", "400", eq14.route.axes.conditions[k],
-                found.axes.conditions[k], remark="printed as “greater than 400”: it is",
-            )
-        )  # fmt: skip
-    return NumberGroup(
-        "Gains and rank-one tests",
-        "",
-        tuple(row if row.agrees or row.remark else _because(row, _ROUNDED) for row in rows),
+    digits = (
+        "four digits of M3 fix it only to 0.003; from a record it is as small as printed, since the residue of an ARX "
     )
+    digits += "pole is of rank one by construction: it says nothing of the device"
+    rows = (
+        of.row("K_S1", "sec. 4.2", "0.6793"),
+        of.row("K_S2", "sec. 4.2", "0.7338"),
+        of.row("K_D1", "sec. 4.2", "0.7066"),
+        of.row("K_D2", "sec. 4.2", "0.7076"),
+        of.row("sense gain imbalance", "sec. 4.2", "7.4", "%"),
+        of.row("σ1 of M3", "sec. 4.2", "57.27"),
+        of.row("σ2 of M3", "sec. 4.2", "1.370e-5", "", digits),
+        of.row("condition of M3", "sec. 4.2", "4e6", "", "as above", ">"),
+        of.row("σ1 of M̃1 · ν_S ν_D", "sec. 4.2", "26.6797"),
+        of.row("σ2 of M̃1 · ν_S ν_D", "sec. 4.2", "0.0656"),
+        of.row("condition of M̃1", "sec. 4.2", "400", "", "", ">"),
+        of.row("σ1 of M̃2 · ν_S ν_D", "sec. 4.2", "26.2276"),
+        of.row("σ2 of M̃2 · ν_S ν_D", "sec. 4.2", "0.0490"),
+        of.row("condition of M̃2", "sec. 4.2", "400", "", "", ">"),
+    )
+    return NumberGroup("Gains and rank-one tests (σ: singular values)", "", rows)
 
 
-def theta_numbers(eq14: Eq14, found: RouteResult) -> NumberGroup:
+def theta_numbers(of: Sources) -> NumberGroup:
     """The four estimates of theta."""
-    ours, record = eq14.route.axes.theta_deg, found.axes.theta_deg
-    rows = [
-        PrintedNumber(f"θ from {name}", "sec. 4.2", text, float(ours[k]), float(record[k]), "deg")
-        for k, (name, text) in enumerate(zip(("u1", "v1", "u2", "v2"), THETAS))
-    ]
-    spread, spread_r = (float(np.ptp(t)) for t in (ours, record))
-    less = "printed as “less than 6 degrees”: it is"
-    about = "printed as “about 1 degree”: it is"
-    rows.append(PrintedNumber("largest discrepancy", "sec. 4.2", "6", spread, spread_r, "deg", less))
-    near, near_r = (float(abs(t[2] - t[3])) for t in (ours, record))
-    rows.append(PrintedNumber("discrepancy of mode 2", "sec. 4.2", "1", near, near_r, "deg", about))
-    return NumberGroup(
-        "The four estimates of θ",
-        "",
-        tuple(row if row.agrees or row.remark else _because(row, _ROUNDED) for row in rows),
-    )
-
-
-def table1_numbers(eq14: Eq14) -> NumberGroup:
-    """Table 1 and what Section 5.1 says of the damping."""
-    f, zeta = eq14.record.frequency_hz[:2], eq14.record.zeta[:2]
-    wider = np.array([f[0], f[0] + 1.95])
-    rows = []
-    for bound, text in ((1, "0.024"), (2, "0.10"), (4, "0.38"), (8, "1.5"), (16, "6.3"), (32, "45")):
-        other = largest_axis_error_deg(wider, float(bound))
-        why = f"follows from a split of 1.95 Hz ({other:.3g}), which rounds like the printed frequencies may"
-        ours = largest_axis_error_deg(f, float(bound))
-        row = PrintedNumber(f"Δθ at δ = {bound}/s", "Table 1", text, ours, None, "deg")
-        rows.append(row if row.agrees else _because(row, why))
-    delta = largest_damping_eigenvalue(f, zeta)
-    rows.append(PrintedNumber("largest eigenvalue of C", "eq. (21)", "3.2", delta, None, "1/s"))
-    half = "printed as “less than half a degree”: it is"
-    worst = largest_axis_error_deg(f, delta)
-    rows.append(PrintedNumber("Δθ at δ = 3.2/s, below", "sec. 5.1", "0.5", worst, None, "deg", half))
-    c11, c22 = (2.0 * zeta * TAU * f).tolist()
-    low, high = np.linalg.eigvalsh(np.array([[c11, c22], [c22, c22]]))
-    rows.append(PrintedNumber("larger eigenvalue of C at c12 = c22", "sec. 5.2", "2.7909", float(high), None, "1/s"))
-    rows.append(PrintedNumber("smaller eigenvalue of C at c12 = c22", "sec. 5.2", "0.4053", float(low), None, "1/s"))
-    seven = "printed as “almost seven times”: it is"
-    rows.append(PrintedNumber("their ratio", "sec. 5.2", "7", float(high / low), None, "", seven))
-    return NumberGroup(
-        "Table 1: error of θ against a bound δ on the damping",
-        "The largest error over all positive semidefinite C with eigenvalues up to δ, searched from scratch.",
-        tuple(row if row.agrees or row.remark else _because(row, _ROUNDED) for row in rows),
-    )
-
-
-def table2_numbers(eq14: Eq14) -> NumberGroup:
-    """Table 2: ellipses of the rocking modes."""
-    f, zeta = eq14.record.frequency_hz[:2], eq14.record.zeta[:2]
-    c11, c22 = (2.0 * zeta * TAU * f).tolist()
-    repeated = "the print repeats row 2; row 1 is symmetric in the modes, as its own ε2 and ratio of mode 2 show"
-    off = "half the split quadruples ε: 4 × 0.115 = 0.46; the print does not follow from its own parameters"
-    printed = (
-        ("1.90 Hz, √(c11 c22)", 1.90, float(np.sqrt(c11 * c22)), ("0.115", "0.163", "22.4", "15.8"), repeated),
-        ("1.90 Hz, c22", 1.90, c22, ("0.115", "0.115", "22.4", "22.3"), ""),
-        ("0.95 Hz, c22", 0.95, c22, ("0.477", "0.468", "11.2", "11.2"), off),
-    )
-    rows = []
-    for title, split, c12, texts, why in printed:
-        motion = rocking_motion(float(f[0]), split, zeta, c12)
-        found = [*motion.tilt_deg, *motion.axis_ratio]
-        for name, unit, text, ours in zip(("ε1", "ε2", "a11/a21", "a22/a12"), ("deg", "deg", "", ""), texts, found):
-            row = PrintedNumber(f"{name} at {title}", "Table 2", text, float(ours), None, unit)
-            rows.append(row if row.agrees else _because(row, why or _ROUNDED))
-    return NumberGroup(
-        "Table 2: ellipses of the rocking modes",
-        "Half axes and turn of each mode's ellipse, from scratch.",
-        tuple(rows),
-    )
+    four = [of.row(f"θ from {n}", "sec. 4.2", text, "deg") for n, text in zip(("u1", "v1", "u2", "v2"), THETAS)]
+    about = "printed as “about 1 degree”"
+    four.append(of.row("largest discrepancy", "sec. 4.2", "6", "deg", "", "<"))
+    four.append(of.row("discrepancy of mode 2, about", "sec. 4.2", "1", "deg", about))
+    return NumberGroup("The four estimates of θ", "", tuple(four))

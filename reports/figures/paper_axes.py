@@ -57,7 +57,7 @@ def orders(view: OrderView, name: str = "orders") -> str:
             gap = 1e3 * np.abs(split - view.true_split_hz)
             panels[1].plot(view.order, gap, marker=marker, ls=dash, color=colour, ms=4)
             # The reference itself differs from itself by nothing, which no logarithm shows.
-            other = phase > 0.0
+            other = view.order < view.order[-1]
             panels[2].plot(view.order[other], phase[other], marker=marker, ls=dash, color=colour, ms=4)
         for axes, label in zip(
             panels, ("rms error of the four θ, deg", "error of the split, mHz", "phase change, deg")

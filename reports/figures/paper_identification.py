@@ -79,23 +79,29 @@ def broadband(view: ResponseView, name: str = "figure-5") -> str:
 
 
 def zoomed(view: ResponseView, name: str = "figure-6") -> str:
-    """Magnitude and phase around the modes: order 40, six states two ways, and eq. (14)."""
+    """Magnitude and phase around the rocking modes and around the up-down mode: order 40, six states two ways, eq. (14)."""
+    gap = int(np.argmax(np.diff(view.narrow_hz))) + 1
+    parts = (slice(0, gap), slice(gap, None))
     with style():
-        figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
-        panels = figure.subplots(4, 2, sharex=True, height_ratios=(1.7, 1.0, 1.7, 1.0))
+        figure = Figure(figsize=(WIDTH, 7.4), layout="constrained")
+        panels = figure.subplots(4, 4, sharey="row", height_ratios=(1.6, 1.0, 1.6, 1.0), width_ratios=(1.6, 1.0) * 2)
         for k, (label, s, d) in enumerate(_CHANNELS):
-            gain, phase = panels[2 * (k // 2), k % 2], panels[2 * (k // 2) + 1, k % 2]
-            for (model, response), look in zip(view.narrow.items(), _LOOKS, strict=True):
-                h = response[:, s, d]
-                gain.plot(view.narrow_hz, 20.0 * np.log10(np.abs(h)), label=model, **look)
-                phase.plot(view.narrow_hz, np.rad2deg(np.unwrap(np.angle(h))), **look)
-            gain.set_title(label)
-            for axes in (gain, phase):
-                axes.grid(color=RULE, lw=0.5)
-                axes.set_xlim(view.narrow_hz[0], view.narrow_hz[-1])
-            if k % 2 == 0:
-                gain.set_ylabel("gain, dB")
-                phase.set_ylabel("phase, deg")
+            for j, part in enumerate(parts):
+                gain, phase = panels[2 * (k // 2) : 2 * (k // 2) + 2, 2 * (k % 2) + j]
+                f = view.narrow_hz[part]
+                for (model, response), look in zip(view.narrow.items(), _LOOKS, strict=True):
+                    h = response[part, s, d]
+                    gain.plot(f, 20.0 * np.log10(np.abs(h)), label=model, **look)
+                    # The branch is fixed at the left edge, the same for all models.
+                    turn = np.rad2deg(np.unwrap(np.angle(h)))
+                    phase.plot(f, turn - 360.0 * np.round((turn[0] + 130.0 * (1 + j)) / 360.0), **look)
+                if j == 0:
+                    gain.set_title(label)
+                for axes in (gain, phase):
+                    axes.grid(color=RULE, lw=0.5)
+                    axes.set_xlim(f[0], f[-1])
+        for row, text in enumerate(("gain, dB", "phase, deg") * 2):
+            panels[row, 0].set_ylabel(text)
         for axes in panels[3]:
             axes.set_xlabel("frequency, Hz")
         handles, labels = panels[0, 0].get_legend_handles_labels()
