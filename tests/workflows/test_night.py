@@ -104,7 +104,7 @@ def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> Non
 def test_a_cluster_that_somebody_else_runs_gives_the_same_table(night: Path, tmp_path: Path) -> None:
     config, results = tmp_path / "far.toml", tmp_path / "far"
     config.write_text(CONFIG.format(devices=8, block=4))
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as elsewhere:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as elsewhere:
         code = call(
             ["run", str(config), "--out", str(results), "--scheduler", elsewhere.scheduler_address, "--json"]
         )

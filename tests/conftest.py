@@ -1,0 +1,6 @@
+"""One BLAS thread for all tests, set before numpy is loaded: the matrices are small and the cores are few."""
+
+import os
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
