@@ -97,12 +97,32 @@ def verify(results: Results = DEFAULT_RESULTS, json: Json = False) -> None:
 def identify(
     measurement: Annotated[Path, typer.Argument(help="A record, a campaign folder, or a modal record (TOML).")],
     model: Annotated[Optional[Path], typer.Option(help="Model file; the screening model without it.")] = None,  # noqa: UP045
+    stream: Annotated[bool, typer.Option("--stream", help="Follow a record that grows ('-': stdin).")] = False,
+    campaign: Annotated[Optional[Path], typer.Option(help="With --stream: instrument and noise of this campaign.")] = None,  # noqa: UP045
+    sigma_v: Annotated[Optional[float], typer.Option(help="With --stream: noise of the senses [V].")] = None,  # noqa: UP045
+    limits: Annotated[Optional[Path], typer.Option(help="With --stream: limits and rule (TOML).")] = None,  # noqa: UP045
+    decide: Annotated[bool, typer.Option("--decide", help="With --stream: stop when pass or fail is certain.")] = False,
     json: Json = False,
 ) -> None:
     """Identify one device: theta, split and the rest, with their uncertainty."""
+    if stream:
+        from .commands.stream import stream as follow
+
+        follow(measurement, json, campaign, sigma_v, limits, decide=decide)
+        return
     from .commands.identify import identify as command
 
     command(measurement, model, json)
+
+
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option(help="Folder of the page.")] = Path("paper"), json: Json = False
+) -> None:
+    """Redraw the paper: its figures, and its numbers beside ours, on one page."""
+    from .commands.paper import paper as command
+
+    command(out, json)
 
 
 @app.command()
@@ -210,6 +230,31 @@ def throughput(
     from .commands.benchmark import throughput as command
 
     command(devices, json)
+
+
+@benchmark.command()
+def sequential(
+    devices: Annotated[int, typer.Option(help="Number of virtual devices.")] = 500,
+    seed: Annotated[int, typer.Option(help="Root of all random streams.")] = 2026,
+    workers: Annotated[int, typer.Option(help="Local worker processes; 0: one a core.")] = 0,
+    json: Json = False,
+) -> None:
+    """How short the test may be: the sequential test against fixed durations, with its error rates."""
+    from .commands.sequential import sequential as command
+
+    command(devices, seed, workers, json)
+
+
+@benchmark.command()
+def lattice(
+    order: Annotated[int, typer.Option(help="Order of the ARX model.")] = 40,
+    seconds: Annotated[float, typer.Option(help="Length of the record.")] = 3.0,
+    json: Json = False,
+) -> None:
+    """How many times faster than 10 kHz the lattice filter runs on one core."""
+    from .commands.sequential import lattice as command
+
+    command(order, seconds, json)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
