@@ -1,8 +1,7 @@
 """Fixed-step Runge-Kutta integration (order 8) of a device with its whole signal path as one state vector.
 
-    psi_x, psi_y, z, w      mechanics, w a parasitic mode; q'' = F f(v, q) - C(t) q' - K(t) q + nonlinear forces
+    psi_x, psi_y, z, w      mechanics, w a parasitic mode; q'' = F f(v, q) - (C(t) + G) q' - K(t) q + nonlinear forces
     m_x, m_y                memory of the suspension (hysteresis, heat)
-    r_k, r_k'               a resonance of pick-off k in front of its filter
     b_kj, b_kj'             biquads j = 1..4 of the anti-alias filter of channel k
 
 The drive is held over every sample, so steps never straddle an edge; what a stray capacitance passes, an impulse
@@ -25,8 +24,7 @@ from pipeline.arrays import FloatArray
 #: Coordinates psi_x, psi_y, z, w; two channels of four biquads.
 COORDINATES = 4
 _MEMORY = 2 * COORDINATES
-_RESONANCE = _MEMORY + 2
-_FILTER = _RESONANCE + 4
+_FILTER = _MEMORY + 2
 STATES = _FILTER + 16
 
 # Dormand and Prince's method of order 8 with 12 stages (Hairer, Norsett & Wanner, Solving ODEs I, section II.5).
@@ -39,13 +37,14 @@ _C: FloatArray = np.ascontiguousarray(DOP853.C[:_STAGES])
 class Physics(NamedTuple):
     """Every number of the equations of motion; zero is no effect unless said otherwise.
 
-    stiffness, damping (4, 4), the latter with the gyroscopic part; drive (4, 2); sense (2, 4) of velocities;
+    stiffness, damping, gyroscopic (4, 4); drive (4, 2); sense (2, 4) of velocities;
     drive_motion, sense_motion (2, 4) motion of the electrodes; crosstalk (2, 2), identity without;
     resistive, capacitive (2, 2); filter_damping (4,) 2 zeta omega_c and filter_square omega_c^2 of the biquads.
     """
 
     stiffness: FloatArray
     damping: FloatArray
+    gyroscopic: FloatArray
     drive: FloatArray
     sense: FloatArray
     drive_motion: FloatArray
@@ -79,8 +78,6 @@ class Physics(NamedTuple):
     pump_omega: float
     heating: float
     cooling_per_s: float
-    resonance_omega: float
-    resonance_damping: float
 
 
 @njit(cache=True)
@@ -94,7 +91,7 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
     for i in range(n):
         a = 0.0
         for j in range(n):
-            a -= warm * g.stiffness[i, j] * y[j] + loss * g.damping[i, j] * y[n + j]
+            a -= warm * g.stiffness[i, j] * y[j] + (loss * g.damping[i, j] + g.gyroscopic[i, j]) * y[n + j]
         dy[i] = y[n + i]
         dy[n + i] = a
     for k in range(2):
@@ -154,13 +151,6 @@ def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
         seen[k] += g.resistive[k, 0] * v[0] + g.resistive[k, 1] * v[1]
     for k in range(2):
         volts = g.crosstalk[k, 0] * seen[0] + g.crosstalk[k, 1] * seen[1]
-        r = _RESONANCE + 2 * k
-        dy[r] = dy[r + 1] = 0.0
-        if g.resonance_omega > 0.0:
-            dy[r] = y[r + 1]
-            square = g.resonance_omega * g.resonance_omega
-            dy[r + 1] = square * (volts - y[r]) - g.resonance_damping * y[r + 1]
-            volts = y[r]
         for j in range(4):
             b = _FILTER + 8 * k + 2 * j
             dy[b] = y[b + 1]

@@ -23,7 +23,10 @@ from pipeline.experiment.instrument import Instrument
 from .integrator import COORDINATES, Physics, integrate
 
 #: Steps a sample; at 10 kHz the error of a record is then below 1e-8 of its signal.
-STEPS = 4
+STEPS = 2
+
+#: Harmonics of the mains that a hidden hum has.
+HARMONICS = 5
 
 #: Physics outside the library: name -> (law, library effects that may fairly be taken for it).
 OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -33,7 +36,6 @@ OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
     "mode_coupling": ("potential c psi_x^2 psi_y", ("quadratic_stiffness",)),
     "parametric_pumping": ("K (1 + h cos(2 pi f t))", ()),
     "self_heating": ("K (1 + b T),  T' = |psi'|^2 - T/tau", ()),
-    "pickoff_resonance": ("w^2 / (s^2 + 2 zeta w s + w^2) in front of the filter", ("pickoff_pole", "loop_delay")),
 }
 
 
@@ -65,9 +67,8 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
     stiffness[:2, :2] = _turned(values["theta_deg"], omega[0] ** 2, omega[1] ** 2)
     damping[:2, :2] = _turned(values["theta_deg"], loss[0], loss[1], of("c12_per_s"))
     stiffness[2, 2], damping[2, 2] = omega[2] ** 2, loss[2]
-    rate = of("angular_rate.Omega")
-    damping[0, 1] -= 2.0 * rate
-    damping[1, 0] += 2.0 * rate
+    gyroscopic = np.zeros((n, n))
+    gyroscopic[0, 1], gyroscopic[1, 0] = -2.0 * of("angular_rate.Omega"), 2.0 * of("angular_rate.Omega")
     if "parasitic_mode.f" in values:
         own = 2.0 * math.pi * values["parasitic_mode.f"]
         stiffness[3, 3], damping[3, 3] = own**2, 2.0 * values["parasitic_mode.zeta"] * own
@@ -101,6 +102,7 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
     return Physics(
         stiffness=stiffness,
         damping=damping,
+        gyroscopic=gyroscopic,
         drive=drive,
         sense=sense,
         drive_motion=drive_motion,
@@ -134,8 +136,6 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
         pump_omega=2.0 * math.pi * of("parametric_pumping.f"),
         heating=of("self_heating.b"),
         cooling_per_s=1.0 / float(values.get("self_heating.tau", 1.0)),
-        resonance_omega=2.0 * math.pi * of("pickoff_resonance.f"),
-        resonance_damping=4.0 * math.pi * of("pickoff_resonance.f") * of("pickoff_resonance.zeta"),
     )
 
 
@@ -159,3 +159,19 @@ def clipped(y: FloatArray, values: Mapping[str, float]) -> FloatArray:
     """``y`` [V] behind the input stage of the converter."""
     inverse = float(values.get("adc_saturation.1/level", 0.0))
     return y if inverse == 0.0 else np.clip(y, -1.0 / inverse, 1.0 / inverse)
+
+
+def hum(values: Mapping[str, float], samples: int, sample_rate_hz: float, random: np.random.Generator) -> FloatArray:
+    """(samples, 2) [V]: sum_h a_h cos(2 pi h f t + phase), phases random in every channel and record.
+
+    "mains_hum.f" [Hz] and "mains_hum.a1", "mains_hum.a2", .. [V]; no hum without them.
+    """
+    volts = np.zeros((samples, 2))
+    t = np.arange(samples) / sample_rate_hz
+    for h in range(1, HARMONICS + 1):
+        amplitude = float(values.get(f"mains_hum.a{h}", 0.0))
+        for k in range(2):
+            phase = random.uniform(0.0, 2.0 * math.pi)
+            if amplitude != 0.0:
+                volts[:, k] += amplitude * np.cos(2.0 * math.pi * h * values["mains_hum.f"] * t + phase)
+    return volts
