@@ -29,6 +29,7 @@ from .campaign_rows import (
     regions_of,
     rows_of,
     rung_of,
+    wrong_forms_of,
 )
 from .campaign_wording import Fall, fall_sentence, missing_sentence, standing_notes
 from .content import Fact, facts
@@ -56,7 +57,7 @@ class CampaignContent:
     noise: str
     candidates: tuple[CandidateRow, ...]
     classes: tuple[tuple[str, tuple[str, ...]], ...]
-    separating: str
+    separating: str | None
     invisible: tuple[str, ...]
     parameters: tuple[ParameterRow, ...]
     laws: tuple[Law, ...]
@@ -96,8 +97,8 @@ def campaign_content(
     shown = fall if (fall.before if fall.before is not None else fall.after) is not None else fitted
     if (shown.before if shown.before is not None else shown.after) is None:
         shown = _relative(compare, rungs, last)
-    separating = str(told.get("separating_record") or found.get("separating_record") or "")
-    wrong_form = mapping(found.get("wrong_form") or told.get("wrong_form"))
+    asked = next((one for one in (told, found) if "separating_record" in one), None)
+    separating = None if asked is None else str(asked["separating_record"] or "")
     climbed = [one.effect for one in rungs if one.effect and one.status != "refused"]
     parameters = parameters_of(compare, found, library)
     by_name = {row.name: row for row in parameters}
@@ -112,17 +113,18 @@ def campaign_content(
             said,
             classes,
             {one.effect: one.status for one in rungs if one.effect in effects},
-            wrong_form,
+            wrong_forms_of(effects, told, found),
             str(found.get("left") or told.get("left") or ""),
             str(found.get("why") or told.get("why") or compare.get("why") or ""),
             separating,
+            any(one.error_validate is not None for one in rungs),
         ),
         fall=shown,
         fitted=fitted,
         misfit=(misfit_of(shown.before, shown.relative), misfit_of(shown.after, shown.relative)),
         explained=last.explained if last and last.effect else None,
-        theta=by_name.get("theta_deg"),
-        split=by_name.get("split_hz"),
+        theta=by_name.get("theta_deg") if climbed else None,
+        split=by_name.get("split_hz") if climbed else None,
         verdicts=(str(verdict_words.get("before", "")), str(verdict_words.get("after", ""))),
         rungs=rungs,
         refused=tuple((str(name), str(why)) for name, why in mapping(found.get("refused")).items()),

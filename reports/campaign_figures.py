@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,9 +26,10 @@ _RECORDS = 24
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure about one record: SVG text and what it shows."""
+    """A figure about one record: its name, a note on it, what is shown, and the SVG text."""
 
     record: str
+    note: str
     what: str
     svg: str
 
@@ -53,20 +55,28 @@ def campaign_figures(
     content : of the page.
     before, after : the records as the first and the last model explain them; records are paired by name.
     """
+    with warnings.catch_warnings():
+        # Text stays text in the page, so that a letter which matplotlib's own font lacks is no loss.
+        warnings.filterwarnings("ignore", message="Glyph")
+        return _figures(content, before, after)
+
+
+def _figures(
+    content: CampaignContent, before: Sequence[RecordView], after: Sequence[RecordView] | None
+) -> CampaignFigures:
     usable = [view for view in before if view.measured_v.shape[0] >= 64 and view.residual.size][:_RECORDS]
     pairs = [(view, _same(view, after)) for view in usable]
     worst = _worst(pairs)
     groups = _resonances(content, usable)
     return CampaignFigures(
         ladder=_ladder(content),
-        resonances=tuple(
-            Picture(pair[0].name, f"around {_hz(group)} Hz", _resonance(pair, group, f"resonance-{k}-{j}"))
+        resonances=_drawn(
+            (pair, f"around {_hz(group)} Hz", _resonance(pair, group, f"resonance-{k}-{j}"))
             for k, pair in enumerate(worst[:2])
             for j, group in enumerate(groups)
         ),
-        spectrograms=tuple(
-            Picture(pair[0].name, "over time and frequency", _spectrogram(pair, f"spectrogram-{k}"))
-            for k, pair in enumerate(worst)
+        spectrograms=_drawn(
+            (pair, "over time and frequency", _spectrogram(pair, f"spectrogram-{k}")) for k, pair in enumerate(worst)
         ),
         level=_level(pairs),
         channels=_channels(pairs),
@@ -74,6 +84,14 @@ def campaign_figures(
 
 
 _Pair = tuple[RecordView, RecordView | None]
+
+
+def _drawn(pictures: Iterable[tuple[_Pair, str, str]]) -> tuple[Picture, ...]:
+    return tuple(
+        Picture(pair[0].name, " (held out)" if pair[0].role == "validate" else "", what, svg)
+        for pair, what, svg in pictures
+        if svg
+    )
 
 
 def _same(view: RecordView, after: Sequence[RecordView] | None) -> RecordView | None:
@@ -96,7 +114,7 @@ def _worst(pairs: Sequence[_Pair]) -> list[_Pair]:
 
 
 def _ladder(content: CampaignContent) -> str:
-    if not content.rungs:
+    if len(content.rungs) + len(content.refused) < 2:
         return ""
     relative = not any(one.error_fit or one.error_validate for one in content.rungs)
     points = [

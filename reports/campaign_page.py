@@ -16,10 +16,11 @@ from pipeline.device.effect import Effect, find_effects
 
 from .campaign_content import CampaignContent, campaign_content
 from .campaign_figures import CampaignFigures, campaign_figures
-from .campaign_rows import Value, parameter_label
-from .campaign_wording import effect_words, error_words, kind_words, listed, p_words
+from .campaign_rows import Value, parameter_label, short_name
+from .campaign_wording import effect_words, error_words, kind_words, listed, p_words, sentence, typeset
 from .record_view import RecordView
 from .rendering import environment, measured, number, stylesheet
+from .wording import SUPERSCRIPT
 
 __all__ = ["RecordView", "effect_texts", "render_campaign_report"]
 
@@ -65,7 +66,15 @@ def render_campaign_report(
     env.filters["effect_name"] = effect_words
     # Templates that are included see what the page was given, but their macros see globals only.
     env.globals.update(
-        effect=effect_words, error=error_words, sized=_sized, p_words=p_words, chi2_width=_chi2_width, listed=listed
+        effect=effect_words,
+        error=error_words,
+        sized=_sized,
+        short=short_name,
+        typeset=typeset,
+        sentence=sentence,
+        p_words=p_words,
+        chi2_width=_chi2_width,
+        listed=listed,
     )
     return env.get_template("campaign.html.j2").render(
         c=content,
@@ -79,7 +88,15 @@ def render_campaign_report(
 
 
 def _sized(value: Value) -> str:
-    return measured(value.value, value.sd) if value.sd > 0.0 else number(value.value, 6)
+    """value ± sd; far from 1 with the power of ten before the brackets."""
+    largest = max(abs(value.value), value.sd if value.sd > 0.0 else 0.0)
+    if 1e-3 <= largest < 1e5 or largest == 0.0:
+        return measured(value.value, value.sd) if value.sd > 0.0 else number(value.value, 6)
+    exponent = math.floor(math.log10(largest))
+    power = f"10{str(exponent).translate(SUPERSCRIPT)}"
+    if not value.sd > 0.0:
+        return f"{number(value.value / 10.0**exponent, 4)}·{power}"
+    return f"({measured(value.value / 10.0**exponent, value.sd / 10.0**exponent)})·{power}"
 
 
 def _chi2_width(fall: float, widest: float) -> float:

@@ -242,6 +242,17 @@ def candidates_of(
     return tuple(sorted(found, key=lambda one: (one.p_value if one.p_value is not None else 1.0, -one.delta_chi2)))
 
 
+def wrong_forms_of(effects: Sequence[str], diagnose: Json, refine: Json) -> dict[str, str]:
+    """Effects flagged "right place, wrong form", each with the partition on which its sizes disagree, "" where unsaid."""
+    told = mapping(refine.get("wrong_form") or diagnose.get("wrong_form"))
+    flagged = {str(name): str(mapping(how).get("by") or "") for name, how in told.items()}
+    for row in (*rows_of(refine.get("ladder")), *rows_of(diagnose.get("candidates"))):
+        name = str(row.get("effect") or "")
+        if name in effects and "wrong form" in str(row.get("flag") or ""):
+            flagged.setdefault(name, "")
+    return flagged
+
+
 def parameters_of(compare: Json, refine: Json, library: Library) -> tuple[ParameterRow, ...]:
     """theta and split first, then the parameters in their order, new ones last."""
     ladder = rows_of(refine.get("ladder"))
@@ -295,6 +306,12 @@ def laws_of(
             )
         )
     return tuple(laws)
+
+
+def short_name(name: str) -> str:
+    """The symbol of a parameter: "cubic_stiffness.k3" is "k3", "c12_per_s" is "c12"."""
+    symbol = name.rpartition(".")[2]
+    return next((symbol.removesuffix(end) for end in ("_per_s", "_hz", "_deg") if symbol.endswith(end)), symbol)
 
 
 def parameter_label(name: str) -> str:

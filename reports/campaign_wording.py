@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -50,6 +51,11 @@ def effect_words(name: str) -> str:
     return " ".join(_WORDS.get(word, word) for word in name.split("_"))
 
 
+def sentence(text: str) -> str:
+    """With a capital at its head; all else as it is (``capitalize`` would make "Adc" of "ADC")."""
+    return text[:1].upper() + text[1:]
+
+
 def listed(names: Sequence[str], last: str = "and") -> str:
     """ "a, b and c" """
     return f"{', '.join(names[:-1])} {last} {names[-1]}" if len(names) > 1 else "".join(names)
@@ -87,27 +93,26 @@ def missing_sentence(
     if verdict == "fit_failed":
         return "The model could not be fitted, so nothing can be said about what is missing."
     if verdict == "unknown":
-        also = (
-            f" {listed([effect_words(name) for name in effects or tried]).capitalize()} alone cannot account for it."
-            if effects or tried
-            else ""
-        )
-        return f"Something {was} missing that no effect of the library explains.{also}"
+        part = [effect_words(name) for name in effects or tried]
+        how = "together" if len(part) > 1 else "alone"
+        also = f" {sentence(listed(part))} {how} cannot account for it." if part else ""
+        return f"Something is missing that no effect of the library explains.{also}"
     if not effects:
         if verdict == "class" and classes:
             return f"What {was} missing: {_one_of(classes[0])}."
         if verdict == "adequate":
             return "Nothing is missing: these records show no effect beyond the model."
         return "How well the model explains these records."
-    words = [_with_class(name, classes) for name in effects]
+    words = [_with_class(name, classes, alone=len(effects) == 1) for name in effects]
     return f"What {was} missing: {listed(words)}."
 
 
-def _with_class(name: str, classes: Sequence[Sequence[str]]) -> str:
-    for members in classes:
-        if name in members and len(members) > 1:
-            return _one_of(members)
-    return effect_words(name)
+def _with_class(name: str, classes: Sequence[Sequence[str]], alone: bool) -> str:
+    """An effect and those that could stand in its place; in brackets where other effects are listed beside it."""
+    others = [one for members in classes if name in members for one in members if one != name]
+    if not others:
+        return effect_words(name)
+    return _one_of([name, *others]) if alone else f"{effect_words(name)} (or {_one_of(others)})"
 
 
 def _one_of(members: Sequence[str]) -> str:
@@ -135,34 +140,38 @@ def standing_notes(
     verdict: str,
     classes: Sequence[Sequence[str]],
     statuses: Mapping[str, str],
-    wrong_form: Mapping[str, Any],
+    wrong_form: Mapping[str, str],
     left: str,
     why: str,
-    separating: str,
+    separating: str | None,
+    held_out: bool,
 ) -> tuple[str, ...]:
-    """What the reader must know beside the two sentences of the head."""
+    """What the reader must know beside the two sentences of the head.
+
+    ``separating`` is the record that would separate the classes, "" where there is none, ``None`` where nobody asked.
+    """
     notes = []
     for members in classes:
         if len(members) > 1:
-            how = f" A record that would: {separating}." if separating else " No record of this instrument would."
+            how = f" A record that would: {separating}." if separating else ""
+            how = " No record of this instrument would." if separating == "" else how
             notes.append(f"These records cannot tell {_one_of(members)} apart.{how}")
-    for name in wrong_form:
-        by = wrong_form[name].get("by", "") if isinstance(wrong_form[name], Mapping) else ""
+    for name, by in wrong_form.items():
         notes.append(
             f"Right place, wrong form: the size of {effect_words(name)} disagrees"
-            + (f" between {_parts(str(by))}." if by else ".")
+            + (f" between {_parts(by)}." if by else ".")
         )
     doubted = [
         effect_words(name) for name, status in statuses.items() if status == "partial" and name not in wrong_form
     ]
     if doubted and verdict != "unknown":
-        notes.append(
-            f"Partial: {listed(doubted)} is significant on the fitted records, and the held-out ones see too little of it "
-            "to confirm it."
-            if len(doubted) == 1
-            else f"Partial: {listed(doubted)} are significant on the fitted records, and the held-out ones see too little "
-            "of them to confirm them."
+        are = "are" if len(doubted) > 1 else "is"
+        but = (
+            "the held-out ones see too little of it to confirm it"
+            if held_out
+            else "no record was held out to confirm it"
         )
+        notes.append(f"Partial: {listed(doubted)} {are} significant on the fitted records, and {but}.")
     if verdict == "unknown" and left:
         notes.append(f"What is left: {left}.")
     if verdict == "fit_failed" and why:
@@ -174,6 +183,19 @@ def _parts(partition: str) -> str:
     return {"block": "records", "level": "drive levels", "direction": "sweep directions"}.get(
         partition, f"{partition}s"
     )
+
+
+_GREEK = {
+    "psi": "ψ", "omega": "ω", "Omega": "Ω", "zeta": "ζ", "theta": "θ", "gamma": "γ", "beta": "β", "tau": "τ", "eps": "ε",
+    "phi": "φ", "alpha": "α", "delta": "δ", "pi": "π",
+}  # fmt: skip
+
+
+def typeset(text: str) -> str:
+    """Plain mathematics with the letters and powers of print: "psi'' -= k3 |psi|^2 psi" is "ψ″ −= k3 |ψ|² ψ"."""
+    text = re.sub(r"(?<![A-Za-z])(" + "|".join(_GREEK) + r")(?![A-Za-z])", lambda m: _GREEK[m[1]], text)
+    text = re.sub(r"\^(-?\d+)", lambda m: m[1].translate(SUPERSCRIPT), text)
+    return text.replace("''", "″").replace("'", "′").replace(" -= ", " −= ").replace(" - ", " − ")
 
 
 def kind_words(kind: str) -> str:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from .panels import panels, plain
 from .states import AFTER, BEFORE
-from .style import INK, MUTED, RULE, WIDTH, style, to_svg
+from .style import INK, MUTED, RULE, style, to_svg
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,10 @@ class ChannelError:
 def channel_errors(rows: Sequence[ChannelError], senses: int, name: str = "channel-errors") -> str:
     """One line a record and channel, from before to after; noise is 1."""
     with style():
-        height = 0.27 * len(rows) + 1.15
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
-        axes = figure.subplots()
+        longest = max((len(_record(row)) for row in rows), default=0)
+        left = 0.4 + 0.085 * (min(longest, 48) + 7 * (senses > 1))
+        figure, grid = panels(1, 1, 0.27 * len(rows), left=left, top=0.1)
+        axes = grid[0][0]
         labels = []
         for k, row in enumerate(rows):
             both = [row.before, *([] if row.after is None else [row.after])]
@@ -39,7 +40,7 @@ def channel_errors(rows: Sequence[ChannelError], senses: int, name: str = "chann
             if row.after is not None:
                 axes.plot([row.after], [-k], marker="o", ms=6.5, color=AFTER, ls="none", zorder=4)
             first = k == 0 or rows[k - 1].record != row.record
-            what = f"{row.record}{' (held out)' if row.role == 'validate' else ''}" if first else ""
+            what = _record(row)[:48] if first else ""
             labels.append(f"{what}  sense {row.channel + 1}" if senses > 1 else what)
             if first and k:
                 axes.axhline(0.5 - k, color="#eef1f3", lw=0.8, zorder=0)
@@ -52,7 +53,7 @@ def channel_errors(rows: Sequence[ChannelError], senses: int, name: str = "chann
             axes.set_xlim(min([0.9, *(0.9 * v for v in values)]), max([2.0, *(1.15 * v for v in values)]))
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))
             axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.xaxis.set_minor_locator(NullLocator())
         axes.set_ylim(-len(rows) + 0.4, 0.6)
         axes.grid(axis="x", color=RULE, lw=0.5)
         axes.set_xlabel("error, rms residual / σ")
@@ -60,5 +61,10 @@ def channel_errors(rows: Sequence[ChannelError], senses: int, name: str = "chann
         if any(row.after is not None for row in rows):
             handles.append(Line2D([], [], ls="none", marker="o", ms=6.5, color=AFTER, label="after"))
         handles.append(Line2D([], [], color=MUTED, lw=1.0, ls=(0, (1, 1.5)), label="noise"))
-        figure.legend(handles=handles, loc="outside lower left", ncols=3)
+        figure.legend(handles=handles, loc="lower left", ncols=3)
         return to_svg(figure, name, "Error of every record and channel")
+
+
+def _record(row: ChannelError) -> str:
+    name = plain(row.record)
+    return f"{name} (held out)" if row.role == "validate" else name

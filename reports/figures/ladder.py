@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from .panels import panels, plain
 from .states import AFTER, BEFORE
-from .style import INK, MUTED, RULE, WIDTH, style, to_svg
+from .style import INK, MUTED, RULE, style, to_svg
 
 #: Marks of the status of a rung: colour, marker and words.
 STATUS = {
@@ -23,6 +23,8 @@ STATUS = {
 }
 #: Below this a misfit is drawn at the edge: it is nothing that records of any length could show.
 _LEAST = 1e-3
+#: Width of the column of a refused effect, in rungs.
+_NARROW = 0.6
 
 
 @dataclass(frozen=True)
@@ -45,23 +47,28 @@ def ladder_plot(
     ``relative``: the errors are relative ones, which have no floor and no misfit.
     """
     with style():
-        figure = Figure(figsize=(WIDTH, 3.6 if relative else 5.0), layout="constrained")
         if relative:
-            top, bottom = figure.subplots(1, 1, squeeze=False)[0][0], None
+            figure, grid = panels(1, 1, 2.6, left=0.95, bottom=0.6, top=0.1)
         else:
-            top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[1.5, 1.0])
+            figure, grid = panels(2, 1, 2.0, bottom=0.6, top=0.1, between=0.16, sharex=True, height_ratios=(1.5, 1.0))
+        top, bottom = grid[0][0], None if relative else grid[1][0]
         _errors(top, points, relative)
         if bottom is not None:
             _misfits(bottom, points)
         lowest = bottom if bottom is not None else top
-        labels = [textwrap.fill(one.label, 17, break_long_words=False) for one in points]
-        labels += [textwrap.fill(one, 17, break_long_words=False) for one in refused]
-        lowest.set_xticks(range(len(labels)), labels)
-        lowest.set_xlim(-0.5, max(len(labels), 2) - 0.5)
-        for k in range(len(points), len(labels)):
+        width = min(max(110 // (len(points) + len(refused)), 9), 24)
+        names = [*(one.label for one in points), *refused]
+        labels = [textwrap.fill(plain(name), width, break_long_words=False) for name in names]
+        edge = len(points) - 0.4
+        places = [*range(len(points)), *(edge + _NARROW * (j + 0.5) for j in range(len(refused)))]
+        lowest.set_xticks(places, labels)
+        lowest.set_xlim(-0.4, edge + _NARROW * len(refused))
+        if refused:
             for axes in filter(None, (top, bottom)):
-                axes.axvspan(k - 0.5, k + 0.5, color="#f4f6f8", lw=0, zorder=0)
-            top.text(k, 0.5, "refused", transform=top.get_xaxis_transform(), ha="center", color=BEFORE, fontsize=10.5)
+                axes.axvspan(edge, edge + _NARROW * len(refused), color="#f4f6f8", lw=0, zorder=0)
+        for place in places[len(points) :]:
+            top.plot([place], [0.5], "X", ms=9, color=BEFORE, transform=top.get_xaxis_transform())
+            top.text(place, 0.4, "refused", transform=top.get_xaxis_transform(), ha="center", va="top", color=BEFORE)
         return to_svg(figure, name, "Error and misfit of each model of the ladder, on fitted and on held-out records")
 
 
@@ -77,24 +84,34 @@ def _errors(axes: Axes, points: Sequence[LadderPoint], relative: bool) -> None:
         low, high = min([*known, *([] if relative else [1.0])]), max([*known, *([] if relative else [1.3])])
         room = max(high / low, 1.2)
         axes.set_yscale("log")
-        axes.set_ylim(low / room**0.22, high * room**0.32)
+        axes.set_ylim(low / room**0.16, high * room**0.38)
     for k, point in enumerate(points):
-        value = point.error_validate if point.error_validate is not None else point.error_fit
-        if value is None or not math.isfinite(value):
-            continue
-        top = max(v for v in (point.error_fit, point.error_validate) if v is not None and math.isfinite(v))
-        colour, _, words = STATUS.get(point.status, (INK, "s", point.status))
-        axes.annotate(
-            _short(value) + (f"\n{words}" if words else ""), (k, top), xytext=(0, 9), textcoords="offset points",
-            ha="center", va="bottom", fontsize=10.5, color=colour, weight="bold", linespacing=1.15,
-        )  # fmt: skip
+        _label(axes, k, point, relative)
     _log_ticks(axes)
     axes.set_ylabel("relative error" if relative else "error")
     handles = [
-        Line2D([], [], color=AFTER, lw=1.8, marker="o", ms=6, label="held-out records"),
+        *([] if relative else [Line2D([], [], color=AFTER, lw=1.8, marker="o", ms=6, label="held-out records")]),
         Line2D([], [], color=MUTED, lw=1.2, marker="o", mfc="white", ms=6, label="fitted records"),
     ]
     axes.legend(handles=handles, loc="upper right", ncols=2, borderaxespad=0.0)
+
+
+def _label(axes: Axes, k: int, point: LadderPoint, relative: bool) -> None:
+    """The held-out error with the status, and the fitted one where the two would not run into each other."""
+    fit, held = point.error_fit, point.error_validate
+    colour, _, words = STATUS.get(point.status, (INK, "s", plain(point.status)))
+    main = held if held is not None else fit
+    apart = fit is not None and held is not None and not 0.8 < fit / held < 1.25
+    if main is None:
+        return
+    shown = _percent if relative else _short
+    beside = {"textcoords": "offset points", "xytext": (10, 4), "ha": "left", "va": "bottom", "zorder": 6}
+    axes.annotate(
+        shown(main) + (f"\n{words}" if words else ""), (k, main), color=colour, weight="bold", fontsize=12,
+        linespacing=1.1, **beside,
+    )  # fmt: skip
+    if apart and fit is not None:
+        axes.annotate(shown(fit), (k, fit), color=MUTED, fontsize=10.5, **beside)
 
 
 def _misfits(axes: Axes, points: Sequence[LadderPoint]) -> None:
@@ -128,7 +145,8 @@ def _lines(
         ]
         drawn += [value for _, value, _ in at]
         colour = AFTER if is_held else MUTED
-        axes.plot([k for k, *_ in at], [v for _, v, _ in at], color=colour, lw=1.8 if is_held else 1.2, zorder=2)
+        climbed = [(k, v) for k, v, status in at if status != "refused"]
+        axes.plot([k for k, _ in climbed], [v for _, v in climbed], color=colour, lw=1.8 if is_held else 1.2, zorder=2)
         for k, value, status in at:
             mark, shape, _ = STATUS.get(status, (INK, "s", ""))
             axes.plot(
@@ -146,7 +164,11 @@ def _log_ticks(axes: Axes) -> None:
     few = high / low < 300.0
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=12))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.2g} %"
 
 
 def _short(value: float) -> str:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from pipeline.arrays import FloatArray
 
+from .panels import panels
 from .states import AFTER, BEFORE
-from .style import INK, RULE, WIDTH, style, to_svg
+from .style import INK, RULE, style, to_svg
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,8 @@ class LevelCurve:
 def level_plot(curves: Sequence[LevelCurve], senses: int, name: str = "level") -> str:
     """A panel a channel; each line is a record, held-out ones dashed."""
     with style():
-        figure = Figure(figsize=(WIDTH, 3.5), layout="constrained")
-        grid = figure.subplots(1, senses, sharey=True, squeeze=False)[0]
+        figure, rows = panels(1, senses, 2.6, top=0.1, sharey=True)
+        grid = rows[0]
         for channel, axes in enumerate(grid):
             for curve in (one for one in curves if one.channel == channel and one.level_v.size):
                 axes.plot(
@@ -45,9 +45,9 @@ def level_plot(curves: Sequence[LevelCurve], senses: int, name: str = "level") -
             axes.axhline(1.0, color=INK, lw=1.0, ls=(0, (1, 1.5)))
             if axes.lines[:-1]:
                 axes.set(xscale="log", yscale="log")
-                axes.xaxis.set_minor_formatter(NullFormatter())
+                axes.xaxis.set_minor_locator(NullLocator())
                 axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))
-                axes.yaxis.set_minor_formatter(NullFormatter())
+                axes.yaxis.set_minor_locator(NullLocator())
                 for axis in (axes.xaxis, axes.yaxis):
                     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axes.grid(color=RULE, lw=0.5)
@@ -62,5 +62,5 @@ def level_plot(curves: Sequence[LevelCurve], senses: int, name: str = "level") -
             Line2D([], [], color=INK, lw=1.1, ls=(0, (3, 1.5)), label="held out"),
             Line2D([], [], color=INK, lw=1.0, ls=(0, (1, 1.5)), label="noise"),
         ]
-        figure.legend(handles=handles, loc="outside lower left", ncols=5)
+        figure.legend(handles=handles, loc="lower left", ncols=5)
         return to_svg(figure, name, "Residual against the level of the response")

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from ..record_view import Spectra
+from .panels import panels
 from .states import AFTER, BEFORE
-from .style import INK, MUTED, RULE, WIDTH, style, to_svg
+from .style import INK, MUTED, RULE, style, to_svg
 
 #: Decades below the noise floor that are shown.
 _BELOW = 0.25
@@ -28,13 +28,12 @@ class ResonancePanel:
     after: bool = False
 
 
-def resonance_plot(panels: Sequence[ResonancePanel], marks_hz: Sequence[float], name: str) -> str:
-    """Rows are channels, columns the panels; ``marks_hz`` are drawn as ticks at the top."""
-    senses = panels[0].spectra.measured.shape[1]
+def resonance_plot(shown: Sequence[ResonancePanel], marks_hz: Sequence[float], name: str) -> str:
+    """Rows are channels, columns what is ``shown``; ``marks_hz`` are drawn as ticks at the top."""
+    senses = shown[0].spectra.measured.shape[1]
     with style():
-        figure = Figure(figsize=(WIDTH, 2.25 * senses + 0.75), layout="constrained")
-        grid = figure.subplots(senses, len(panels), sharex=True, sharey="row", squeeze=False)
-        for column, panel in enumerate(panels):
+        figure, grid = panels(senses, len(shown), 1.85, sharex=True, sharey="row", between=0.16)
+        for column, panel in enumerate(shown):
             for row in range(senses):
                 axes = grid[row][column]
                 _panel(axes, panel, row)
@@ -47,7 +46,7 @@ def resonance_plot(panels: Sequence[ResonancePanel], marks_hz: Sequence[float], 
                 if row == senses - 1:
                     axes.set_xlabel("frequency, Hz")
             grid[0][column].set_title(panel.title)
-        figure.legend(handles=_handles(panels), loc="outside lower left", ncols=5, handlelength=1.6)
+        figure.legend(handles=_handles(shown), loc="lower left", ncols=5, handlelength=1.6)
         return to_svg(figure, name, "Measured, model and residual spectra around a resonance")
 
 
@@ -64,14 +63,15 @@ def _panel(axes: Axes, panel: ResonancePanel, channel: int) -> None:
         axes.set_ylim(floor * _BELOW, max(top, 10.0 * floor) * 2.0)
     axes.set_xlim(float(s.frequency_hz[0]), float(s.frequency_hz[-1]))
     axes.yaxis.set_major_locator(LogLocator(numticks=6))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.grid(axis="y", color=RULE, lw=0.5)
 
 
-def _handles(panels: Sequence[ResonancePanel]) -> list[Line2D]:
+def _handles(shown: Sequence[ResonancePanel]) -> list[Line2D]:
     residuals = [
         Line2D([], [], color=AFTER if after else BEFORE, lw=1.4, label=f"residual {'after' if after else 'before'}")
-        for after in sorted({panel.after for panel in panels})
+        for after in sorted({panel.after for panel in shown})
     ]
     return [
         Line2D([], [], color="#9aa5b1", lw=3.6, label="measured"),

@@ -8,18 +8,19 @@ from dataclasses import dataclass
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.colors import ListedColormap
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 
 from pipeline.arrays import FloatArray
 
 from ..record_view import TimeFrequency
+from .panels import panels
 from .states import AFTER
 from .style import WIDTH, style, to_svg
 
-#: Steps of the colour scale; few, so that the picture stays small.
-_STEPS = 12
+#: Step of the colour scale [dB]; coarse, so that the picture stays small.
+_STEP_DB = 5.0
 _HARMONICS = (1, 2, 3, 4, 5)
 
 
@@ -43,11 +44,12 @@ def spectrograms(
     times_s, drives_hz : (T,) and (D, T), the drives' instantaneous frequencies; no rows where there is none.
     """
     top = max(float(np.quantile(p.over_noise_db, 0.999)) for row in rows for p in row.pictures)
-    ceiling = float(np.clip(5.0 * np.ceil(top / 5.0), 15.0, 80.0))
-    colours = matplotlib.colormaps["magma_r"].resampled(_STEPS)
+    ceiling = float(np.clip(_STEP_DB * np.ceil(top / _STEP_DB), 15.0, 80.0))
+    colours = _scale(round(ceiling / _STEP_DB))
     with style():
-        figure = Figure(figsize=(WIDTH, 2.45 * len(rows) + 0.75), layout="constrained")
-        grid = figure.subplots(len(rows), len(titles), sharex=True, sharey="row", squeeze=False)
+        figure, grid = panels(
+            len(rows), len(titles), 2.1, left=0.85, right=1.05, between=0.18, gap=0.2, sharex=True, sharey="row"
+        )
         image: AxesImage | None = None
         for k, row in enumerate(rows):
             for axes, picture in zip(grid[k], row.pictures, strict=True):
@@ -69,15 +71,23 @@ def spectrograms(
         for axes in grid[-1]:
             axes.set_xlabel("time, s")
         if image is not None:
-            bar = figure.colorbar(image, ax=grid.ravel().tolist(), shrink=0.85, pad=0.015, aspect=30)
+            height = figure.get_size_inches()[1]
+            place = figure.add_axes((1.0 - 0.9 / WIDTH, 0.95 / height, 0.14 / WIDTH, 1.0 - 1.27 / height))
+            bar = figure.colorbar(image, cax=place)
             bar.set_label("residual over the noise, dB")
         if drives_hz.shape[0]:
             handles = [
                 Line2D([], [], color=AFTER, lw=1.3, label="drive"),
                 Line2D([], [], color=AFTER, lw=0.9, ls=(0, (2, 2)), label="its harmonics"),
             ]
-            figure.legend(handles=handles, loc="outside lower left", ncols=2)
+            figure.legend(handles=handles, loc="lower left", ncols=2)
         return to_svg(figure, name, "Residual over time and frequency in units of the noise")
+
+
+def _scale(steps: int) -> ListedColormap:
+    """White for the noise, then darker step by step."""
+    shades = matplotlib.colormaps["magma_r"](np.linspace(0.12, 1.0, steps - 1))
+    return ListedColormap(["white", *(tuple(shade) for shade in shades)])
 
 
 def _extent(picture: TimeFrequency) -> tuple[float, float, float, float]:
