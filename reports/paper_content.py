@@ -182,7 +182,13 @@ class BiasRow:
 
 @dataclass(frozen=True, eq=False)
 class PaperContent:
-    """The whole page."""
+    """The whole page.
+
+    lattice_theta_deg : largest difference of theta between lattice and batch least squares [deg].
+    lattice_s : time that the lattice took for the window [s].
+    phase_deg : of the anti-alias filter at the first mode [deg].
+    hinf_change : largest difference of M between the H-infinity norm and the projection, over the largest entry.
+    """
 
     groups: dict[str, NumberGroup]
     records: RecordView
@@ -194,6 +200,7 @@ class PaperContent:
     thetas_deg: dict[str, FloatArray]
     biases: tuple[BiasRow, ...]
     lattice_theta_deg: float
+    lattice_s: float
     phase_deg: float
     hinf_change: float
 

@@ -98,7 +98,15 @@ def derived(route: RouteResult, M: FloatArray | None = None) -> dict[str, float]
         scale = 1.0 / (sense.mean() * drive.mean())
         out[f"σ1 of M̃{k + 1} · ν_S ν_D"], out[f"σ2 of M̃{k + 1} · ν_S ν_D"] = first * scale, second * scale
         out[f"condition of M̃{k + 1}"] = first / second
-    out |= {f"θ from {name}": float(v) for name, v in zip(("u1", "v1", "u2", "v2"), found.theta_deg)}
+    for name, angle in zip(("u1", "v1", "u2", "v2"), found.theta_deg):
+        out[f"θ from {name}"] = angle
+        # u1, v1 = (cos, sin) theta;  u2, v2 = (-sin, cos) theta
+        along, across = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+        out |= (
+            {f"{name}, x": along, f"{name}, y": across}
+            if name[1] == "1"
+            else {f"{name}, x": -across, f"{name}, y": along}
+        )
     out["largest discrepancy"] = float(np.ptp(found.theta_deg))
     out["discrepancy of mode 2, about"] = float(abs(found.theta_deg[2] - found.theta_deg[3]))
     return {name: float(value) for name, value in out.items()}
@@ -189,6 +197,8 @@ def frequency_numbers(found: RouteResult) -> NumberGroup:
     rows.append(PrintedNumber("frequency split", "Table 2", "1.90", f[1] - f[0], found.arx_split_hz, "Hz"))
     share = 100.0 * (f[1] - f[0]) / f[0]
     rows.append(PrintedNumber("split over frequency", "sec. 4.2", "0.4", share, None, "%", relation="<"))
+    rows.append(PrintedNumber("second harmonics, from", "sec. 4.1", "1000", 2.0 * f[0], None, "Hz", relation=">"))
+    rows.append(PrintedNumber("second harmonics, up to", "sec. 4.1", "1200", 2.0 * f[2], None, "Hz", relation="<"))
     return NumberGroup("Frequencies", "", tuple(rows))
 
 
@@ -243,7 +253,14 @@ def gain_numbers(of: Sources) -> NumberGroup:
         of.row("σ2 of M̃2 · ν_S ν_D", "sec. 4.2", "0.0490"),
         of.row("condition of M̃2", "sec. 4.2", "400", "", "", ">"),
     )
-    return NumberGroup("Gains and rank-one tests (σ: singular values)", "", rows)
+    vectors = (
+        ("u1", "0.8593", "-0.5114"),
+        ("v1", "0.8045", "-0.5940"),
+        ("u2", "0.5505", "0.8349"),
+        ("v2", "0.5346", "0.8451"),
+    )
+    turned = tuple(of.row(f"{n}, {axis}", "sec. 4.2", text) for n, *pair in vectors for axis, text in zip("xy", pair))
+    return NumberGroup("Gains and rank-one tests (σ: singular values; u, v: singular vectors)", "", rows + turned)
 
 
 def theta_numbers(of: Sources) -> NumberGroup:

@@ -256,7 +256,7 @@ def bias_rows(physical: FloatArray) -> tuple[BiasRow, ...]:
                 "the print drops the 2 before (I_p/I_0p) Ω"),
         BiasRow("(6)", "rate bias at φ_E = 1°", "deg/s", float(printed_bias / (2.0 * KAPPA)),
                 float(biases["rate_bias_dps"][0]), float(loops_bias / (2.0 * KAPPA)),
-                "from ½ c12; that (6) prints A/2 where demodulating with A cos gives A²/2 is only its scale"),
+                "from ½ c12 (that A/2 should be A²/2 is only scale); the formula takes ω₀ = ω₁, the loops run between the modes"),
     )  # fmt: skip
 
 

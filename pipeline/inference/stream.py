@@ -70,6 +70,7 @@ class Stream:
     silent_v : blocks of the senses before that.
     filtered : bandpassed blocks (n, S + D) that wait for the lattice to start.
     delay : (4, 2, S + D) state of the bandpass.
+    held : the last silent sample (1, 2) [V]: with a first-order hold a drive that follows acts from it on.
     lattice : ``None`` until the drive has acted for a tenth of a second.
     """
 
@@ -82,6 +83,7 @@ class Stream:
     silent_v: tuple[FloatArray, ...]
     filtered: tuple[FloatArray, ...]
     delay: FloatArray
+    held: FloatArray | None = None
     lattice: Lattice | None = None
 
     @property
@@ -119,18 +121,28 @@ def feed(stream: Stream, drive_v: FloatArray, sense_v: FloatArray) -> Stream:
         )
     if not drive_v.shape[0]:
         return stream
+    samples = stream.samples + drive_v.shape[0]
+    if stream.held is not None:
+        drive_v = np.concatenate([np.zeros((1, 2)), drive_v])
+        sense_v = np.concatenate([stream.held, sense_v])
     quiet = 0 if stream.driven else _quiet(drive_v)
+    silent = quiet == drive_v.shape[0]
+    held = sense_v[-1:] if silent else None
+    if silent:
+        quiet -= 1
+        drive_v, sense_v = drive_v[:-1], sense_v[:-1]
+        if not quiet:
+            return replace(stream, samples=samples, held=held)
     sections = bandpass_sections(stream.instrument.sample_rate_hz, stream.settings.low_hz, stream.settings.high_hz)
     both, delay = sosfilt(np.array(sections), np.concatenate([sense_v, drive_v], axis=1), axis=0, zi=stream.delay)
-    moved = replace(stream, samples=stream.samples + drive_v.shape[0], delay=np.asarray(delay))
+    moved = replace(stream, samples=samples, delay=np.asarray(delay), held=held)
     if quiet:
         moved = replace(moved, silent_v=(*stream.silent_v, sense_v[:quiet]))
-    if quiet == drive_v.shape[0]:
+    if silent:
         return moved
-    driven = stream.driven + drive_v.shape[0] - quiet
     moved = replace(
         moved,
-        driven=driven,
+        driven=stream.driven + drive_v.shape[0] - quiet,
         drive_v=(*stream.drive_v, drive_v[quiet:]),
         sense_v=(*stream.sense_v, sense_v[quiet:]),
     )
@@ -138,7 +150,7 @@ def feed(stream: Stream, drive_v: FloatArray, sense_v: FloatArray) -> Stream:
 
 
 def _quiet(drive_v: FloatArray) -> int:
-    """Samples up to the last before the drive starts: with a first-order hold the drive acts from that one on."""
+    """Samples before the last one before the drive starts; all of them where it does not."""
     moving = np.flatnonzero(np.any(drive_v != 0.0, axis=1))
     return max(int(moving[0]) - 1, 0) if moving.size else drive_v.shape[0]
 
@@ -153,10 +165,11 @@ def steps(stream: Stream, drive_v: FloatArray, sense_v: FloatArray) -> Iterator[
     first = 0
     while first < drive_v.shape[0]:
         quiet = 0 if stream.driven else _quiet(drive_v[first:])
-        last = first + (quiet or stream.due - stream.driven)
-        due = stream.driven + drive_v[first:last].shape[0] - quiet == stream.due
+        held = 0 if stream.held is None else 1
+        last = first + (quiet or stream.due - stream.driven - held)
+        due = stream.due
         stream = feed(stream, drive_v[first:last], sense_v[first:last])
-        yield stream, due and not quiet
+        yield stream, stream.driven == due
         first = last
 
 
@@ -164,9 +177,12 @@ def _through_lattice(stream: Stream, filtered: FloatArray) -> Stream:
     waiting = (*stream.filtered, filtered)
     lattice = stream.lattice
     if lattice is None:
-        if stream.driven < _SETTLE_S * stream.instrument.sample_rate_hz:
+        settling = round(_SETTLE_S * stream.instrument.sample_rate_hz)
+        if stream.driven < settling:
             return replace(stream, filtered=waiting)
-        energy = np.mean(np.concatenate(waiting) ** 2, axis=0)
+        energy = np.mean(np.concatenate(waiting)[:settling] ** 2, axis=0)
+        if not np.all(energy > 0.0):
+            energy = np.mean(np.concatenate(waiting) ** 2, axis=0)
         if not np.all(energy > 0.0):
             # A drive or a sense that has not moved has no scale yet, and no model either.
             return replace(stream, filtered=waiting)
