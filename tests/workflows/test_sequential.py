@@ -1,0 +1,44 @@
+"""The study of the sequential test."""
+
+import math
+
+from reports.limits import DEFAULT_LIMITS
+from workflows.config import load_config
+from workflows.sequential import LOOKS, Looks, as_good_as, figures, fixed_test, sequential_test, study_block
+
+NAN = math.nan
+
+
+def rows() -> list[Looks]:
+    return [
+        Looks(True, (NAN, 0.97, 0.999), {2.0: 1.0, 3.0: 1.0}),
+        Looks(False, (0.96, 0.5, 0.0), {2.0: 0.0, 3.0: 0.0}),
+        Looks(False, (0.5, 0.01, 0.0), {2.0: 0.0, 3.0: 0.0}),
+        Looks(True, (0.5,) * len(LOOKS), {2.0: 0.5, 3.0: 0.5}),
+    ]
+
+
+def test_the_test_stops_at_the_first_look_beyond_a_threshold() -> None:
+    found = sequential_test(rows(), 0.05)
+    assert found.mean_s == (0.4 + 0.3 + 0.4 + 3.0) / 4.0
+    assert (found.wrong_pass.count, found.wrong_fail.count, found.undecided.count) == (1, 0, 1)
+
+
+def test_the_threshold_is_tightened_until_the_sequential_test_errs_no_more_than_the_fixed_one() -> None:
+    fixed = fixed_test(rows(), 2.0, 0.05)
+    assert (fixed.wrong_pass.count, fixed.undecided.count) == (0, 1)
+    found = as_good_as(rows(), fixed)
+    assert found is not None
+    threshold, test = found
+    assert threshold == 0.02
+    assert test.wrong_pass.count == 0
+
+
+def test_virtual_devices_are_decided_well_before_two_seconds_and_rightly() -> None:
+    config = load_config(None, {"seed": 2026, "devices": 4})
+    found = study_block(config, (0, 4))
+    test = sequential_test(found, DEFAULT_LIMITS.rule.fail_at)
+    assert test.wrong_pass.count + test.wrong_fail.count + test.undecided.count == 0
+    assert test.mean_s < 1.0
+    assert {row.fixed[3.0] > 0.5 for row in found if row.conforms} == {True}
+    assert figures(found, 0.05)["devices"] == 4
