@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .campaign_content import CampaignContent
-from .campaign_wording import effect_words
+from .campaign_wording import effect_words, listed
 from .figures.channels import ChannelError, channel_errors
 from .figures.ladder import LadderPoint, ladder_plot
 from .figures.level import LevelCurve, level_plot
@@ -45,6 +46,24 @@ class CampaignFigures:
     channels: str
 
 
+@dataclass(frozen=True)
+class Window:
+    """Resonances [Hz] that are pictured together, and how far the picture reaches beyond them."""
+
+    centres_hz: tuple[float, ...]
+    half_hz: float
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """From below the first to above the last."""
+        return max(self.centres_hz[0] - self.half_hz, 0.0), self.centres_hz[-1] + self.half_hz
+
+    @property
+    def words(self) -> str:
+        """The frequencies."""
+        return listed([f"{one:.1f}" for one in self.centres_hz])
+
+
 def campaign_figures(
     content: CampaignContent, before: Sequence[RecordView], after: Sequence[RecordView] | None
 ) -> CampaignFigures:
@@ -71,7 +90,7 @@ def _figures(
     return CampaignFigures(
         ladder=_ladder(content),
         resonances=_drawn(
-            (pair, f"around {_hz(group)} Hz", _resonance(pair, group, f"resonance-{k}-{j}"))
+            (pair, f"around {group.words} Hz", _resonance(pair, group, f"resonance-{k}-{j}"))
             for k, pair in enumerate(worst[:2])
             for j, group in enumerate(groups)
         ),
@@ -126,53 +145,51 @@ def _ladder(content: CampaignContent) -> str:
     return ladder_plot(points, [effect_words(name) for name, _ in content.refused][:4], relative)
 
 
-def _resonances(content: CampaignContent, views: Sequence[RecordView]) -> list[list[float]]:
-    """Resonances [Hz] of the fitted model, close ones together; of the strongest response where none is known."""
-    known = sorted(
-        value.value
-        for row in content.parameters
-        if row.name.startswith("f") and row.name.endswith("_hz") and (value := row.after or row.before) is not None
-    )
+def _resonances(content: CampaignContent, views: Sequence[RecordView]) -> list[Window]:
+    """Windows round the resonances of the fitted model, close ones together; round the strongest response without any."""
     if not views:
         return []
-    if not known:
-        strongest = max(views, key=lambda view: float(np.ptp(view.measured_v)))
-        low, high = drive_band(strongest)
-        seen = spectra(strongest, (low, high))
-        if not seen.frequency_hz.size:
-            return []
-        known = [float(seen.frequency_hz[int(np.argmax(seen.measured.max(axis=1)))])]
-    reach = _half_width(views[0])
-    groups: list[list[float]] = []
-    for frequency in known:
-        if groups and frequency - groups[-1][-1] < reach:
-            groups[-1].append(frequency)
+    values = {row.name: value.value for row in content.parameters if (value := row.after or row.before) is not None}
+    known = sorted(
+        (values[name], 20.0 * values.get(f"zeta{name[1:-3]}", 0.0) * values[name])
+        for name in values
+        if re.fullmatch(r"f\d*_hz", name) and values[name] > 0.0
+    ) or _strongest(views)
+    lines = _lines(views[0])
+    groups: list[Window] = []
+    for frequency, width in known:
+        half = max(width, lines)
+        if groups and frequency - groups[-1].centres_hz[-1] < half:
+            last = groups.pop()
+            groups.append(Window((*last.centres_hz, frequency), max(last.half_hz, half)))
         else:
-            groups.append([frequency])
+            groups.append(Window((frequency,), half))
     nyquist = 0.5 * min(view.sample_rate_hz for view in views)
-    return [group for group in groups if group[-1] < nyquist][:_RESONANCES]
+    return [group for group in groups if group.centres_hz[-1] < nyquist][:_RESONANCES]
 
 
-def _half_width(view: RecordView) -> float:
-    """Thirty lines of the record's Fourier transform [Hz]: a resonance that a record can resolve fills a few."""
+def _strongest(views: Sequence[RecordView]) -> list[tuple[float, float]]:
+    loudest = max(views, key=lambda view: float(np.ptp(view.measured_v)))
+    seen = spectra(loudest, drive_band(loudest))
+    if not seen.frequency_hz.size:
+        return []
+    return [(float(seen.frequency_hz[int(np.argmax(seen.measured.max(axis=1)))]), 0.0)]
+
+
+def _lines(view: RecordView) -> float:
+    """Thirty lines of the record's Fourier transform [Hz]: a resonance that it can just resolve fills a few."""
     return 30.0 * view.sample_rate_hz / view.measured_v.shape[0]
 
 
-def _hz(group: Sequence[float]) -> str:
-    return " and ".join(f"{one:.1f}" for one in group)
-
-
-def _resonance(pair: _Pair, group: Sequence[float], name: str) -> str:
-    half = _half_width(pair[0])
-    band = (max(group[0] - half, 0.0), group[-1] + half)
+def _resonance(pair: _Pair, window: Window, name: str) -> str:
     panels = [
-        ResonancePanel("before" if not later else "after", spectra(view, band), later)
+        ResonancePanel("after" if later else "before", spectra(view, window.band_hz), bool(later))
         for later, view in enumerate(pair)
         if view is not None
     ]
     if not all(panel.spectra.frequency_hz.size > 1 for panel in panels):
         return ""
-    return resonance_plot([ResonancePanel(p.title, p.spectra, bool(p.after)) for p in panels], group, name)
+    return resonance_plot(panels, window.centres_hz, name)
 
 
 def _spectrogram(pair: _Pair, name: str) -> str:
@@ -180,7 +197,7 @@ def _spectrogram(pair: _Pair, name: str) -> str:
     titles = ["before", "after"][: len(views)]
     nyquist = 0.5 * pair[0].sample_rate_hz
     low, high = drive_band(pair[0])
-    room = max(0.2 * (high - low), _half_width(pair[0]))
+    room = max(0.2 * (high - low), _lines(pair[0]))
     near = (max(low - room, 0.0), min(high + room, nyquist))
     bands = [("full band, Hz", (0.0, nyquist), 120.0)]
     if near[1] - near[0] < 0.7 * nyquist:

@@ -17,7 +17,7 @@ from pipeline.device.effect import Effect, find_effects
 from .campaign_content import CampaignContent, campaign_content
 from .campaign_figures import CampaignFigures, campaign_figures
 from .campaign_rows import Value, parameter_label, short_name
-from .campaign_wording import effect_words, error_words, kind_words, listed, p_words, sentence, typeset
+from .campaign_wording import effect_words, error_words, explained_words, kind_words, listed, p_words, sentence, typeset
 from .record_view import RecordView
 from .rendering import environment, measured, number, stylesheet
 from .wording import SUPERSCRIPT
@@ -72,6 +72,7 @@ def render_campaign_report(
         short=short_name,
         typeset=typeset,
         sentence=sentence,
+        explained=explained_words,
         p_words=p_words,
         chi2_width=_chi2_width,
         listed=listed,
@@ -88,9 +89,13 @@ def render_campaign_report(
 
 
 def _sized(value: Value) -> str:
-    """value ± sd; far from 1 with the power of ten before the brackets."""
+    """value ± sd in one piece; far from 1 in brackets before a power of ten."""
+    return _estimate(value).replace(" ", "\u00a0")
+
+
+def _estimate(value: Value) -> str:
     largest = max(abs(value.value), value.sd if value.sd > 0.0 else 0.0)
-    if 1e-3 <= largest < 1e5 or largest == 0.0:
+    if 1e-2 <= largest < 1e5 or largest == 0.0:
         return measured(value.value, value.sd) if value.sd > 0.0 else number(value.value, 6)
     exponent = math.floor(math.log10(largest))
     power = f"10{str(exponent).translate(SUPERSCRIPT)}"

@@ -166,12 +166,8 @@ def standing_notes(
     ]
     if doubted and verdict != "unknown":
         are = "are" if len(doubted) > 1 else "is"
-        but = (
-            "the held-out ones see too little of it to confirm it"
-            if held_out
-            else "no record was held out to confirm it"
-        )
-        notes.append(f"Partial: {listed(doubted)} {are} significant on the fitted records, and {but}.")
+        but = "not confirmed by the held-out ones" if held_out else "no record was held out"
+        notes.append(f"Partial: {listed(doubted)} {are} significant on the fitted records, but {but}.")
     if verdict == "unknown" and left:
         notes.append(f"What is left: {left}.")
     if verdict == "fit_failed" and why:
@@ -196,6 +192,15 @@ def typeset(text: str) -> str:
     text = re.sub(r"(?<![A-Za-z])(" + "|".join(_GREEK) + r")(?![A-Za-z])", lambda m: _GREEK[m[1]], text)
     text = re.sub(r"\^(-?\d+)", lambda m: m[1].translate(SUPERSCRIPT), text)
     return text.replace("''", "″").replace("'", "′").replace(" -= ", " −= ").replace(" - ", " − ")
+
+
+def explained_words(share: float | None) -> str:
+    """A share of a misfit that was explained; never rounded up to all of it."""
+    if share is None:
+        return "–"
+    if 0.9999 <= share < 1.0:
+        return f"> 99.99{PERCENT}"
+    return percent(share).replace("-", "−")
 
 
 def kind_words(kind: str) -> str:

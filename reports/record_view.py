@@ -111,7 +111,7 @@ class TimeFrequency:
     over_noise_db: FloatArray
 
 
-def time_frequency(view: RecordView, segments: int, band_hz: tuple[float, float]) -> TimeFrequency:
+def time_frequency(view: RecordView, segments: float, band_hz: tuple[float, float]) -> TimeFrequency:
     """10 log10 P, mean over the channels, of the residual in a band [Hz], with segments of 1 / ``segments`` of a record."""
     n = view.residual.shape[0]
     length = int(np.clip(2 ** round(np.log2(max(n / segments, 8.0))), 8, max(n, 8)))

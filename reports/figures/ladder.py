@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -105,7 +106,13 @@ def _label(axes: Axes, k: int, point: LadderPoint, relative: bool) -> None:
     if main is None:
         return
     shown = _percent if relative else _short
-    beside = {"textcoords": "offset points", "xytext": (10, 4), "ha": "left", "va": "bottom", "zorder": 6}
+    beside: dict[str, Any] = {
+        "textcoords": "offset points",
+        "xytext": (10, 4),
+        "ha": "left",
+        "va": "bottom",
+        "zorder": 6,
+    }
     axes.annotate(
         shown(main) + (f"\n{words}" if words else ""), (k, main), color=colour, weight="bold", fontsize=12,
         linespacing=1.1, **beside,
