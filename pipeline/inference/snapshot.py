@@ -35,6 +35,8 @@ _DRAWS = 2000
 #: How often a fit that has not settled is gone on with, and the fall of chi2 below which it is not.
 _CONTINUED = 4
 _FALLS = 0.95
+#: How many of the starts that have not settled are gone on with.
+_HOPEFUL = 2
 #: Effective number of proposals below which a posterior is too far from normal to be known by them.
 _LEAST_ESS = 200.0
 
@@ -85,17 +87,40 @@ def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray,
     return kept, bool(1.0 / np.sum(weight**2) >= _LEAST_ESS)
 
 
-def _persistent_fit(data: BandData, sigma_v: FloatArray, start: FloatArray) -> Fit | None:
-    """The fit from ``start``, gone on with while it has not settled but still falls: early starts are far away."""
-    fit = best_fit([data], sigma_v, [start])
+def _rank(fit: Fit) -> tuple[bool, float]:
+    return fit.converged, -fit.chi2
+
+
+def _continued(data: BandData, sigma_v: FloatArray, fit: Fit) -> Fit:
+    """The fit gone on with while it has not settled but still falls: early starts are far away."""
     for _ in range(_CONTINUED):
-        if fit is None or fit.converged:
+        if fit.converged:
             break
         further = best_fit([data], sigma_v, [fit.x])
         if further is None or not (further.converged or further.chi2 < _FALLS * fit.chi2):
             break
         fit = further
     return fit
+
+
+def _found(
+    data: BandData, sigma_v: FloatArray, previous: FloatArray | None, starts: Callable[[], Sequence[FloatArray]]
+) -> Fit | None:
+    """The best fit from ``previous`` and, while none explains the data, from ``starts``; the most hopeful are gone on with."""
+    fits: list[Fit] = []
+    for start in [] if previous is None else [previous]:
+        first = best_fit([data], sigma_v, [start])
+        fits += [] if first is None else [_continued(data, sigma_v, first)]
+    if not any(explains(fit) for fit in fits):
+        for start in starts():
+            other = best_fit([data], sigma_v, [start])
+            fits += [] if other is None else [other]
+            if other is not None and explains(other):
+                break
+        else:
+            hopeful = sorted((fit for fit in fits if not fit.converged), key=lambda fit: fit.chi2)[:_HOPEFUL]
+            fits += [_continued(data, sigma_v, fit) for fit in hopeful]
+    return max(fits, key=_rank, default=None)
 
 
 def snapshot(
@@ -123,13 +148,7 @@ def snapshot(
     A snapshot in every case: what goes wrong is its status.
     """
     duration = data.band.samples / data.band.sample_rate_hz
-    fit = None if previous is None else _persistent_fit(data, sigma_v, previous)
-    for start in [] if fit is not None and explains(fit) else starts():
-        other = _persistent_fit(data, sigma_v, start)
-        if other is not None and (fit is None or (other.converged, -other.chi2) > (fit.converged, -fit.chi2)):
-            fit = other
-        if fit is not None and explains(fit):
-            break
+    fit = _found(data, sigma_v, previous, starts)
     if fit is None or not fit.converged or fit.dof <= 0:
         x = None if fit is None else fit.x
         return Snapshot(duration, "fit_failed", "the likelihood has no maximum near any start yet", {}, {}, x)
