@@ -63,8 +63,8 @@ KINDS: dict[str, Kind] = {
 class Hidden:
     """A campaign and what is hidden in it.
 
-    ``values``: all parameters by name; ``snr``: of each of the ``effects``; ``left_out``: library effects that the loop
-    must do without.
+    ``values``: all parameters by name; ``sizes``: names of those that are zero without their effect; ``snr``: of each of
+    the ``effects``; ``left_out``: library effects that the loop must do without.
     """
 
     kind: str
@@ -72,6 +72,7 @@ class Hidden:
     seed: int
     effects: tuple[str, ...]
     values: Mapping[str, float]
+    sizes: tuple[str, ...]
     snr: tuple[float, ...]
     left_out: tuple[str, ...]
     campaign: Campaign
@@ -130,6 +131,7 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
     empty = _empty(int(random.integers(2**31)))
     clean = {r.name: response(values, r.drive_v, INSTRUMENT) for r in empty if r.role != "noise"}
     snr: list[float] = []
+    sizes: list[str] = []
     if effects:
         fitted = [r for r in empty if r.role == "fit"]
         # What the ADC adds to the noise.
@@ -140,9 +142,12 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
         for i, effect in enumerate(effects):
             target = float(np.exp(random.uniform(*np.log(KINDS[kind].snr))))
             drawn = draw_effect(effect, values, max(float(np.abs(y).max()) for y in before), random)
-            found = _strength(effect, drawn, values, fitted, before, base, target, stream(seed, kind, number, f"hum{i}"))
+            found = _strength(
+                effect, drawn, values, fitted, before, base, target, stream(seed, kind, number, f"hum{i}")
+            )
             changed |= drawn.at(found[0])
             snr.append(found[1])
+            sizes += drawn.direction
         values = changed
         if effects != ("adc_saturation",) and effects != ("mains_hum",):
             clean = {r.name: response(values, r.drive_v, INSTRUMENT) for r in empty if r.role != "noise"}
@@ -152,7 +157,7 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
     )
     campaign = Campaign(f"{kind}-{number}", measured, INSTRUMENT, _ANGULAR_GAIN, 1.0)
     left_out = effects if kind == "left-out" else ()
-    return Hidden(kind, number, seed, effects, values, tuple(snr), left_out, campaign)
+    return Hidden(kind, number, seed, effects, values, tuple(sizes), tuple(snr), left_out, campaign)
 
 
 def _empty(seed: int) -> tuple[Record, ...]:
@@ -190,13 +195,14 @@ def _strength(
 def _measured(
     record: Record, clean: FloatArray | None, values: Mapping[str, float], kind: Noise, random: np.random.Generator
 ) -> Record:
-    """Noise and hum on top, then the converter."""
+    """Offset, noise and hum on top, then the converter."""
     samples = record.drive_v.shape[0]
-    rate = record.sample_rate_hz
     volts = record.sense_v if clean is None else clipped(clean, values)
-    total = volts + _OFFSET_V * random.standard_normal(2) + noise(kind, clean is None, samples, random)
-    total = total + hum(values, samples, rate, random)
+    volts = volts + _OFFSET_V * random.standard_normal(2) + noise(kind, clean is None, samples, random)
+    if values.get("adc_saturation.clips_noise", 0.0):
+        volts = clipped(volts, values)
+    volts = volts + hum(values, samples, record.sample_rate_hz, random)
     adc = INSTRUMENT.adc
     assert adc is not None
     half = 2.0 ** (adc.bits - 1)
-    return replace(record, sense_v=np.clip(np.rint(total / adc.lsb_v), -half, half - 1.0) * adc.lsb_v)
+    return replace(record, sense_v=np.clip(np.rint(volts / adc.lsb_v), -half, half - 1.0) * adc.lsb_v)

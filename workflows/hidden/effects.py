@@ -80,8 +80,9 @@ def _parasitic(values: Mapping[str, float], peak_v: float, random: np.random.Gen
 
 
 def _saturation(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
-    # Size 1 clips nothing yet.
-    return Drawn({"adc_saturation.1/level": 1.0 / peak_v}, most=20.0)
+    # Size 1 clips nothing yet.  Noise enters behind the stage that clips, or in front of it.
+    before = float(random.integers(2))
+    return Drawn({"adc_saturation.1/level": 1.0 / peak_v}, {"adc_saturation.clips_noise": before}, most=20.0)
 
 
 def _hum(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:

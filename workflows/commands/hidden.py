@@ -1,0 +1,70 @@
+"""gyroscreen benchmark hidden-effects."""
+
+from __future__ import annotations
+
+import json as json_
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..coverage import Share
+from ..hidden.confusion import answer, confusion, figures, found_as, odd, power
+from ..hidden.draw import hide
+from ..hidden.study import examine, order_of, rows_in, run_study
+
+
+def hidden_effects(
+    kind: str, campaigns: int | None, only: int | None, seed: int, workers: int, out: Path, json: bool
+) -> None:
+    """See ``gyroscreen benchmark hidden-effects --help``."""
+    order = order_of(kind, campaigns, seed, only)
+    if only is not None:
+        row = examine(hide(kind, only, seed))
+        print(json_.dumps(row, indent=None if json else 2))
+        return
+    for done, asked in run_study(order, out, workers):
+        print(f"\r{done} of {asked} campaigns", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    rows = [r for r in rows_in(out, tuple(order.numbers), seed) if r["number"] in order.numbers[r["kind"]]]
+    print(json_.dumps(_plain(rows)) if json else "\n".join(lines(rows)))
+
+
+def _plain(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    found = {k: _share(v) if isinstance(v, Share) else v for k, v in figures(rows).items()}
+    matrices = {step: confusion(rows, step) for step in ("diagnose", "refine")}
+    curve = [{"snr": [low, high], **counts} for low, high, counts in power(rows)]
+    return {"figures": found, "confusion": matrices, "power": curve, "odd": [_key(row) for row in rows if odd(row)]}
+
+
+def _share(share: Share) -> dict[str, Any]:
+    return {"count": share.count, "total": share.total, "interval": list(share.interval)}
+
+
+def _key(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: row[name] for name in ("kind", "number", "seed", "hidden", "snr", "failed")}
+
+
+def lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Figures, power curve, confusion matrices, and every answer worth a look, as text."""
+    out = [f"{name:68s} {v:.2f}" if isinstance(v, float) else f"{name:68s} {v}" for name, v in figures(rows).items()]
+    out += ["", "One effect hidden, diagnose, by SNR"]
+    for low, high, counts in power(rows):
+        total = sum(counts.values())
+        if total:
+            right = counts.get("right", 0)
+            rest = ", ".join(f"{n} {name}" for name, n in counts.items() if name != "right")
+            out.append(f"  {low:6.1f} to {high:6.1f}   right {Share(right, total)}" + (f"; {rest}" if rest else ""))
+    for step in ("diagnose", "refine"):
+        out += ["", f"Hidden -> found, {step}"]
+        for hidden, found in confusion(rows, step).items():
+            out.append(f"  {hidden:54s} {', '.join(f'{name} {n}' for name, n in found.items())}")
+    strange = [row for row in rows if odd(row)]
+    out += ["", "Worth a look (run again with --kind KIND --only NUMBER --seed SEED)" if strange else "Nothing odd."]
+    for row in strange:
+        snr = ", ".join(f"{value:.1f}" for value in row["snr"])
+        steps = [step for step in ("diagnose", "refine") if row[step]]
+        said = "; ".join(f"{step} {answer(row, step)}: {found_as(row, step)}" for step in steps)
+        hidden = " + ".join(row["hidden"]) or "nothing"
+        out.append(f"  {row['kind']} {row['number']} seed {row['seed']}  {hidden} (SNR {snr})  {row['failed'] or said}")
+    return out

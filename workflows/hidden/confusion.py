@@ -1,0 +1,225 @@
+"""What the rows of a study say: shares with their intervals, confusion matrix, power curve, times.
+
+A row is the JSON object of one campaign (``study.examine``).  A name is right where it is hidden itself, or where its
+class (three at most) holds what is hidden.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ..coverage import Share
+from .draw import KINDS
+from .truth import OUTSIDE
+
+Row = Mapping[str, Any]
+
+#: Library effects that may fairly stand for one that was taken out.
+LOOK_ALIKES: dict[str, tuple[str, ...]] = {
+    "pickoff_pole": ("loop_delay",),
+    "loop_delay": ("pickoff_pole",),
+    "updown_tilt": ("electrode_mismatch",),
+    "electrode_mismatch": ("updown_tilt",),
+    **{name: like for name, (_, like) in OUTSIDE.items()},
+}
+_LARGEST_CLASS = 3
+_POWER_BINS = (4.0, 5.0, 6.5, 8.0, 10.0, 20.0, 50.0, 200.0, 1000.0)
+
+
+def class_of(name: str, result: Mapping[str, Any]) -> set[str]:
+    """``name`` and all that the result could not tell from it."""
+    return {name}.union(*(set(members) for members in result["classes"] if name in members))
+
+
+def answer(row: Row, step: str) -> str:
+    """What ``step`` ("diagnose" or "refine") said: "right", "partly", "wrong", "adequate", "unknown" or "fit_failed".
+
+    right   everything hidden and nothing else, up to classes of at most three
+    partly  names that are all hidden (up to classes), but not all that is hidden, or in a larger class
+    wrong   at least one name whose class holds nothing that is hidden
+    """
+    result, hidden = row[step], set(row["hidden"])
+    if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
+        return "adequate" if result["verdict"] in ("adequate", "effect", "class") else str(result["verdict"])
+    meant = [class_of(name, result) for name in result["effects"]]
+    if any(not members & hidden for members in meant):
+        return "wrong"
+    complete = len(meant) == len(hidden) and all(any(name in members for members in meant) for name in hidden)
+    small = all(len(members) <= _LARGEST_CLASS for members in meant)
+    return "right" if complete and small else "partly"
+
+
+def look_alike(row: Row, step: str) -> bool:
+    """Whether everything that was named may fairly stand for what is hidden."""
+    allowed = {like for name in row["hidden"] for like in LOOK_ALIKES.get(name, ())}
+    named = row[step]["effects"]
+    return bool(named) and set(named) <= allowed
+
+
+def confirmed(row: Row) -> bool:
+    """Whether refine left a confirmed rung."""
+    return any(rung["status"] == "confirmed" for rung in row["refine"]["ladder"])
+
+
+def share(rows: Sequence[Row], test: Callable[[Row], bool]) -> Share:
+    """Of all rows, those that pass."""
+    return Share(sum(test(row) for row in rows), len(rows))
+
+
+def _answers(step: str, said: str) -> Callable[[Row], bool]:
+    return lambda row: answer(row, step) == said
+
+
+def _apart(row: Row, quantity: str, key: str) -> float:
+    """(estimate - truth)/sd of a quantity of refine; theta modulo 180 deg; nan where there is none."""
+    found = row["refine"].get(key)
+    if not found or found[0] is None or not found[1]:
+        return float("nan")
+    off = found[0] - row["truth"][quantity]
+    if quantity == "theta_deg":
+        off = (off + 90.0) % 180.0 - 90.0
+    return float(off / found[1])
+
+
+def main_parameter(row: Row) -> tuple[float, float, float] | None:
+    """(true, estimate, sd) of the largest hidden parameter among those that are zero without the effect.
+
+    ``None`` where refine did not add just the hidden effect, or where it has no such parameter (hum).
+    """
+    if len(row["hidden"]) != 1 or list(row["refine"]["effects"]) != list(row["hidden"]):
+        return None
+    effect = row["hidden"][0]
+    asked = [name for name in row["sizes"] if name in row["refine"]["parameters"]]
+    if not asked:
+        return None
+    name = max(asked, key=lambda n: abs(row["sizes"][n]))
+    value, sd = row["refine"]["parameters"][name]
+    if sd is None or not np.isfinite(sd):
+        return None
+    if effect == "parasitic_mode":
+        # The sense vector is an axis: both ways round are the same mode.
+        turned = row["refine"]["parameters"]["parasitic_mode.a"][0] - row["truth"]["parasitic_mode.a"]
+        value *= float(np.sign(np.cos(np.deg2rad(turned)))) or 1.0
+    return float(row["sizes"][name]), float(value), float(sd)
+
+
+def figures(rows: Sequence[Row]) -> dict[str, Any]:
+    """Every share that the proof names, by what it says; those without rows are left out."""
+    ran = [row for row in rows if not row["failed"]]
+    by = {kind: [row for row in ran if row["kind"] == kind] for kind in KINDS}
+    out: dict[str, Any] = {"campaigns": len(rows), "campaigns that failed to run": len(rows) - len(ran)}
+
+    def add(what: str, kind: str, test: Callable[[Row], bool]) -> None:
+        if by[kind]:
+            out[f"{kind}: {what}"] = share(by[kind], test)
+
+    for kind, limit in (("none", 1), ("coloured", 5), ("heavy-tailed", 5), ("louder", 5)):
+        add(f"a name (at most {limit} %)", kind, lambda r: bool(r["diagnose"]["effects"]))
+        add("unknown", kind, lambda r: r["diagnose"]["verdict"] == "unknown")
+    for step in ("diagnose", "refine"):
+        add(f"right, {step} (at least 95 %)", "one", _answers(step, "right"))
+        add(f"wrong name, {step} (at most 1 %)", "one", _answers(step, "wrong"))
+    add("wrong name, diagnose (at most 2 %)", "weak", _answers("diagnose", "wrong"))
+    add("right, diagnose", "weak", _answers("diagnose", "right"))
+    add("adequate, diagnose", "weak", _answers("diagnose", "adequate"))
+    for step in ("diagnose", "refine"):
+        add(f"both and only both, {step} (at least 85 %)", "two", _answers(step, "right"))
+    strange = by["outside"] + by["left-out"]
+    for name, group in (("outside", by["outside"]), ("left-out", by["left-out"]), ("outside and left-out", strange)):
+        if group:
+            fair = [r for r in group if not look_alike(r, "refine")]
+            out[f"{name}: unknown, no confirmed rung (at least 90 %)"] = share(
+                fair, lambda r: r["refine"]["verdict"] == "unknown" and not confirmed(r)
+            )
+            out[f"{name}: a look-alike stands for it, excused"] = len(group) - len(fair)
+            out[f"{name}: adequate"] = share(fair, lambda r: r["refine"]["verdict"] == "adequate")
+    out |= _after_adding([r for r in by["one"] if answer(r, "refine") == "right"])
+    out |= _sizes(by["one"])
+    out |= _times(ran)
+    return out
+
+
+def _after_adding(rows: Sequence[Row]) -> dict[str, Any]:
+    if not rows:
+        return {}
+    out: dict[str, Any] = {}
+    error = [r["refine"]["ladder"][-1]["error_validate"] for r in rows]
+    out["after adding: held-out error at most 1.01 (at least 95 %)"] = Share(
+        sum(e is not None and e <= 1.01 for e in error), len(rows)
+    )
+    for quantity, before in (("theta_deg", "theta_before_deg"), ("split_hz", "split_before_hz")):
+        z = np.array([_apart(r, quantity, quantity) for r in rows])
+        was = np.array([_apart(r, quantity, before) for r in rows])
+        inside = int(np.sum(np.abs(z) <= 1.6449))
+        out[f"after adding: {quantity} inside its 90 % interval (85 to 95 %)"] = Share(inside, len(rows))
+        if np.any(np.isfinite(was)):
+            out[f"before adding: {quantity} off by more than 3 sd"] = Share(int(np.sum(np.abs(was) > 3.0)), len(rows))
+    return out
+
+
+def _sizes(rows: Sequence[Row]) -> dict[str, Any]:
+    found = [size for row in rows if (size := main_parameter(row)) is not None]
+    if not found:
+        return {}
+    return {
+        "size: sign right (at least 99 %)": Share(sum(true * value > 0.0 for true, value, _ in found), len(found)),
+        "size: inside its 95 % interval (91 to 98 %)": Share(
+            sum(abs(value - true) <= 1.96 * sd for true, value, sd in found), len(found)
+        ),
+    }
+
+
+def _times(rows: Sequence[Row]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for step, median, worst in (("diagnose", 5, None), ("refine", 20, 60)):
+        seconds = [row[step]["seconds"] for row in rows if row[step]]
+        if seconds:
+            out[f"{step}: median time, s (at most {median})"] = float(np.median(seconds))
+            out[f"{step}: worst time, s" + (f" (at most {worst})" if worst else "")] = float(np.max(seconds))
+    return out
+
+
+def found_as(row: Row, step: str) -> str:
+    """The column of the confusion matrix: names with their classes, or the verdict without a name."""
+    result = row[step]
+    if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
+        return "adequate" if result["verdict"] in ("effect", "class") else str(result["verdict"])
+    return " + ".join(sorted("/".join(sorted(class_of(name, result))) for name in result["effects"]))
+
+
+def confusion(rows: Sequence[Row], step: str) -> dict[str, dict[str, int]]:
+    """Hidden -> found -> campaigns, of all rows in which ``step`` was done."""
+    table: dict[str, Counter[str]] = {}
+    for row in rows:
+        if not row["failed"] and row[step]:
+            left = ", left out" if row["left_out"] else ""
+            hidden = f"{row['kind']}: {' + '.join(row['hidden']) or 'nothing'}{left}"
+            table.setdefault(hidden, Counter())[found_as(row, step)] += 1
+    return {hidden: dict(found.most_common()) for hidden, found in sorted(table.items())}
+
+
+def power(rows: Sequence[Row]) -> list[tuple[float, float, dict[str, int]]]:
+    """(SNR from, to, answer -> campaigns) of the campaigns with one hidden effect."""
+    single = [row for row in rows if row["kind"] in ("one", "weak") and not row["failed"]]
+    out = []
+    for low, high in pairwise(_POWER_BINS):
+        inside = [row for row in single if low <= row["snr"][0] < high]
+        out.append((low, high, dict(Counter(answer(row, "diagnose") for row in inside))))
+    return out
+
+
+def odd(row: Row) -> bool:
+    """Whether a row is worth a look: failed, or not the answer that was hoped for."""
+    if row["failed"]:
+        return True
+    if not row["hidden"]:
+        return row["diagnose"]["verdict"] != "adequate"
+    if row["left_out"] or row["kind"] == "outside":
+        return row["refine"]["verdict"] != "unknown" or confirmed(row)
+    steps = [step for step in ("diagnose", "refine") if row[step]]
+    return any(answer(row, step) != "right" for step in steps)

@@ -1,0 +1,48 @@
+"""A campaign seen with a smaller library: what is left out is never a candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.criticism.problem import Candidate, FitResult, Problem, Region, Signatures
+
+
+class Narrowed:
+    """The problem ``whole`` without the candidates named ``left_out``."""
+
+    def __init__(self, whole: Problem, left_out: Sequence[str]) -> None:
+        self.whole = whole
+        self.left_out = frozenset(left_out)
+
+    def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
+        """As in the whole problem."""
+        return self.whole.fit(terms, start)
+
+    def signatures(self, fit: FitResult) -> Signatures:
+        """Those of the whole problem, less what is left out and its columns."""
+        found = self.whole.signatures(fit)
+        kept: list[Candidate] = []
+        columns: list[int] = []
+        for candidate in found.candidates:
+            if candidate.name in self.left_out:
+                continue
+            cells = []
+            for cell in candidate.cells:
+                first = len(columns)
+                columns += range(cell.start, cell.stop)
+                cells.append(slice(first, len(columns)))
+            kept.append(replace(candidate, cells=tuple(cells)))
+        chosen = np.array(columns, dtype=np.int64)
+        local = tuple(candidate for candidate in found.local if candidate.name not in self.left_out)
+        return Signatures(tuple(kept), tuple(np.ascontiguousarray(z[:, chosen]) for z in found.blocks), local)
+
+    def probes(self, fit: FitResult) -> Signatures:
+        """As in the whole problem."""
+        return self.whole.probes(fit)
+
+    def regions(self, fit: FitResult) -> Sequence[Region]:
+        """As in the whole problem."""
+        return self.whole.regions(fit)
