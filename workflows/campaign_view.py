@@ -1,0 +1,360 @@
+"""A campaign as criticism sees it: blocks of whitened Fourier coefficients, jacobian, signatures, probes, regions.
+
+A record of N samples becomes, channel by channel, the coefficients sqrt(2/N) (Re, Im) Y(w)/sigma of the bins above zero up to
+``TOP_HZ`` (a unitary picture of that part of the data; the bin at zero is the free offset).  Lines and transients that are
+free in a record are projected out before.
+
+Shapes: N samples, S senses, F bins; rows of a block 2 F, columns S.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.fft import rfft
+
+from pipeline.arrays import FloatArray, IntArray
+from pipeline.criticism.problem import (
+    Block,
+    Candidate,
+    FitResult,
+    LocalCandidate,
+    Region,
+    Signatures,
+    TermParameter,
+)
+from pipeline.device.model import Model
+from pipeline.errors import ConfigError, GyroscreenError
+from pipeline.experiment.forward import jacobian, signatures
+from pipeline.experiment.lines import line_basis
+from pipeline.experiment.noise_level import NoiseLevel
+from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
+from pipeline.inference.campaign_problem import nuisance_columns
+
+#: Above this every effect of the library is as good as silent for drives below 700 Hz.
+TOP_HZ = 2500.0
+_WINDOW_S = 0.25
+_BAND_HZ = 25.0
+#: Grid of the parasitic mode's signature: the driven band and a little beyond it.
+_GRID: dict[str, dict[str, tuple[float, ...]]] = {
+    "parasitic_mode": {"f": tuple(300.0 * 1.04**k for k in range(28)), "zeta": (1e-2,), "a": (-45.0, 0.0, 45.0, 90.0)}
+}
+_STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Which bins of a record count, and how they are scaled."""
+
+    samples: int
+    bins: IntArray
+    frequency_hz: FloatArray
+
+    def __call__(self, y: FloatArray) -> FloatArray:
+        """(N, S, ...) -> (2 F, S, ...): unitary real Fourier coefficients."""
+        c = rfft(y, axis=0)[self.bins] * np.sqrt(2.0 / self.samples)
+        return np.concatenate([c.real, c.imag])
+
+
+def spectra_of(record: Record) -> Spectra:
+    """Bins above zero, up to ``TOP_HZ`` and below Nyquist."""
+    n, rate = record.drive_v.shape[0], record.sample_rate_hz
+    bins = np.arange(1, (n - 1) // 2 + 1)
+    frequency = bins * rate / n
+    kept = frequency <= TOP_HZ
+    return Spectra(n, bins[kept], frequency[kept])
+
+
+class CampaignView:
+    """The ``Problem`` of one campaign; fits and signatures are kept, for they are asked for again."""
+
+    def __init__(self, campaign: Campaign, model: Model, noise: NoiseLevel) -> None:
+        self.campaign = campaign
+        self.noise = noise
+        first = campaign.with_role("fit")[0]
+        self.model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])
+        self.records = campaign.with_role("fit")
+        self._fits: dict[frozenset[str], tuple[CampaignFit, FitResult]] = {}
+        self._signatures: dict[str, tuple[Candidate, tuple[FloatArray, ...]] | None] = {}
+
+    @cached_property
+    def spectra(self) -> tuple[Spectra, ...]:
+        """One a fit record."""
+        return tuple(spectra_of(record) for record in self.records)
+
+    def campaign_fit(self, terms: Sequence[str]) -> CampaignFit:
+        """The fit of the model with these terms, made before."""
+        return self._fits[frozenset(terms)][0]
+
+    def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
+        """Fit the model with these terms."""
+        key = frozenset(terms)
+        if key not in self._fits:
+            model = self.model
+            for term in terms:
+                model = model.with_effect(term)
+            begun = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
+            try:
+                fitted = fit_campaign(model, self.campaign, self.noise, begun)
+                self._fits[key] = (fitted, self._result(fitted, terms))
+            except (GyroscreenError, np.linalg.LinAlgError) as error:
+                return FitResult(False, terms, {}, (), (), why=str(error))
+        return self._fits[key][1]
+
+    def _result(self, fitted: CampaignFit, terms: tuple[str, ...]) -> FitResult:
+        turn = _external(fitted)
+        jacobians = []
+        for record, spectra in zip(self.records, self.spectra):
+            mine = next(r for r in fitted.records if r.name == record.name)
+            j = jacobian(
+                fitted.model,
+                fitted.values,
+                record,
+                self.campaign.instrument,
+                angular_gain=self.campaign.angular_gain,
+                start=mine.start,
+            )
+            jacobians.append(self._rows(fitted, record, spectra, j) @ turn)
+        free = fitted.model.free
+        columns = {
+            term: tuple(i for i, name in enumerate(free) if name.startswith(f"{term}.") or _is_quantity(term, name))
+            for term in terms
+        }
+        shifts = {
+            term: tuple(
+                0.0 if (p := fitted.model.by_name[free[i]]).grid else fitted.values[free[i]] - p.null for i in columns[term]
+            )
+            for term in terms
+        }
+        derived = {}
+        if fitted.theta_deg is not None and fitted.split_hz is not None:
+            derived = {"theta_deg": fitted.theta_deg, "split_hz": fitted.split_hz}
+        known = self.noise.source != "local"
+        blocks = tuple(self._block(record, fitted) for record in self.records)
+        held = tuple(self._block(record, fitted) for record in self.campaign.with_role("validate"))
+        return FitResult(
+            fitted.fit_ok or bool(np.isfinite(fitted.chi2)),
+            terms,
+            fitted.parameters,
+            blocks,
+            tuple(jacobians),
+            derived=derived,
+            held=held,
+            columns=columns,
+            shifts=shifts,
+            strata=tuple(_strata(spectra, record.sense_v.shape[1]) for record, spectra in zip(self.records, self.spectra)),
+            noise_known=known,
+            error={k: v for k, v in fitted.error.items() if v is not None and known},
+            relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
+        )
+
+    def _rows(self, fitted: CampaignFit, record: Record, spectra: Spectra, y: FloatArray) -> FloatArray:
+        """Volts (N, S, K) as whitened rows (2 F S, K), the record's own free amplitudes projected out."""
+        n = nuisance_columns(fitted.model, fitted.values, record, self.campaign.instrument)
+        flat = y.reshape(y.shape[0], -1)
+        flat = flat - n @ (n.T @ flat)
+        white = flat.reshape(y.shape) / self.noise.sigma_v[:, None]
+        return spectra(white).reshape(-1, y.shape[2])
+
+    def _block(self, record: Record, fitted: CampaignFit) -> Block:
+        mine = next(r for r in fitted.records if r.name == record.name)
+        twins = [r.name for r in self.campaign.records if r.role == record.role and _same_drive(r, record)]
+        return Block(
+            record.name,
+            spectra_of(record)(mine.residual),
+            labels_of(record, self.campaign),
+            repeat=twins[0] if len(twins) > 1 else None,
+            nuisances=0,
+        )
+
+    def signatures(self, fit: FitResult) -> Signatures:
+        """Signatures of all absent effects; those found at an earlier fit serve again, for they hardly change."""
+        fitted = self.campaign_fit(fit.terms)
+        candidates: list[Candidate] = []
+        parts: list[list[FloatArray]] = [[] for _ in self.records]
+        local: list[LocalCandidate] = []
+        offset = 0
+        for name in fitted.model.candidates():
+            effect = fitted.model.library[name]
+            if effect.disturbance is not None:
+                local.append(self._lines(fitted, name))
+                continue
+            if name not in self._signatures:
+                self._signatures[name] = self._signature(fitted, name)
+            found = self._signatures[name]
+            if found is None:
+                continue
+            candidate, columns = found
+            cells = tuple(slice(c.start + offset, c.stop + offset) for c in candidate.cells)
+            candidates.append(Candidate(candidate.name, candidate.parameters, cells, candidate.grid))
+            for part, own in zip(parts, columns):
+                part.append(own)
+            offset += columns[0].shape[1]
+        rows = [j.shape[0] for j in fit.jacobian]
+        blocks = tuple(
+            np.concatenate(part, axis=1) if part else np.zeros((n, 0)) for part, n in zip(parts, rows)
+        )
+        return Signatures(tuple(candidates), blocks, tuple(local))
+
+    def _signature(self, fitted: CampaignFit, name: str) -> tuple[Candidate, tuple[FloatArray, ...]] | None:
+        effect = fitted.model.library[name]
+        members = [m for m in effect.members(self.model.built.shape) if not m.grid]
+        by_record = []
+        made: dict[bytes, Any] = {}
+        for record, spectra in zip(self.records, self.spectra):
+            # Records with the same drive and conditions have the same signature.
+            key = record.drive_v.tobytes() + repr((record.rate_dps, record.bias_v, record.at_rest)).encode()
+            if key not in made:
+                try:
+                    found = signatures(
+                        fitted.model,
+                        fitted.values,
+                        record,
+                        self.campaign.instrument,
+                        name,
+                        angular_gain=self.campaign.angular_gain,
+                        grid=_GRID.get(name),
+                    )
+                except ConfigError:
+                    return None
+                made[key] = (found, [self._rows(fitted, record, spectra, s.columns) for s in found])
+            by_record.append(made[key])
+        found = by_record[0][0]
+        width = [s.columns.shape[2] for s in found]
+        edges = np.concatenate([[0], np.cumsum(width)])
+        parameters = tuple(
+            TermParameter(
+                effect.full_name(m),
+                m.unit,
+                m.null,
+                max(abs(m.high - m.null), abs(m.low - m.null)),
+                1 if m.low == m.null else (-1 if m.high == m.null else 0),
+            )
+            for m in (members or effect.members(self.model.built.shape)[:1])
+        )
+        if found and found[0].columns.shape[2] != len(parameters):
+            parameters = parameters[: found[0].columns.shape[2]]
+        candidate = Candidate(
+            name,
+            parameters,
+            tuple(slice(int(a), int(b)) for a, b in zip(edges, edges[1:])),
+            tuple({k: float(v) for k, v in s.point.items()} for s in found),
+        )
+        return candidate, tuple(np.concatenate(rows, axis=1) for _, rows in by_record)
+
+    def _lines(self, fitted: CampaignFit, name: str) -> LocalCandidate:
+        """Fall of chi2 that free lines bring, for 50 and 60 Hz."""
+        falls, dof = [], 0
+        grid = ({"f": 50.0}, {"f": 60.0})
+        for point in grid:
+            fall, spent = 0.0, 0
+            for record in self.records:
+                mine = next(r for r in fitted.records if r.name == record.name)
+                basis = line_basis(record.drive_v.shape[0], record.sample_rate_hz, point["f"], False)[:, 1:]
+                fall += float(np.sum((basis.T @ mine.residual) ** 2))
+                spent += basis.shape[1] * record.sense_v.shape[1]
+            falls.append(fall)
+            dof = max(dof, spent)
+        return LocalCandidate(name, tuple(falls), dof, grid)
+
+    def probes(self, fit: FitResult) -> Signatures:
+        """Shapes that almost any missing physics touches: powers, drifts and cross-talk of the model's own response."""
+        fitted = self.campaign_fit(fit.terms)
+        blocks = []
+        count = 0
+        for record, spectra in zip(self.records, self.spectra):
+            y = next(r for r in fitted.records if r.name == record.name).predicted_v
+            t = np.arange(y.shape[0])[:, None] / record.sample_rate_hz
+            slope = np.gradient(y, axis=0)
+            shapes = [y * t, y**2, y**3, np.abs(y) * y, y**2 * slope, slope, slope * t, y[:, ::-1], np.sign(y)]
+            columns = []
+            for shape in shapes:
+                for channel in range(y.shape[1]):
+                    one = np.zeros_like(y)
+                    one[:, channel] = shape[:, channel]
+                    columns.append(one)
+            blocks.append(self._rows(fitted, record, spectra, np.stack(columns, axis=2)))
+            count = len(columns)
+        unit = (TermParameter("amplitude"),)
+        candidates = tuple(Candidate(f"shape {i}", unit, (slice(i, i + 1),)) for i in range(count))
+        return Signatures(candidates, tuple(blocks))
+
+    def regions(self, fit: FitResult) -> Sequence[Region]:
+        """Residual energy by record, channel and band of frequency, and by record, channel and time."""
+        fitted = self.campaign_fit(fit.terms)
+        out: list[Region] = []
+        shrink = 1.0 - len(fitted.model.free) / max(fit.rows, 1)
+        for block, spectra in zip(fit.blocks, self.spectra):
+            cells = (spectra.frequency_hz // _BAND_HZ).astype(int)
+            both = np.concatenate([cells, cells])
+            r = next(x for x in fitted.records if x.name == block.name).residual
+            rate = next(x for x in self.records if x.name == block.name).sample_rate_hz
+            for channel in range(block.residual.shape[1]):
+                square = block.residual[:, channel] ** 2
+                energy = np.bincount(both, square)
+                sizes = np.bincount(both)
+                clipped = np.bincount(both, np.minimum(square, 16.0))
+                for c in np.flatnonzero(sizes):
+                    band = [c * _BAND_HZ, (c + 1) * _BAND_HZ]
+                    where = {"record": block.name, "channel": f"sense{channel + 1}", "band_hz": band}
+                    out.append(Region("frequency", where, float(energy[c]), float(sizes[c]) * shrink, float(clipped[c])))
+                size = max(1, round(_WINDOW_S * rate))
+                for k in range(r.shape[0] // size):
+                    part = r[k * size : (k + 1) * size, channel] ** 2
+                    times = [k * size / rate, (k + 1) * size / rate]
+                    where = {"record": block.name, "channel": f"sense{channel + 1}", "time_s": times}
+                    robust = float(np.sum(np.minimum(part, 16.0)))
+                    out.append(Region("time", where, float(part.sum()), part.size * shrink, robust))
+        return out
+
+
+def _is_quantity(term: str, name: str) -> bool:
+    return term == "offdiagonal_damping" and name == "c12_per_s"
+
+
+def _same_drive(a: Record, b: Record) -> bool:
+    return a.drive_v.shape == b.drive_v.shape and bool(np.array_equal(a.drive_v, b.drive_v))
+
+
+def _strata(spectra: Spectra, senses: int) -> IntArray:
+    """Noise stratum of each row: band of frequency and channel."""
+    band = np.digitize(spectra.frequency_hz, _STRATA_HZ) - 1
+    both = np.concatenate([band, band])
+    return np.asarray((both[:, None] * senses + np.arange(senses)).reshape(-1))
+
+
+def _external(fitted: CampaignFit) -> FloatArray:
+    """d smooth coordinates / d parameters (P, P) at the fit."""
+    model, values = fitted.model, fitted.values
+    out = np.zeros((len(model.free), len(model.free)))
+    for i, name in enumerate(model.free):
+        size = max(abs(values[name]), model.by_name[name].scale) * 1e-6
+        pair = [model.to_internal({**values, name: values[name] + sign * size}) for sign in (1.0, -1.0)]
+        out[:, i] = (pair[0] - pair[1]) / (2.0 * size)
+    return out
+
+
+def labels_of(record: Record, campaign: Campaign) -> Mapping[str, str]:
+    """Level, direction and drives of a record, in words that group records."""
+    peaks = np.max(np.abs(record.drive_v), axis=0)
+    most = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records) or 1.0
+    on = [d for d in range(peaks.size) if peaks[d] > 0.01 * most]
+    direction = "none"
+    if on:
+        v = record.drive_v[:, on[0]]
+        signs = np.signbit(v)
+        half = v.size // 2
+        early, late = np.count_nonzero(np.diff(signs[:half])), np.count_nonzero(np.diff(signs[half:]))
+        direction = "up" if late > 1.1 * early else ("down" if early > 1.1 * late else "flat")
+        if on[0] == 1 and direction in ("up", "down"):
+            direction = "down" if direction == "up" else "up"
+    return {
+        "level": f"{float(peaks.max()) / most:.2g}",
+        "direction": direction,
+        "drives": "+".join(str(d + 1) for d in on) or "none",
+    }
