@@ -56,7 +56,7 @@ class StreamSettings:
     order: int = 40
     low_hz: float = 400.0
     high_hz: float = 700.0
-    first_s: float = 0.5
+    first_s: float = 0.3
     every_s: float = 0.1
     sigma_v: tuple[float, ...] | None = None
     line_hz: float | None = None
@@ -212,7 +212,7 @@ def noise_of(stream: Stream) -> tuple[FloatArray, float | None]:
         "the noise is unknown: too little silence before the drive starts",
         value=f"{count / instrument.sample_rate_hz:.3f} s",
         allowed=f"{_LEAST_SILENCE_S} s of silence with noise in it, a noise level, or a campaign with a silent record",
-        next_step="give --sigma in volts, or --campaign FOLDER",
+        next_step="give --sigma-v in volts, or --campaign FOLDER",
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pipeline.arrays import FloatArray
 
@@ -63,6 +64,9 @@ def orders(view: OrderView, name: str = "orders") -> str:
             panels, ("rms error of the four θ, deg", "error of the split, mHz", "phase change, deg")
         ):
             axes.set(xlabel="order", ylabel=label, yscale="log")
+            axes.yaxis.set_minor_formatter(NullFormatter())
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axes.axvline(40, color=MUTED, lw=0.8, ls=(0, (1, 2)))
             axes.grid(color=RULE, lw=0.5)
         panels[0].legend(loc="best")

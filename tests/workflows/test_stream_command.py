@@ -72,13 +72,13 @@ def test_theta_and_split_come_with_their_uncertainty_and_the_verdict_with_its_ti
     limits.write_text("[limits.split_hz]\nmax = 3.0\n")
     stream(file, True, limits=limits, patience_s=0.05, every_s=0.3)
     found = json.loads(capsys.readouterr().out)
-    assert [round(s["time_s"], 3) for s in found["steps"]] == [0.5, 0.8]
+    assert [round(s["time_s"], 3) for s in found["steps"]] == [0.3, 0.6, 0.8]
     assert abs(found["theta_deg"] - THETA) < 4.0 * found["theta_deg_sd"] < 1.0
     assert abs(found["split_hz"] - 1.9) < 4.0 * found["split_hz_sd"] < 0.05
-    assert (found["verdict"], found["decided_after_s"]) == ("pass", 0.5)
+    assert (found["verdict"], found["decided_after_s"]) == ("pass", 0.3)
     limits.write_text("[limits.split_hz]\nmax = 1.5\n")
     stream(file, False, limits=limits, patience_s=0.05, decide=True)
-    assert capsys.readouterr().out.splitlines()[-1] == "fail after 0.5 s of drive"
+    assert capsys.readouterr().out.splitlines()[-1] == "fail after 0.3 s of drive"
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,11 @@ def stream(
     patience_s : a file that has not grown for so long has ended [s].
     decide : stop at the first verdict.
     """
-    for name, value in (("--every", every_s), ("--patience", patience_s), ("--sigma", sigma_v or 1.0)):
+    for name, value in (
+        ("--every", every_s),
+        ("--patience", patience_s),
+        ("--sigma-v", 1.0 if sigma_v is None else sigma_v),
+    ):
         if not value > 0.0:
             raise UsageError(f"{name} must be positive", value=value, allowed="above 0", next_step="correct it")
     if not 10 <= order <= 80:
