@@ -19,10 +19,7 @@ _TINY = 1e-250
 def log_tail(statistic: FloatArray | float, k: int, dof: int | None = None) -> FloatArray:
     """log P of a statistic (...) that is chi2_k, or k F(k, dof) where ``dof`` is given."""
     t = np.maximum(np.asarray(statistic, dtype=np.float64), 0.0)
-    if dof is None:
-        plain = gammaincc(k / 2.0, t / 2.0)
-    else:
-        plain = betainc(dof / 2.0, k / 2.0, dof / (dof + t))
+    plain = gammaincc(k / 2.0, t / 2.0) if dof is None else betainc(dof / 2.0, k / 2.0, dof / (dof + t))
     near = np.log(np.maximum(plain, _TINY))
     if np.all(plain > _TINY):
         return np.asarray(near)

@@ -49,7 +49,8 @@ def test_wrong_noise_has_no_name(toy: Any, noise: Any) -> None:
 def test_a_hidden_term_is_named_and_power_grows_with_its_snr(toy: Any, term: str) -> None:
     right = []
     for snr in (2.0, 6.0, 60.0):
-        found = rates(lambda seed: (toy.problem(seed, {term: snr}), (term,)), range(8), RULES)
+        hidden = {term: snr}
+        found = rates(lambda seed, hidden=hidden: (toy.problem(seed, hidden), (term,)), range(8), RULES)
         assert found["wrong"].count == 0
         right.append(found["right"].count + found["class"].count + found["wide"].count)
     assert right[0] <= right[1] <= right[2] == 8
