@@ -10,7 +10,7 @@ Shapes: N samples, S senses, F bins; rows of a block 2 F, columns S.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,10 +27,12 @@ from pipeline.criticism.problem import (
     Signatures,
     TermParameter,
 )
+from pipeline.device.effect import Effect
 from pipeline.device.model import Model
+from pipeline.device.parameters import Parameter
 from pipeline.errors import ConfigError, GyroscreenError
-from pipeline.experiment.forward import jacobian, signatures
-from pipeline.experiment.lines import line_basis
+from pipeline.experiment.forward import Signature, jacobian, signatures
+from pipeline.experiment.lines import lines_removed, without_lines
 from pipeline.experiment.noise_level import NoiseLevel
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
@@ -42,8 +44,10 @@ _WINDOW_S = 0.25
 _BAND_HZ = 25.0
 #: Grid of the parasitic mode's signature: the driven band and a little beyond it.
 _GRID: dict[str, dict[str, tuple[float, ...]]] = {
-    "parasitic_mode": {"f": tuple(300.0 * 1.04**k for k in range(28)), "zeta": (1e-2,), "a": (-45.0, 0.0, 45.0, 90.0)}
+    "parasitic_mode": {"f": tuple(320.0 * 1.04**k for k in range(22)), "zeta": (1e-2,)}
 }
+#: A direction enters as (cos a, sin a), so two of them span all.
+_AXES_DEG = (0.0, 90.0)
 _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 
 
@@ -203,9 +207,14 @@ class CampaignView:
 
     def _signature(self, fitted: CampaignFit, name: str) -> tuple[Candidate, tuple[FloatArray, ...]] | None:
         effect = fitted.model.library[name]
-        members = [m for m in effect.members(self.model.built.shape) if not m.grid]
+        members = effect.members(self.model.built.shape)
+        turned = next((m.name for m in members if m.per == "direction" or m.name == "a" and m.grid), None)
+        grid = dict(_GRID.get(name, {}))
+        if turned is not None and len(members) > 1:
+            grid[turned] = _AXES_DEG
         by_record = []
         made: dict[bytes, Any] = {}
+        hints: dict[str, float] = {}
         for record, spectra in zip(self.records, self.spectra):
             # Records with the same drive and conditions have the same signature.
             key = record.drive_v.tobytes() + repr((record.rate_dps, record.bias_v, record.at_rest)).encode()
@@ -218,34 +227,17 @@ class CampaignView:
                         self.campaign.instrument,
                         name,
                         angular_gain=self.campaign.angular_gain,
-                        grid=_GRID.get(name),
+                        grid=grid or None,
+                        step_hints=hints,
                     )
                 except ConfigError:
                     return None
+                hints = found[-1].steps
                 made[key] = (found, [self._rows(fitted, record, spectra, s.columns) for s in found])
             by_record.append(made[key])
-        found = by_record[0][0]
-        width = [s.columns.shape[2] for s in found]
-        edges = np.concatenate([[0], np.cumsum(width)])
-        parameters = tuple(
-            TermParameter(
-                effect.full_name(m),
-                m.unit,
-                m.null,
-                max(abs(m.high - m.null), abs(m.low - m.null)),
-                1 if m.low == m.null else (-1 if m.high == m.null else 0),
-            )
-            for m in (members or effect.members(self.model.built.shape)[:1])
+        return _candidate(effect, members, by_record[0][0], turned), tuple(
+            np.concatenate(rows, axis=1) for _, rows in by_record
         )
-        if found and found[0].columns.shape[2] != len(parameters):
-            parameters = parameters[: found[0].columns.shape[2]]
-        candidate = Candidate(
-            name,
-            parameters,
-            tuple(slice(int(a), int(b)) for a, b in zip(edges, edges[1:])),
-            tuple({k: float(v) for k, v in s.point.items()} for s in found),
-        )
-        return candidate, tuple(np.concatenate(rows, axis=1) for _, rows in by_record)
 
     def _lines(self, fitted: CampaignFit, name: str) -> LocalCandidate:
         """Fall of chi2 that free lines bring, for 50 and 60 Hz."""
@@ -255,9 +247,10 @@ class CampaignView:
             fall, spent = 0.0, 0
             for record in self.records:
                 mine = next(r for r in fitted.records if r.name == record.name)
-                basis = line_basis(record.drive_v.shape[0], record.sample_rate_hz, point["f"], False)[:, 1:]
-                fall += float(np.sum((basis.T @ mine.residual) ** 2))
-                spent += basis.shape[1] * record.sense_v.shape[1]
+                samples, senses = record.sense_v.shape
+                left = without_lines(mine.residual, record.sample_rate_hz, point["f"])
+                fall += float(np.sum(mine.residual**2) - np.sum(left**2))
+                spent += (lines_removed(samples, record.sample_rate_hz, point["f"]) - 1) * senses
             falls.append(fall)
             dof = max(dof, spent)
         return LocalCandidate(name, tuple(falls), dof, grid)
@@ -311,6 +304,30 @@ class CampaignView:
                     robust = float(np.sum(np.minimum(part, 16.0)))
                     out.append(Region("time", where, float(part.sum()), part.size * shrink, robust))
         return out
+
+
+def _candidate(
+    effect: Effect, members: Sequence[Parameter], found: Sequence[Signature], turned: str | None
+) -> Candidate:
+    """The candidate whose columns are those of ``found``, one after the other; directions of one point share a cell."""
+    own = [m for m in members if m.name in found[0].names]
+    parameters = [
+        TermParameter(
+            effect.full_name(m),
+            m.unit,
+            m.null,
+            max(abs(m.high - m.null), abs(m.low - m.null)),
+            1 if m.low == m.null else (-1 if m.high == m.null else 0),
+        )
+        for m in own
+    ]
+    together = len(_AXES_DEG) if turned is not None and len(found) % len(_AXES_DEG) == 0 and len(found) > 1 else 1
+    if together > 1:
+        parameters = [replace(p, name=f"{p.name} at {a:g} deg") for a in _AXES_DEG for p in parameters]
+    width = len(own) * together
+    cells = tuple(slice(i * width, (i + 1) * width) for i in range(len(found) // together))
+    grid = tuple({k: float(v) for k, v in s.point.items() if k != turned} for s in found[::together])
+    return Candidate(effect.name, tuple(parameters), cells, grid)
 
 
 def _is_quantity(term: str, name: str) -> bool:

@@ -42,139 +42,143 @@ def _no_force(
     return
 
 
-def _make_march(half_size: int) -> Any:
-    """The kernel for at most ``half_size`` coordinates: loops of constant length run several times faster.
+@njit(inline="always")
+def _propagate(shape: tuple[int, ...], transposed: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    size = 2 * len(shape)
+    for i in range(size):
+        out[i] = transposed[0, i] * x[0]
+    for j in range(1, size):
+        for i in range(size):
+            out[i] += transposed[j, i] * x[j]
 
-    Arguments of what it returns: forces, how many, their parameters and laws; ``half``, ``held``, ``ramp`` (transposed:
-    (2H, 2H), (D, 2H), (D, 2H)) propagate a state (scale q, 0, q', 0) by half a substep; scale; time between samples;
-    substeps; coordinates n; drive (N, D); whether it is sloped between samples; start; then linear and deviation (M,
-    2H).
-    """
+
+@njit(inline="always")
+def _kicked(shape: tuple[int, ...], transposed: FloatArray, a: FloatArray, out: FloatArray) -> None:
+    half_size = len(shape)
     size = 2 * half_size
-
-    @njit(inline="always")
-    def propagate(transposed: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    for i in range(size):
+        out[i] = transposed[half_size, i] * a[0]
+    for j in range(1, half_size):
         for i in range(size):
-            out[i] = transposed[0, i] * x[0]
-        for j in range(1, size):
+            out[i] += transposed[half_size + j, i] * a[j]
+
+
+# A tuple's length is a constant to the compiler: loops of constant length run several times faster, and unlike a closure
+# the kernel is found again in the cache.
+def _march(
+    shape: tuple[int, ...],
+    forces: Any,
+    count: int,
+    p: Any,
+    laws: Laws,
+    half: FloatArray,
+    held: FloatArray,
+    ramp: FloatArray,
+    scale: float,
+    step_s: float,
+    substeps: int,
+    n: int,
+    drive: FloatArray,
+    sloped: bool,
+    start: FloatArray,
+    linear: FloatArray,
+    deviation: FloatArray,
+) -> None:
+    """Integrate the deviation; the length of ``shape`` is the most coordinates H, known when this is compiled.
+
+    forces, how many, their parameters and laws; ``half``, ``held``, ``ramp`` (transposed: (2H, 2H), (D, 2H), (D, 2H))
+    propagate a state (scale q, 0, q', 0) by half a substep; scale; time between samples; substeps; coordinates n; drive
+    (N, D); whether it is sloped between samples; start; then linear and deviation (M, 2H).
+    """
+    half_size = len(shape)
+    size = 2 * half_size
+    drives = held.shape[0]
+    samples = drive.shape[0]
+    h = step_s / substeps
+    inverse = 1.0 / scale
+    q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
+    k1, k2, k3 = np.zeros(half_size), np.zeros(half_size), np.zeros(half_size)
+    y, e1, e2, w, trial = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    middle, after, d, push = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
+    for i in range(size):
+        y[i] = start[i]
+    for i in range(n):
+        linear[0, i], linear[0, n + i] = y[i] * inverse, y[half_size + i]
+        deviation[0, i], deviation[0, n + i] = 0.0, 0.0
+    for sample in range(samples - 1):
+        for k in range(drives):
+            slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
+        for sub in range(substeps):
+            local = sub * h
+            t = sample * step_s + local
             for i in range(size):
-                out[i] += transposed[j, i] * x[j]
-
-    @njit(inline="always")
-    def kicked(transposed: FloatArray, a: FloatArray, out: FloatArray) -> None:
-        for i in range(size):
-            out[i] = transposed[half_size, i] * a[0]
-        for j in range(1, half_size):
-            for i in range(size):
-                out[i] += transposed[half_size + j, i] * a[j]
-
-    def march(
-        forces: Any,
-        count: int,
-        p: Any,
-        laws: Laws,
-        half: FloatArray,
-        held: FloatArray,
-        ramp: FloatArray,
-        scale: float,
-        step_s: float,
-        substeps: int,
-        n: int,
-        drive: FloatArray,
-        sloped: bool,
-        start: FloatArray,
-        linear: FloatArray,
-        deviation: FloatArray,
-    ) -> None:
-        drives = held.shape[0]
-        samples = drive.shape[0]
-        h = step_s / substeps
-        inverse = 1.0 / scale
-        q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
-        k1, k2, k3 = np.zeros(half_size), np.zeros(half_size), np.zeros(half_size)
-        y, e1, e2, w, trial = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        middle, after, d, push = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
-        for i in range(size):
-            y[i] = start[i]
-        for i in range(n):
-            linear[0, i], linear[0, n + i] = y[i] * inverse, y[half_size + i]
-            deviation[0, i], deviation[0, n + i] = 0.0, 0.0
-        for sample in range(samples - 1):
+                push[i] = 0.0
             for k in range(drives):
-                slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
-            for sub in range(substeps):
-                local = sub * h
-                t = sample * step_s + local
+                u[k] = drive[sample, k] + slope[k] * local
                 for i in range(size):
-                    push[i] = 0.0
-                for k in range(drives):
-                    u[k] = drive[sample, k] + slope[k] * local
-                    for i in range(size):
-                        push[i] += held[k, i] * u[k] + ramp[k, i] * slope[k]
-                propagate(half, y, middle)
+                    push[i] += held[k, i] * u[k] + ramp[k, i] * slope[k]
+            _propagate(shape, half, y, middle)
+            for i in range(size):
+                middle[i] += push[i]
+            _propagate(shape, half, middle, after)
+            for k in range(drives):
                 for i in range(size):
-                    middle[i] += push[i]
-                propagate(half, middle, after)
-                for k in range(drives):
-                    for i in range(size):
-                        push[i] += held[k, i] * slope[k] * (0.5 * h)
-                for i in range(size):
-                    after[i] += push[i]
-                if count > 0:
-                    for i in range(n):
-                        q[i], qd[i], out[i] = (y[i] + d[i]) * inverse, y[half_size + i] + d[half_size + i], 0.0
-                    for k in range(count):
-                        forces[k](t, q, qd, u, p[k], laws, out)
-                    for i in range(n):
-                        k1[i] = out[i]
-                    propagate(half, d, e1)
-                    kicked(half, k1, w)
-                    for i in range(size):
-                        trial[i] = middle[i] + e1[i] + 0.5 * h * w[i]
-                    for k in range(drives):
-                        u[k] += slope[k] * 0.5 * h
-                    for i in range(n):
-                        q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
-                    for k in range(count):
-                        forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
-                    for i in range(n):
-                        k2[i] = out[i]
-                        q[i] = (middle[i] + e1[i]) * inverse
-                        qd[i] = middle[half_size + i] + e1[half_size + i] + 0.5 * h * k2[i]
-                        out[i] = 0.0
-                    for k in range(count):
-                        forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
-                    for i in range(n):
-                        k3[i] = out[i]
-                    propagate(half, e1, e2)
-                    kicked(half, k3, trial)
-                    for i in range(size):
-                        trial[i] = after[i] + e2[i] + h * trial[i]
-                    for k in range(drives):
-                        u[k] += slope[k] * 0.5 * h
-                    for i in range(n):
-                        q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
-                    for k in range(count):
-                        forces[k](t + h, q, qd, u, p[k], laws, out)
-                    # d <- E^2 d + h/6 (E (E k1 + 2 (k2 + k3)) + k4),  E the exponential of half a substep
-                    for i in range(n):
-                        w[half_size + i] += 2.0 * (k2[i] + k3[i])
-                    propagate(half, w, trial)
-                    for i in range(size):
-                        d[i] = e2[i] + h / 6.0 * trial[i]
-                    for i in range(n):
-                        d[half_size + i] += h / 6.0 * out[i]
-                point = sample * substeps + sub + 1
-                for i in range(size):
-                    y[i] = after[i]
+                    push[i] += held[k, i] * slope[k] * (0.5 * h)
+            for i in range(size):
+                after[i] += push[i]
+            if count > 0:
                 for i in range(n):
-                    linear[point, i], linear[point, n + i] = y[i] * inverse, y[half_size + i]
-                    deviation[point, i], deviation[point, n + i] = d[i] * inverse, d[half_size + i]
+                    q[i], qd[i], out[i] = (y[i] + d[i]) * inverse, y[half_size + i] + d[half_size + i], 0.0
+                for k in range(count):
+                    forces[k](t, q, qd, u, p[k], laws, out)
+                for i in range(n):
+                    k1[i] = out[i]
+                _propagate(shape, half, d, e1)
+                _kicked(shape, half, k1, w)
+                for i in range(size):
+                    trial[i] = middle[i] + e1[i] + 0.5 * h * w[i]
+                for k in range(drives):
+                    u[k] += slope[k] * 0.5 * h
+                for i in range(n):
+                    q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
+                for k in range(count):
+                    forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
+                for i in range(n):
+                    k2[i] = out[i]
+                    q[i] = (middle[i] + e1[i]) * inverse
+                    qd[i] = middle[half_size + i] + e1[half_size + i] + 0.5 * h * k2[i]
+                    out[i] = 0.0
+                for k in range(count):
+                    forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
+                for i in range(n):
+                    k3[i] = out[i]
+                _propagate(shape, half, e1, e2)
+                _kicked(shape, half, k3, trial)
+                for i in range(size):
+                    trial[i] = after[i] + e2[i] + h * trial[i]
+                for k in range(drives):
+                    u[k] += slope[k] * 0.5 * h
+                for i in range(n):
+                    q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
+                for k in range(count):
+                    forces[k](t + h, q, qd, u, p[k], laws, out)
+                # d <- E^2 d + h/6 (E (E k1 + 2 (k2 + k3)) + k4),  E the exponential of half a substep
+                for i in range(n):
+                    w[half_size + i] += 2.0 * (k2[i] + k3[i])
+                _propagate(shape, half, w, trial)
+                for i in range(size):
+                    d[i] = e2[i] + h / 6.0 * trial[i]
+                for i in range(n):
+                    d[half_size + i] += h / 6.0 * out[i]
+            point = sample * substeps + sub + 1
+            for i in range(size):
+                y[i] = after[i]
+            for i in range(n):
+                linear[point, i], linear[point, n + i] = y[i] * inverse, y[half_size + i]
+                deviation[point, i], deviation[point, n + i] = d[i] * inverse, d[half_size + i]
 
-    return march
 
-
-_KERNEL = types.void(
+_KERNEL = (
     types.UniTuple(FORCE_TYPE, MOST_FORCES),
     types.int64,
     types.UniTuple(_VECTOR, MOST_FORCES),
@@ -199,9 +203,8 @@ def _march_of(half_size: int) -> Any:
     """The compiled kernel for at most ``half_size`` coordinates."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return njit(_KERNEL, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(
-            _make_march(half_size)
-        )
+        signature = types.void(types.UniTuple(types.int64, half_size), *_KERNEL)
+        return njit(signature, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(_march)
 
 
 def trajectory(
@@ -259,6 +262,7 @@ def trajectory(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         _march_of(half_size)(
+            (0,) * half_size,
             tuple([compiled_force(force) for force, _ in forces] + [compiled_force(_no_force)] * padding),
             len(forces),
             tuple([np.ascontiguousarray(p, dtype=np.float64) for _, p in forces] + [np.zeros(1)] * padding),

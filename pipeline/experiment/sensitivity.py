@@ -204,6 +204,7 @@ class Signature:
         of y
         from no effect to ``point``.  Free regressors of a disturbance are ``basis`` (N, L) instead, k = 0.
     basis : (N, L), L = 0 but for disturbances.
+    steps : of the differences, by parameter.
     """
 
     effect: str
@@ -211,6 +212,7 @@ class Signature:
     point: dict[str, float]
     columns: FloatArray
     basis: FloatArray
+    steps: dict[str, float]
 
 
 def signatures(
@@ -223,6 +225,7 @@ def signatures(
     angular_gain: float | None = None,
     start: FloatArray | None = None,
     grid: Mapping[str, tuple[float, ...]] | None = None,
+    step_hints: Mapping[str, float] | None = None,
 ) -> tuple[Signature, ...]:
     """Signatures of the absent ``effect`` in one record, at ``parameters`` of ``model``.
 
@@ -234,6 +237,7 @@ def signatures(
     model, parameters, record, instrument, angular_gain, start : as in ``forward``.
     effect : name of an effect that is not in the model.
     grid : parameter -> values to scan instead of the declared grid.
+    step_hints : parameter -> a step to begin with, such as ``Signature.steps`` of a like record.
 
     Raises
     ------
@@ -278,6 +282,7 @@ def signatures(
         return change
 
     out = []
+    steps = dict(step_hints or {})
     level = float(np.sqrt(np.mean(y0**2)))
     for at in product(*grids):
         point = {m.name: value for m, value in zip(scanned, at)}
@@ -290,33 +295,35 @@ def signatures(
             columns = moved(point, scanned[0].name, point[scanned[0].name])[:, :, None]
             names = tuple(m.name for m in scanned)
         else:
-            columns = np.stack([_derivative(found, m, point, moved, level) for m in followed], axis=-1)
+            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0)) for m in followed]
+            columns = np.stack([slope for slope, _ in slopes], axis=-1)
             names = tuple(m.name for m in followed)
-        out.append(Signature(effect, names, point, columns, basis))
+            steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}
+        out.append(Signature(effect, names, point, columns, basis, steps))
     return tuple(out)
 
 
 def _derivative(
-    effect: Effect,
     member: Parameter,
     point: Mapping[str, float],
     moved: Callable[[Mapping[str, float], str, float], FloatArray],
     level: float,
-) -> FloatArray:
-    """dy/dp at the null, with a step that moves the record by about ``_SHARE`` of its level."""
+    hint: float,
+) -> tuple[FloatArray, float]:
+    """dy/dp at the null and the step it was taken with, which moves the record by about ``_SHARE`` of its level.
 
-    def share(step: float) -> float:
+    One side is enough: what is curved is of the order of that share.
+    """
+    most = 0.25 * (member.high - member.null)
+    step = min(hint or 1e-2 * member.scale, most)
+    first = np.zeros(0)
+    for _ in range(12):
         try:
             first = moved(point, member.name, member.null + step)
+            found = float(np.sqrt(np.mean(first**2))) / max(level, 1e-300)
         except ConfigError:
-            return np.inf
-        return float(np.sqrt(np.mean(first**2))) / max(level, 1e-300)
-
-    step = _tuned(share, 1e-2 * member.scale, 0.25 * (member.high - member.null))
-    if member.null - step >= member.low:
-        return (moved(point, member.name, member.null + step) - moved(point, member.name, member.null - step)) / (
-            2.0 * step
-        )
-    return (
-        4.0 * moved(point, member.name, member.null + step) - moved(point, member.name, member.null + 2.0 * step)
-    ) / (2.0 * step)
+            found = np.inf
+        if found == 0.0 or 0.01 * _SHARE <= found <= 10.0 * _SHARE:
+            break
+        step = min(step * (1e-3 if not np.isfinite(found) else float(np.clip(_SHARE / found, 1e-6, 1e6))), most)
+    return first / step, step
