@@ -153,6 +153,64 @@ def simulate(
     command(out_dir, config, device, effect or [], seed, effects or [])
 
 
+CampaignFolder = Annotated[Path, typer.Argument(help="A campaign folder or a record.")]
+ModelOption = Annotated[Optional[Path], typer.Option("--model", help="Model file; the paper's own without it.")]  # noqa: UP045
+PageFolder = Annotated[Optional[Path], typer.Option("--out", help="Also write the page (and files) here.")]  # noqa: UP045
+
+
+@app.command()
+def compare(
+    campaign: CampaignFolder,
+    model: ModelOption = None,
+    out: PageFolder = None,
+    effects: Folders = None,
+    json: Json = False,
+) -> None:
+    """Fit the model to a campaign: how good is it, and where does it fail?"""
+    from .commands.learn import compare as command
+
+    command(campaign, model, out, effects or [], json)
+
+
+@app.command()
+def diagnose(
+    campaign: CampaignFolder,
+    model: ModelOption = None,
+    out: PageFolder = None,
+    effects: Folders = None,
+    json: Json = False,
+) -> None:
+    """Which physical effect is missing (or that none of the known ones is)?"""
+    from .commands.learn import diagnose as command
+
+    command(campaign, model, out, effects or [], json)
+
+
+@app.command()
+def refine(
+    campaign: CampaignFolder,
+    model: ModelOption = None,
+    out: PageFolder = None,
+    effects: Folders = None,
+    json: Json = False,
+) -> None:
+    """Diagnose, add, refit, until nothing more is warranted; show the ladder."""
+    from .commands.learn import refine as command
+
+    command(campaign, model, out, effects or [], json)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder of the page.")] = Path("demo"),
+    seed: Annotated[Optional[int], typer.Option(help="Which device and effect; random without it.")] = None,  # noqa: UP045
+) -> None:
+    """Hide a random effect in a virtual device, run the loop, draw the ladder, reveal the truth."""
+    from .commands.learn import demo as command
+
+    command(out, seed)
+
+
 @app.command("effects")
 def effects_(
     name: Annotated[Optional[str], typer.Argument(help="One effect in full; all by their laws without it.")] = None,  # noqa: UP045

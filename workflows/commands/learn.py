@@ -1,0 +1,223 @@
+"""gyroscreen compare, diagnose, refine, demo."""
+
+from __future__ import annotations
+
+import json as json_
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.device.effect import find_effects
+from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
+from pipeline.errors import UsageError
+from pipeline.experiment.campaign import read_measurement
+from pipeline.experiment.modal_record import ModalRecord
+from pipeline.experiment.record import Campaign
+from pipeline.inference.campaign_fit import CampaignFit
+from reports.campaign_page import RecordView, effect_texts, render_campaign_report
+
+from .. import learning
+from ..demo import hidden_device
+
+
+def _campaign(path: Path) -> Campaign:
+    found = read_measurement(path)
+    if isinstance(found, ModalRecord):
+        raise UsageError(
+            "the loop on poles and residues is not there yet",
+            value=str(path),
+            allowed="a campaign of records",
+            next_step="gyroscreen identify takes a modal record",
+        )
+    if not found.with_role("fit"):
+        found = replace(found, records=tuple(replace(r, role="fit") for r in found.records))
+    return found
+
+
+def _model(path: Path | None, folders: Sequence[Path]) -> Model:
+    model = load_model(path) if path is not None else DEFAULT_COMPARE_MODEL
+    known = (*model.effect_folders, *(str(folder) for folder in folders))
+    return model if known == model.effect_folders else replace(model, effect_folders=tuple(dict.fromkeys(known)))
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON can hold it: arrays as lists, nan and infinity as null."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def views(campaign: Campaign, fit: CampaignFit) -> tuple[RecordView, ...]:
+    """Each driven record as the fit explains it."""
+    records = {record.name: record for record in campaign.records}
+    return tuple(
+        RecordView(
+            r.name,
+            str(r.role),
+            records[r.name].sample_rate_hz,
+            records[r.name].drive_v,
+            records[r.name].sense_v,
+            r.predicted_v,
+            r.residual,
+            r.error,
+        )
+        for r in fit.records
+    )
+
+
+def _page(out: Path | None, name: str, page: str) -> Path | None:
+    if out is None:
+        return None
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write the page ({error.strerror})", value=str(out)) from None
+    return out / name
+
+
+def _number(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.4g}"
+
+
+def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+    """See ``gyroscreen compare --help``."""
+    campaign, base = _campaign(path), _model(model, folders)
+    found = learning.compare(campaign, base)
+    said = plain(found.to_dict())
+    texts = effect_texts(find_effects(tuple(folders)))
+    if said["fit_ok"] or said["error"]:
+        before = views(campaign, found.fit)
+        page = render_campaign_report(campaign.device_id, said, None, None, before, None, library=texts)
+        where = _page(out, "compare.html", page)
+    if json:
+        print(json_.dumps(said))
+        return
+    print(f"error {_number(said['error'].get('fit'))} on fitted, {_number(said['error'].get('validate'))} on held-out records")
+    for place in said["where"][:6]:
+        spot = ", ".join(f"{k} {v}" for k, v in place.items() if k not in ("share", "error") and v is not None)
+        print(f"  {100 * place['share']:5.1f} % of the misfit: {spot}")
+    if out is not None:
+        print(where)
+
+
+def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+    """See ``gyroscreen diagnose --help``."""
+    campaign, base = _campaign(path), _model(model, folders)
+    found = learning.diagnose(campaign, base)
+    said = plain(found.to_dict())
+    if out is not None and found.verdict != "fit_failed":
+        first = learning.Comparison(found.view)
+        page = render_campaign_report(
+            campaign.device_id,
+            plain(first.to_dict()),
+            said,
+            None,
+            views(campaign, first.fit),
+            None,
+            library=effect_texts(find_effects(tuple(folders))),
+        )
+        _page(out, "diagnose.html", page)
+    if json:
+        print(json_.dumps(said))
+        return
+    print(_sentence(found.verdict, found.effects, found.classes))
+    for c in said["candidates"][:6]:
+        size = ", ".join(f"{k} = {v[0]:.4g} +- {'?' if v[1] is None else format(v[1], '.2g')}" for k, v in c["estimate"].items())
+        print(f"  {c['effect']:24s} chi2 falls by {c['delta_chi2']:.4g}, p {_number(c['p_value'])}; {size}")
+
+
+def _sentence(verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]]) -> str:
+    if verdict == "adequate":
+        return "adequate: nothing more is missing"
+    if verdict == "unknown":
+        return "unknown: a misfit is left that no effect of the library explains"
+    if verdict == "fit_failed":
+        return "fit_failed: the model could not be fitted, so nothing can be said"
+    named = ", ".join(effects)
+    others = "; ".join("or ".join(c) for c in classes)
+    return f"{verdict}: {named}" + (f" (these data cannot tell apart: {others})" if others else "")
+
+
+def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+    """See ``gyroscreen refine --help``."""
+    campaign, base = _campaign(path), _model(model, folders)
+    found = learning.refine(campaign, base)
+    said = plain(found.to_dict())
+    page = _ladder_page(campaign, found, said, out, folders, None)
+    if json:
+        print(json_.dumps(said))
+        return
+    print("\n".join(ladder_text(said)))
+    if page is not None:
+        print(page)
+
+
+def _ladder_page(
+    campaign: Campaign,
+    found: learning.Refined,
+    said: Mapping[str, Any],
+    out: Path | None,
+    folders: Sequence[Path],
+    truth: str | None,
+) -> Path | None:
+    if out is None or found.verdict == "fit_failed":
+        return None
+    first = learning.Comparison(found.view)
+    page = render_campaign_report(
+        campaign.device_id,
+        plain(first.to_dict()),
+        None,
+        said,
+        views(campaign, found.before),
+        views(campaign, found.after),
+        library=effect_texts(find_effects(tuple(folders))),
+        truth=truth,
+    )
+    return _page(out, "ladder.html", page)
+
+
+def ladder_text(said: Mapping[str, Any]) -> list[str]:
+    """The ladder for a terminal: a rung a line, the misfit as a bar on a logarithmic scale."""
+    rungs = said["ladder"]
+    most = max([r.get("misfit_fit") or 0.0 for r in rungs] + [1.0])
+    lines = ["rung                      status      error fitted  held-out   misfit"]
+    for rung in rungs:
+        misfit = rung.get("misfit_fit") or 0.0
+        length = round(30 * max(0.0, math.log10(max(misfit, 1e-2) / 1e-2)) / math.log10(most / 1e-2))
+        name = rung["effect"] or "(the model as given)"
+        lines.append(
+            f"{name:24s}  {rung['status'] or '':10s}  {_number(rung.get('error_fit')):>12s}"
+            f"  {_number(rung.get('error_validate')):>8s}   {'#' * length}"
+        )
+    lines.append(_sentence(said["verdict"], said["effects"], said["classes"]))
+    theta, before = said.get("theta_deg"), said.get("theta_before_deg")
+    if theta and before:
+        lines.append(f"theta {before[0]:.4f} +- {before[1]:.2g} deg before, {theta[0]:.4f} +- {theta[1]:.2g} deg after")
+    return lines
+
+
+def demo(out: Path, seed: int | None) -> None:
+    """See ``gyroscreen demo --help``."""
+    began = time.monotonic()
+    chosen = int(time.time()) % 100_000 if seed is None else seed
+    made = hidden_device(chosen)
+    print(f"a virtual device was measured (seed {chosen}); something is hidden in it. Looking ...", file=sys.stderr)
+    found = learning.refine(made.campaign)
+    said = plain(found.to_dict())
+    print("\n".join(ladder_text(said)))
+    hidden = ", ".join(f"{k} = {v:.4g}" for k, v in made.parameters.items() if k not in DEFAULT_COMPARE_MODEL.by_name)
+    truth = f"{', '.join(made.model.effects)} ({hidden})"
+    print(f"the truth: {truth}")
+    page = _ladder_page(made.campaign, found, said, out, (), truth)
+    print(f"{page}  ({time.monotonic() - began:.0f} s)")
