@@ -41,7 +41,9 @@ def joined(blocks) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([p.drive_v for p in parts]), np.concatenate([p.sense_v for p in parts])
 
 
-def test_a_file_that_grows_gives_every_sample_once_whatever_the_writer_breaks_off(lines: list[str], tmp_path: Path) -> None:
+def test_a_file_that_grows_gives_every_sample_once_whatever_the_writer_breaks_off(
+    lines: list[str], tmp_path: Path
+) -> None:
     text = "".join(lines[:4_001])
     whole, growing = tmp_path / "whole.csv", tmp_path / "growing.csv"
     whole.write_text(text)
