@@ -14,9 +14,9 @@ import numpy as np
 from scipy import stats
 
 from pipeline.arrays import FloatArray
+from pipeline.axial import difference, in_arc
 from pipeline.quantities import AXES, NAMES
 
-from pipeline.axial import difference, in_arc
 from .devices import Devices
 from .limits import Limits
 from .risk import CountedRisk, Risk, counted_risk, expected_risk

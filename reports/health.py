@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import FloatArray
-
 from pipeline.axial import difference
+
 from .devices import Devices
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")

@@ -26,10 +26,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import BoolArray, FloatArray
+from pipeline.axial import PERIOD_DEG, in_arc
 from pipeline.errors import ConfigError
 from pipeline.quantities import AXES, NAMES
-
-from pipeline.axial import PERIOD_DEG, in_arc
 
 
 @dataclass(frozen=True)

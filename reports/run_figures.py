@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.arrays import FloatArray
+from pipeline.axial import difference, mean_axis
 from pipeline.quantities import AXES
 
-from pipeline.axial import difference, mean_axis
 from .calibration import z_scores
 from .content import RunContent
 from .devices import Devices

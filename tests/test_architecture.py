@@ -67,7 +67,9 @@ def test_a_file_that_tires_a_reader_says_why():
     for path in modules():
         lines = path.read_text(encoding="utf-8").splitlines()
         if len(lines) > 400:
-            assert "long because" in "\n".join(lines[:40]).lower(), f"{path} has {len(lines)} lines and does not say why"
+            assert "long because" in "\n".join(lines[:40]).lower(), (
+                f"{path} has {len(lines)} lines and does not say why"
+            )
 
 
 def test_readme_commands_exist():

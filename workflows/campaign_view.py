@@ -131,7 +131,8 @@ class CampaignView:
         }
         shifts = {
             term: tuple(
-                0.0 if (p := fitted.model.by_name[free[i]]).grid else fitted.values[free[i]] - p.null for i in columns[term]
+                0.0 if (p := fitted.model.by_name[free[i]]).grid else fitted.values[free[i]] - p.null
+                for i in columns[term]
             )
             for term in terms
         }
@@ -151,7 +152,9 @@ class CampaignView:
             held=held,
             columns=columns,
             shifts=shifts,
-            strata=tuple(_strata(spectra, record.sense_v.shape[1]) for record, spectra in zip(self.records, self.spectra)),
+            strata=tuple(
+                _strata(spectra, record.sense_v.shape[1]) for record, spectra in zip(self.records, self.spectra)
+            ),
             noise_known=known,
             error={k: v for k, v in fitted.error.items() if v is not None and known},
             relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
@@ -200,15 +203,13 @@ class CampaignView:
                 part.append(own)
             offset += columns[0].shape[1]
         rows = [j.shape[0] for j in fit.jacobian]
-        blocks = tuple(
-            np.concatenate(part, axis=1) if part else np.zeros((n, 0)) for part, n in zip(parts, rows)
-        )
+        blocks = tuple(np.concatenate(part, axis=1) if part else np.zeros((n, 0)) for part, n in zip(parts, rows))
         return Signatures(tuple(candidates), blocks, tuple(local))
 
     def _signature(self, fitted: CampaignFit, name: str) -> tuple[Candidate, tuple[FloatArray, ...]] | None:
         effect = fitted.model.library[name]
         members = effect.members(self.model.built.shape)
-        turned = next((m.name for m in members if m.per == "direction" or m.name == "a" and m.grid), None)
+        turned = next((m.name for m in members if m.per == "direction" or (m.name == "a" and m.grid)), None)
         grid = dict(_GRID.get(name, {}))
         if turned is not None and len(members) > 1:
             grid[turned] = _AXES_DEG
@@ -295,7 +296,9 @@ class CampaignView:
                 for c in np.flatnonzero(sizes):
                     band = [c * _BAND_HZ, (c + 1) * _BAND_HZ]
                     where = {"record": block.name, "channel": f"sense{channel + 1}", "band_hz": band}
-                    out.append(Region("frequency", where, float(energy[c]), float(sizes[c]) * shrink, float(clipped[c])))
+                    out.append(
+                        Region("frequency", where, float(energy[c]), float(sizes[c]) * shrink, float(clipped[c]))
+                    )
                 size = max(1, round(_WINDOW_S * rate))
                 for k in range(r.shape[0] // size):
                     part = r[k * size : (k + 1) * size, channel] ** 2

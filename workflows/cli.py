@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
@@ -45,13 +45,13 @@ def _options(
 
 @app.command()
 def run(
-    config: Annotated[Optional[Path], typer.Argument(help="Run configuration; the shipped default without it.")] = None,  # noqa: UP045
-    devices: Annotated[Optional[int], typer.Option(help="Number of virtual devices.")] = None,  # noqa: UP045
-    seed: Annotated[Optional[int], typer.Option(help="Root of all random streams.")] = None,  # noqa: UP045
+    config: Annotated[Path | None, typer.Argument(help="Run configuration; the shipped default without it.")] = None,
+    devices: Annotated[int | None, typer.Option(help="Number of virtual devices.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Root of all random streams.")] = None,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = DEFAULT_RESULTS,
     workers: Annotated[int, typer.Option(help="Local worker processes; 0: one a core.")] = 0,
-    scheduler: Annotated[Optional[str], typer.Option(help="Address of a running dask scheduler.")] = None,  # noqa: UP045
-    resume: Annotated[Optional[str], typer.Option(help="Go on with this run ('latest': the newest).")] = None,  # noqa: UP045
+    scheduler: Annotated[str | None, typer.Option(help="Address of a running dask scheduler.")] = None,
+    resume: Annotated[str | None, typer.Option(help="Go on with this run ('latest': the newest).")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and show what would run; run nothing.")] = False,
     json: Json = False,
 ) -> None:
@@ -75,9 +75,9 @@ def query(
 
 @app.command()
 def report(
-    run: Annotated[Optional[str], typer.Argument(help="Run; the newest without it.")] = None,  # noqa: UP045
+    run: Annotated[str | None, typer.Argument(help="Run; the newest without it.")] = None,
     results: Results = DEFAULT_RESULTS,
-    out: Annotated[Optional[Path], typer.Option(help="Also write the page here.")] = None,  # noqa: UP045
+    out: Annotated[Path | None, typer.Option(help="Also write the page here.")] = None,
 ) -> None:
     """Write the report of a run again."""
     from .commands.results import report as command
@@ -96,11 +96,11 @@ def verify(results: Results = DEFAULT_RESULTS, json: Json = False) -> None:
 @app.command()
 def identify(
     measurement: Annotated[Path, typer.Argument(help="A record, a campaign folder, or a modal record (TOML).")],
-    model: Annotated[Optional[Path], typer.Option(help="Model file; the screening model without it.")] = None,  # noqa: UP045
+    model: Annotated[Path | None, typer.Option(help="Model file; the screening model without it.")] = None,
     stream: Annotated[bool, typer.Option("--stream", help="Follow a record that grows ('-': stdin).")] = False,
-    campaign: Annotated[Optional[Path], typer.Option(help="With --stream: instrument and noise of this campaign.")] = None,  # noqa: UP045
-    sigma_v: Annotated[Optional[float], typer.Option(help="With --stream: noise of the senses [V].")] = None,  # noqa: UP045
-    limits: Annotated[Optional[Path], typer.Option(help="With --stream: limits and rule (TOML).")] = None,  # noqa: UP045
+    campaign: Annotated[Path | None, typer.Option(help="With --stream: instrument and noise of this campaign.")] = None,
+    sigma_v: Annotated[float | None, typer.Option(help="With --stream: noise of the senses [V].")] = None,
+    limits: Annotated[Path | None, typer.Option(help="With --stream: limits and rule (TOML).")] = None,
     decide: Annotated[bool, typer.Option("--decide", help="With --stream: stop when pass or fail is certain.")] = False,
     json: Json = False,
 ) -> None:
@@ -116,9 +116,7 @@ def identify(
 
 
 @app.command()
-def paper(
-    out: Annotated[Path, typer.Option(help="Folder of the page.")] = Path("paper"), json: Json = False
-) -> None:
+def paper(out: Annotated[Path, typer.Option(help="Folder of the page.")] = Path("paper"), json: Json = False) -> None:
     """Redraw the paper: its figures, and its numbers beside ours, on one page."""
     from .commands.paper import paper as command
 
@@ -126,24 +124,22 @@ def paper(
 
 
 @app.command()
-def check(
-    campaign: Annotated[Path, typer.Argument(help="A campaign folder or a record.")], json: Json = False
-) -> None:
+def check(campaign: Annotated[Path, typer.Argument(help="A campaign folder or a record.")], json: Json = False) -> None:
     """Look at a campaign before any fit; print the TOML lines that mend what is wrong."""
     from .commands.identify import check as command
 
     command(campaign, json)
 
 
-Folders = Annotated[Optional[list[Path]], typer.Option("--effects", help="Folder of your own effects; may repeat.")]  # noqa: UP045
+Folders = Annotated[list[Path] | None, typer.Option("--effects", help="Folder of your own effects; may repeat.")]
 
 
 @app.command()
 def simulate(
     out_dir: Annotated[Path, typer.Argument(help="Folder of the campaign to write.")],
-    config: Annotated[Optional[Path], typer.Option(help="Instrument, noise and hum (a run configuration).")] = None,  # noqa: UP045
+    config: Annotated[Path | None, typer.Option(help="Instrument, noise and hum (a run configuration).")] = None,
     device: Annotated[str, typer.Option(help="Plant parameters, as theta_deg=12,split_hz=1.5.")] = "",
-    effect: Annotated[Optional[list[str]], typer.Option(help="NAME or NAME:param=value,..; may repeat.")] = None,  # noqa: UP045
+    effect: Annotated[list[str] | None, typer.Option(help="NAME or NAME:param=value,..; may repeat.")] = None,
     seed: Annotated[int, typer.Option(help="Device, sizes of effects and noise.")] = 1,
     effects: Folders = None,
 ) -> None:
@@ -154,8 +150,8 @@ def simulate(
 
 
 CampaignFolder = Annotated[Path, typer.Argument(help="A campaign folder or a record.")]
-ModelOption = Annotated[Optional[Path], typer.Option("--model", help="Model file; the paper's own without it.")]  # noqa: UP045
-PageFolder = Annotated[Optional[Path], typer.Option("--out", help="Also write the page (and files) here.")]  # noqa: UP045
+ModelOption = Annotated[Path | None, typer.Option("--model", help="Model file; the paper's own without it.")]
+PageFolder = Annotated[Path | None, typer.Option("--out", help="Also write the page (and files) here.")]
 
 
 @app.command()
@@ -203,7 +199,7 @@ def refine(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder of the page.")] = Path("demo"),
-    seed: Annotated[Optional[int], typer.Option(help="Which device and effect; random without it.")] = None,  # noqa: UP045
+    seed: Annotated[int | None, typer.Option(help="Which device and effect; random without it.")] = None,
 ) -> None:
     """Hide a random effect in a virtual device, run the loop, draw the ladder, reveal the truth."""
     from .commands.learn import demo as command
@@ -213,7 +209,7 @@ def demo(
 
 @app.command("effects")
 def effects_(
-    name: Annotated[Optional[str], typer.Argument(help="One effect in full; all by their laws without it.")] = None,  # noqa: UP045
+    name: Annotated[str | None, typer.Argument(help="One effect in full; all by their laws without it.")] = None,
     effects: Folders = None,
 ) -> None:
     """List the effects that a device or its read-out may have."""
@@ -254,7 +250,7 @@ def drop(effect: Annotated[str, typer.Argument(help="Effect.")], file: ModelFile
 @model.command()
 def export(
     measurement: Annotated[Path, typer.Argument(help="A campaign folder or a record.")],
-    out: Annotated[Optional[Path], typer.Option(help=".json or .mat; DEVICE.json without it.")] = None,  # noqa: UP045
+    out: Annotated[Path | None, typer.Option(help=".json or .mat; DEVICE.json without it.")] = None,
 ) -> None:
     """Identify a device and write its state space, continuous and ZOH, with covariance."""
     from .commands.model import export as command
@@ -269,7 +265,9 @@ app.add_typer(benchmark, name="benchmark")
 @benchmark.command()
 def coverage(
     devices: Annotated[int, typer.Option(help="Number of virtual devices.")] = 1000,
-    splits: Annotated[str, typer.Option(help="'population', or 'small': log-uniform in 0.02 to 0.5 Hz.")] = "population",
+    splits: Annotated[
+        str, typer.Option(help="'population', or 'small': log-uniform in 0.02 to 0.5 Hz.")
+    ] = "population",
     seed: Annotated[int, typer.Option(help="Root of all random streams.")] = 2026,
     workers: Annotated[int, typer.Option(help="Local worker processes; 0: one a core.")] = 0,
     json: Json = False,

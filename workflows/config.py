@@ -22,7 +22,6 @@ from pipeline.inference.sample import SamplerSettings
 from pipeline.toml_files import converted, decode, read_text
 from reports.limits import DEFAULT_LIMITS, Limits, load_limits
 
-
 DEFAULT_CONFIG = Path(__file__).parent / "configs" / "default.toml"
 
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -147,9 +146,7 @@ class PosteriorTable(Struct, frozen=True, forbid_unknown_fields=True):
 
     def settings(self) -> SamplerSettings:
         """Settings of the sampler."""
-        return SamplerSettings(
-            self.ensembles, self.walkers, self.steps, rhat_max=self.rhat_max, ess_min=self.ess_min
-        )
+        return SamplerSettings(self.ensembles, self.walkers, self.steps, rhat_max=self.rhat_max, ess_min=self.ess_min)
 
 
 class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -178,9 +175,7 @@ class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):
 
     def electrodes(self) -> Electrodes:
         """The electrodes that the table describes."""
-        return standard_electrodes(
-            self.azimuth_deg, self.softening_hz_per_v2, gain_sd=self.gain_sd, most_v=self.most_v
-        )
+        return standard_electrodes(self.azimuth_deg, self.softening_hz_per_v2, gain_sd=self.gain_sd, most_v=self.most_v)
 
     def target(self) -> Target:
         """What the trim aims at."""

@@ -73,11 +73,7 @@ def write_model(model: dict[str, Any], path: Path) -> None:
             cells = ("parameter_names", "states")
             savemat(
                 path,
-                {
-                    k: np.array(v, dtype=object) if k in cells else v
-                    for k, v in model.items()
-                    if v is not None
-                },
+                {k: np.array(v, dtype=object) if k in cells else v for k, v in model.items() if v is not None},
             )
     except OSError as error:
         raise UsageError(f"the model cannot be written ({error.strerror})", value=str(path)) from None

@@ -1,8 +1,8 @@
 """The learning loop on a campaign: compare, diagnose, refine; as short as the commands.
 
-    compare(campaign, model)     how good, and where it fails
-    diagnose(campaign, model)    what is missing, or that nothing of the library is
-    refine(campaign, model)      add, refit, until nothing more is warranted: the ladder
+compare(campaign, model)     how good, and where it fails
+diagnose(campaign, model)    what is missing, or that nothing of the library is
+refine(campaign, model)      add, refit, until nothing more is warranted: the ladder
 """
 
 from __future__ import annotations
@@ -56,7 +56,14 @@ class Comparison:
         """As plain JSON, DESIGN's keys."""
         result = self.view.fit(())
         if not result.ok:
-            return {"error": {}, "relative_error": {}, "where": [], "parameters": {}, "fit_ok": False, "why": result.why}
+            return {
+                "error": {},
+                "relative_error": {},
+                "where": [],
+                "parameters": {},
+                "fit_ok": False,
+                "why": result.why,
+            }
         fit = self.fit
         known = fit.noise.source != "local"
         found = where(self.view.regions(result))

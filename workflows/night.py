@@ -1,6 +1,6 @@
 """The nightly batch: blocks in parallel, each committed as it comes; then the report.
 
-    configuration -> blocks -> [dask: draw or read, chirp, identify, judge] -> commit -> finish -> report.html
+configuration -> blocks -> [dask: draw or read, chirp, identify, judge] -> commit -> finish -> report.html
 """
 
 from __future__ import annotations
@@ -22,7 +22,17 @@ from pipeline.store.run import RunStore, create_run, open_run
 from reports.page import render_run_report
 from reports.yields import yield_of_verdicts
 
-from .block import Block, BlockTables, blocks_of, campaign_folders, declared_id, physics_of, population, shared_record, virtual_block
+from .block import (
+    Block,
+    BlockTables,
+    blocks_of,
+    campaign_folders,
+    declared_id,
+    physics_of,
+    population,
+    shared_record,
+    virtual_block,
+)
 from .campaign_block import campaign_block
 from .cluster import cluster, in_parallel, worker_count
 from .config import RunConfig, to_struct_from_toml, to_toml_table

@@ -28,9 +28,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from .. import toml_files as toml
 from ..arrays import FloatArray
 from ..errors import MeasurementError, UsageError
-from .. import toml_files as toml
 from .columns import MIN_SAMPLES, assemble
 from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
 from .instrument import Adc, Hold, Instrument

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from .. import toml_files as toml
 from ..errors import ConfigError
 from ..quantities import NAMES
-from .. import toml_files as toml
 from .instrument import AntiAlias
 
 Positive = Annotated[float, Meta(gt=0.0)]

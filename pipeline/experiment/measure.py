@@ -34,9 +34,7 @@ def _waves(samples: int, sample_rate_hz: float, frequency_hz: float, harmonics: 
     return waves
 
 
-def hum_volts(
-    hum: Hum, samples: int, sample_rate_hz: float, senses: int, random: np.random.Generator
-) -> FloatArray:
+def hum_volts(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random: np.random.Generator) -> FloatArray:
     """Hum (samples, senses) [V] from t = 0."""
     amplitude = np.array(hum.amplitude_v)[:, None]
     phases = random.uniform(0.0, 2.0 * np.pi, (amplitude.size, senses))

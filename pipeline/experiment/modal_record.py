@@ -18,9 +18,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from .. import toml_files as toml
 from ..arrays import FloatArray
 from ..errors import ConfigError, MeasurementError, UsageError
-from .. import toml_files as toml
 from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
 from .instrument import AntiAlias
 from .readers import existing
@@ -83,11 +83,7 @@ class _Kind(msgspec.Struct):
 def _matrix(rows: Matrix, shape: tuple[int, int] | None, what: str, where: str) -> FloatArray:
     widths = {len(row) for row in rows}
     if len(widths) != 1 or 0 in widths or (shape is not None and (len(rows), *widths) != shape):
-        wanted = (
-            f"{shape[0]} rows of {shape[1]}"
-            if shape
-            else "rows S1, S2, .. of equal length, one value a drive"
-        )
+        wanted = f"{shape[0]} rows of {shape[1]}" if shape else "rows S1, S2, .. of equal length, one value a drive"
         raise MeasurementError(
             f"{where}: {what} has another shape", value=rows, allowed=wanted, next_step=f"correct {what}"
         )
@@ -113,9 +109,7 @@ def _deviations(modes: list[ModeTable], shape: tuple[int, int], where: str) -> F
             allowed="sd for all modes or for none",
             next_step="state the missing ones",
         )
-    sd = np.array(
-        [[_matrix(part, shape, "sd", where) for part in pair] for pair in stated if pair is not None]
-    )
+    sd = np.array([[_matrix(part, shape, "sd", where) for part in pair] for pair in stated if pair is not None])
     if np.any(sd <= 0.0):
         raise MeasurementError(
             f"{where}: an sd is not positive",
@@ -139,9 +133,7 @@ def decode_modal_record(text: bytes, path: Path) -> ModalRecord | None:
     toml.finite(document.rate_dps, "rate_dps", where)
     toml.finite(document.demodulation.phase_error_deg, "demodulation.phase_error_deg", where)
     toml.finite(document.device.angular_gain, "device.angular_gain", where)
-    toml.finite(
-        None if document.antialias is None else document.antialias.corner_hz, "antialias.corner_hz", where
-    )
+    toml.finite(None if document.antialias is None else document.antialias.corner_hz, "antialias.corner_hz", where)
     for mode in modes:
         toml.finite(mode.frequency_hz, "frequency_hz", where)
     first = _matrix(modes[0].R1, None, "R1 of mode 1", where)

@@ -18,7 +18,6 @@ from itertools import product
 import numpy as np
 
 from ..arrays import FloatArray
-from ..device.effect import Effect
 from ..device.model import Model
 from ..device.parameters import Parameter
 from ..errors import ConfigError, MeasurementError

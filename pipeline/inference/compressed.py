@@ -188,9 +188,7 @@ def residual_rows(
 
 
 @njit(cache=True)
-def jacobian_rows(
-    x: FloatArray, expansion: ComplexArray, triangle: FloatArray, sigma: FloatArray
-) -> FloatArray:
+def jacobian_rows(x: FloatArray, expansion: ComplexArray, triangle: FloatArray, sigma: FloatArray) -> FloatArray:
     """d model / d x (2 r, 12) in sigmas, by central differences of c(x), which is cheap and smooth."""
     rows = triangle.shape[0]
     size = x.size

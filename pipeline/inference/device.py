@@ -262,4 +262,3 @@ def _result(
         "status_reason": why,
     }
     return DeviceResult(columns, draws, status, why, fit)
-

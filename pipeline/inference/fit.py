@@ -91,7 +91,9 @@ def _poles(x: FloatArray) -> ComplexArray:
     return poles
 
 
-def _descend(start: FloatArray, likelihood: Compressed, sigma: FloatArray, reach: float) -> tuple[FloatArray, bool, float]:
+def _descend(
+    start: FloatArray, likelihood: Compressed, sigma: FloatArray, reach: float
+) -> tuple[FloatArray, bool, float]:
     """Levenberg-Marquardt within ``reach`` [rad/s] of the expansion; returns x, converged, the largest |h|."""
     x = start
     p0, triangle, data = likelihood.expansion, likelihood.triangle, likelihood.data

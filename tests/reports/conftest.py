@@ -10,9 +10,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from pipeline.axial import wrap
 from pipeline.quantities import MODEL, NAMES
 from pipeline.store.schema import devices_table, posterior_table
-from pipeline.axial import wrap
 from reports.decision import decide
 from reports.limits import DEFAULT_LIMITS, Limits
 

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.errors import ConfigError
 from pipeline.axial import difference, in_arc, mean_axis, wrap
+from pipeline.errors import ConfigError
 from reports.limits import DEFAULT_LIMITS, Limit, load_limits
 
 

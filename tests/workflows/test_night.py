@@ -105,9 +105,7 @@ def test_a_cluster_that_somebody_else_runs_gives_the_same_table(night: Path, tmp
     config, results = tmp_path / "far.toml", tmp_path / "far"
     config.write_text(CONFIG.format(devices=8, block=4))
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as elsewhere:
-        code = call(
-            ["run", str(config), "--out", str(results), "--scheduler", elsewhere.scheduler_address, "--json"]
-        )
+        code = call(["run", str(config), "--out", str(results), "--scheduler", elsewhere.scheduler_address, "--json"])
     assert code == 0
     assert digest(results) == digest(night)
 
@@ -133,7 +131,9 @@ def test_measured_campaigns_are_judged_like_virtual_devices(tmp_path: Path) -> N
 
 def test_a_gate_that_the_user_set_fails_with_code_1_and_keeps_the_results(tmp_path: Path) -> None:
     config = tmp_path / "gate.toml"
-    config.write_text(CONFIG.format(devices=2, block=2) + "[targets]\nyield_min = 1.0\n[limits.split_hz]\nmax = 0.001\n")
+    config.write_text(
+        CONFIG.format(devices=2, block=2) + "[targets]\nyield_min = 1.0\n[limits.split_hz]\nmax = 0.001\n"
+    )
     results = tmp_path / "gate"
     assert call(["run", str(config), "--out", str(results), "--workers", "1", "--json"]) == 1
     assert read_run(results).devices.num_rows == 2

@@ -51,7 +51,11 @@ CASES = {
     "unknown key": (lambda tmp: config(tmp, "[run]\ndevicez = 3\n"), 2, ("devicez", "devices")),
     "wrong type": (lambda tmp: config(tmp, '[run]\ndevices = "many"\n'), 2, ("run.devices", "many")),
     "wrong unit": (lambda tmp: config(tmp, "[noise]\nsigma_mv = 1.0\n"), 2, ("sigma_mv", "sigma_v")),
-    "out of range": (lambda tmp: config(tmp, "[identification]\norder = 400\n"), 2, ("identification.order", "400", "80")),
+    "out of range": (
+        lambda tmp: config(tmp, "[identification]\norder = 400\n"),
+        2,
+        ("identification.order", "400", "80"),
+    ),
     "nan in a record": (with_nan, 5, ("sense1_V", "777")),
     "wrong column": (lambda tmp: record(tmp, drop=0.0), 5, ("senze2_V", "sense")),
     "limits crossed": (lambda tmp: config(tmp, "[limits.split_hz]\nmin = 3.0\nmax = 1.0\n"), 2, ("split_hz", "3.0")),

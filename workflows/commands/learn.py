@@ -103,7 +103,9 @@ def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[
     if json:
         print(json_.dumps(said))
         return
-    print(f"error {_number(said['error'].get('fit'))} on fitted, {_number(said['error'].get('validate'))} on held-out records")
+    print(
+        f"error {_number(said['error'].get('fit'))} on fitted, {_number(said['error'].get('validate'))} on held-out records"
+    )
     for place in said["where"][:6]:
         spot = ", ".join(f"{k} {v}" for k, v in place.items() if k not in ("share", "error") and v is not None)
         print(f"  {100 * place['share']:5.1f} % of the misfit: {spot}")
@@ -133,7 +135,9 @@ def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence
         return
     print(_sentence(found.verdict, found.effects, found.classes))
     for c in said["candidates"][:6]:
-        size = ", ".join(f"{k} = {v[0]:.4g} +- {'?' if v[1] is None else format(v[1], '.2g')}" for k, v in c["estimate"].items())
+        size = ", ".join(
+            f"{k} = {v[0]:.4g} +- {'?' if v[1] is None else format(v[1], '.2g')}" for k, v in c["estimate"].items()
+        )
         print(f"  {c['effect']:24s} chi2 falls by {c['delta_chi2']:.4g}, p {_number(c['p_value'])}; {size}")
 
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..record import Channels
 from ...toml_files import table
+from ..record import Channels
 
 #: "fault": the campaign must be mended or measured again; "warning": a fit would suffer; "note": good to
 #: know.

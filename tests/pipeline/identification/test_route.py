@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.axial import difference
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.modal_record import ModalRecord, read_modal_record
 from pipeline.experiment.record import Record
-from pipeline.axial import difference
 from pipeline.identification.axes import axes, gains_from_updown
 from pipeline.identification.bandpass import bandpass, window_slice
 from pipeline.identification.failure import IdentificationError

@@ -1,5 +1,7 @@
 """The in-band model is the Fourier transform of the exact simulation, and its Taylor series are its derivatives."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def test_taylor_series_in_the_pole_converges_at_its_order():
         np.max(np.abs(sum(series[m] * shift**m for m in range(order + 1)) - exact)) / np.max(np.abs(exact))
         for order in range(4)
     ]
-    assert all(after < before / 30.0 for before, after in zip(errors, errors[1:]))
+    assert all(after < before / 30.0 for before, after in pairwise(errors))
     assert errors[3] < 1e-7
 
 
