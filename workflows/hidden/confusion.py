@@ -181,6 +181,8 @@ def _times(rows: Sequence[Row]) -> dict[str, Any]:
         if seconds:
             out[f"{step}: median time, s (at most {median})"] = float(np.median(seconds))
             out[f"{step}: worst time, s" + (f" (at most {worst})" if worst else "")] = float(np.max(seconds))
+            cpu = [row[step]["cpu_seconds"] for row in rows if row[step]]
+            out[f"{step}: median time of the processor, s"] = float(np.median(cpu))
     return out
 
 

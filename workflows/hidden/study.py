@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import dask
 from threadpoolctl import threadpool_limits
 
 from pipeline.criticism.loop import diagnose as examine_problem
@@ -29,6 +30,8 @@ from .narrowed import Narrowed
 #: Kinds whose campaigns are refined too.
 _REFINED = ("one", "two", "outside", "left-out")
 _CANDIDATES = 5
+#: A campaign with the signatures of all candidates is larger than a screening block; a worker is not to be killed for it.
+_MEMORY = {f"distributed.worker.memory.{what}": False for what in ("target", "spill", "pause", "terminate")}
 
 
 @dataclass(frozen=True)
@@ -81,17 +84,20 @@ def examine(hidden: Hidden) -> dict[str, Any]:
         "failed": "",
     }
     try:
-        began = time.perf_counter()
-        found = _diagnose(hidden.campaign, hidden.left_out).to_dict()
-        row["diagnose"] = {**_diagnosed(found), "seconds": round(time.perf_counter() - began, 2)}
+        row["diagnose"] = _timed(lambda: _diagnosed(_diagnose(hidden.campaign, hidden.left_out).to_dict()))
         if hidden.kind in _REFINED:
-            began = time.perf_counter()
-            climbed = _refine(hidden.campaign, hidden.left_out).to_dict()
-            row["refine"] = {**_refined(climbed), "seconds": round(time.perf_counter() - began, 2)}
+            row["refine"] = _timed(lambda: _refined(_refine(hidden.campaign, hidden.left_out).to_dict()))
     except (GyroscreenError, ArithmeticError, ValueError) as error:
         # A study outlives a campaign that cannot be run, and shows it.
         row["failed"] = f"{type(error).__name__}: {error}"
     return row
+
+
+def _timed(step: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What ``step`` gives, and the time that it took: of the wall, and of the processor."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = step()
+    return {**found, "seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
 
 
 def _diagnose(campaign: Campaign, left_out: tuple[str, ...]) -> Diagnosed:
@@ -164,7 +170,7 @@ def run_study(order: Order, folder: Path, workers: int) -> Iterator[tuple[int, i
     yield done, len(wanted)
     if not missing:
         return
-    with cluster(min(worker_count(workers), len(missing)), None) as client:
+    with dask.config.set(_MEMORY), cluster(min(worker_count(workers), len(missing)), None) as client:
         for row in in_parallel(client, study_block, order.seed, missing):
             append(folder, row)
             done += 1
