@@ -123,6 +123,11 @@ def sized(
     """
     effect = model.effect(name)
     members = effect.members(model.built.shape)
+    quiet = forward(model, base, chirp, instrument)
+    if effect.stages == ("adc",):
+        # A clip level only counts below the largest sample.
+        level = float(np.max(np.abs(quiet))) * float(random.uniform(0.7, 0.98))
+        return {effect.full_name(member): 1.0 / level for member in members}
     fixed, shape = {}, {}
     for member in members:
         full = effect.full_name(member)
@@ -131,7 +136,6 @@ def sized(
         else:
             sign = -1.0 if member.low < member.null and random.random() < 0.5 else 1.0
             shape[full] = sign * member.scale * float(random.uniform(0.5, 1.0))
-    quiet = forward(model, base, chirp, instrument)
     size = 1.0
     bounds = {f: model.bounds(f) for f in shape}
     for _ in range(6):
