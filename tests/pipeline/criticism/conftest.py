@@ -146,7 +146,7 @@ class Toy:
         hidden: Mapping[str, float] | None = None,
         noise: Callable[[np.random.Generator, int, int], FloatArray] | None = None,
         frequency: float = 23.0,
-        only_block: int | None = None,
+        factors: Sequence[float] = (1.0,) * len(SCALES),
         **options: object,
     ) -> Lines:
         rng = np.random.default_rng([seed, 77])
@@ -156,8 +156,7 @@ class Toy:
             shape = (
                 [line(s * X, frequency)[:, 0] for s in SCALES] if term == "line" else [c[:, 0] for c in blocks_of(term)]
             )
-            if only_block is not None:
-                shape = [z * (b == only_block) for b, z in enumerate(shape)]
+            shape = [factor * z for factor, z in zip(factors, shape)]
             whole = np.concatenate(shape[:-1])
             left = whole - base @ np.linalg.lstsq(base, whole, rcond=None)[0]
             data = [y + snr / np.linalg.norm(left) * z for y, z in zip(data, shape)]

@@ -95,12 +95,16 @@ def test_a_superfluous_member_is_removed_when_the_right_one_comes(toy: Any) -> N
     assert ladder.rungs[-1].dropped == ("bump",)
 
 
-def test_a_term_that_acts_in_one_block_only_has_the_right_place_and_the_wrong_form(toy: Any) -> None:
-    ladder = refine(toy.problem(5, {"bump": 40.0}, only_block=0), rules=RULES)
+def test_a_term_whose_size_differs_between_blocks_has_the_right_place_and_the_wrong_form(toy: Any) -> None:
+    ladder = refine(toy.problem(5, {"bump": 60.0}, factors=(1.0, 1.0, 0.7, 0.6, 0.85)), rules=RULES)
     assert ladder.verdict == "unknown"
     assert "bump" in ladder.wrong_form
-    by_block = ladder.wrong_form["bump"]
-    assert by_block.log_p < np.log(1e-6)
+    found = ladder.wrong_form["bump"]
+    assert found.log_p < np.log(1e-6)
+    # Blocks at full strength lie above the common size, the weakest below it.
+    by_part = {part: deviation for part, (deviation, _) in found.sizes.items()}
+    assert min(by_part, key=lambda part: by_part[part]).endswith(("b2", "b3", "0.35", "0.6"))
+    assert max(by_part.values()) > 0.0 > min(by_part.values())
 
 
 def test_a_rung_that_held_out_data_contradict_is_refused(toy: Any) -> None:
