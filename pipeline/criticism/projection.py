@@ -73,19 +73,21 @@ def baseline(fit: FitResult, without: Sequence[int] = ()) -> Baseline:
 def project(base: Baseline, columns: Sequence[FloatArray]) -> Projected:
     """Scores of some columns (for each block (n m, K)) after the baseline."""
     count = columns[0].shape[1]
-    norms = np.sqrt(sum((np.einsum("ij,ij->j", z, z) for z in columns), np.zeros(count)))
-    inverse = np.divide(1.0, norms, out=np.zeros(count), where=norms > 0.0)
     overlap = sum((q.T @ z for q, z in zip(base.basis, columns)), np.zeros((base.upper.shape[0], count)))
     score, gram, covariance = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
-    inflated = any(gamma.max(initial=1.0) > 1.0 for gamma in base.gamma)
     for q, z, r, gamma in zip(base.basis, columns, base.residual, base.gamma):
-        rest = (z - q @ overlap) * inverse
+        rest = z - q @ overlap
         score += rest.T @ r
-        gram += rest.T @ rest
-        if inflated:
-            covariance += rest.T @ (rest * gamma[:, None])
+        for level in np.unique(gamma):
+            part = rest[gamma == level] if np.any(gamma != level) else rest
+            own = part.T @ part
+            gram += own
+            covariance += level * own
+    norms = np.sqrt(np.diagonal(gram) + np.sum(overlap**2, axis=0))
+    inverse = np.divide(1.0, norms, out=np.zeros(count), where=norms > 0.0)
+    unit = np.outer(inverse, inverse)
     chi2 = sum(float(np.vdot(r, r)) for r in base.residual)
-    return Projected(score, gram, covariance if inflated else gram, norms, chi2, base.dof)
+    return Projected(score * inverse, gram * unit, covariance * unit, norms, chi2, base.dof)
 
 
 def given(projected: Projected, columns: Sequence[int]) -> Projected:
