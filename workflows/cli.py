@@ -313,6 +313,22 @@ def lattice(
     command(order, seconds, json)
 
 
+@benchmark.command("hidden-effects")
+def hidden_effects(
+    kind: Annotated[str, typer.Option(help="none, one, weak, outside, left-out, two, .. or all.")] = "all",
+    campaigns: Annotated[int | None, typer.Option(help="How many of a kind; the full study without it.")] = None,
+    only: Annotated[int | None, typer.Option(help="One campaign of the kind, in full.")] = None,
+    seed: Annotated[int, typer.Option(help="Root of all random streams.")] = 1,
+    workers: Annotated[int, typer.Option(help="Local worker processes; 0: one a core.")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder of the rows; an interrupted study goes on.")] = Path("hidden"),
+    json: Json = False,
+) -> None:
+    """Hide effects with an independent simulator, run the loop, publish the confusion matrix."""
+    from .commands.hidden import hidden_effects as command
+
+    command(kind, campaigns, only, seed, workers, out, json)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     # Before numpy is loaded: small matrices are slower on many threads, and workers share the cores.

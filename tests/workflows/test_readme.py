@@ -1,0 +1,65 @@
+"""What the README says is true: its commands run, its links lead somewhere."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from workflows.cli import call
+from workflows.simulate import campaign_config, simulate
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+#: Run elsewhere in the suite, or in need of another machine; their options are still parsed by --help below.
+SLOW = ("run", "compare", "diagnose", "refine", "paper")
+
+
+def lines():
+    blocks = re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
+    for line in "\n".join(blocks).splitlines():
+        if line.startswith("gyroscreen "):
+            yield shlex.split(line.split("#")[0])[1:]
+
+
+def test_the_two_commands_make_their_own_environment():
+    run, test = re.findall(r"<!-- (?:run|test) command -->\n```sh\n(.*?)\n```", README)
+    assert run.startswith("python3 -m venv .venv && .venv/bin/pip install")
+    assert run.endswith(".venv/bin/gyroscreen run")
+    assert test.startswith("python3 -m venv .venv && .venv/bin/pip install")
+    assert test.endswith(".venv/bin/pytest")
+
+
+def test_links_lead_to_files():
+    for target in re.findall(r"\]\(([^)]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+@pytest.mark.parametrize("arguments", list(lines()), ids=" ".join)
+def test_every_command_shown_knows_its_options(arguments, capfd):
+    options = [a for a in arguments if a.startswith("--")]
+    group = arguments[:2] if arguments[0] == "model" else arguments[:1]
+    assert call([*group, "--help"]) == 0
+    said = capfd.readouterr().out
+    for option in options:
+        assert option in said
+
+
+def test_the_commands_on_a_campaign_run_as_they_stand(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    for arguments in lines():
+        if arguments[0] in ("simulate", "check", "identify", "model") and "--stream" not in arguments:
+            assert call(arguments) == 0, arguments
+    assert (tmp_path / "campaign" / "campaign.toml").exists()
+    assert (tmp_path / "device.json").exists()
+
+
+def test_the_loop_in_five_lines_runs(tmp_path, monkeypatch, capfd):
+    from pipeline.experiment.campaign import write_campaign
+
+    code = re.search(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert code is not None
+    monkeypatch.chdir(tmp_path)
+    write_campaign(simulate(campaign_config(None), {}, [], 8).campaign, tmp_path / "campaign")
+    exec(compile(code[1], "README.md", "exec"), {})
+    assert "fit" in capfd.readouterr().out
