@@ -20,6 +20,8 @@ from ..arrays import FloatArray
 from .problem import FitResult
 
 _RANK = 1e-11
+#: Rows at a time: what is made of them stays in the processor's cache.
+_CHUNK = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +78,15 @@ def project(base: Baseline, columns: Sequence[FloatArray]) -> Projected:
     overlap = sum((q.T @ z for q, z in zip(base.basis, columns)), np.zeros((base.upper.shape[0], count)))
     score, gram, covariance = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
     for q, z, r, gamma in zip(base.basis, columns, base.residual, base.gamma):
-        rest = z - q @ overlap
-        score += rest.T @ r
-        for level in np.unique(gamma):
-            part = rest[gamma == level] if np.any(gamma != level) else rest
-            own = part.T @ part
-            gram += own
-            covariance += level * own
+        for first in range(0, z.shape[0], _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            rest, noise = z[rows] - q[rows] @ overlap, gamma[rows]
+            score += rest.T @ r[rows]
+            for level in np.unique(noise):
+                part = rest[noise == level]
+                own = part.T @ part
+                gram += own
+                covariance += level * own
     norms = np.sqrt(np.diagonal(gram) + np.sum(overlap**2, axis=0))
     inverse = np.divide(1.0, norms, out=np.zeros(count), where=norms > 0.0)
     unit = np.outer(inverse, inverse)
