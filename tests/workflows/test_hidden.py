@@ -303,3 +303,32 @@ def test_the_whole_proof_is_one_order() -> None:
 def test_an_instrument_without_its_filter_is_refused() -> None:
     with pytest.raises(ConfigError):
         physics(_DEVICE, replace(INSTRUMENT, antialias=None))
+
+
+@pytest.fixture
+def brief_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The standard campaign with records of 1 s."""
+    brief = [(name, role, replace(e, duration_s=1.0)) for name, role, e in standard_excitations(1)]
+    monkeypatch.setattr(draw, "standard_excitations", lambda seed: brief)
+
+
+@pytest.mark.usefixtures("brief_records")
+@pytest.mark.parametrize(
+    ("kind", "number", "said"),
+    [
+        ("none", 0, "adequate"),
+        ("coloured", 0, "adequate"),
+        ("one", LIBRARY.index("cubic_stiffness"), "right"),
+        ("one", LIBRARY.index("pickoff_pole"), "right"),
+        ("outside", list(OUTSIDE).index("coulomb_friction"), "unknown"),
+        ("left-out", LIBRARY.index("pickoff_crosstalk"), "unknown"),
+    ],
+)
+def test_the_loop_finds_what_is_hidden_and_nothing_else(kind: str, number: int, said: str) -> None:
+    row = study.examine(hide(kind, number, 2026))
+    assert not row["failed"]
+    for step in ("diagnose", "refine"):
+        if row[step]:
+            assert answer(row, step) == said, row[step]
+    if kind == "one":
+        assert row["refine"]["ladder"][-1]["error_validate"] < 1.03

@@ -27,7 +27,7 @@ def test_the_two_commands_make_their_own_environment():
     assert run.startswith("python3 -m venv .venv && .venv/bin/pip install")
     assert run.endswith(".venv/bin/gyroscreen run")
     assert test.startswith("python3 -m venv .venv && .venv/bin/pip install")
-    assert test.endswith(".venv/bin/pytest")
+    assert test.endswith(".venv/bin/pytest -n 2")
 
 
 def test_links_lead_to_files():
