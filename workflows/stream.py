@@ -67,8 +67,8 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
             next_step="identify the whole record instead, without --stream",
         )
     if settings.sigma_v is None and campaign.with_role("noise"):
-        sigma_v, line_hz = campaign_noise(campaign)
-        settings = replace(settings, sigma_v=tuple(sigma_v.tolist()), line_hz=settings.line_hz or line_hz)
+        noise, line_hz = campaign_noise(campaign)
+        settings = replace(settings, sigma_v=tuple(noise.sigma_v.tolist()), line_hz=settings.line_hz or line_hz)
     rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
     return Bench(settings, campaign.instrument, campaign.channels, rate, Gate())
 

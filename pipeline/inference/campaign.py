@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..axial import wrap
 from ..errors import MeasurementError
-from ..experiment.lines import hum_line, silent_sigma
+from ..experiment.lines import hum_line
+from ..experiment.noise_level import NoiseLevel, noise_level
 from ..experiment.record import Campaign
 from ..quantities import AXES
 from .device import DeviceResult, IdentificationSettings, RateSettings, identify_device, prepare
@@ -29,25 +29,14 @@ def is_inband(campaign: Campaign) -> bool:
     )
 
 
-def campaign_noise(campaign: Campaign) -> tuple[FloatArray, float | None]:
-    """sigma (S,) [V] from the silent records, and the mains frequency seen in them, if any.
+def campaign_noise(campaign: Campaign) -> tuple[NoiseLevel, float | None]:
+    """Noise level of each channel, and the mains frequency that silence shows, if any.
 
-    Raises
-    ------
-    MeasurementError : the campaign has no silent record, so its noise is unknown.
+    From the silent records; without one from repeats, else from a local fit (see ``noise_level``).
     """
     silent = campaign.with_role("noise")
-    if not silent:
-        raise MeasurementError(
-            "no silent record, so the noise is unknown",
-            value=campaign.device_id,
-            allowed='at least one record with role = "noise"',
-            next_step="record a second of silence, or use `gyroscreen compare`, which falls back on repeats",
-        )
-    rate = campaign.instrument.sample_rate_hz
-    line_hz = hum_line(silent[0].sense_v, rate)
-    sigmas = [silent_sigma(record.sense_v, rate, line_hz, campaign.instrument.adc) for record in silent]
-    return np.sqrt(np.mean(np.square(sigmas), axis=0)), line_hz
+    line_hz = hum_line(silent[0].sense_v, campaign.instrument.sample_rate_hz) if silent else None
+    return noise_level(campaign, line_hz), line_hz
 
 
 def identify_campaign(
@@ -61,15 +50,16 @@ def identify_campaign(
 
     Raises
     ------
-    MeasurementError : no silent record or no fit record.
+    MeasurementError : no record to fit, or noise that is zero.
     """
     fit = campaign.with_role("fit")
     if not fit:
         raise MeasurementError("no record to fit", value=campaign.device_id, allowed='a record with role = "fit"')
-    sigma_v, line_hz = campaign_noise(campaign)
+    noise, line_hz = campaign_noise(campaign)
+    sigma_v = noise.sigma_v
     if not np.all(sigma_v > 0.0):
         raise MeasurementError(
-            "the silent record shows no noise at all",
+            "the records show no noise at all",
             value=[float(s) for s in sigma_v],
             allowed="noise above zero in every channel",
             next_step="check the silent record, or declare the converter (adc) so that its LSB counts",
@@ -77,7 +67,11 @@ def identify_campaign(
     with_hum = replace(settings, line_hz=line_hz)
     rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
     prepared = [prepare(record, campaign.instrument, with_hum) for record in fit]
-    return identify_device(prepared, sigma_v, campaign.instrument, with_hum, sampler, gate, rate, seed)
+    result = identify_device(prepared, sigma_v, campaign.instrument, with_hum, sampler, gate, rate, seed)
+    if noise.source != "local":
+        return result
+    # A noise level read off the driven records themselves cannot say how well they are explained.
+    return replace(result, columns={**result.columns, "error": None, "chi2_per_dof": None})
 
 
 def reference_comparison(campaign: Campaign, result: DeviceResult) -> dict[str, dict[str, float]]:

@@ -200,7 +200,7 @@ def identify_device(
         second = best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings))
         fit = second if second is not None and (fit is None or _rank(second) > _rank(fit)) else fit
     if fit is None or not fit.converged:
-        why = "the likelihood has no maximum near any start"
+        why = "the likelihood has no maximum near any start; check that hold and antialias are declared as they are"
         return _failed(columns, why if found else f"{why}; the paper's route: {reason}")
     try:
         posterior = sample(fit, sampler, seed)

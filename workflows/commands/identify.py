@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import UsageError
-from pipeline.experiment.campaign import read_measurement
+from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.check import CheckReport
 from pipeline.experiment.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
@@ -33,7 +33,7 @@ def plain(value: Any) -> Any:
 
 def identify(measurement: Path, model: Path | None, json: bool) -> None:
     """See ``gyroscreen identify --help``."""
-    found = read_measurement(measurement)
+    found = with_its_campaign(measurement)
     if isinstance(found, ModalRecord):
         route = identify_modal(found)
         columns = modal_columns(route, fit_modal(route, found.antialias))
@@ -41,6 +41,18 @@ def identify(measurement: Path, model: Path | None, json: bool) -> None:
     else:
         columns, lines = identified(found, model)
     print(json_.dumps({k: plain(v) for k, v in columns.items()}) if json else "\n".join(lines))
+
+
+def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:
+    """The measurement; a lone record that a campaign.toml beside it names brings that campaign's instrument and silence."""
+    beside = measurement.parent / "campaign.toml"
+    if measurement.suffix != ".toml" and measurement.is_file() and beside.is_file():
+        campaign = read_campaign(beside)
+        mine = [r for r in campaign.records if r.file is not None and Path(r.file).name == measurement.name]
+        if mine:
+            silent = tuple(r for r in campaign.with_role("noise") if r is not mine[0])
+            return replace(campaign, records=(*silent, replace(mine[0], role="fit")))
+    return read_measurement(measurement)
 
 
 def modal_columns(route: RouteResult, fit: ModalFit) -> dict[str, Any]:
