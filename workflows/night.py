@@ -180,7 +180,8 @@ def write_report(results: Path, run_id: str) -> tuple[str, Path]:
     """Render the report of a run and store it beside its tables; returns the page and its path."""
     tables = read_run(results, run_id)
     config = to_struct_from_toml(tables.config_toml, f"run.toml of {run_id}")
-    page = render_run_report(tables, config.judged_by())
+    said = dict(population(config).assumptions()) if config.source.kind == "population" else None
+    page = render_run_report(tables, config.judged_by(), population_summary=said)
     store = open_run(results, run_id)
     store.write_file("report.html", page.encode("utf-8"))
     return page, store.folder / "report.html"

@@ -84,9 +84,9 @@ def examine(hidden: Hidden) -> dict[str, Any]:
         "failed": "",
     }
     try:
-        row["diagnose"] = _timed(lambda: _diagnosed(_diagnose(hidden.campaign, hidden.left_out).to_dict()))
+        row["diagnose"] = _timed(lambda: _diagnosed(diagnose_without(hidden.campaign, hidden.left_out).to_dict()))
         if hidden.kind in _REFINED:
-            row["refine"] = _timed(lambda: _refined(_refine(hidden.campaign, hidden.left_out).to_dict()))
+            row["refine"] = _timed(lambda: _refined(refine_without(hidden.campaign, hidden.left_out).to_dict()))
     except (GyroscreenError, ArithmeticError, ValueError) as error:
         # A study outlives a campaign that cannot be run, and shows it.
         row["failed"] = f"{type(error).__name__}: {error}"
@@ -100,14 +100,16 @@ def _timed(step: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     return {**found, "seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
 
 
-def _diagnose(campaign: Campaign, left_out: tuple[str, ...]) -> Diagnosed:
+def diagnose_without(campaign: Campaign, left_out: tuple[str, ...]) -> Diagnosed:
+    """``diagnose`` with a library that lacks ``left_out``."""
     if not left_out:
         return diagnose(campaign)
     view = view_of(campaign)
     return Diagnosed(view, examine_problem(Narrowed(view, left_out)))
 
 
-def _refine(campaign: Campaign, left_out: tuple[str, ...]) -> Refined:
+def refine_without(campaign: Campaign, left_out: tuple[str, ...]) -> Refined:
+    """``refine`` with a library that lacks ``left_out``."""
     if not left_out:
         return refine(campaign)
     view = view_of(campaign)
