@@ -24,4 +24,5 @@ def paper(out: Path, json: bool) -> None:
         ]  # fmt: skip
         print(json_.dumps({"page": str(path), "seconds": seconds, "numbers": rows}))
         return
-    print(f"{path}: {sum(row.agrees for row in numbers)} of {len(numbers)} printed numbers agree; {seconds:.0f} s")
+    again = sum(row.consistent for row in numbers)
+    print(f"{path}: {again} of {len(numbers)} printed numbers come out again, the others are explained; {seconds:.0f} s")
