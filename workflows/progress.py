@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 _EVERY_S = 10.0
 
@@ -65,4 +65,6 @@ class _Lines:
         rate = self._fresh / max(now - self._started, 1e-9)
         left = (self._total - finished) / max(rate, 1e-9)
         text = f"{finished}/{self._total} devices, {rate:.1f}/s, {left:.0f} s left"
-        print(text, file=sys.stderr, flush=True)
+        # A night must not end because nobody reads its progress any more.
+        with suppress(OSError):
+            print(text, file=sys.stderr, flush=True)

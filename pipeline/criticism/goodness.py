@@ -148,14 +148,15 @@ def _repeats(fit: FitResult, base: Baseline) -> Structure | None:
 
 def _correlated(a: FloatArray, b: FloatArray, gamma: FloatArray) -> tuple[FloatArray, list[tuple[int, int]]]:
     """z of every dyadic window of rows: given b, sum(a b) is normal with variance sum(gamma b^2)."""
-    product, energy = a * b, gamma * b * b
-    z: list[float] = []
+    product = np.concatenate([[0.0], np.cumsum(a * b)])
+    energy = np.concatenate([[0.0], np.cumsum(gamma * b * b)])
     place: list[tuple[int, int]] = []
     size = a.size
     while size >= _WINDOW:
-        edges = list(range(0, a.size, size))
-        top = np.add.reduceat(product, edges)
-        z.extend((top / np.sqrt(np.maximum(np.add.reduceat(energy, edges), 1e-300))).tolist())
-        place.extend((edge, min(edge + size, a.size)) for edge in edges)
+        # The last window of a row of them takes the remainder.
+        edges = [*range(0, a.size - size + 1, size)]
+        place.extend(zip(edges, [*edges[1:], a.size]))
         size //= 2
+    first, stop = np.array(place, dtype=np.int64).reshape(-1, 2).T
+    z = (product[stop] - product[first]) / np.sqrt(np.maximum(energy[stop] - energy[first], 1e-300))
     return np.asarray(z), place

@@ -94,25 +94,6 @@ def project(base: Baseline, columns: Sequence[FloatArray]) -> Projected:
     return Projected(score * inverse, gram * unit, covariance * unit, norms, chi2, base.dof)
 
 
-def given(projected: Projected, columns: Sequence[int]) -> Projected:
-    """The same scores with some of the columns taken into the model too:  a -> a - G_ac G_cc^+ (c)."""
-    chosen = np.asarray(columns, dtype=np.int64)
-    if chosen.size == 0:
-        return projected
-    inverse = np.asarray(np.linalg.pinv(projected.gram[np.ix_(chosen, chosen)], rcond=_RANK, hermitian=True))
-    turn = np.eye(projected.score.size)
-    turn[:, chosen] -= projected.gram[:, chosen] @ inverse
-    taken = float(projected.score[chosen] @ inverse @ projected.score[chosen])
-    return Projected(
-        turn @ projected.score,
-        turn @ projected.gram @ turn.T,
-        turn @ projected.covariance @ turn.T,
-        projected.norms,
-        projected.chi2 - taken,
-        projected.dof - chosen.size,
-    )
-
-
 def _orthonormal(blocks: Sequence[FloatArray]) -> tuple[tuple[FloatArray, ...], FloatArray]:
     """Q by blocks and the factor T (p, P) with J = Q T; directions below the rank tolerance are dropped."""
     if blocks[0].shape[1] == 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from scipy import stats
 
 from pipeline.criticism.pairs import best_pairs
 from pipeline.criticism.problem import Block, Candidate, FitResult, TermParameter
-from pipeline.criticism.projection import baseline, given, project
+from pipeline.criticism.projection import baseline, project
 from pipeline.criticism.significance import score_all
 from pipeline.criticism.tails import log_any, log_tail, normal_log_tail, trials_of
 
@@ -45,20 +44,6 @@ def test_a_rank_deficient_baseline_is_projected_out_whole() -> None:
     assert base.upper.shape == (3, 4)
     assert np.abs(thin.T @ base.residual[0]).max() < 1e-10
     assert np.abs(base.basis[0] @ base.upper - fit.jacobian[0]).max() < 1e-10
-
-
-def test_taking_columns_in_equals_projecting_them_with_the_baseline() -> None:
-    rng = np.random.default_rng(3)
-    jac, z, r = rng.standard_normal((400, 3)), rng.standard_normal((400, 5)), rng.standard_normal(400)
-    strata = (np.repeat(np.arange(2), 200),)
-    small, large = _fit([jac], [r], strata=strata), _fit([np.concatenate([jac, z[:, 1:3]], axis=1)], [r], strata=strata)
-    ours = given(project(baseline(small), [z]), [1, 2])
-    theirs = project(replace(baseline(large), gamma=baseline(small).gamma), [z])
-    rest = [0, 3, 4]
-    assert ours.score[rest] == pytest.approx(theirs.score[rest], abs=1e-9)
-    assert ours.gram[np.ix_(rest, rest)] == pytest.approx(theirs.gram[np.ix_(rest, rest)], abs=1e-9)
-    assert ours.covariance[np.ix_(rest, rest)] == pytest.approx(theirs.covariance[np.ix_(rest, rest)], abs=1e-9)
-    assert ours.chi2 == pytest.approx(theirs.chi2)
 
 
 def test_the_expected_fall_and_estimate_of_a_linear_term_are_those_of_its_refit(toy: Any) -> None:
