@@ -21,7 +21,7 @@ def hidden_effects(
     order = order_of(kind, campaigns, seed, only)
     if only is not None:
         row = examine(hide(kind, only, seed))
-        print(json_.dumps(row, indent=None if json else 2))
+        print(json_.dumps(row, indent=None if json else 2, default=float))
         return
     for done, asked in run_study(order, out, workers):
         print(f"\r{done} of {asked} campaigns", end="", file=sys.stderr, flush=True)

@@ -156,7 +156,7 @@ def append(folder: Path, row: Mapping[str, Any]) -> None:
     path = folder / f"{row['kind']}.jsonl"
     torn = path.exists() and path.stat().st_size > 0 and not path.read_bytes().endswith(b"\n")
     with path.open("a", encoding="utf-8") as file:
-        file.write(("\n" if torn else "") + json.dumps(row) + "\n")
+        file.write(("\n" if torn else "") + json.dumps(row, default=float) + "\n")
 
 
 def run_study(order: Order, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
