@@ -1,0 +1,94 @@
+"""What is left: structure is found where there is some, and noise is called noise at the promised rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pipeline.criticism.agreement import agreement, partitions
+from pipeline.criticism.goodness import goodness
+from pipeline.criticism.problem import Block, FitResult, Region, Signatures
+from pipeline.criticism.projection import baseline
+from pipeline.criticism.regions import explained, where
+
+NO_PROBES = Signatures((), ())
+ROWS = 1000
+
+
+def _fit(rng: np.random.Generator, residual: list[np.ndarray], **options: Any) -> FitResult:
+    jacobian = [rng.standard_normal((ROWS, 3)) for _ in residual]
+    q, _ = np.linalg.qr(np.concatenate(jacobian))
+    whole = np.concatenate(residual)
+    rest = np.split(whole - q @ (q.T @ whole), len(residual))
+    blocks = tuple(
+        Block(f"r{i}", r[:, None], {"level": str(i % 2)}, "same" if i < 2 else None) for i, r in enumerate(rest)
+    )
+    return FitResult(True, ("t",), {}, blocks, tuple(jacobian), columns={"t": (2,)}, shifts={"t": (1.0,)}, **options)
+
+
+def test_noise_is_called_structured_no_more_often_than_promised() -> None:
+    rng = np.random.default_rng(1)
+    p = []
+    for _ in range(200):
+        fit = _fit(rng, [rng.standard_normal(ROWS) for _ in range(4)])
+        p.append(goodness(fit, baseline(fit), NO_PROBES, ()).p_value)
+    assert sum(value < 0.05 for value in p) <= stats.binom.ppf(0.999, 200, 0.05)
+
+
+def test_a_residual_that_repeats_is_structure_even_where_chi2_says_nothing() -> None:
+    rng = np.random.default_rng(2)
+    same = 0.35 * rng.standard_normal(ROWS)
+    noise = [np.sqrt(1.0 - 0.35**2) * rng.standard_normal(ROWS) for _ in range(2)]
+    fit = _fit(rng, [noise[0] + same, noise[1] + same])
+    found = goodness(fit, baseline(fit), NO_PROBES, ())
+    assert found.level == pytest.approx(1.0, abs=0.05)
+    assert found.worst is not None
+    assert found.worst.test == "repeat"
+    assert found.p_value < 0.003
+
+
+def test_cochrans_q_of_parts_that_agree_is_chi_square() -> None:
+    rng = np.random.default_rng(3)
+    q: dict[tuple[str, bool], list[float]] = {}
+    for _ in range(200):
+        fit = _fit(rng, [rng.standard_normal(ROWS) for _ in range(4)])
+        base = baseline(fit)
+        for name, parts in partitions(fit).items():
+            for columns in (None, (2,)):
+                seen = agreement(base, name, parts, columns)
+                assert seen.dof == (len(parts) - 1) * (3 if columns is None else 1)
+                q.setdefault((name, columns is None), []).append(float(np.exp(seen.log_p)))
+    assert len(q) == 4
+    for p in q.values():
+        assert stats.kstest(p, "uniform").pvalue > 0.001
+
+
+def test_the_sizes_of_parts_that_disagree_are_told_with_their_sd() -> None:
+    rng = np.random.default_rng(4)
+    jacobian = [rng.standard_normal((ROWS, 3)) for _ in range(3)]
+    deviations = []
+    for _ in range(100):
+        residual = [rng.standard_normal(ROWS) + shift * j[:, 2] for j, shift in zip(jacobian, (0.5, -0.25, -0.25))]
+        blocks = tuple(Block(str(i), r[:, None]) for i, r in enumerate(residual))
+        fit = FitResult(True, ("t",), {}, blocks, tuple(jacobian), columns={"t": (2,)}, shifts={"t": (1.0,)})
+        seen = agreement(baseline(fit), "block", partitions(fit)["block"], (2,))
+        deviations.append([value for value, _ in seen.sizes.values()])
+        sd = [spread for _, spread in seen.sizes.values()]
+    mean = np.mean(deviations, axis=0)
+    assert mean == pytest.approx([0.5, -0.25, -0.25], abs=0.03)
+    # Deviations from a common size that is fitted too scatter less than a size alone: by sqrt(1 - 1/3).
+    assert np.std(deviations, axis=0) == pytest.approx(np.array(sd) * np.sqrt(2.0 / 3.0), rel=0.25)
+
+
+def test_a_region_is_named_with_its_share_and_what_a_new_model_took_away() -> None:
+    before = [Region("band", {"hz": i}, 100.0 + 300.0 * (i == 3) + 100.0 * (i == 5), 100.0) for i in range(8)]
+    after = [Region("band", {"hz": i}, 100.0 + 30.0 * (i == 3), 100.0) for i in range(8)]
+    found = where(before)
+    assert [item.labels["hz"] for item in found] == [3, 5]
+    assert [item.share for item in found] == pytest.approx([0.75, 0.25])
+    assert found[0].error == pytest.approx(2.0)
+    assert [gone for _, gone in explained(before, after)] == pytest.approx([0.9, 1.0])
+    assert where(after) == ()

@@ -1,0 +1,81 @@
+"""Any function with optional terms goes through the loop: frequencies that are unknown, noise levels that are unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from pipeline.arrays import FloatArray
+from pipeline.criticism.examine import Rules
+from pipeline.criticism.loop import diagnose, refine
+from pipeline.criticism.problem import Block, TermParameter
+from pipeline.criticism.regression import Regression, Term
+
+T = np.linspace(0.0, 1.0, 150)
+LEVELS = (1.0, 0.5, 0.8)
+RULES = Rules(draws=2000)
+
+
+def _predict(p: Mapping[str, float]) -> list[FloatArray]:
+    """A decay with optional saturation, a line of unknown frequency, and an offset that is never negative."""
+    out = []
+    for level in LEVELS:
+        y = level * p["a"] * np.exp(-p["rate"] * T)
+        y = y / (1.0 + p["saturation"] * y)
+        y = y + p["cos"] * np.cos(p["f"] * T) + p["sin"] * np.sin(p["f"] * T) + p["floor"] * np.sqrt(T)
+        out.append(y[:, None])
+    return out
+
+
+TERMS = (
+    Term("saturation", (TermParameter("saturation", "1", reach=1.0),)),
+    Term("line", (TermParameter("cos"), TermParameter("sin")), {"f": tuple(np.arange(20.0, 80.0, 2.0))}),
+    Term("floor", (TermParameter("floor", side=1),)),
+)
+NULL = {"saturation": 0.0, "cos": 0.0, "sin": 0.0, "f": 20.0, "floor": 0.0}
+
+
+def _problem(seed: int, noise_known: bool = True, scale: float = 1.0, **truth: float) -> Regression:
+    rng = np.random.default_rng(seed)
+    clean = _predict({"a": 20.0, "rate": 3.0, **NULL, **truth})
+    measured = tuple(
+        Block(f"b{i}", (y + rng.standard_normal(y.shape)) * scale, {"level": str(level)})
+        for i, (y, level) in enumerate(zip(clean, LEVELS))
+    )
+    scaled = _predict if scale == 1.0 else (lambda p: [scale * y for y in _predict(p)])
+    return Regression(scaled, measured, {"a": 15.0, "rate": 2.0}, TERMS, held=1, noise_known=noise_known)
+
+
+def test_a_line_of_unknown_frequency_is_found_where_it_is() -> None:
+    ladder = refine(_problem(1, cos=1.5, f=47.3), rules=RULES)
+    assert (ladder.verdict, ladder.terms) == ("adequate", ("line",))
+    value, sd = ladder.rungs[-1].parameters["f"]
+    assert abs(value - 47.3) < 4.0 * sd < 2.0
+    assert ladder.rungs[-1].status == "confirmed"
+
+
+def test_a_nonlinear_term_is_found_with_its_size_and_sign() -> None:
+    ladder = refine(_problem(2, saturation=0.05), rules=RULES)
+    assert ladder.terms == ("saturation",)
+    value, sd = ladder.rungs[-1].parameters["saturation"]
+    assert abs(value - 0.05) < 4.0 * sd
+    assert value > 5.0 * sd
+
+
+def test_without_a_noise_level_f_tests_find_the_term_and_no_error_is_told() -> None:
+    found = diagnose(_problem(3, noise_known=False, scale=1e-3, cos=2.0, f=33.0), rules=RULES)
+    assert (found.verdict, found.terms) == ("effect", ("line",))
+    assert found.to_dict()["error"] == {"fit": None, "validate": None}
+    nothing = diagnose(_problem(4, noise_known=False, scale=1e3), rules=RULES)
+    assert (nothing.verdict, nothing.terms) == ("adequate", ())
+
+
+def test_the_baseline_alone_is_fitted_to_its_truth() -> None:
+    fit = _problem(5).fit(())
+    assert fit.ok
+    for name, truth in (("a", 20.0), ("rate", 3.0)):
+        value, sd = fit.parameters[name]
+        assert abs(value - truth) < 4.0 * sd
+    assert fit.chi2 == pytest.approx(fit.dof, abs=4.0 * np.sqrt(2.0 * fit.dof))
