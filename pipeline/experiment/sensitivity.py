@@ -294,7 +294,8 @@ def signatures(
             columns = moved(point, scanned[0].name, point[scanned[0].name])[:, :, None]
             names = tuple(m.name for m in scanned)
         else:
-            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0)) for m in followed]
+            linear = found.force is None and found.sense is None
+            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), linear) for m in followed]
             columns = np.stack([slope for slope, _ in slopes], axis=-1)
             names = tuple(m.name for m in followed)
             steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}
@@ -308,10 +309,12 @@ def _derivative(
     moved: Callable[[Mapping[str, float], str, float], FloatArray],
     level: float,
     hint: float,
+    both_sides: bool,
 ) -> tuple[FloatArray, float]:
     """dy/dp at the null and the step it was taken with, which moves the record by about ``_SHARE`` of its level.
 
-    One side is enough: what is curved is of the order of that share.
+    One side is enough where deviations are integrated: what is curved is of the order of that share.  Where the change is
+    a difference of two records, both sides are taken, so that the rounding common to them cancels.
     """
     most = 0.25 * (member.high - member.null)
     step = min(hint or 1e-2 * member.scale, most)
@@ -325,4 +328,6 @@ def _derivative(
         if found == 0.0 or 0.01 * _SHARE <= found <= 10.0 * _SHARE:
             break
         step = min(step * (1e-3 if not np.isfinite(found) else float(np.clip(_SHARE / found, 1e-6, 1e6))), most)
+    if both_sides and member.null - step >= member.low:
+        return (first - moved(point, member.name, member.null - step)) / (2.0 * step), step
     return first / step, step
