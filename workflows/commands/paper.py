@@ -25,4 +25,6 @@ def paper(out: Path, json: bool) -> None:
         print(json_.dumps({"page": str(path), "seconds": seconds, "numbers": rows}))
         return
     again = sum(row.consistent for row in numbers)
-    print(f"{path}: {again} of {len(numbers)} printed numbers come out again, the others are explained; {seconds:.0f} s")
+    print(
+        f"{path}: {again} of {len(numbers)} printed numbers come out again, the others are explained; {seconds:.0f} s"
+    )

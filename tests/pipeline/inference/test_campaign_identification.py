@@ -21,9 +21,7 @@ def campaign_of(bench, device, silent):
 
 
 def identify(campaign):
-    return identify_campaign(
-        campaign, IdentificationSettings(), SamplerSettings(), Gate(), np.random.SeedSequence(2)
-    )
+    return identify_campaign(campaign, IdentificationSettings(), SamplerSettings(), Gate(), np.random.SeedSequence(2))
 
 
 def test_without_silence_the_estimates_stand_and_the_error_is_null(bench, paper_device):
