@@ -28,7 +28,7 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
         campaign = read_campaign(folder)
         device_id = campaign.device_id
         result = identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed)
-        compared = reference_comparison(campaign, result)
+        compared = reference_comparison(campaign, result.columns)
         if compared:
             text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())
             result = replace(result, columns={**result.columns, "reference": text})

@@ -210,10 +210,10 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     def judged_by(self) -> Limits:
         """Limits and rule; the shipped ones where the file has no [limits]."""
         if not self.limits:
-            shipped = DEFAULT_LIMITS if not isinstance(DEFAULT_LIMITS, Path) else load_limits(DEFAULT_LIMITS)
             if not self.rule:
-                return shipped
-            return Limits(load_limits({"rule": self.rule, "limits": _as_table(shipped)}).rule, shipped.limits)
+                return DEFAULT_LIMITS
+            judged = load_limits({"rule": self.rule, "limits": _as_table(DEFAULT_LIMITS)})
+            return Limits(judged.rule, DEFAULT_LIMITS.limits)
         return load_limits({"rule": self.rule, "limits": self.limits} if self.rule else {"limits": self.limits})
 
     def hum_source(self) -> Hum:

@@ -16,7 +16,6 @@ from typing import Any, Literal
 
 import msgspec
 import numpy as np
-from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
@@ -26,6 +25,7 @@ from pipeline.errors import UsageError
 from pipeline.inference.compressed import BandData
 from pipeline.inference.fit import information_covariance
 from populations.draw import Draw, draw
+from reports.yields import clopper_pearson
 
 from .block import identify_virtual, physical_of, population, shared_record, virtual_records
 from .cluster import cluster, in_parallel, worker_count
@@ -60,9 +60,8 @@ class Share:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % Clopper-Pearson."""
-        k, n = self.count, self.total
-        low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-        return low, 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+        found = clopper_pearson(self.count, self.total)
+        return found.low, found.high
 
     def __str__(self) -> str:
         if not self.total:

@@ -16,6 +16,7 @@ from pipeline.device.model import Model, PlantSpec, load_model
 from pipeline.experiment.lines import hum_line
 from pipeline.experiment.noise_level import noise_level
 from pipeline.experiment.record import Campaign
+from pipeline.inference.campaign import reference_comparison
 from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
 from pipeline.inference.gate import Gate
 
@@ -74,16 +75,4 @@ def identify_general(campaign: Campaign, model: Path | None) -> tuple[dict[str, 
         "relative_error_validate": fit.relative_error["validate"],
         "chi2_per_dof": fit.chi2 / fit.dof,
     }
-    reference = {}
-    for name, (value, sd) in campaign.reference.items():
-        if name in estimates:
-            found, found_sd = estimates[name]
-            combined = (sd**2 + found_sd**2) ** 0.5
-            reference[name] = {
-                "reference": value,
-                "reference_sd": sd,
-                "posterior": found,
-                "posterior_sd": found_sd,
-                "z": (found - value) / combined if combined else float("nan"),
-            }
-    return columns, reference
+    return columns, reference_comparison(campaign, columns)

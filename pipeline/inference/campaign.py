@@ -6,7 +6,9 @@ go through the general fit of ``campaign_fit``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -74,11 +76,11 @@ def identify_campaign(
     return replace(result, columns={**result.columns, "error": None, "chi2_per_dof": None})
 
 
-def reference_comparison(campaign: Campaign, result: DeviceResult) -> dict[str, dict[str, float]]:
-    """Each [reference] value against the posterior: both with sd, and z = difference / combined sd."""
+def reference_comparison(campaign: Campaign, columns: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Each [reference] value against <q>, <q>_sd of ``columns``: both with sd, and z = difference / combined sd."""
     out: dict[str, dict[str, float]] = {}
     for name, (value, sd) in campaign.reference.items():
-        found, found_sd = result.columns.get(name), result.columns.get(f"{name}_sd")
+        found, found_sd = columns.get(name), columns.get(f"{name}_sd")
         if not isinstance(found, float) or not isinstance(found_sd, float):
             continue
         difference = found - value

@@ -95,7 +95,7 @@ def identified(campaign: Campaign, model: Path | None) -> tuple[dict[str, Any], 
             campaign, IdentificationSettings(), SamplerSettings(), Gate(), np.random.SeedSequence(_SEED)
         )
         columns: dict[str, Any] = {"device_id": campaign.device_id, **result.columns}
-        reference = reference_comparison(campaign, result)
+        reference = reference_comparison(campaign, result.columns)
     else:
         from ..general import identify_general
 
