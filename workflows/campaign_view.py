@@ -36,7 +36,7 @@ from pipeline.experiment.lines import lines_removed, without_lines
 from pipeline.experiment.noise_level import NoiseLevel
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
-from pipeline.inference.campaign_problem import nuisance_columns
+from pipeline.inference.campaign_problem import Problem, nuisance_columns
 
 #: Above this every effect of the library is as good as silent for drives below 700 Hz.
 TOP_HZ = 2500.0
@@ -50,6 +50,8 @@ _GRID: dict[str, dict[str, tuple[float, ...]]] = {
 _LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
 #: A direction enters as (cos a, sin a), so two of them span all.
 _AXES_DEG = (0.0, 90.0)
+#: Share of a record made by forces and pick-off laws from which the plant's columns are computed with them.
+_STRONG = 0.1
 _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 
 
@@ -117,17 +119,27 @@ class CampaignView:
     def _result(self, fitted: CampaignFit, terms: tuple[str, ...]) -> FitResult:
         turn = _external(fitted)
         jacobians = []
+        starts = []
+        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
         for record, spectra in zip(self.records, self.spectra):
-            mine = next(r for r in fitted.records if r.name == record.name)
+            task, start = problem.task(record, fitted.values), self._start(fitted, record)
+            exact = problem.strength(fitted.values, task) > _STRONG
             j = jacobian(
                 fitted.model,
                 fitted.values,
                 record,
                 self.campaign.instrument,
                 angular_gain=self.campaign.angular_gain,
-                start=mine.start,
+                start=start,
+                exact=exact,
             )
             jacobians.append(self._rows(fitted, record, spectra, j) @ turn)
+            if start is None:
+                starts.append(np.zeros((jacobians[-1].shape[0], 0)))
+            else:
+                f = problem.start_columns(fitted.values, task, start, exact)
+                starts.append(spectra(f.reshape(*record.sense_v.shape, -1)).reshape(-1, start.size))
+        jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, _block_diagonal(starts))]
         free = fitted.model.free
         columns = {
             term: tuple(i for i, name in enumerate(free) if name.startswith(f"{term}.") or _is_quantity(term, name))
@@ -163,6 +175,10 @@ class CampaignView:
             error={k: v for k, v in fitted.error.items() if v is not None and known},
             relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
         )
+
+    def _start(self, fitted: CampaignFit, record: Record) -> FloatArray | None:
+        """Fitted initial state of a record that does not start at rest."""
+        return next(r for r in fitted.records if r.name == record.name).start
 
     def _rows(self, fitted: CampaignFit, record: Record, spectra: Spectra, y: FloatArray) -> FloatArray:
         """Volts (N, S, K) as whitened rows (2 F S, K), the record's own free amplitudes projected out."""
@@ -234,7 +250,8 @@ class CampaignView:
         hints: dict[str, float] = {}
         for record, spectra in zip(self.records, self.spectra):
             # Records with the same drive and conditions have the same signature.
-            key = record.drive_v.tobytes() + repr((record.rate_dps, record.bias_v, record.at_rest)).encode()
+            start = self._start(fitted, record)
+            key = record.drive_v.tobytes() + repr((record.rate_dps, record.bias_v, start)).encode()
             if key not in made:
                 try:
                     found = signatures(
@@ -244,6 +261,7 @@ class CampaignView:
                         self.campaign.instrument,
                         name,
                         angular_gain=self.campaign.angular_gain,
+                        start=start,
                         grid=grid or None,
                         step_hints=hints,
                     )
@@ -347,6 +365,17 @@ def _candidate(
     cells = tuple(slice(i * width, (i + 1) * width) for i in range(len(found) // together))
     grid = tuple({k: float(v) for k, v in s.point.items() if k != turned} for s in found[::together])
     return Candidate(effect.name, tuple(parameters), cells, grid)
+
+
+def _block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
+    """Columns of single records (n_b, k_b) as columns of all of them (n_b, sum k)."""
+    edges = np.cumsum([0, *(part.shape[1] for part in parts)])
+    out = []
+    for part, first in zip(parts, edges):
+        wide = np.zeros((part.shape[0], int(edges[-1])))
+        wide[:, first : first + part.shape[1]] = part
+        out.append(wide)
+    return out
 
 
 def _is_quantity(term: str, name: str) -> bool:

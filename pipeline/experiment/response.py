@@ -3,17 +3,22 @@
     y = linear part (exact at the samples) + read-out of the remainder  r = S(x_l + d) - S_linear(x_l),   then the
     converter
 
-Shapes: N samples, D drives, S senses, n coordinates.  Units: volts, seconds.
+Shapes: R records, N samples, D drives, S senses, n coordinates.  Units: volts, seconds.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..arrays import FloatArray
 from .integrate import SUBSTEPS, filtered, trajectory
-from .linear import Clock, delay_steps, free_response, interpolated, linear_response, shifted, upper_poles
+from .linear import Clock, delay_steps, fed_through, free_response, interpolated, shifted, unit_responses, upper_poles
+from .play import Play, waveforms_of
 from .system import System
+
+Starts = Sequence[FloatArray | None]
 
 
 def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
@@ -25,22 +30,64 @@ def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
     return u
 
 
-def linear_volts(system: System, drive_v: FloatArray, clock: Clock, start: FloatArray | None = None) -> FloatArray:
-    """Linear part (N, S) [V] before the converter; ``start`` (2n,) is the state at the first sample, ``None`` rest."""
-    v = interpolated(drive_v, clock)
-    u = interpolated(force_volts(system, drive_v), clock) if system.drives else v
-    y = linear_response(system.mechanics, system.readout, u, v, clock)
-    if start is not None:
-        y = y + free_response(system.mechanics, system.readout, y.shape[0], clock) @ start
-    return y[:: clock.stride]
+def linear_volts(system: System, play: Play, starts: Starts | None = None) -> FloatArray:
+    """Linear part (R, N, S) [V] before the converter.
+
+    Parameters
+    ----------
+    system, play : what is played on what.
+    starts : state (2n,) at the first sample of each record; ``None`` is rest.
+    """
+    clock, readout = play.clock, system.readout
+    if system.drives:
+        # Behind the drive stage another level is another waveform.
+        forced = tuple(force_volts(system, v) for v in play.drives)
+        waveforms, gains = waveforms_of(forced)
+        stepped = np.ascontiguousarray(interpolated(waveforms.T, clock).T) if waveforms.size else waveforms
+        y = _mixed(unit_responses(system.mechanics, readout, stepped, clock, feeds=False), gains, clock.stride)
+        if np.any(readout.resistive) or np.any(readout.capacitive):
+            y += _mixed(fed_through(readout, play.waveforms, clock), play.gains, clock.stride)
+    else:
+        y = _mixed(unit_responses(system.mechanics, readout, play.waveforms, clock), play.gains, clock.stride)
+    for record, start in enumerate(starts or ()):
+        if start is not None:
+            free = free_response(system.mechanics, readout, play.waveforms.shape[1], clock) @ start
+            y[record] += free[:: clock.stride]
+    return y
+
+
+def _mixed(units: FloatArray, gains: FloatArray, stride: int) -> FloatArray:
+    """(R, N, S) from (W, N', D, S) and gains (R, D, W)."""
+    units = units[:, ::stride]
+    count, samples, drives, senses = units.shape
+    flat = units.reshape(count, samples, drives * senses)
+    out = np.zeros((gains.shape[0], samples, senses))
+    for record, gain in zip(out, gains):
+        for w in range(count):
+            if np.any(gain[:, w]):
+                record += flat[w] @ np.kron(gain[:, w, None], np.eye(senses))
+    return out
 
 
 def remainder_volts(
-    system: System, drive_v: FloatArray, clock: Clock, start: FloatArray | None = None, substeps: int = SUBSTEPS
+    system: System, play: Play, starts: Starts | None = None, substeps: int = SUBSTEPS
 ) -> FloatArray:
-    """What forces and pick-off laws add to the linear part, (N, S) [V]; zero where there are none."""
+    """What forces and pick-off laws add to the linear part, (R, N, S) [V]; zero where there are none."""
+    out = np.zeros((len(play.drives), play.drives[0].shape[0], system.sense_motion.shape[0]))
     if not (system.forces or system.senses):
-        return np.zeros((drive_v.shape[0], system.sense_motion.shape[0]))
+        return out
+    known = starts or (None,) * len(play.drives)
+    for record, (first, start) in enumerate(zip(play.twins, known)):
+        if first != record and start is None and known[first] is None:
+            out[record] = out[first]
+        else:
+            out[record] = _remainder(system, play.drives[record], play.clock, start, substeps)
+    return out
+
+
+def _remainder(
+    system: System, drive_v: FloatArray, clock: Clock, start: FloatArray | None, substeps: int
+) -> FloatArray:
     m = system.mechanics
     u = interpolated(force_volts(system, drive_v), clock)
     forces = [(effect.force, p) for effect, p in system.forces]
@@ -63,16 +110,16 @@ def remainder_volts(
     return shifted(y, shift)[:: clock.stride]
 
 
-def volts(system: System, drive_v: FloatArray, clock: Clock, start: FloatArray | None = None) -> FloatArray:
-    """The record (N, S) [V] before the converter."""
-    y = linear_volts(system, drive_v, clock, start)
+def volts(system: System, play: Play, starts: Starts | None = None) -> FloatArray:
+    """The records (R, N, S) [V] before the converter."""
+    y = linear_volts(system, play, starts)
     if system.forces or system.senses:
-        y = y + remainder_volts(system, drive_v, clock, start)
+        y += remainder_volts(system, play, starts)
     return y
 
 
 def converted(system: System, y: FloatArray) -> FloatArray:
-    """The record behind the converter stage."""
+    """The records behind the converter stage; ``y`` (.., S)."""
     for effect, p in system.adcs:
         assert effect.adc is not None
         y = effect.adc(y, p, system.context)
