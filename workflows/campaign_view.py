@@ -38,10 +38,11 @@ from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
 from pipeline.inference.campaign_problem import Problem, nuisance_columns
 
+from .campaign_plane import Plane, planes_of
+from .campaign_regions import regions_of
+
 #: Above this every effect of the library is as good as silent for drives below 700 Hz.
 TOP_HZ = 2500.0
-_WINDOW_S = 0.25
-_BAND_HZ = 25.0
 #: Grid of the parasitic mode's signature: the driven band and a little beyond it.
 _GRID: dict[str, dict[str, tuple[float, ...]]] = {
     "parasitic_mode": {"f": tuple(320.0 * 1.04**k for k in range(22)), "zeta": (1e-2,)}
@@ -312,35 +313,14 @@ class CampaignView:
         candidates = tuple(Candidate(f"shape {i}", unit, (slice(i, i + 1),)) for i in range(count))
         return Signatures(candidates, tuple(blocks))
 
+    @cached_property
+    def planes(self) -> dict[str, Plane]:
+        """How each record is cut, by the first fit that was made: the same cut for all models."""
+        return planes_of(self.campaign, self.campaign_fit(tuple(next(iter(self._fits)))))
+
     def regions(self, fit: FitResult) -> Sequence[Region]:
-        """Residual energy by record, channel and band of frequency, and by record, channel and time."""
-        fitted = self.campaign_fit(fit.terms)
-        out: list[Region] = []
-        shrink = 1.0 - len(fitted.model.free) / max(fit.rows, 1)
-        for block, spectra in zip(fit.blocks, self.spectra):
-            cells = (spectra.frequency_hz // _BAND_HZ).astype(int)
-            both = np.concatenate([cells, cells])
-            r = next(x for x in fitted.records if x.name == block.name).residual
-            rate = next(x for x in self.records if x.name == block.name).sample_rate_hz
-            for channel in range(block.residual.shape[1]):
-                square = block.residual[:, channel] ** 2
-                energy = np.bincount(both, square)
-                sizes = np.bincount(both)
-                clipped = np.bincount(both, np.minimum(square, 16.0))
-                for c in np.flatnonzero(sizes):
-                    band = [c * _BAND_HZ, (c + 1) * _BAND_HZ]
-                    where = {"record": block.name, "channel": f"sense{channel + 1}", "band_hz": band}
-                    out.append(
-                        Region("frequency", where, float(energy[c]), float(sizes[c]) * shrink, float(clipped[c]))
-                    )
-                size = max(1, round(_WINDOW_S * rate))
-                for k in range(r.shape[0] // size):
-                    part = r[k * size : (k + 1) * size, channel] ** 2
-                    times = [k * size / rate, (k + 1) * size / rate]
-                    where = {"record": block.name, "channel": f"sense{channel + 1}", "time_s": times}
-                    robust = float(np.sum(np.minimum(part, 16.0)))
-                    out.append(Region("time", where, float(part.sum()), part.size * shrink, robust))
-        return out
+        """Residual energy of each record and channel by time, resonance, harmonic of the drive and band, up to Nyquist."""
+        return regions_of(self.campaign_fit(fit.terms), self.planes)
 
 
 def _candidate(

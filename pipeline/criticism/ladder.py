@@ -67,6 +67,7 @@ class Rung:
             "terms": list(self.terms),
             "dropped": list(self.dropped),
             "parameters": {name: list(value) for name, value in self.parameters.items()},
+            "derived": {name: list(value) for name, value in self.derived.items()},
         }
 
 

@@ -29,19 +29,25 @@ class Where:
     p_value: float
 
 
-def where(regions: Sequence[Region], alpha: float = 0.003) -> tuple[Where, ...]:
-    """Regions that are significantly above the noise, the largest share first."""
+def where(regions: Sequence[Region], alpha: float = 0.003, noise_dof: float = np.inf) -> tuple[Where, ...]:
+    """Regions that are significantly above the noise, the largest share first.
+
+    ``noise_dof``: degrees of freedom behind the noise level; a region that is larger than that is judged by what the level
+    is known to, 1 / (1/dof + 1/noise_dof).
+    """
     used = [region for region in regions if region.dof > 0.0]
     totals: dict[str, float] = {}
     for region in used:
         totals[region.family] = totals.get(region.family, 0.0) + max(region.chi2 - region.dof, 0.0)
     found = []
     for region in used:
-        p = float(np.exp(log_any(log_tail(region.chi2, max(round(region.dof), 1)), len(used))))
+        dof = 1.0 / (1.0 / region.dof + 1.0 / noise_dof)
+        p = float(np.exp(log_any(log_tail(region.chi2 * dof / region.dof, max(round(dof), 1)), len(used))))
         if p >= alpha:
             continue
         share = max(region.chi2 - region.dof, 0.0) / max(totals[region.family], 1e-300)
-        found.append(Where(region.family, region.labels, share, float(np.sqrt(region.chi2 / region.dof)), p))
+        error = float(np.sqrt(region.chi2 / region.dof))
+        found.append(Where(region.family, region.labels, float(share), error, p))
     return tuple(sorted(found, key=lambda item: -item.share))
 
 
