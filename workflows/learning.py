@@ -1,4 +1,4 @@
-"""The learning loop on a campaign: compare, diagnose, refine; as short as the commands.
+"""The learning loop on a campaign or a modal record: compare, diagnose, refine; as short as the commands.
 
 compare(campaign, model)     how good, and where it fails
 diagnose(campaign, model)    what is missing, or that nothing of the library is
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, overload
 
 from pipeline.criticism.loop import Diagnosis
 from pipeline.criticism.loop import diagnose as examine
@@ -17,11 +17,13 @@ from pipeline.criticism.loop import refine as climb
 from pipeline.criticism.regions import where
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import MeasurementError
+from pipeline.experiment.modal_record import ModalRecord
 from pipeline.experiment.noise_level import noise_level
 from pipeline.experiment.record import Campaign
 from pipeline.inference.campaign_fit import CampaignFit
 
 from .campaign_view import CampaignView
+from .modal_learning import ModalComparison, ModalDiagnosed, ModalRefined, compare_modal, diagnose_modal, refine_modal
 
 _SHOWN = 12
 
@@ -160,20 +162,38 @@ class Refined:
         return out
 
 
-def compare(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL) -> Comparison:
+@overload
+def compare(campaign: Campaign, model: Model = ...) -> Comparison: ...
+@overload
+def compare(campaign: ModalRecord, model: Model = ...) -> ModalComparison: ...
+def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Comparison | ModalComparison:
     """Fit ``model`` to the fit records and judge it on all."""
+    if isinstance(campaign, ModalRecord):
+        return compare_modal(campaign, model)
     found = Comparison(view_of(campaign, model))
     found.view.fit(())
     return found
 
 
-def diagnose(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL) -> Diagnosed:
+@overload
+def diagnose(campaign: Campaign, model: Model = ...) -> Diagnosed: ...
+@overload
+def diagnose(campaign: ModalRecord, model: Model = ...) -> ModalDiagnosed: ...
+def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Diagnosed | ModalDiagnosed:
     """Say what ``model`` lacks."""
+    if isinstance(campaign, ModalRecord):
+        return diagnose_modal(campaign, model)
     view = view_of(campaign, model)
     return Diagnosed(view, examine(view))
 
 
-def refine(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL) -> Refined:
+@overload
+def refine(campaign: Campaign, model: Model = ...) -> Refined: ...
+@overload
+def refine(campaign: ModalRecord, model: Model = ...) -> ModalRefined: ...
+def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Refined | ModalRefined:
     """Climb from ``model`` until nothing more is warranted."""
+    if isinstance(campaign, ModalRecord):
+        return refine_modal(campaign, model)
     view = view_of(campaign, model)
     return Refined(view, climb(view))

@@ -171,7 +171,8 @@ def _prune(
             less = _fit(problem, tuple(name for name in fit.terms if name != term), fit, fits)
             if not less.ok:
                 continue
-            level = max(1.0, fit.chi2 / max(fit.dof, 1))
+            level = fit.chi2 / max(fit.dof, 1)
+            level = max(1.0, level) if fit.noise_known else max(level, 1e-300)
             rise = max(less.chi2 - fit.chi2, 0.0) / level
             own = max(less.dof - fit.dof, 1)
             log_p = float(log_tail(rise, own, None if fit.noise_known else max(fit.dof, 1)))

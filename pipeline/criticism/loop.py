@@ -22,9 +22,6 @@ from .projection import baseline
 from .scores import Score
 from .verdict import TermClass, Verdict, classes, verdict
 
-#: How many terms a diagnosis may name together.
-_TOGETHER = 3
-
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
@@ -89,9 +86,9 @@ class Diagnosis:
 
 
 def diagnose(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Diagnosis:
-    """Say what the model with these terms lacks; at most three terms together are named."""
+    """Say what the model with these terms lacks; at most ``rules.together`` terms are named."""
     rules = rules or Rules()
-    climbed = climb(problem, terms, replace(rules, rungs=min(rules.rungs, _TOGETHER)))
+    climbed = climb(problem, terms, replace(rules, rungs=min(rules.rungs, rules.together)))
     if not climbed.looks:
         fit = next(iter(climbed.fits.values()))
         return Diagnosis("fit_failed", (), (), {}, (), (), None, None, fit, None, {}, climbed.failed)

@@ -28,7 +28,8 @@ Predict = Callable[[Values], Sequence[FloatArray]]
 class Term:
     """An optional term.
 
-    ``parameters`` have a null; ``scanned`` maps parameters that do not exist at the null to the values to try.
+    ``parameters`` have a null; ``scanned`` maps parameters that do not exist at the null to the values to try; one that
+    has a single value is held there.
     """
 
     name: str
@@ -42,7 +43,7 @@ class Regression:
 
     Parameters
     ----------
-    predict : parameters -> one array (n_b, m_b) a block, the held-out blocks last.
+    predict : parameters -> one array (n_b, m_b) a block, the held-out blocks last; not finite where no such thing can be.
     measured : the blocks in the same order, residual replaced by what was measured in units of its sd.
     baseline : parameter -> start value.
     terms : the library.
@@ -52,6 +53,7 @@ class Regression:
     derive : parameters -> derived quantities.
     probe : generic shapes (for each fitted block (n m, K)), a probe for each.
     strata : for each fitted block (n m,) the noise stratum of a row.
+    limits : parameter -> the range that a fit may not leave.
     """
 
     predict: Predict
@@ -64,6 +66,7 @@ class Regression:
     derive: Callable[[Values], Values] | None = None
     probe: Mapping[str, tuple[FloatArray, ...]] | None = None
     strata: tuple[IntArray, ...] | None = None
+    limits: Mapping[str, tuple[float, float]] | None = None
 
     @property
     def fitted(self) -> int:
@@ -200,18 +203,26 @@ class Regression:
         for name in names:
             step = 1e-5 * max(abs(at[name]), (self.scale or {}).get(name, 1.0))
             above, below = self.predict({**at, name: at[name] + step}), self.predict({**at, name: at[name] - step})
-            for block, up, down in zip(columns, above, below):
-                block.append(((up - down) / (2.0 * step)).reshape(-1))
+            for block, up, down, here in zip(columns, above, below, self._between(at, above, below)):
+                block.append(_slope(up, down, here, step).reshape(-1))
         return [
             np.stack(block, axis=1) if block else np.zeros((old.residual.size, 0))
             for block, old in zip(columns, self.measured)
         ]
 
+    def _between(self, at: Values, above: Sequence[FloatArray], below: Sequence[FloatArray]) -> Sequence[FloatArray]:
+        """The prediction itself, where a step to one side leaves what is possible."""
+        inside = all(bool(np.all(np.isfinite(up + down))) for up, down in zip(above, below))
+        return above if inside else self.predict(at)
+
     def _bounds(self, chosen: Sequence[Term], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         sides = {p.name: (p.side, p.null) for term in chosen for p in term.parameters}
-        scans = {name: tried for term in chosen for name, tried in (term.scanned or {}).items()}
+        scans = {name: tried for term in chosen for name, tried in (term.scanned or {}).items() if len(tried) > 1}
+        limits = self.limits or {}
         lower = [sides[n][1] if n in sides and sides[n][0] > 0 else min(scans.get(n, (-np.inf,))) for n in names]
         upper = [sides[n][1] if n in sides and sides[n][0] < 0 else max(scans.get(n, (np.inf,))) for n in names]
+        lower = [max(low, limits.get(n, (low, np.inf))[0]) for n, low in zip(names, lower)]
+        upper = [min(high, limits.get(n, (-np.inf, high))[1]) for n, high in zip(names, upper)]
         return np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
 
     def _starts(self, chosen: Sequence[Term], start: FitResult | None) -> list[dict[str, float]]:
@@ -239,7 +250,17 @@ class Regression:
 
 
 def _all_names(term: Term) -> list[str]:
-    return [*(p.name for p in term.parameters), *(term.scanned or {})]
+    return [
+        *(p.name for p in term.parameters),
+        *(name for name, tried in (term.scanned or {}).items() if len(tried) > 1),
+    ]
+
+
+def _slope(above: FloatArray, below: FloatArray, here: FloatArray, step: float) -> FloatArray:
+    """Central difference; one-sided at the edge of what is possible."""
+    if np.all(np.isfinite(above)) and np.all(np.isfinite(below)):
+        return np.asarray((above - below) / (2.0 * step))
+    return np.asarray((above - here) / step if np.all(np.isfinite(above)) else (here - below) / step)
 
 
 def _grid(term: Term) -> list[dict[str, float]]:

@@ -144,6 +144,8 @@ def score_all(
         share, snr = visibility(projected, candidate, own)
         if not known:
             snr /= max(np.sqrt(projected.chi2 / max(projected.dof, 1)), 1e-300)
+            level = np.sqrt(max(projected.chi2 - fall, 0.0) / max(projected.dof - len(candidate.parameters), 1))
+            values = {name: (value, float(sd * level)) for name, (value, sd) in values.items()}
         scores.append(
             Score(
                 candidate.name,

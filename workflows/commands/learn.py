@@ -6,10 +6,10 @@ import json as json_
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,23 +21,26 @@ from pipeline.experiment.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.campaign_fit import CampaignFit
 from reports.campaign_page import RecordView, effect_texts, render_campaign_report
+from reports.modal_page import render_modal_report
 
 from .. import learning
 from ..demo import hidden_device
+from ..modal_learning import (
+    ModalComparison,
+    ModalDiagnosed,
+    ModalRefined,
+    compare_modal,
+    diagnose_modal,
+    refine_modal,
+)
+from .modal_text import modal_text
 
 
-def _campaign(path: Path) -> Campaign:
-    found = read_measurement(path)
-    if isinstance(found, ModalRecord):
-        raise UsageError(
-            "the loop on poles and residues is not there yet",
-            value=str(path),
-            allowed="a campaign of records",
-            next_step="gyroscreen identify takes a modal record",
-        )
-    if not found.with_role("fit"):
-        found = replace(found, records=tuple(replace(r, role="fit") for r in found.records))
-    return found
+def _fitted(found: Campaign) -> Campaign:
+    """The campaign; one without a record to fit fits them all."""
+    if found.with_role("fit"):
+        return found
+    return replace(found, records=tuple(replace(r, role="fit") for r in found.records))
 
 
 def _model(path: Path | None, folders: Sequence[Path]) -> Model:
@@ -92,7 +95,11 @@ def _number(value: float | None) -> str:
 
 def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen compare --help``."""
-    campaign, base = _campaign(path), _model(model, folders)
+    measured, base = read_measurement(path), _model(model, folders)
+    if isinstance(measured, ModalRecord):
+        _modal("compare", measured, base, out, folders, json)
+        return
+    campaign = _fitted(measured)
     found = learning.compare(campaign, base)
     said = plain(found.to_dict())
     texts = effect_texts(find_effects(tuple(folders)))
@@ -115,7 +122,11 @@ def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[
 
 def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen diagnose --help``."""
-    campaign, base = _campaign(path), _model(model, folders)
+    measured, base = read_measurement(path), _model(model, folders)
+    if isinstance(measured, ModalRecord):
+        _modal("diagnose", measured, base, out, folders, json)
+        return
+    campaign = _fitted(measured)
     found = learning.diagnose(campaign, base)
     said = plain(found.to_dict())
     if out is not None and found.verdict != "fit_failed":
@@ -141,6 +152,39 @@ def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence
         print(f"  {c['effect']:24s} chi2 falls by {c['delta_chi2']:.4g}, p {_number(c['p_value'])}; {size}")
 
 
+def _modal(
+    question: Literal["compare", "diagnose", "refine"],
+    record: ModalRecord,
+    model: Model,
+    out: Path | None,
+    folders: Sequence[Path],
+    json: bool,
+) -> None:
+    """The same three questions to poles and residues."""
+    answers: dict[str, Callable[[ModalRecord, Model], ModalComparison | ModalDiagnosed | ModalRefined]] = {
+        "compare": compare_modal,
+        "diagnose": diagnose_modal,
+        "refine": refine_modal,
+    }
+    found = answers[question](record, model)
+    said = plain(found.to_dict())
+    page = None
+    if out is not None and said.get("verdict") != "fit_failed" and said.get("fit_ok", True):
+        first = plain(ModalComparison(found.view).to_dict())
+        texts = effect_texts(find_effects(tuple(folders)))
+        told = {"compare": (None, None), "diagnose": (said, None), "refine": (None, said)}[question]
+        name = {"refine": "ladder"}.get(question, question)
+        page = _page(out, f"{name}.html", render_modal_report(record.name, first, *told, library=texts))
+    if json:
+        print(json_.dumps(said))
+        return
+    print("\n".join(modal_text(question, said)))
+    if question != "compare":
+        print(_sentence(said["verdict"], said["effects"], said["classes"]))
+    if page is not None:
+        print(page)
+
+
 def _sentence(verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]]) -> str:
     if verdict == "adequate":
         return "adequate: nothing more is missing"
@@ -149,13 +193,17 @@ def _sentence(verdict: str, effects: Sequence[str], classes: Sequence[Sequence[s
     if verdict == "fit_failed":
         return "fit_failed: the model could not be fitted, so nothing can be said"
     named = ", ".join(effects)
-    others = "; ".join("or ".join(c) for c in classes)
+    others = "; ".join(" or ".join(c) for c in classes)
     return f"{verdict}: {named}" + (f" (these data cannot tell apart: {others})" if others else "")
 
 
 def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen refine --help``."""
-    campaign, base = _campaign(path), _model(model, folders)
+    measured, base = read_measurement(path), _model(model, folders)
+    if isinstance(measured, ModalRecord):
+        _modal("refine", measured, base, out, folders, json)
+        return
+    campaign = _fitted(measured)
     found = learning.refine(campaign, base)
     said = plain(found.to_dict())
     page = _ladder_page(campaign, found, said, out, folders, None)
