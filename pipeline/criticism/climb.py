@@ -1,7 +1,8 @@
 """The loop: look, add the best term, refit all, test every member for removal, until nothing more is warranted.
 
 A term is added when its score is significant among all candidates, its refit lowers chi2 as significantly, and the held-out
-chi2 does not rise by more than 2 sd of the paired difference.  A member is removed when the fit without it is not
+chi2 does not rise by more than 2 sd of the paired difference; where the noise level is not known, it has to fall by as much,
+for F-tests take all that is left for white noise.  A member is removed when the fit without it is not
 significantly worse.  Where no single candidate is significant but a pair is, the pair is added, one rung each.
 """
 
@@ -57,6 +58,10 @@ class Climb:
         return self.looks[-1]
 
 
+#: Why a term is refused where the noise level is not known.
+UNSUPPORTED = "the noise level is not known and held-out data do not confirm it"
+
+
 def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Climb:
     """Add terms until nothing more is warranted; ``terms`` are in the model from the start and may be removed too."""
     rules = rules or Rules()
@@ -104,9 +109,12 @@ def _next(
         if not _worth(fall, here, score.parameters, rules.alpha):
             reasons[score.name] = "refitted, chi2 fell too little"
             continue
-        held = paired(here.fit.held, fit.held)
+        held = _held(here.fit, fit)
         if held.standing == "refused":
             reasons[score.name] = f"held-out chi2 rose by {-held.fall:.3g} +- {held.sd:.2g}"
+            continue
+        if _unsupported(fit, held):
+            reasons[score.name] = f"{UNSUPPORTED} (fall {held.fall:.3g} +- {held.sd:.2g})"
             continue
         trials.append(Step(score.name, fit, fall, held))
     if trials:
@@ -132,13 +140,24 @@ def _pair(problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], r
     sizes = sum(score.parameters for score in here.scores if score.name in (first, second))
     if not _worth(here.fit.chi2 - both.chi2, here, sizes, rules.alpha):
         return ()
-    whole = paired(here.fit.held, both.held)
-    if whole.standing == "refused":
+    whole = _held(here.fit, both)
+    if whole.standing == "refused" or _unsupported(both, whole):
         return ()
     return (
-        Step(first, one, here.fit.chi2 - one.chi2, paired(here.fit.held, one.held)),
-        Step(second, both, one.chi2 - both.chi2, paired(one.held, both.held)),
+        Step(first, one, here.fit.chi2 - one.chi2, _held(here.fit, one)),
+        Step(second, both, one.chi2 - both.chi2, _held(one, both)),
     )
+
+
+def _held(before: FitResult, after: FitResult) -> Paired:
+    """What the held-out data say of the step from one fit to a larger one."""
+    level = 1.0 if after.noise_known else float(np.sqrt(after.chi2 / max(after.dof, 1)))
+    return paired(before.held, after.held, level)
+
+
+def _unsupported(fit: FitResult, held: Paired) -> bool:
+    """Whether neither a noise level nor held-out data speak for a term that F-tests call significant."""
+    return not fit.noise_known and bool(fit.held) and held.standing != "confirmed"
 
 
 def _fall(here: Look, name: str) -> float:

@@ -2,10 +2,10 @@
 
     delta = r_before - r_after                         what the term changed, row by row
     fall  = sum(r_before^2 - r_after^2)
-    sd    = 2 sqrt(max(sum(delta^2), sum over chunks of (sum of delta r)^2)),   r of the better of the two
+    sd    = 2 sqrt(max(level^2 sum(delta^2), sum over chunks of (sum of delta r)^2)),   r of the better of the two
 
-If the better model is right its r is noise, and the fall is +-sum(delta^2) + 2 sum(delta r), whose sd is 2 sqrt(sum
-delta^2) for unit noise.  Sums over chunks of rows let noise that is stronger, coloured or heavy-tailed widen it, never
+If the better model is right its r is noise, and the fall is +-sum(delta^2) + 2 sum(delta r), whose sd is 2 level sqrt(sum
+delta^2) for noise of rms level: 1, or that of the larger model's fit where no noise level is known.  Sums over chunks of rows let noise that is stronger, coloured or heavy-tailed widen it, never
 narrow it.  Free amplitudes that the new model refits on the held-out data are taken off the fall.
 """
 
@@ -38,14 +38,14 @@ class Paired:
         return "refused" if self.fall < -2.0 * self.sd else "partial"
 
 
-def paired(before: Sequence[Block], after: Sequence[Block]) -> Paired:
-    """Compare two models on the same held-out blocks."""
+def paired(before: Sequence[Block], after: Sequence[Block], level: float = 1.0) -> Paired:
+    """Compare two models on the same held-out blocks, whose noise has rms ``level``."""
     fall = sum(old.chi2 - new.chi2 - (new.nuisances - old.nuisances) for old, new in zip(before, after))
     better = after if fall > 0.0 else before
     nominal, actual = 0.0, 0.0
     for old, new, right in zip(before, after, better):
         delta = old.rows - new.rows
-        nominal += float(np.vdot(delta, delta))
+        nominal += level**2 * float(np.vdot(delta, delta))
         edges = np.arange(0, delta.size, _CHUNK)
         actual += float(np.sum(np.add.reduceat(delta * right.rows, edges) ** 2)) if delta.size else 0.0
     return Paired(fall, 2.0 * float(np.sqrt(max(nominal, actual))))

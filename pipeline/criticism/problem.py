@@ -67,6 +67,7 @@ class FitResult:
     strata : for each fitted block (n m,) the noise stratum of a row, from 0: rows (a few hundred or more) whose noise has
         one level, which is then checked on the residuals.  ``None``: unit variance is trusted everywhere.
     noise_known : false where the residuals are white up to an unknown common factor.
+    noise_bounded : where it is unknown: the noise has at most unit variance, so chi2/dof well above 1 is a misfit.
     nuisances : free amplitudes that were projected out, counted in the degrees of freedom.
     error, relative_error : "fit" and "validate" as the problem defines them; rms of the residuals where left out.
     """
@@ -86,6 +87,7 @@ class FitResult:
     nuisances: int = 0
     error: Mapping[str, float] = field(default_factory=dict)
     relative_error: Mapping[str, float] = field(default_factory=dict)
+    noise_bounded: bool = False
 
     @property
     def chi2(self) -> float:
@@ -167,11 +169,20 @@ class LocalCandidate:
 
 @dataclass(frozen=True, eq=False)
 class Signatures:
-    """Candidates and their columns: for each fitted block Z_b (n m, K); and those that are local to the blocks."""
+    """Candidates and their columns.
+
+    Parameters
+    ----------
+    candidates : each with its cells of columns; columns that belong to none are allowed.
+    blocks : for each fitted block Z_b (n m, K).
+    local : candidates that are local to the blocks.
+    grams : ``projection.stratum_grams`` of the blocks, where the problem keeps them.
+    """
 
     candidates: tuple[Candidate, ...]
     blocks: tuple[FloatArray, ...]
     local: tuple[LocalCandidate, ...] = ()
+    grams: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,13 @@ from typing import Literal
 import numpy as np
 
 from .classes import Rival, rivals
-from .climb import Climb, tail_of_fall
+from .climb import UNSUPPORTED, Climb, tail_of_fall
 from .examine import Rules
 from .problem import Problem
 
 Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
+#: Times the largest noise level there may be, above which what is left is plainly no noise.
+_PLAIN = 1.5
 #: Below this sine the projection is not trusted to exclude a rival of a strong term.
 _CLOSE = 0.1
 
@@ -69,11 +71,18 @@ def verdict(climbed: Climb, found: tuple[TermClass, ...], rules: Rules) -> Verdi
     if climbed.failed or not climbed.looks:
         return "fit_failed"
     last = climbed.last
-    if last.significant(rules.alpha) or last.goodness.p_value < rules.alpha_left:
+    if any(not _doubted(climbed, score.name) for score in last.significant(rules.alpha)):
+        return "unknown"
+    if last.goodness.p_value < rules.alpha_left or (last.fit.noise_bounded and last.goodness.level > _PLAIN):
         return "unknown"
     if not found:
         return "adequate"
     return "class" if any(len(item.members) > 1 for item in found) else "effect"
+
+
+def _doubted(climbed: Climb, term: str) -> bool:
+    """Whether a term was refused for want of a noise level and of support by the held-out data."""
+    return climbed.refused.get(term, "").startswith(UNSUPPORTED)
 
 
 def misfit(error: float | None) -> float | None:
