@@ -5,8 +5,9 @@
     sd    = 2 sqrt(max(level^2 sum(delta^2), sum over chunks of (sum of delta r)^2)),   r of the better of the two
 
 If the better model is right its r is noise, and the fall is +-sum(delta^2) + 2 sum(delta r), whose sd is 2 level sqrt(sum
-delta^2) for noise of rms level: 1, or that of the larger model's fit where no noise level is known.  Sums over chunks of rows let noise that is stronger, coloured or heavy-tailed widen it, never
-narrow it.  Free amplitudes that the new model refits on the held-out data are taken off the fall.
+delta^2) for noise of rms level: 1, or that of the larger model's fit where no noise level is known.  Sums over chunks of
+rows let noise that is stronger, coloured or heavy-tailed widen it, never narrow it.  Free amplitudes that the new model
+refits on the held-out data are taken off the fall.
 """
 
 from __future__ import annotations
