@@ -31,7 +31,7 @@ from .campaign_rows import (
     rung_of,
     wrong_forms_of,
 )
-from .campaign_wording import Fall, fall_sentence, missing_sentence, standing_notes
+from .campaign_wording import Fall, fall_sentence, missing_sentence, noise_sentence, standing_notes
 from .content import Fact, facts
 
 
@@ -129,7 +129,7 @@ def campaign_content(
         rungs=rungs,
         refused=tuple((str(name), str(why)) for name, why in mapping(found.get("refused")).items()),
         regions=regions_of(compare, found),
-        noise=_noise(mapping(compare.get("noise"))),
+        noise=noise_sentence(mapping(compare.get("noise"))),
         candidates=candidates_of(told, effects, classes, library),
         classes=tuple((letter(k), members) for k, members in enumerate(classes)),
         separating=separating,
@@ -158,14 +158,3 @@ def _relative(compare: Json, rungs: Sequence[Rung], last: Rung | None) -> Fall:
     if after is None and held is not None:
         return Fall(held, None, True, relative=True)
     return Fall(before, after, False, relative=True)
-
-
-def _noise(noise: Json) -> str:
-    sigma = noise.get("sigma")
-    values = [finite(one) for one in sigma] if isinstance(sigma, Sequence) and not isinstance(sigma, str) else []
-    words = ", ".join(f"{1e3 * one:.3g}" for one in values if one is not None)
-    source = {"silent": "the silent record", "repeats": "repeats", "residual": "a local nonparametric fit"}
-    whence = str(noise.get("from") or "")
-    if not words:
-        return "The noise level is not known, so only relative errors can be given."
-    return f"σ = {words} mV by channel" + (f", from {source.get(whence, whence)}." if whence else ".")

@@ -203,15 +203,33 @@ def explained_words(share: float | None) -> str:
     return percent(share).replace("-", "−")
 
 
-def kind_words(kind: str) -> str:
-    """A kind of region, as in "By ..."."""
+#: Kinds of region that cut the plane of time and frequency: their shares add up to one together.
+FREQUENCY_KINDS = ("resonance", "harmonic", "line", "broadband")
+_NOT_A_PLACE = ("family", "kind", "share", "error", "error_after", "explained", "p_value")
+
+
+def family_words(family: str) -> str:
+    """A family of regions, as in "By ..."."""
     return {
-        "resonance": "resonance",
+        "level": "level of the drive",
+        "response": "level of the motion",
+        "direction": "direction of the sweep",
+    }.get(family, family.replace("_", " "))
+
+
+def kind_words(kind: str, order: Any = None) -> str:
+    """A kind of region, with the order of a harmonic."""
+    if kind == "harmonic" and isinstance(order, int):
+        return "the drive's own frequency" if order == 1 else f"{_ordinal(order)} harmonic of the drive"
+    return {
         "line": "fixed line",
-        "broadband": "band of frequencies",
+        "broadband": "between and beyond",
         "harmonic": "harmonic of the drive",
-        "level": "level of the response",
     }.get(kind, kind.replace("_", " "))
+
+
+def _ordinal(order: int) -> str:
+    return f"{order}" + {2: "nd", 3: "rd"}.get(order, "th")
 
 
 def p_words(p_value: float | None) -> str:
@@ -227,20 +245,26 @@ def p_words(p_value: float | None) -> str:
 
 
 def region_words(region: Mapping[str, Any]) -> str:
-    """Where a region lies: record, channel, band, time, and whatever else labels it."""
-    parts = []
-    for key, value in region.items():
-        if value is None or key in ("kind", "share", "error", "explained", "p_value"):
+    """Where a region lies: what it is, band, time, record, channel, and whatever else labels it."""
+    kind = str(region.get("kind") or "")
+    parts = [kind_words(kind, region.get("harmonic"))] if kind in FREQUENCY_KINDS else []
+    for key in dict.fromkeys(("band_hz", "time_s", "record", "channel", *region)):
+        value = region.get(key)
+        if value is None or key in _NOT_A_PLACE or (key == "harmonic" and kind == "harmonic"):
             continue
         span = _span(value)
         if key == "band_hz":
-            parts.append(f"{span} Hz")
+            parts.append(_hertz(value) if kind == "line" else f"{span} Hz")
         elif key == "time_s":
             parts.append(f"{span} s")
         elif key == "channel":
-            parts.append(f"sense {value}" if not str(value).startswith("sense") else str(value))
-        elif key == "record":
+            parts.append(f"sense {str(value).removeprefix('sense').strip()}")
+        elif key in ("record", "direction"):
             parts.append(str(value))
+        elif key == "response_v":
+            parts.append(f"{span} V rms")
+        elif key == "level":
+            parts.append(f"{span} of the largest")
         elif key.endswith(("_hz", "_s", "_v")):
             stem, _, unit = key.rpartition("_")
             parts.append(f"{stem.replace('_', ' ')} {span} {unit.replace('hz', 'Hz').replace('v', 'V')}")
@@ -252,4 +276,30 @@ def region_words(region: Mapping[str, Any]) -> str:
 def _span(value: Any) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return " to ".join(_span(end) for end in value)
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _hertz(band: Any) -> str:
+    """The middle of a narrow band."""
+    ends = list(band) if isinstance(band, Sequence) and not isinstance(band, str) else [band]
+    numbers = [end for end in ends if isinstance(end, int | float)]
+    return f"{sum(numbers) / len(numbers):.6g} Hz" if numbers else f"{_span(band)} Hz"
+
+
+def noise_sentence(noise: Mapping[str, Any]) -> str:
+    """The noise level by channel, and where it comes from."""
+    sigma = noise.get("sigma")
+    given = list(sigma) if isinstance(sigma, Sequence) and not isinstance(sigma, str) else []
+    words = ", ".join(
+        f"{1e3 * one:.3g}" for one in given if isinstance(one, int | float) and math.isfinite(one) and one > 0.0
+    )
+    whence = str(noise.get("from") or "")
+    if not words:
+        return "The noise level is not known, so only relative errors can be given."
+    if whence == "residual":
+        return (
+            f"Nothing shows the noise by itself (no silence, no repeats): a smooth local fit leaves σ = {words} mV by "
+            "channel, so only relative errors can be given."
+        )
+    source = {"silent": "the silent record", "repeats": "what repeats of a drive differ by (no silent record)"}
+    return f"σ = {words} mV by channel" + (f", from {source.get(whence, whence)}." if whence else ".")

@@ -58,7 +58,10 @@ def number(value: float | None, digits: int = 3) -> str:
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     # Four to six digits before the point read better written out than as a power of ten.
-    return _typeset(f"{value:.0f}" if 10.0**digits <= abs(value) < 1e6 else f"{value:#.{digits}g}".rstrip("."))
+    if 10.0**digits <= abs(value) < 1e6:
+        return _typeset(f"{value:.0f}")
+    # A mantissa of one digit keeps the point of the alternate form.
+    return _typeset(f"{value:#.{digits}g}".replace(".e", "e").rstrip("."))
 
 
 def measured(value: float, sd: float) -> str:

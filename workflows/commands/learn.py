@@ -25,6 +25,7 @@ from reports.modal_page import render_modal_report
 
 from .. import learning
 from ..demo import hidden_device
+from ..learning_text import verdict_sentence
 from ..modal_learning import (
     ModalComparison,
     ModalDiagnosed,
@@ -89,10 +90,6 @@ def _page(out: Path | None, name: str, page: str) -> Path | None:
     return out / name
 
 
-def _number(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.4g}"
-
-
 def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen compare --help``."""
     measured, base = read_measurement(path), _model(model, folders)
@@ -103,6 +100,7 @@ def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[
     found = learning.compare(campaign, base)
     said = plain(found.to_dict())
     texts = effect_texts(find_effects(tuple(folders)))
+    where = None
     if said["fit_ok"] or said["error"]:
         before = views(campaign, found.fit)
         page = render_campaign_report(campaign.device_id, said, None, None, before, None, library=texts)
@@ -110,13 +108,8 @@ def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[
     if json:
         print(json_.dumps(said))
         return
-    print(
-        f"error {_number(said['error'].get('fit'))} on fitted, {_number(said['error'].get('validate'))} on held-out records"
-    )
-    for place in said["where"][:6]:
-        spot = ", ".join(f"{k} {v}" for k, v in place.items() if k not in ("share", "error") and v is not None)
-        print(f"  {100 * place['share']:5.1f} % of the misfit: {spot}")
-    if out is not None:
+    print(found)
+    if where is not None:
         print(where)
 
 
@@ -144,12 +137,7 @@ def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence
     if json:
         print(json_.dumps(said))
         return
-    print(_sentence(found.verdict, found.effects, found.classes))
-    for c in said["candidates"][:6]:
-        size = ", ".join(
-            f"{k} = {v[0]:.4g} +- {'?' if v[1] is None else format(v[1], '.2g')}" for k, v in c["estimate"].items()
-        )
-        print(f"  {c['effect']:24s} chi2 falls by {c['delta_chi2']:.4g}, p {_number(c['p_value'])}; {size}")
+    print(found)
 
 
 def _modal(
@@ -180,21 +168,9 @@ def _modal(
         return
     print("\n".join(modal_text(question, said)))
     if question != "compare":
-        print(_sentence(said["verdict"], said["effects"], said["classes"]))
+        print(verdict_sentence(said["verdict"], said["effects"], said["classes"]))
     if page is not None:
         print(page)
-
-
-def _sentence(verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]]) -> str:
-    if verdict == "adequate":
-        return "adequate: nothing more is missing"
-    if verdict == "unknown":
-        return "unknown: a misfit is left that no effect of the library explains"
-    if verdict == "fit_failed":
-        return "fit_failed: the model could not be fitted, so nothing can be said"
-    named = ", ".join(effects)
-    others = "; ".join(" or ".join(c) for c in classes)
-    return f"{verdict}: {named}" + (f" (these data cannot tell apart: {others})" if others else "")
 
 
 def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
@@ -210,7 +186,7 @@ def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[P
     if json:
         print(json_.dumps(said))
         return
-    print("\n".join(ladder_text(said)))
+    print(found)
     if page is not None:
         print(page)
 
@@ -239,26 +215,6 @@ def _ladder_page(
     return _page(out, "ladder.html", page)
 
 
-def ladder_text(said: Mapping[str, Any]) -> list[str]:
-    """The ladder for a terminal: a rung a line, the misfit as a bar on a logarithmic scale."""
-    rungs = said["ladder"]
-    most = max([r.get("misfit_fit") or 0.0 for r in rungs] + [1.0])
-    lines = ["rung                      status      error fitted  held-out   misfit"]
-    for rung in rungs:
-        misfit = rung.get("misfit_fit") or 0.0
-        length = round(30 * max(0.0, math.log10(max(misfit, 1e-2) / 1e-2)) / math.log10(most / 1e-2))
-        name = rung["effect"] or "(the model as given)"
-        lines.append(
-            f"{name:24s}  {rung['status'] or '':10s}  {_number(rung.get('error_fit')):>12s}"
-            f"  {_number(rung.get('error_validate')):>8s}   {'#' * length}"
-        )
-    lines.append(_sentence(said["verdict"], said["effects"], said["classes"]))
-    theta, before = said.get("theta_deg"), said.get("theta_before_deg")
-    if theta and before:
-        lines.append(f"theta {before[0]:.4f} +- {before[1]:.2g} deg before, {theta[0]:.4f} +- {theta[1]:.2g} deg after")
-    return lines
-
-
 def demo(out: Path, seed: int | None) -> None:
     """See ``gyroscreen demo --help``."""
     began = time.monotonic()
@@ -267,7 +223,7 @@ def demo(out: Path, seed: int | None) -> None:
     print(f"a virtual device was measured (seed {chosen}); something is hidden in it. Looking ...", file=sys.stderr)
     found = learning.refine(made.campaign)
     said = plain(found.to_dict())
-    print("\n".join(ladder_text(said)))
+    print(found)
     hidden = ", ".join(f"{k} = {v:.4g}" for k, v in made.parameters.items() if k not in DEFAULT_COMPARE_MODEL.by_name)
     truth = f"{', '.join(made.model.effects)} ({hidden})"
     print(f"the truth: {truth}")
