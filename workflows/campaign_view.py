@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.fft import rfft
@@ -27,33 +26,26 @@ from pipeline.criticism.problem import (
     Signatures,
     TermParameter,
 )
-from pipeline.device.effect import Effect
+from pipeline.criticism.projection import stratum_grams
 from pipeline.device.model import Model
-from pipeline.device.parameters import Parameter
-from pipeline.errors import ConfigError, GyroscreenError
-from pipeline.experiment.forward import Signature, jacobian, signatures
+from pipeline.errors import GyroscreenError
 from pipeline.experiment.lines import lines_removed, without_lines
 from pipeline.experiment.noise_level import NoiseLevel
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
-from pipeline.inference.campaign_problem import Problem, nuisance_columns
+from pipeline.inference.campaign_problem import Problem
 
 from .campaign_plane import Plane, planes_of
 from .campaign_regions import regions_of
+from .campaign_signatures import Tangent, signature_of
 
 #: Above this every effect of the library is as good as silent for drives below 700 Hz.
 TOP_HZ = 2500.0
-#: Grid of the parasitic mode's signature: the driven band and a little beyond it.
-_GRID: dict[str, dict[str, tuple[float, ...]]] = {
-    "parasitic_mode": {"f": tuple(320.0 * 1.04**k for k in range(22)), "zeta": (1e-2,)}
-}
-#: Clip levels that are scanned, as shares of the largest sample.
-_LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
-#: A direction enters as (cos a, sin a), so two of them span all.
-_AXES_DEG = (0.0, 90.0)
+_STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 #: Share of a record made by forces and pick-off laws from which the plant's columns are computed with them.
 _STRONG = 0.1
-_STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
+#: Signatures are taken anew once the fitted records have moved by this share of themselves.
+_STALE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +57,18 @@ class Spectra:
     frequency_hz: FloatArray
 
     def __call__(self, y: FloatArray) -> FloatArray:
-        """(N, S, ...) -> (2 F, S, ...): unitary real Fourier coefficients."""
+        """(.., N, S) -> (.., 2 F, S): unitary real Fourier coefficients."""
         # Along the last, contiguous axis a transform is several times faster than down a column.
-        c = rfft(np.ascontiguousarray(y.reshape(y.shape[0], -1).T), axis=-1)[:, self.bins] * np.sqrt(2.0 / self.samples)
-        return np.concatenate([c.real, c.imag], axis=1).T.reshape(-1, *y.shape[1:])
+        lines = np.ascontiguousarray(np.moveaxis(y, -2, -1))
+        out = np.zeros((*lines.shape[:-2], 2 * self.bins.size, lines.shape[-2]))
+        first, last = int(self.bins[0]), int(self.bins[-1]) + 1
+        for place in np.ndindex(lines.shape[:-1]):
+            if not lines[place].any():
+                continue
+            c = rfft(lines[place])[first:last] * np.sqrt(2.0 / self.samples)
+            out[(*place[:-1], slice(None, self.bins.size), place[-1])] = c.real
+            out[(*place[:-1], slice(self.bins.size, None), place[-1])] = c.imag
+        return out
 
 
 def spectra_of(record: Record) -> Spectra:
@@ -78,6 +78,26 @@ def spectra_of(record: Record) -> Spectra:
     frequency = bins * rate / n
     kept = frequency <= TOP_HZ
     return Spectra(n, bins[kept], frequency[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class _Taken:
+    """Signatures of some effects and the records of the model at which they were taken."""
+
+    candidates: tuple[Candidate, ...]
+    asked: frozenset[str]
+    blocks: tuple[FloatArray, ...]
+    grams: FloatArray
+    predicted: Mapping[str, FloatArray]
+
+    def moved(self, fitted: CampaignFit) -> float:
+        """How far the fitted records have moved since, as a share of themselves."""
+        change = level = 0.0
+        for record in fitted.of_role("fit"):
+            before = self.predicted[record.name]
+            change += float(np.sum((record.predicted_v - before) ** 2))
+            level += float(np.sum(before**2))
+        return float(np.sqrt(change / max(level, 1e-300)))
 
 
 class CampaignView:
@@ -90,8 +110,7 @@ class CampaignView:
         self.model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])
         self.records = campaign.with_role("fit")
         self._fits: dict[frozenset[str], tuple[CampaignFit, FitResult]] = {}
-        self._bases: dict[tuple[str, tuple[str, ...]], FloatArray] = {}
-        self._signatures: dict[str, tuple[Candidate, tuple[FloatArray, ...]] | None] = {}
+        self._taken: _Taken | None = None
 
     @cached_property
     def spectra(self) -> tuple[Spectra, ...]:
@@ -117,30 +136,32 @@ class CampaignView:
                 return FitResult(False, terms, {}, (), (), why=str(error))
         return self._fits[key][1]
 
+    @cached_property
+    def strata(self) -> tuple[IntArray, ...]:
+        """Noise stratum of every row of each fit record."""
+        return tuple(_strata(s, record.sense_v.shape[1]) for record, s in zip(self.records, self.spectra))
+
     def _result(self, fitted: CampaignFit, terms: tuple[str, ...]) -> FitResult:
-        turn = _external(fitted)
-        jacobians = []
-        starts = []
         problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
-        for record, spectra in zip(self.records, self.spectra):
-            task, start = problem.task(record, fitted.values), self._start(fitted, record)
-            exact = problem.strength(fitted.values, task) > _STRONG
-            j = jacobian(
-                fitted.model,
-                fitted.values,
-                record,
-                self.campaign.instrument,
-                angular_gain=self.campaign.angular_gain,
-                start=start,
-                exact=exact,
-            )
-            jacobians.append(self._rows(fitted, record, spectra, j) @ turn)
+        tasks = problem.tasks(self.records, fitted.values)
+        starts = self._starts(fitted)
+        loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
+        task = tasks.each[loudest]
+        exact = problem.strength(fitted.values, task) > _STRONG
+        steps = problem.steps(fitted.values, task, starts[loudest])
+        turn = _external(fitted)
+        jacobians, free_starts = [], []
+        for place, j in enumerate(problem.columns(fitted.values, tasks, starts, exact, steps)):
+            shape, spectra = self.records[place].sense_v.shape, self.spectra[place]
+            jacobians.append(spectra(j.T.reshape(-1, *shape)).reshape(j.shape[1], -1).T @ turn)
+            start = starts[place]
             if start is None:
-                starts.append(np.zeros((jacobians[-1].shape[0], 0)))
+                free_starts.append(np.zeros((jacobians[-1].shape[0], 0)))
             else:
-                f = problem.start_columns(fitted.values, task, start, exact)
-                starts.append(spectra(f.reshape(*record.sense_v.shape, -1)).reshape(-1, start.size))
-        jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, _block_diagonal(starts))]
+                f = problem.start_columns(fitted.values, tasks.each[place], start, exact)
+                free_starts.append(spectra(f.T.reshape(-1, *shape)).reshape(start.size, -1).T)
+        if any(f.shape[1] for f in free_starts):
+            jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, _block_diagonal(free_starts))]
         free = fitted.model.free
         columns = {
             term: tuple(i for i, name in enumerate(free) if name.startswith(f"{term}.") or _is_quantity(term, name))
@@ -160,7 +181,7 @@ class CampaignView:
         blocks = tuple(self._block(record, fitted) for record in self.records)
         held = tuple(self._block(record, fitted) for record in self.campaign.with_role("validate"))
         return FitResult(
-            fitted.fit_ok or bool(np.isfinite(fitted.chi2)),
+            fitted.converged and bool(np.isfinite(fitted.chi2)),
             terms,
             fitted.parameters,
             blocks,
@@ -169,33 +190,17 @@ class CampaignView:
             held=held,
             columns=columns,
             shifts=shifts,
-            strata=tuple(
-                _strata(spectra, record.sense_v.shape[1]) for record, spectra in zip(self.records, self.spectra)
-            ),
+            strata=self.strata,
             noise_known=known,
             error={k: v for k, v in fitted.error.items() if v is not None and known},
             relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
+            noise_bounded=not known,
         )
 
-    def _start(self, fitted: CampaignFit, record: Record) -> FloatArray | None:
-        """Fitted initial state of a record that does not start at rest."""
-        return next(r for r in fitted.records if r.name == record.name).start
-
-    def _rows(self, fitted: CampaignFit, record: Record, spectra: Spectra, y: FloatArray) -> FloatArray:
-        """Volts (N, S, K) as whitened rows (2 F S, K), the record's own free amplitudes projected out."""
-        n = self._nuisances(fitted, record)
-        white = y / self.noise.sigma_v[:, None]
-        if n.shape[1] > 1:  # the offset alone is the bin at zero, which is left out anyway
-            flat = white.reshape(y.shape[0], -1)
-            white = (flat - n @ (n.T @ flat)).reshape(y.shape)
-        return spectra(white).reshape(-1, y.shape[2])
-
-    def _nuisances(self, fitted: CampaignFit, record: Record) -> FloatArray:
-        """Orthonormal basis of a record's free amplitudes; it depends on the effects of the model alone."""
-        key = (record.name, fitted.model.effects)
-        if key not in self._bases:
-            self._bases[key] = nuisance_columns(fitted.model, fitted.values, record, self.campaign.instrument)
-        return self._bases[key]
+    def _starts(self, fitted: CampaignFit) -> list[FloatArray | None]:
+        """Fitted initial states of the fit records; ``None`` for those that start at rest."""
+        known = {r.name: r.start for r in fitted.records}
+        return [known[record.name] for record in self.records]
 
     def _block(self, record: Record, fitted: CampaignFit) -> Block:
         mine = next(r for r in fitted.records if r.name == record.name)
@@ -209,71 +214,58 @@ class CampaignView:
         )
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Signatures of all absent effects; those found at an earlier fit serve again, for they hardly change."""
+        """Signatures of all absent effects; those taken at an earlier fit serve until the model has moved."""
         fitted = self.campaign_fit(fit.terms)
+        names = [name for name in fitted.model.candidates() if fitted.model.library[name].disturbance is None]
+        taken = self._taken
+        if taken is None or taken.moved(fitted) > _STALE or not set(names) <= taken.asked:
+            taken = self._taken = self._take(fitted, names)
+        candidates = tuple(c for c in taken.candidates if c.name in names)
+        local = tuple(
+            self._lines(fitted, name) for name in fitted.model.candidates() if fitted.model.library[name].disturbance
+        )
+        return Signatures(candidates, taken.blocks, local, taken.grams)
+
+    def _take(self, fitted: CampaignFit, names: Sequence[str]) -> _Taken:
+        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
+        tasks = problem.tasks(self.records, fitted.values)
+
+        def rows(place: int, y: FloatArray) -> FloatArray:
+            # A free offset is the bin at zero, which is left out anyway.
+            free = tasks.each[place].basis.shape[1] > 1
+            white = problem.whiten(y, tasks.each[place]) if free else y / self.noise.sigma_v
+            return self.spectra[place](white).reshape(y.shape[0], -1)
+
+        tangent = Tangent(
+            fitted.model,
+            fitted.values,
+            self.campaign.instrument,
+            tasks.plays,
+            self._starts(fitted),
+            rows,
+            max(float(np.max(np.abs(record.sense_v))) for record in self.records),
+        )
         candidates: list[Candidate] = []
         parts: list[list[FloatArray]] = [[] for _ in self.records]
-        local: list[LocalCandidate] = []
-        offset = 0
-        for name in fitted.model.candidates():
-            effect = fitted.model.library[name]
-            if effect.disturbance is not None:
-                local.append(self._lines(fitted, name))
-                continue
-            if name not in self._signatures:
-                self._signatures[name] = self._signature(fitted, name)
-            found = self._signatures[name]
+        width = 0
+        for name in names:
+            found = signature_of(tangent, name)
             if found is None:
                 continue
             candidate, columns = found
-            cells = tuple(slice(c.start + offset, c.stop + offset) for c in candidate.cells)
-            candidates.append(Candidate(candidate.name, candidate.parameters, cells, candidate.grid))
+            cells = tuple(slice(c.start + width, c.stop + width) for c in candidate.cells)
+            candidates.append(replace(candidate, cells=cells))
             for part, own in zip(parts, columns):
-                part.append(own)
-            offset += columns[0].shape[1]
-        rows = [j.shape[0] for j in fit.jacobian]
-        blocks = tuple(np.concatenate(part, axis=1) if part else np.zeros((n, 0)) for part, n in zip(parts, rows))
-        return Signatures(tuple(candidates), blocks, tuple(local))
-
-    def _signature(self, fitted: CampaignFit, name: str) -> tuple[Candidate, tuple[FloatArray, ...]] | None:
-        effect = fitted.model.library[name]
-        members = effect.members(self.model.built.shape)
-        turned = next((m.name for m in members if m.per == "direction" or (m.name == "a" and m.grid)), None)
-        grid = dict(_GRID.get(name, {}))
-        if turned is not None and len(members) > 1:
-            grid[turned] = _AXES_DEG
-        if effect.stages == ("adc",) and len(members) == 1:
-            # A clip level above all samples changes nothing, and one far below them would be plain to see.
-            peak = max(float(np.max(np.abs(record.sense_v))) for record in self.records)
-            grid[members[0].name] = tuple(1.0 / (peak * share) for share in _LEVELS)
-        by_record = []
-        made: dict[bytes, Any] = {}
-        hints: dict[str, float] = {}
-        for record, spectra in zip(self.records, self.spectra):
-            # Records with the same drive and conditions have the same signature.
-            start = self._start(fitted, record)
-            key = record.drive_v.tobytes() + repr((record.rate_dps, record.bias_v, start)).encode()
-            if key not in made:
-                try:
-                    found = signatures(
-                        fitted.model,
-                        fitted.values,
-                        record,
-                        self.campaign.instrument,
-                        name,
-                        angular_gain=self.campaign.angular_gain,
-                        start=start,
-                        grid=grid or None,
-                        step_hints=hints,
-                    )
-                except ConfigError:
-                    return None
-                hints = found[-1].steps
-                made[key] = (found, [self._rows(fitted, record, spectra, s.columns) for s in found])
-            by_record.append(made[key])
-        return _candidate(effect, members, by_record[0][0], turned), tuple(
-            np.concatenate(rows, axis=1) for _, rows in by_record
+                part.extend(own)
+            width += sum(own.shape[0] for own in columns[0])
+        # By rows of memory: a column of a block is one run of it.
+        blocks = tuple(
+            (np.concatenate(part) if part else np.zeros((0, 2 * s.bins.size * record.sense_v.shape[1]))).T
+            for part, s, record in zip(parts, self.spectra, self.records)
         )
+        predicted = {r.name: r.predicted_v for r in fitted.of_role("fit")}
+        grams = stratum_grams(blocks, self.strata)
+        return _Taken(tuple(candidates), frozenset(names), blocks, grams, predicted)
 
     def _lines(self, fitted: CampaignFit, name: str) -> LocalCandidate:
         """Fall of chi2 that free lines bring, for 50 and 60 Hz."""
@@ -294,6 +286,7 @@ class CampaignView:
     def probes(self, fit: FitResult) -> Signatures:
         """Shapes that almost any missing physics touches: powers, drifts and cross-talk of the model's own response."""
         fitted = self.campaign_fit(fit.terms)
+        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
         blocks = []
         count = 0
         for record, spectra in zip(self.records, self.spectra):
@@ -301,14 +294,13 @@ class CampaignView:
             t = np.arange(y.shape[0])[:, None] / record.sample_rate_hz
             slope = np.gradient(y, axis=0)
             shapes = [y * t, y**2, y**3, np.abs(y) * y, y**2 * slope, slope, slope * t, y[:, ::-1], np.sign(y)]
-            columns = []
-            for shape in shapes:
+            columns = np.zeros((len(shapes) * y.shape[1], *y.shape))
+            for i, shape in enumerate(shapes):
                 for channel in range(y.shape[1]):
-                    one = np.zeros_like(y)
-                    one[:, channel] = shape[:, channel]
-                    columns.append(one)
-            blocks.append(self._rows(fitted, record, spectra, np.stack(columns, axis=2)))
-            count = len(columns)
+                    columns[i * y.shape[1] + channel, :, channel] = shape[:, channel]
+            white = problem.whiten(columns, problem.task(record, fitted.values))
+            blocks.append(spectra(white).reshape(columns.shape[0], -1).T)
+            count = columns.shape[0]
         unit = (TermParameter("amplitude"),)
         candidates = tuple(Candidate(f"shape {i}", unit, (slice(i, i + 1),)) for i in range(count))
         return Signatures(candidates, tuple(blocks))
@@ -321,30 +313,6 @@ class CampaignView:
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """Residual energy of each record and channel by time, resonance, harmonic of the drive and band, up to Nyquist."""
         return regions_of(self.campaign_fit(fit.terms), self.planes)
-
-
-def _candidate(
-    effect: Effect, members: Sequence[Parameter], found: Sequence[Signature], turned: str | None
-) -> Candidate:
-    """The candidate whose columns are those of ``found``, one after the other; directions of one point share a cell."""
-    own = [m for m in members if m.name in found[0].names]
-    parameters = [
-        TermParameter(
-            effect.full_name(m),
-            m.unit,
-            m.null,
-            max(abs(m.high - m.null), abs(m.low - m.null)),
-            1 if m.low == m.null else (-1 if m.high == m.null else 0),
-        )
-        for m in own
-    ]
-    together = len(_AXES_DEG) if turned is not None and len(found) % len(_AXES_DEG) == 0 and len(found) > 1 else 1
-    if together > 1:
-        parameters = [replace(p, name=f"{p.name} at {a:g} deg") for a in _AXES_DEG for p in parameters]
-    width = len(own) * together
-    cells = tuple(slice(i * width, (i + 1) * width) for i in range(len(found) // together))
-    grid = tuple({k: float(v) for k, v in s.point.items() if k != turned} for s in found[::together])
-    return Candidate(effect.name, tuple(parameters), cells, grid)
 
 
 def _block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:

@@ -49,8 +49,8 @@ def rivals(fit: FitResult, term: str, signatures: Signatures) -> tuple[Rival, ..
     """
     own = list(fit.columns[term])
     k = len(own)
-    blocks = tuple(np.concatenate([jac[:, own], z], axis=1) for jac, z in zip(fit.jacobian, signatures.blocks))
-    projected = project(baseline(fit, without=own), blocks)
+    winner = tuple(jac[:, own] for jac in fit.jacobian)
+    projected = project(baseline(fit, without=own), signatures.blocks, signatures.grams, winner)
     size = _sizes(fit, term, projected.norms[:k])
     score = projected.score + projected.gram[:, :k] @ size
     whole = float(score[:k] @ _pinv(projected.gram[:k, :k]) @ score[:k])

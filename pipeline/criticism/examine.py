@@ -69,7 +69,7 @@ def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
     """Examine a fit that is ok."""
     base = baseline(fit)
     signatures = problem.signatures(fit)
-    projected = project(base, signatures.blocks)
+    projected = project(base, signatures.blocks, signatures.grams)
     scores, null = score_all(
         projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
     )

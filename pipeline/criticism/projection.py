@@ -16,12 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from .problem import FitResult
 
 _RANK = 1e-11
-#: Rows at a time: what is made of them stays in the processor's cache.
-_CHUNK = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,13 +27,14 @@ class Baseline:
     """Orthonormal columns of the jacobian, block by block.
 
     ``basis`` (n m, p) a block; ``upper`` (p, P) with J = basis upper; ``residual`` (n m,) a block, projected;
-    ``gamma`` (n m,) a block; ``dof`` of what is left.
+    ``gamma`` (n m,) a block; ``levels`` gamma by stratum, empty where there are none; ``dof`` of what is left.
     """
 
     basis: tuple[FloatArray, ...]
     upper: FloatArray
     residual: tuple[FloatArray, ...]
     gamma: tuple[FloatArray, ...]
+    levels: FloatArray
     dof: int
 
 
@@ -69,28 +68,76 @@ def baseline(fit: FitResult, without: Sequence[int] = ()) -> Baseline:
     raw = tuple(block.rows for block in fit.blocks)
     residual = _reject(basis, raw)
     dof = fit.rows - upper.shape[0] - fit.nuisances
-    return Baseline(basis, upper, residual, _gamma(fit, residual, dof), dof)
+    gamma, levels = _gamma(fit, residual, dof)
+    return Baseline(basis, upper, residual, gamma, levels, dof)
 
 
-def project(base: Baseline, columns: Sequence[FloatArray]) -> Projected:
-    """Scores of some columns (for each block (n m, K)) after the baseline."""
-    count = columns[0].shape[1]
-    overlap = sum((q.T @ z for q, z in zip(base.basis, columns)), np.zeros((base.upper.shape[0], count)))
-    score, gram, covariance = np.zeros(count), np.zeros((count, count)), np.zeros((count, count))
-    for q, z, r, gamma in zip(base.basis, columns, base.residual, base.gamma):
-        for first in range(0, z.shape[0], _CHUNK):
-            rows = slice(first, first + _CHUNK)
-            rest, noise = z[rows] - q[rows] @ overlap, gamma[rows]
-            score += rest.T @ r[rows]
-            for level in np.unique(noise):
-                part = rest[noise == level]
-                own = part.T @ part
-                gram += own
-                covariance += level * own
-    norms = np.sqrt(np.diagonal(gram) + np.sum(overlap**2, axis=0))
+def stratum_grams(columns: Sequence[FloatArray], strata: Sequence[IntArray]) -> FloatArray:
+    """Z' Z of the rows of each stratum (strata, K, K); they do not depend on a fit, so they serve at every one."""
+    count = 1 + max(int(part.max(initial=0)) for part in strata)
+    grams = np.zeros((count, columns[0].shape[1], columns[0].shape[1]))
+    for z, own in zip(columns, strata):
+        for stratum in np.unique(own):
+            part = z.T[:, own == stratum]
+            grams[stratum] += part @ part.T
+    return grams
+
+
+def project(
+    base: Baseline,
+    columns: Sequence[FloatArray],
+    grams: FloatArray | None = None,
+    first: Sequence[FloatArray] | None = None,
+) -> Projected:
+    """Scores of some columns (for each block (n m, K)) after the baseline.
+
+    Z~' Gamma Z~ = Z' Gamma Z - O' (Q' Gamma Z) - (Z' Gamma Q) O + O' (Q' Gamma Q) O,    O = Q' Z
+
+    Parameters
+    ----------
+    base, columns : what is projected out of what.
+    grams : ``stratum_grams`` of the columns, where they are known.
+    first : columns (n m, k) of each block that are put before the others.
+    """
+    k = 0 if first is None else first[0].shape[1]
+    p, count = base.upper.shape[0], k + columns[0].shape[1]
+    overlap, weighted, score = np.zeros((p, count)), np.zeros((p, count)), np.zeros(count)
+    gram, covariance = np.zeros((count, count)), np.zeros((count, count))
+    inside, spread, left = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
+    known = grams is not None and grams.shape[0] == base.levels.size
+    if known and grams is not None:
+        gram[k:, k:] = grams.sum(axis=0)
+        covariance[k:, k:] = np.tensordot(base.levels, grams, axes=1)
+    for i, (q, z, r, gamma) in enumerate(zip(base.basis, columns, base.residual, base.gamma)):
+        own = np.zeros((z.shape[0], 0)) if first is None else first[i]
+        heavy, loud = q * gamma[:, None], own * gamma[:, None]
+        beside = np.concatenate([q, heavy, r[:, None], own, loud], axis=1)
+        for block, part in ((slice(k, None), z), (slice(0, k), own)):
+            if part.shape[1] == 0:
+                continue
+            found = beside.T @ part
+            overlap[:, block] += found[:p]
+            weighted[:, block] += found[p : 2 * p]
+            score[block] += found[2 * p]
+            gram[:k, block] += found[2 * p + 1 : 2 * p + 1 + k]
+            covariance[:k, block] += found[2 * p + 1 + k :]
+            if not known and block.start == k:
+                gram[k:, k:] += part.T @ part
+                covariance[k:, k:] += part.T @ (part * gamma[:, None])
+        inside += q.T @ q
+        spread += q.T @ heavy
+        left += q.T @ r
+    gram[k:, :k], covariance[k:, :k] = gram[:k, k:].T, covariance[:k, k:].T
+    norms = np.sqrt(np.maximum(np.diagonal(gram), 0.0))
+    # Q' Q is the unit matrix but for rounding, which matters where little of a column survives.
+    gram = gram - overlap.T @ overlap - overlap.T @ (np.eye(p) - inside) @ overlap
+    cross = weighted.T @ overlap
+    covariance = covariance - cross - cross.T + overlap.T @ spread @ overlap
+    score = score - overlap.T @ left
     inverse = np.divide(1.0, norms, out=np.zeros(count), where=norms > 0.0)
     unit = np.outer(inverse, inverse)
     chi2 = sum(float(np.vdot(r, r)) for r in base.residual)
+    gram, covariance = 0.5 * (gram + gram.T), 0.5 * (covariance + covariance.T)
     return Projected(score * inverse, gram * unit, covariance * unit, norms, chi2, base.dof)
 
 
@@ -118,13 +165,14 @@ def _reject(basis: Sequence[FloatArray], rows: Sequence[FloatArray]) -> tuple[Fl
     return tuple(r - q @ overlap for q, r in zip(basis, rows))
 
 
-def _gamma(fit: FitResult, residual: Sequence[FloatArray], dof: int) -> tuple[FloatArray, ...]:
+def _gamma(fit: FitResult, residual: Sequence[FloatArray], dof: int) -> tuple[tuple[FloatArray, ...], FloatArray]:
+    """gamma of each row, by block, and of each stratum."""
     if fit.strata is None or not fit.noise_known:
-        return tuple(np.ones(r.size) for r in residual)
+        return tuple(np.ones(r.size) for r in residual), np.zeros(0)
     strata = np.concatenate(fit.strata)
     counts = np.bincount(strata)
     energy = np.bincount(strata, weights=np.concatenate(residual) ** 2)
     # The fitted parameters' degrees of freedom are spread over the strata in proportion to their rows.
     expected = np.maximum(counts * (dof / strata.size), 1e-300)
     level = np.maximum(1.0, energy / expected)
-    return tuple(level[part] for part in fit.strata)
+    return tuple(level[part] for part in fit.strata), level

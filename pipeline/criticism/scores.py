@@ -22,7 +22,7 @@ from .projection import Projected
 
 _RANK = 1e-9
 #: Shares of a signature below this are rounding: the baseline takes all of it.
-_GONE = 1e-7
+_GONE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from ..arrays import FloatArray
 from ..device.model import Model
 from .instrument import Instrument
-from .linear import clock_of
+from .play import play_of
 from .record import Record
 from .response import converted, volts
 from .sensitivity import Signature, channels_checked, jacobian, signatures
-from .system import assemble, conditions_of
+from .system import assemble
 
 __all__ = ["Signature", "forward", "jacobian", "signatures"]
 
@@ -50,5 +52,6 @@ def forward(
     MeasurementError : a record whose numbers of channels are not the plant's.
     """
     channels_checked(model, record)
-    system = assemble(model, model.complete(parameters), instrument, conditions_of(record, instrument, angular_gain))
-    return converted(system, volts(system, record.drive_v, clock_of(record.sample_rate_hz, instrument.hold), start))
+    play = play_of([record], instrument, angular_gain)
+    system = assemble(model, model.complete(parameters), instrument, play.conditions)
+    return np.asarray(converted(system, volts(system, play, [start])[0]))

@@ -9,7 +9,11 @@ that arrives at the sample.  A delay reads each state before its sample: with m 
 
     x((n f_s) - tau) = e^{p t} x[n - m - 1] + (response to the held drive over t)
 
-Shapes: N samples, D drives, S senses, P poles, J read-out poles.
+The records of a campaign are few waveforms through several drives; a pole answers a waveform once, whatever the drive,
+
+    y_r = sum_w sum_d gain[r, d, w] (response of drive d to waveform w)
+
+Shapes: N samples, D drives, S senses, P poles, J read-out poles, W waveforms, R records.
 """
 
 from __future__ import annotations
@@ -18,14 +22,14 @@ from dataclasses import dataclass
 from math import floor
 
 import numpy as np
+from numba import njit
 from scipy.signal import resample_poly
 
 from ..arrays import ComplexArray, FloatArray
 from ..device.mechanics import Mechanics, modes_of, state_matrix
 from ..device.readout import Readout
-from .antialias import Bank
 from .instrument import Hold
-from .simulate import respond
+from .simulate import hold_gains
 
 _OVERSAMPLING = 8
 
@@ -68,75 +72,132 @@ def delay_steps(delay_s: float, step_s: float) -> tuple[int, float]:
     return (whole, 0.0) if rest < 1e-12 * step_s else (whole + 1, step_s - rest)
 
 
-def shifted(y: FloatArray, steps: int) -> FloatArray:
-    """y (N, S) that many samples later, zero before."""
-    if steps == 0:
-        return y
-    out = np.zeros_like(y)
-    out[steps:] = y[: max(y.shape[0] - steps, 0)]
-    return out
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
+def _states(
+    z_re: FloatArray,
+    z_im: FloatArray,
+    a_re: FloatArray,
+    a_im: FloatArray,
+    b_re: FloatArray,
+    b_im: FloatArray,
+    drive: FloatArray,
+    out: FloatArray,
+) -> None:
+    """States x[n+1] = z x[n] + a v[n] + b v[n+1] of P poles from rest: real parts, then imaginary ones, (N, 2P)."""
+    poles = z_re.size
+    for j in range(2 * poles):
+        out[0, j] = 0.0
+    for n in range(drive.size - 1):
+        now, following = drive[n], drive[n + 1]
+        for j in range(poles):
+            re, im = out[n, j], out[n, poles + j]
+            out[n + 1, j] = z_re[j] * re - z_im[j] * im + a_re[j] * now + b_re[j] * following
+            out[n + 1, poles + j] = z_re[j] * im + z_im[j] * re + a_im[j] * now + b_im[j] * following
 
 
-def _read(poles: ComplexArray, residues: ComplexArray, drive: FloatArray, clock: Clock, late_s: float) -> FloatArray:
-    """Bank response (N, S) read ``late_s`` after each step."""
+def _answers(
+    poles: ComplexArray,
+    residues: ComplexArray,
+    waveforms: FloatArray,
+    gains: FloatArray,
+    clock: Clock,
+    late_s: float,
+) -> FloatArray:
+    """Bank response (N, R, S) of all records, read ``late_s`` after each step."""
     turned = residues if late_s == 0.0 else residues * np.exp(poles * late_s)[:, None, None]
-    y = respond(Bank(poles[None], turned[None]), drive, 1.0 / clock.step_s, clock.hold)[0]
-    if late_s == 0.0:
-        return y
-    whole = np.expm1(poles * late_s) / poles
-    y += drive @ (2.0 * np.sum(residues * whole[:, None, None], axis=0).real).T
-    if clock.hold != "zoh":
-        rise = (np.expm1(poles * late_s) - poles * late_s) / (poles**2 * clock.step_s)
-        y[:-1] += np.diff(drive, axis=0) @ (2.0 * np.sum(residues * rise[:, None, None], axis=0).real).T
-    return y
+    z, g0, g1 = hold_gains(poles, clock.step_s, clock.hold)
+    parts = [np.ascontiguousarray(part) for g in (z, g0, g1) for part in (g.real, g.imag)]
+    samples = waveforms.shape[1]
+    y = np.zeros((samples, gains.shape[0] * residues.shape[1]))
+    states, own = np.empty((samples, 2 * poles.size)), np.empty_like(y)
+    for w, waveform in enumerate(waveforms):
+        mixed = np.einsum("psd,rd->prs", turned, gains[:, :, w]).reshape(poles.size, -1)
+        _states(parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], waveform, states)
+        # 2 Re R x = 2 Re R Re x - 2 Im R Im x
+        y += np.matmul(states, np.concatenate([2.0 * mixed.real, -2.0 * mixed.imag]), out=own)
+    if late_s > 0.0:
+        whole = np.expm1(poles * late_s) / poles
+        y += waveforms.T @ _spread(2.0 * np.sum(residues * whole[:, None, None], axis=0).real, gains)
+        if clock.hold != "zoh":
+            rise = (np.expm1(poles * late_s) - poles * late_s) / (poles**2 * clock.step_s)
+            ramp = 2.0 * np.sum(residues * rise[:, None, None], axis=0).real
+            y[:-1] += np.diff(waveforms, axis=1).T @ _spread(ramp, gains)
+    return y.reshape(samples, gains.shape[0], residues.shape[1])
 
 
-def linear_response(mechanics: Mechanics, readout: Readout, u: FloatArray, v: FloatArray, clock: Clock) -> FloatArray:
-    """y (N, S) at the clock's steps, from rest.
+def _spread(matrix: FloatArray, gains: FloatArray) -> FloatArray:
+    """A static matrix (S, D) as (W, R S): what it makes of each waveform in each record."""
+    return np.asarray(np.einsum("sd,rdw->wrs", matrix, gains).reshape(gains.shape[2], gains.shape[0] * matrix.shape[0]))
+
+
+def linear_response(
+    mechanics: Mechanics, readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: Clock, feeds: bool = True
+) -> FloatArray:
+    """y (R, N, S) at the clock's steps, from rest.
 
     Parameters
     ----------
     mechanics : a batch of one.
     readout : read-out with feedthrough and delay.
-    u : (N, D) volts that make force.
-    v : (N, D) drive samples, which feed through.
+    waveforms, gains : (W, N) volts, and (R, D, W) how much of each goes through each drive in each record.
     clock : step and hold.
+    feeds : with the feedthrough.
     """
     modes = modes_of(mechanics)
     p, r = modes.poles[0], modes.residues[0]
     q, g = upper_poles(readout)
     shift, late_s = delay_steps(readout.delay_s, clock.step_s)
-    own = readout.response(p) @ r
+    poles, residues = p, readout.response(p) @ r
+    fed = feeds and bool(np.any(readout.resistive) or np.any(readout.capacitive))
     if q.size:
-        poles, residues = np.concatenate([p, q]), np.concatenate([own, g @ np.moveaxis(modes.response(q)[0], -1, 0)])
-    else:
-        poles, residues = p, own
-    y = _read(poles, residues, u, clock, late_s)
-    if np.any(readout.resistive) or np.any(readout.capacitive):
-        y += _feedthrough(readout, q, g, v, clock, late_s)
-    return shifted(y, shift)
+        behind = g @ np.moveaxis(modes.response(q)[0], -1, 0)
+        if fed:
+            # Feedthrough and filter: sum_j Q_j (R + s C)/(s - q_j).
+            behind = behind + g @ (readout.resistive + q[:, None, None] * readout.capacitive)
+        poles, residues = np.concatenate([p, q]), np.concatenate([residues, behind])
+    y = _answers(poles, residues, waveforms, gains, clock, late_s)
+    if fed:
+        y += _fed_at_once(readout, g, waveforms, gains, clock, late_s)
+    return np.moveaxis(shifted(y, shift), 1, 0)
 
 
-def _feedthrough(
-    readout: Readout, q: ComplexArray, g: ComplexArray, v: FloatArray, clock: Clock, late_s: float
+def fed_through(readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: Clock) -> FloatArray:
+    """The feedthrough alone, (R, N, S)."""
+    q, g = upper_poles(readout)
+    shift, late_s = delay_steps(readout.delay_s, clock.step_s)
+    y = _fed_at_once(readout, g, waveforms, gains, clock, late_s)
+    if q.size:
+        residues = g @ (readout.resistive + q[:, None, None] * readout.capacitive)
+        y += _answers(q, residues, waveforms, gains, clock, late_s)
+    return np.moveaxis(shifted(y, shift), 1, 0)
+
+
+def _fed_at_once(
+    readout: Readout, g: ComplexArray, waveforms: FloatArray, gains: FloatArray, clock: Clock, late_s: float
 ) -> FloatArray:
+    """The part of the feedthrough that no filter delays, (N, R, S): the held drive and its slope."""
     at_once = readout.static @ readout.resistive
     slope = readout.static @ readout.capacitive
-    if q.size:
-        # Feedthrough and filter: sum_j Q_j (R + s C)/(s - q_j).
+    if g.size:
         at_once = at_once + 2.0 * g.sum(axis=0).real @ readout.capacitive
-        y = _read(q, g @ (readout.resistive + q[:, None, None] * readout.capacitive), v, clock, late_s)
-    else:
-        y = np.zeros((v.shape[0], at_once.shape[0]))
-    now = v
+    now = waveforms
     if late_s > 0.0 and clock.hold != "zoh":
-        now = v.copy()
-        now[:-1] += np.diff(v, axis=0) * (late_s / clock.step_s)
-    y += now @ at_once.T
+        now = waveforms.copy()
+        now[:, :-1] += np.diff(waveforms, axis=1) * (late_s / clock.step_s)
+    y = now.T @ _spread(at_once, gains)
     if np.any(slope):
-        arriving = np.diff(v, axis=0, prepend=v[:1]) / clock.step_s
-        y += arriving @ slope.T
-    return y
+        arriving = np.diff(waveforms, axis=1, prepend=waveforms[:, :1]) / clock.step_s
+        y += arriving.T @ _spread(slope, gains)
+    return np.asarray(y.reshape(waveforms.shape[1], gains.shape[0], -1))
+
+
+def shifted(y: FloatArray, steps: int) -> FloatArray:
+    """y (N, ..) that many samples later, zero before."""
+    if steps == 0:
+        return y
+    out = np.zeros_like(y)
+    out[steps:] = y[: max(y.shape[0] - steps, 0)]
+    return out
 
 
 def free_response(mechanics: Mechanics, readout: Readout, samples: int, clock: Clock) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from .integrate import SUBSTEPS, filtered, trajectory
-from .linear import Clock, delay_steps, fed_through, free_response, interpolated, shifted, unit_responses, upper_poles
+from .linear import Clock, delay_steps, fed_through, free_response, interpolated, linear_response, shifted, upper_poles
 from .play import Play, waveforms_of
 from .system import System
 
@@ -30,6 +30,14 @@ def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
     return u
 
 
+def full_start(system: System, start: FloatArray) -> FloatArray:
+    """Initial state of all coordinates from that of the first of them: those that effects append start at rest."""
+    n, own = system.mechanics.stiffness.shape[1], start.size // 2
+    full = np.zeros(2 * n)
+    full[:own], full[n : n + own] = start[:own], start[own:]
+    return full
+
+
 def linear_volts(system: System, play: Play, starts: Starts | None = None) -> FloatArray:
     """Linear part (R, N, S) [V] before the converter.
 
@@ -39,39 +47,23 @@ def linear_volts(system: System, play: Play, starts: Starts | None = None) -> Fl
     starts : state (2n,) at the first sample of each record; ``None`` is rest.
     """
     clock, readout = play.clock, system.readout
+    m = system.mechanics
     if system.drives:
         # Behind the drive stage another level is another waveform.
-        forced = tuple(force_volts(system, v) for v in play.drives)
-        waveforms, gains = waveforms_of(forced)
-        stepped = np.ascontiguousarray(interpolated(waveforms.T, clock).T) if waveforms.size else waveforms
-        y = _mixed(unit_responses(system.mechanics, readout, stepped, clock, feeds=False), gains, clock.stride)
+        waveforms, gains = waveforms_of([force_volts(system, v) for v in play.drives], clock)
+        y = linear_response(m, readout, waveforms, gains, clock, feeds=False)[:, :: clock.stride]
         if np.any(readout.resistive) or np.any(readout.capacitive):
-            y += _mixed(fed_through(readout, play.waveforms, clock), play.gains, clock.stride)
+            y = y + fed_through(readout, play.waveforms, play.gains, clock)[:, :: clock.stride]
     else:
-        y = _mixed(unit_responses(system.mechanics, readout, play.waveforms, clock), play.gains, clock.stride)
+        y = linear_response(m, readout, play.waveforms, play.gains, clock)[:, :: clock.stride]
     for record, start in enumerate(starts or ()):
         if start is not None:
-            free = free_response(system.mechanics, readout, play.waveforms.shape[1], clock) @ start
+            free = free_response(m, readout, play.waveforms.shape[1], clock) @ full_start(system, start)
             y[record] += free[:: clock.stride]
     return y
 
 
-def _mixed(units: FloatArray, gains: FloatArray, stride: int) -> FloatArray:
-    """(R, N, S) from (W, N', D, S) and gains (R, D, W)."""
-    units = units[:, ::stride]
-    count, samples, drives, senses = units.shape
-    flat = units.reshape(count, samples, drives * senses)
-    out = np.zeros((gains.shape[0], samples, senses))
-    for record, gain in zip(out, gains):
-        for w in range(count):
-            if np.any(gain[:, w]):
-                record += flat[w] @ np.kron(gain[:, w, None], np.eye(senses))
-    return out
-
-
-def remainder_volts(
-    system: System, play: Play, starts: Starts | None = None, substeps: int = SUBSTEPS
-) -> FloatArray:
+def remainder_volts(system: System, play: Play, starts: Starts | None = None, substeps: int = SUBSTEPS) -> FloatArray:
     """What forces and pick-off laws add to the linear part, (R, N, S) [V]; zero where there are none."""
     out = np.zeros((len(play.drives), play.drives[0].shape[0], system.sense_motion.shape[0]))
     if not (system.forces or system.senses):
@@ -91,7 +83,8 @@ def _remainder(
     m = system.mechanics
     u = interpolated(force_volts(system, drive_v), clock)
     forces = [(effect.force, p) for effect, p in system.forces]
-    linear, deviation = trajectory(m, forces, system.laws, u, clock.step_s, clock.hold, start, substeps)
+    begun = None if start is None else full_start(system, start)
+    linear, deviation = trajectory(m, forces, system.laws, u, clock.step_s, clock.hold, begun, substeps)
     reads = np.concatenate([m.position_sense[0], m.velocity_sense[0]], axis=1)
     r = deviation @ reads.T
     if system.senses:

@@ -5,12 +5,12 @@ ends; one-sided ones through the integrator for forces and pick-off laws, whose 
 With strong nonlinear effects ``exact`` adds the remainder's share to the columns of the plant and of linear effects
 too.
 
-Shapes: N samples, S senses, P free parameters, k parameters of an effect.
+Shapes: R records, N samples, S senses, P free parameters, k parameters of an effect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -22,10 +22,11 @@ from ..device.model import Model
 from ..device.parameters import Parameter
 from ..errors import ConfigError, MeasurementError
 from .instrument import Instrument
-from .linear import clock_of
+from .integrate import SUBSTEPS
+from .play import Play, play_of
 from .record import Record
-from .response import converted, linear_volts, remainder_volts, volts
-from .system import assemble, conditions_of
+from .response import Starts, converted, linear_volts, remainder_volts, volts
+from .system import assemble
 
 #: A step of an effect's parameter moves the record by about this share.
 _SHARE = 1e-6
@@ -83,21 +84,18 @@ def tuned_steps(
 
     Arguments as in ``forward``.
     """
-    clock = clock_of(record.sample_rate_hz, instrument.hold)
-    conditions = conditions_of(record, instrument, angular_gain)
+    play = play_of([record], instrument, angular_gain)
     x0 = model.to_internal(model.complete(parameters))
     steps = model.steps(x0)
-    base = assemble(model, model.to_values(x0), instrument, conditions)
-    y0, r0 = volts(base, record.drive_v, clock, start), remainder_volts(base, record.drive_v, clock, start)
+    base = assemble(model, model.to_values(x0), instrument, play.conditions)
+    y0, r0 = volts(base, play, [start]), remainder_volts(base, play, [start])
     level = float(np.sqrt(np.mean(y0**2)))
 
     def share(i: int, step: float) -> float:
         x = x0.copy()
         x[i] += step if x0[i] + step <= model.bounds(model.free[i])[1] else -step
         try:
-            r = remainder_volts(
-                assemble(model, model.to_values(x), instrument, conditions), record.drive_v, clock, start
-            )
+            r = remainder_volts(assemble(model, model.to_values(x), instrument, play.conditions), play, [start])
         except ConfigError:
             return np.inf
         return float(np.sqrt(np.mean((r - r0) ** 2))) / max(level, 1e-300)
@@ -144,64 +142,82 @@ def jacobian(
     ConfigError : as in ``forward``.
     """
     channels_checked(model, record)
-    clock = clock_of(record.sample_rate_hz, instrument.hold)
-    conditions = conditions_of(record, instrument, angular_gain)
-    x0 = model.to_internal(model.complete(parameters))
     if steps is None:
         steps = tuned_steps(model, parameters, record, instrument, angular_gain=angular_gain, start=start)
-    base = assemble(model, model.to_values(x0), instrument, conditions)
+    play = play_of([record], instrument, angular_gain)
+    columns = play_jacobian(model, parameters, play, instrument, steps, starts=[start], exact=exact)
+    return np.moveaxis(columns[:, 0], 0, -1)
+
+
+def play_jacobian(
+    model: Model,
+    parameters: Mapping[str, float],
+    play: Play,
+    instrument: Instrument,
+    steps: FloatArray,
+    *,
+    starts: Starts | None = None,
+    exact: bool = False,
+) -> FloatArray:
+    """dy/dx (P, R, N, S) of the records of a play; arguments as in ``jacobian``, one start a record.
+
+    Raises
+    ------
+    ConfigError : as in ``forward``.
+    """
+    x0 = model.to_internal(model.complete(parameters))
+    base = assemble(model, model.to_values(x0), instrument, play.conditions)
     gridded = bool(base.forces or base.senses)
 
     def run(i: int, how: Callable[..., FloatArray], value: float) -> FloatArray:
         x = x0.copy()
         x[i] = value
-        return how(assemble(model, model.to_values(x), instrument, conditions), record.drive_v, clock, start)
+        return how(assemble(model, model.to_values(x), instrument, play.conditions), play, starts)
 
-    columns = np.zeros((*record.sense_v.shape, x0.size))
+    columns = np.zeros((x0.size, len(play.drives), play.drives[0].shape[0], base.sense_motion.shape[0]))
     clipped = remainder = None
     for i, name in enumerate(model.free):
         if _is_adc(model, name):
-            clipped = volts(base, record.drive_v, clock, start) if clipped is None else clipped
+            clipped = volts(base, play, starts) if clipped is None else clipped
             unclipped = clipped
 
             def behind(value: float, i: int = i, unclipped: FloatArray = unclipped) -> FloatArray:
                 x = x0.copy()
                 x[i] = value
-                return converted(assemble(model, model.to_values(x), instrument, conditions), unclipped)
+                return converted(assemble(model, model.to_values(x), instrument, play.conditions), unclipped)
 
-            columns[:, :, i] = _slope(behind, x0[i], steps[i], *model.bounds(name))
+            columns[i] = _slope(behind, x0[i], steps[i], *model.bounds(name))
             continue
         if not _is_gridded(model, name):
             low, high = (-np.inf, np.inf) if "." not in name else model.bounds(name)
-            columns[:, :, i] = _slope(partial(run, i, linear_volts), x0[i], steps[i], low, high)
+            columns[i] = _slope(partial(run, i, linear_volts), x0[i], steps[i], low, high)
         if _is_gridded(model, name) or (exact and gridded):
             # Deviations are free of cancellation: one side is enough, inside the range.
-            remainder = remainder_volts(base, record.drive_v, clock, start) if remainder is None else remainder
+            remainder = remainder_volts(base, play, starts) if remainder is None else remainder
             step = steps[i] if "." not in name or x0[i] + steps[i] <= model.bounds(name)[1] else -steps[i]
-            columns[:, :, i] += (run(i, remainder_volts, x0[i] + step) - remainder) / step
+            columns[i] += (run(i, remainder_volts, x0[i] + step) - remainder) / step
     if base.adcs:
         # Behind the converter a sample that is clipped does not move.
-        y = volts(base, record.drive_v, clock, start) if clipped is None else clipped
+        y = volts(base, play, starts) if clipped is None else clipped
         moved = (converted(base, y * (1.0 + 1e-7)) - converted(base, y * (1.0 - 1e-7))) / 2e-7
         passes = np.where(y != 0.0, moved / np.where(y != 0.0, y, 1.0), 1.0)
         for i, name in enumerate(model.free):
             if not _is_adc(model, name):
-                columns[:, :, i] *= passes
+                columns[i] *= passes
     return columns
 
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """How the record moves with an absent effect.
+    """How records move with an absent effect.
 
     Parameters
     ----------
     effect : its name.
     names : of the parameters that the columns are derivatives to, k of them.
     point : values of its other parameters (those of a grid).
-    columns : (N, S, k) dy/dp at the null; for a parameter that only acts beyond a threshold (a clip level) the change
-        of y
-        from no effect to ``point``.  Free regressors of a disturbance are ``basis`` (N, L) instead, k = 0.
+    columns : (k, R, N, S) dy/dp at the null; for a parameter that only acts beyond a threshold (a clip level) the
+        change of y from no effect to ``point``.  Free regressors of a disturbance are ``basis`` (N, L) instead, k = 0.
     basis : (N, L), L = 0 but for disturbances.
     steps : of the differences, by parameter.
     """
@@ -217,26 +233,28 @@ class Signature:
 def signatures(
     model: Model,
     parameters: Mapping[str, float],
-    record: Record,
+    play: Play,
     instrument: Instrument,
     effect: str,
     *,
-    angular_gain: float | None = None,
-    start: FloatArray | None = None,
+    starts: Starts | None = None,
     grid: Mapping[str, tuple[float, ...]] | None = None,
     step_hints: Mapping[str, float] | None = None,
-) -> tuple[Signature, ...]:
-    """Signatures of the absent ``effect`` in one record, at ``parameters`` of ``model``.
+    substeps: int = SUBSTEPS,
+) -> Iterator[Signature]:
+    """Signatures of the absent ``effect`` in the records of a play, at ``parameters`` of ``model``.
 
     One where all its parameters exist at the null; else one a point of the grid of those that do not (the product
     over them).
 
     Parameters
     ----------
-    model, parameters, record, instrument, angular_gain, start : as in ``forward``.
+    model, parameters, instrument : as in ``forward``.
+    play, starts : the records, and the state of each at its first sample where it does not start at rest.
     effect : name of an effect that is not in the model.
     grid : parameter -> values to scan instead of the declared grid.
-    step_hints : parameter -> a step to begin with, such as ``Signature.steps`` of a like record.
+    step_hints : parameter -> a step to begin with, such as ``Signature.steps`` of a like play.
+    substeps : of the integrator.
 
     Raises
     ------
@@ -244,7 +262,6 @@ def signatures(
     """
     if effect in model.effects:
         raise ConfigError("effect is in the model already", value=effect, allowed=", ".join(model.candidates()))
-    channels_checked(model, record)
     larger = model.with_effect(effect)
     found = larger.effect(effect)
     members = found.members(larger.built.shape)
@@ -252,12 +269,12 @@ def signatures(
     followed = [m for m in members if not m.grid]
     grids = [(grid or {}).get(m.name, m.grid) for m in scanned]
     values = model.complete(parameters)
-    clock = clock_of(record.sample_rate_hz, instrument.hold)
-    conditions = conditions_of(record, instrument, angular_gain)
-    before = assemble(model, values, instrument, conditions)
-    y0 = volts(before, record.drive_v, clock, start)
-    nothing = np.zeros((y0.shape[0], 0))
-    t = np.arange(y0.shape[0]) / record.sample_rate_hz
+    before = assemble(model, values, instrument, play.conditions)
+    linear0 = linear_volts(before, play, starts)
+    curved = bool(before.forces or before.senses)
+    remainder0 = remainder_volts(before, play, starts, substeps) if curved else None
+    y0 = linear0 if remainder0 is None else linear0 + remainder0
+    t = np.arange(y0.shape[1]) / play.sample_rate_hz
 
     def moved(point: Mapping[str, float], name: str, value: float) -> FloatArray:
         if found.adc is not None and found.stages == ("adc",):
@@ -265,42 +282,40 @@ def signatures(
             return found.adc(y0, p, before.context) - y0
         trial = {**values, **{found.full_name(m): point[m.name] for m in scanned}}
         trial[found.full_name(next(m for m in members if m.name == name))] = value
-        system = assemble(larger, larger.complete(trial), instrument, conditions)
+        system = assemble(larger, larger.complete(trial), instrument, play.conditions)
         if system.forces or system.senses:
             # Deviations free of cancellation: the linear part is the same unless the effect touches it.
-            change = remainder_volts(system, record.drive_v, clock, start)
-            if before.forces or before.senses:
-                change = change - remainder_volts(before, record.drive_v, clock, start)
+            change = remainder_volts(system, play, starts, substeps)
+            if remainder0 is not None:
+                change -= remainder0
             if set(found.stages) & {"drive", "mechanics", "readout"}:
-                change += linear_volts(system, record.drive_v, clock, start)
-                change -= linear_volts(before, record.drive_v, clock, start)
+                change += linear_volts(system, play, starts)
+                change -= linear0
         else:
-            change = linear_volts(system, record.drive_v, clock, start) - y0
+            change = linear_volts(system, play, starts) - linear0
         if system.adcs:
             change = converted(system, y0 + change) - converted(before, y0)
         return change
 
-    out = []
     steps = dict(step_hints or {})
     level = float(np.sqrt(np.mean(y0**2)))
     for at in product(*grids):
         point = {m.name: value for m, value in zip(scanned, at)}
-        basis = nothing
+        basis = np.zeros((y0.shape[1], 0))
+        names: tuple[str, ...] = ()
         if found.disturbance is not None:
             basis = found.disturbance(t, np.array([point.get(m.name, m.null) for m in members]), before.context)
-            columns = np.zeros((*y0.shape, 0))
-            names: tuple[str, ...] = ()
+            columns = np.zeros((0, *y0.shape))
         elif not followed:
-            columns = moved(point, scanned[0].name, point[scanned[0].name])[:, :, None]
+            columns = moved(point, scanned[0].name, point[scanned[0].name])[None]
             names = tuple(m.name for m in scanned)
         else:
             linear = found.force is None and found.sense is None
             slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), linear) for m in followed]
-            columns = np.stack([slope for slope, _ in slopes], axis=-1)
+            columns = np.stack([slope for slope, _ in slopes])
             names = tuple(m.name for m in followed)
             steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}
-        out.append(Signature(effect, names, point, columns, basis, steps))
-    return tuple(out)
+        yield Signature(effect, names, point, columns, basis, dict(steps))
 
 
 def _derivative(
@@ -311,7 +326,7 @@ def _derivative(
     hint: float,
     both_sides: bool,
 ) -> tuple[FloatArray, float]:
-    """dy/dp at the null and the step it was taken with, which moves the record by about ``_SHARE`` of its level.
+    """dy/dp (R, N, S) at the null and its step, which moves the records by about ``_SHARE`` of their level.
 
     One side is enough where deviations are integrated: what is curved is of the order of that share.  Where the change is
     a difference of two records, both sides are taken, so that the rounding common to them cancels.
@@ -319,13 +334,15 @@ def _derivative(
     most = 0.25 * (member.high - member.null)
     step = min(hint or 1e-2 * member.scale, most)
     first = np.zeros(0)
+    # Deviations are free of rounding, and two sides leave an error of second order only.
+    shortest, longest = (1e-2, 1e3) if both_sides and member.null - step >= member.low else (1e-4, 1e2)
     for _ in range(12):
         try:
             first = moved(point, member.name, member.null + step)
             found = float(np.sqrt(np.mean(first**2))) / max(level, 1e-300)
         except ConfigError:
             found = np.inf
-        if found == 0.0 or 0.01 * _SHARE <= found <= 10.0 * _SHARE:
+        if found == 0.0 or shortest * _SHARE <= found <= longest * _SHARE:
             break
         step = min(step * (1e-3 if not np.isfinite(found) else float(np.clip(_SHARE / found, 1e-6, 1e6))), most)
     if both_sides and member.null - step >= member.low:

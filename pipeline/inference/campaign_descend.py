@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..device.model import Model
 from ..errors import ConfigError
-from .campaign_problem import Problem, Task
+from .campaign_problem import Problem, Tasks
 
 _ITERATIONS = 40
 #: Expected fall of chi2 (in units of chi2/dof, at least 1) at which the fit stands still: a hundredth of a sd.
@@ -55,7 +55,7 @@ def _prior_rows(model: Model, values: Mapping[str, float]) -> FloatArray:
 def point_at(
     problem: Problem,
     x: FloatArray,
-    tasks: tuple[Task, ...],
+    tasks: Tasks,
     starts: tuple[FloatArray | None, ...],
     most: float = np.inf,
 ) -> Point | None:
@@ -64,33 +64,27 @@ def point_at(
         values = problem.model.to_values(x)
         if not problem.model.allowed(values):
             return None
+        residuals = tuple(problem.residuals(values, tasks, starts))
         chi2 = float(np.sum(_prior_rows(problem.model, values)[0] ** 2))
-        residuals: list[FloatArray] = []
-        for task, start in zip(tasks, starts):
-            residuals.append(problem.residual(values, task, start))
-            chi2 += float(np.vdot(residuals[-1], residuals[-1]))
-            if not (np.isfinite(chi2) and chi2 <= most):
-                return None
+        chi2 += sum(float(np.vdot(r, r)) for r in residuals)
+        if not (np.isfinite(chi2) and chi2 <= most):
+            return None
     except (ConfigError, np.linalg.LinAlgError):
         return None
-    return Point(x, starts, tuple(residuals), chi2)
+    return Point(x, starts, residuals, chi2)
 
 
 _Sensitivity = tuple[FloatArray, FloatArray | None]
 
 
-def _sensitivities(
-    problem: Problem, at: Point, tasks: tuple[Task, ...], exact: bool, steps: FloatArray
-) -> list[_Sensitivity]:
+def _sensitivities(problem: Problem, at: Point, tasks: Tasks, exact: bool, steps: FloatArray) -> list[_Sensitivity]:
     """Columns of x (N S, P) and of the initial state (N S, 2 n) of each record, in sigmas."""
     values = problem.model.to_values(at.x)
-    return [
-        (
-            problem.columns(values, task, start, exact, steps),
-            None if start is None else problem.start_columns(values, task, start, exact),
-        )
-        for task, start in zip(tasks, at.starts)
+    free = [
+        None if start is None else problem.start_columns(values, task, start, exact)
+        for task, start in zip(tasks.each, at.starts)
     ]
+    return list(zip(problem.columns(values, tasks, at.starts, exact, steps), free))
 
 
 def _equations(
@@ -132,7 +126,7 @@ def _updated(sensitivities: list[_Sensitivity], before: Point, after: Point, wei
         missed = (r0 - r1).reshape(-1) - j @ step
         if f is not None and s0 is not None and s1 is not None:
             missed -= f @ (s1 - s0)
-        out.append((j + np.outer(missed, along / length), f))
+        out.append((j + np.outer(along / length, missed).T, f))
     return out
 
 
@@ -160,12 +154,12 @@ def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: BoolAr
     return steps[0], steps[1]
 
 
-def descend(problem: Problem, at: Point, tasks: tuple[Task, ...], dof: int) -> tuple[Point, FloatArray, bool]:
+def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point, FloatArray, bool]:
     """From ``at`` down to where the fit stands still: the point, the normal matrix there, whether it converged."""
     low, high = _inside(problem.model, at.x)
     # The loudest record sets the steps of the differences for all, and tells how strong nonlinear effects are.
-    loudest = max(range(len(tasks)), key=lambda k: float(np.mean(tasks[k].record.drive_v ** 2)))
-    task = tasks[loudest]
+    loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
+    task = tasks.each[loudest]
     steps = problem.steps(problem.model.to_values(at.x), task, at.starts[loudest])
     exact = problem.strength(problem.model.to_values(at.x), task) > _STRONG
     damping = 0.0

@@ -27,7 +27,7 @@ from ..errors import ConfigError, MeasurementError
 from ..experiment.noise_level import NoiseLevel
 from ..experiment.record import Campaign, Role
 from .campaign_descend import CLOSE, FAINT, covariance_of, descend, point_at
-from .campaign_problem import Problem, Task
+from .campaign_problem import Problem, Task, Tasks
 from .campaign_scan import scan
 from .campaign_start import find_start
 
@@ -66,7 +66,8 @@ class CampaignFit:
     records : one a driven record, in the campaign's order.
     chi2, dof : of the fit records; dof counts nuisances and parameters.
     error, relative_error, misfit : pooled by role, "fit" and "validate" (``None`` without such records).
-    fit_ok : the fit converged inside the ranges, and the data determine every free parameter.
+    converged : the fit stands still inside the ranges.
+    fit_ok : and the data determine every free parameter.
     theta_deg, split_hz : with sd, for plant "gyro".
     """
 
@@ -83,6 +84,7 @@ class CampaignFit:
     error: dict[str, float | None]
     relative_error: dict[str, float | None]
     misfit: dict[str, float | None]
+    converged: bool
     fit_ok: bool
     theta_deg: Estimate | None
     split_hz: Estimate | None
@@ -92,6 +94,11 @@ class CampaignFit:
         """Parameter values by name, as ``forward`` takes them."""
         return {name: value for name, (value, _) in self.parameters.items()}
 
+    @property
+    def error_v(self) -> dict[str, float]:
+        """rms of (measured - model) [V] in every record, over its samples and channels."""
+        return {r.name: float(np.sqrt(np.mean((r.residual * self.noise.sigma_v) ** 2))) for r in self.records}
+
     def of_role(self, role: Role) -> tuple[RecordFit, ...]:
         """The records of one role."""
         return tuple(record for record in self.records if record.role == role)
@@ -99,18 +106,18 @@ class CampaignFit:
 
 def _judge(problem: Problem, values: Mapping[str, float], task: Task, start: FloatArray | None) -> RecordFit:
     """The record as the model explains it; an unknown initial state of a held-out record is refitted."""
-    record = task.record
+    record, alone = task.record, Tasks((task,), (((0,), task.play),))
     lost = task.basis.shape[1] * record.sense_v.shape[1] + 2 * task.coordinates
     if task.coordinates and start is None:
         start = np.zeros(2 * task.coordinates)
         f = problem.start_columns(values, task, start, problem.strength(values, task) > FAINT)
         solve = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True) @ f.T
         for _ in range(6):
-            step = solve @ problem.residual(values, task, start).reshape(-1)
+            step = solve @ problem.residuals(values, alone, [start])[0].reshape(-1)
             start = start + step
             if float(np.sum((f @ step) ** 2)) < CLOSE:
                 break
-    predicted = problem.predict(values, task, start)
+    (predicted,) = problem.predictions(values, alone, [start])
     residual = problem.whiten(record.sense_v - predicted, task)
     chi2, dof = float(np.vdot(residual, residual)), residual.size - lost
     error = float(np.sqrt(chi2 / dof))
@@ -138,18 +145,18 @@ def _scanned(
     smaller = model.without_effect(effect)
     problem = Problem(smaller, campaign, sigma_v)
     values = smaller.complete({name: value for name, value in begun.items() if name in smaller.by_name})
-    tasks = [problem.task(record, values) for record in campaign.with_role("fit")]
-    steps = problem.steps(values, tasks[0], None)
+    tasks = problem.tasks(campaign.with_role("fit"), values)
+    rest = (None,) * len(tasks.each)
+    steps = problem.steps(values, tasks.each[0], None)
     return scan(
         smaller,
         effect,
         values,
-        [task.record for task in tasks],
+        tasks,
         campaign.instrument,
-        campaign.angular_gain,
-        [problem.residual(values, task, None) for task in tasks],
-        [problem.columns(values, task, None, False, steps) for task in tasks],
-        [partial(problem.whiten, task=task) for task in tasks],
+        problem.residuals(values, tasks, rest),
+        problem.columns(values, tasks, rest, False, steps),
+        [partial(problem.whiten, task=task) for task in tasks.each],
     )
 
 
@@ -188,8 +195,8 @@ def fit_campaign(
             begun |= _scanned(model, effect.name, campaign, sigma_v, begun)
     problem = Problem(model, campaign, sigma_v)
     values = model.complete(begun)
-    tasks = tuple(problem.task(record, values) for record in fitted)
-    starts = tuple(np.zeros(2 * task.coordinates) if task.coordinates else None for task in tasks)
+    tasks = problem.tasks(fitted, values)
+    starts = tuple(np.zeros(2 * task.coordinates) if task.coordinates else None for task in tasks.each)
     at = point_at(problem, model.to_internal(values), tasks, starts)
     if at is None and C12 in values:
         values = model.complete({**begun, C12: 0.0})
@@ -206,11 +213,11 @@ def fit_campaign(
     # What leaves no trace in the fit records is not known at all.
     unknown = np.where(np.diagonal(normal) > 0.0, 0.0, np.inf)
     sd = dict(zip(model.free, (np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) + unknown).tolist()))
-    start_of = {id(task.record): s for task, s in zip(tasks, at.starts)}
+    start_of = {id(task.record): s for task, s in zip(tasks.each, at.starts)}
     judged = []
     for record in campaign.records:
         if record.role in ("fit", "validate"):
-            known = next((task for task in tasks if task.record is record), None)
+            known = next((task for task in tasks.each if task.record is record), None)
             judged.append(_judge(problem, values, known or problem.task(record, values), start_of.get(id(record))))
     records = tuple(judged)
     error: dict[str, float | None] = {}
@@ -247,6 +254,7 @@ def fit_campaign(
         error,
         relative,
         misfit,
+        converged,
         bool(converged and determined),
         theta,
         split,

@@ -1,4 +1,4 @@
-"""The residuals of a campaign and how they move: what a fit asks of the records, one at a time.
+"""The residuals of a campaign and how they move: what a fit asks of its records.
 
     residual = P (y - f(x)) / sigma
 
@@ -8,7 +8,7 @@ L nuisances a channel, n coordinates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +17,11 @@ from ..arrays import FloatArray
 from ..device.model import Model
 from ..experiment.antialias import filter_poles
 from ..experiment.instrument import Instrument
-from ..experiment.linear import clock_of, free_response
+from ..experiment.linear import free_response
+from ..experiment.play import Play, play_of, plays_of
 from ..experiment.record import Campaign, Record
-from ..experiment.response import converted, linear_volts, remainder_volts, volts
-from ..experiment.sensitivity import jacobian, tuned_steps
+from ..experiment.response import Starts, converted, linear_volts, remainder_volts, volts
+from ..experiment.sensitivity import channels_checked, play_jacobian, tuned_steps
 from ..experiment.system import System, assemble, conditions_of
 
 
@@ -51,11 +52,20 @@ def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A record to explain: its nuisance basis, and how many coordinates have a free initial state (0: at rest)."""
+    """A record to explain: its nuisance basis, how many coordinates have a free initial state (0: at rest), its play."""
 
     record: Record
     basis: FloatArray
     coordinates: int
+    play: Play
+
+
+@dataclass(frozen=True, eq=False)
+class Tasks:
+    """Records to explain together: those that one system answers at once share a play."""
+
+    each: tuple[Task, ...]
+    plays: tuple[tuple[tuple[int, ...], Play], ...]
 
 
 class Problem:
@@ -66,90 +76,89 @@ class Problem:
         self.sigma_v = sigma_v
 
     def task(self, record: Record, values: Mapping[str, float]) -> Task:
+        """One record to explain.
+
+        Raises
+        ------
+        MeasurementError : its numbers of channels are not the plant's.
+        """
+        channels_checked(self.model, record)
         coordinates = 0 if record.at_rest else self.model.built.sense_motion().shape[1]
-        return Task(record, nuisance_columns(self.model, values, record, self.instrument), coordinates)
+        basis = nuisance_columns(self.model, values, record, self.instrument)
+        return Task(record, basis, coordinates, play_of([record], self.instrument, self.angular_gain))
 
-    def system(self, values: Mapping[str, float], record: Record) -> System:
-        return assemble(self.model, values, self.instrument, conditions_of(record, self.instrument, self.angular_gain))
+    def tasks(self, records: Sequence[Record], values: Mapping[str, float]) -> Tasks:
+        """Records to explain together; raises as ``task``."""
+        each = tuple(self.task(record, values) for record in records)
+        return Tasks(each, plays_of(records, self.instrument, self.angular_gain))
 
-    def full_start(self, system: System, task: Task, start: FloatArray | None) -> FloatArray | None:
-        """Initial state of all coordinates: those that effects append start at rest."""
-        if start is None:
-            return None
-        n, own = system.mechanics.stiffness.shape[1], task.coordinates
-        full = np.zeros(2 * n)
-        full[:own], full[n : n + own] = start[:own], start[own:]
-        return full
-
-    def predict(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:
-        system = self.system(values, task.record)
-        clock = clock_of(task.record.sample_rate_hz, self.instrument.hold)
-        return converted(system, volts(system, task.record.drive_v, clock, self.full_start(system, task, start)))
+    def system(self, values: Mapping[str, float], play: Play) -> System:
+        return assemble(self.model, values, self.instrument, play.conditions)
 
     def whiten(self, y: FloatArray, task: Task) -> FloatArray:
-        """P y / sigma, y (N, S) or (N, S, k)."""
-        flat = y.reshape(y.shape[0], -1)
-        rest = (flat - task.basis @ (task.basis.T @ flat)).reshape(y.shape)
-        return rest / (self.sigma_v if y.ndim == 2 else self.sigma_v[:, None])
+        """P y / sigma, y (.., N, S)."""
+        offset_alone = task.basis.shape[1] == 1
+        rest = y - (np.mean(y, axis=-2, keepdims=True) if offset_alone else task.basis @ (task.basis.T @ y))
+        rest /= self.sigma_v
+        return np.asarray(rest)
 
-    def residual(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:
-        return self.whiten(task.record.sense_v - self.predict(values, task, start), task)
+    def predictions(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
+        """Volts (N, S) of each record, without nuisances."""
+        out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
+        for places, play in tasks.plays:
+            system = self.system(values, play)
+            for place, y in zip(places, converted(system, volts(system, play, [starts[i] for i in places]))):
+                out[place] = y
+        return out
+
+    def residuals(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
+        """(N, S) of each record, in sigmas."""
+        predicted = self.predictions(values, tasks, starts)
+        return [self.whiten(task.record.sense_v - y, task) for task, y in zip(tasks.each, predicted)]
 
     def start_columns(
         self, values: Mapping[str, float], task: Task, start: FloatArray | None, exact: bool
     ) -> FloatArray:
         """(N S, 2 n): what the initial state moves, in sigmas; ``exact`` with what nonlinear effects make of it."""
-        system = self.system(values, task.record)
-        clock = clock_of(task.record.sample_rate_hz, self.instrument.hold)
-        m = system.mechanics
+        play = task.play
+        system = self.system(values, play)
+        m, clock = system.mechanics, play.clock
         n, own = m.stiffness.shape[1], task.coordinates
         samples = task.record.drive_v.shape[0]
         columns = free_response(m, system.readout, samples * clock.stride, clock)[:: clock.stride]
-        chosen = [*range(own), *range(n, n + own)]
-        columns = columns[:, :, chosen]
-        full = self.full_start(system, task, start)
-        if exact and full is not None:
-            v = task.record.drive_v
-            before = remainder_volts(system, v, clock, full)
+        columns = np.moveaxis(columns[:, :, [*range(own), *range(n, n + own)]], -1, 0).copy()
+        if exact and start is not None:
+            before = remainder_volts(system, play, [start])[0]
             omega = np.sqrt(np.diagonal(m.stiffness[0]))
             seen = np.max(np.abs(m.position_sense[0]) + omega * np.abs(m.velocity_sense[0]), axis=0)
-            motion = 1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / seen
-            steps = np.concatenate([motion, motion * omega])
-            for column, i in enumerate(chosen):
-                moved = full.copy()
-                moved[i] += steps[i]
-                columns[:, :, column] += (remainder_volts(system, v, clock, moved) - before) / steps[i]
-        return self.whiten(columns, task).reshape(-1, 2 * own)
+            motion = (1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / seen)[:own]
+            for i, step in enumerate(np.concatenate([motion, motion * omega[:own]])):
+                moved = start.copy()
+                moved[i] += step
+                columns[i] += (remainder_volts(system, play, [moved])[0] - before) / step
+        return self.whiten(columns, task).reshape(2 * own, -1).T
 
     def steps(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:
         """Steps (P,) of the differences, as ``task`` asks for them."""
-        full = self.full_start(self.system(values, task.record), task, start)
-        return tuned_steps(self.model, values, task.record, self.instrument, angular_gain=self.angular_gain, start=full)
+        gain = self.angular_gain
+        return tuned_steps(self.model, values, task.record, self.instrument, angular_gain=gain, start=start)
 
     def columns(
-        self, values: Mapping[str, float], task: Task, start: FloatArray | None, exact: bool, steps: FloatArray
-    ) -> FloatArray:
-        """(N S, P): what the free parameters move, in sigmas."""
-        system = self.system(values, task.record)
-        full = self.full_start(system, task, start)
-        found = jacobian(
-            self.model,
-            values,
-            task.record,
-            self.instrument,
-            angular_gain=self.angular_gain,
-            start=full,
-            exact=exact,
-            steps=steps,
-        )
-        return self.whiten(found, task).reshape(-1, found.shape[-1])
+        self, values: Mapping[str, float], tasks: Tasks, starts: Starts, exact: bool, steps: FloatArray
+    ) -> list[FloatArray]:
+        """(N S, P) of each record: what the free parameters move, in sigmas."""
+        out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
+        for places, play in tasks.plays:
+            own = [starts[i] for i in places]
+            found = play_jacobian(self.model, values, play, self.instrument, steps, starts=own, exact=exact)
+            for k, place in enumerate(places):
+                out[place] = self.whiten(found[:, k], tasks.each[place]).reshape(found.shape[0], -1).T
+        return out
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
         """Share of the record that forces and pick-off laws make."""
-        system = self.system(values, task.record)
+        system = self.system(values, task.play)
         if not (system.forces or system.senses):
             return 0.0
-        clock = clock_of(task.record.sample_rate_hz, self.instrument.hold)
-        linear = linear_volts(system, task.record.drive_v, clock)
-        rest = volts(system, task.record.drive_v, clock) - linear
+        linear, rest = linear_volts(system, task.play), remainder_volts(system, task.play)
         return float(np.linalg.norm(rest)) / max(float(np.linalg.norm(linear)), 1e-300)

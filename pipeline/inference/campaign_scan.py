@@ -11,6 +11,7 @@ Shapes: N samples, S senses, P parameters of the model without the effect, k col
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.fft import rfft
@@ -19,8 +20,8 @@ from scipy.ndimage import uniform_filter1d
 from ..arrays import FloatArray
 from ..device.model import Model
 from ..experiment.instrument import Instrument
-from ..experiment.record import Record
-from ..experiment.sensitivity import signatures
+from ..experiment.sensitivity import Signature, signatures
+from .campaign_problem import Tasks
 
 _PEAKS = 6
 
@@ -51,9 +52,8 @@ def scan(
     model: Model,
     effect: str,
     values: Mapping[str, float],
-    records: Sequence[Record],
+    tasks: Tasks,
     instrument: Instrument,
-    angular_gain: float | None,
     residuals: Sequence[FloatArray],
     columns: Sequence[FloatArray],
     whiten: Sequence[Callable[[FloatArray], FloatArray]],
@@ -65,33 +65,37 @@ def scan(
     model : without the effect.
     effect : its name.
     values : complete parameters of ``model``.
-    records, instrument, angular_gain : the fit records.
+    tasks, instrument : the fit records.
     residuals : (N, S) of each record in sigmas.
     columns : (N S, P) of each record in sigmas.
-    whiten : takes volts (N, S, k) of each record to sigmas, nuisances projected out.
+    whiten : takes volts (k, N, S) of each record to sigmas, nuisances projected out.
     """
     found = model.with_effect(effect).effect(effect)
     members = found.members(model.built.shape)
     grid = {}
+    rate = tasks.each[0].record.sample_rate_hz
     for member in members:
         if member.grid and member.unit == "Hz":
-            top = min(member.high, records[0].sample_rate_hz / 2.0)
-            grid[member.name] = peaks_hz(residuals, records[0].sample_rate_hz, member.low, top)
+            top = min(member.high, rate / 2.0)
+            grid[member.name] = peaks_hz(residuals, rate, member.low, top)
     normal = sum(j.T @ j for j in columns)
     scale = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
     slope = sum(j.T @ r.reshape(-1) for j, r in zip(columns, residuals))
-    parts = []
-    for record, r, j, white in zip(records, residuals, columns, whiten):
-        own = []
-        for s in signatures(model, values, record, instrument, effect, angular_gain=angular_gain, grid=grid):
-            c = white(s.columns).reshape(r.size, -1)
-            own.append((s, c.T @ c, c.T @ r.reshape(-1), c.T @ j))
-        parts.append(own)
+    sums: dict[int, list[FloatArray]] = {}
+    at: list[Signature] = []
+    for places, play in tasks.plays:
+        for k, signature in enumerate(signatures(model, values, play, instrument, effect, grid=grid)):
+            if k == len(at):
+                at.append(replace(signature, columns=np.zeros(0)))
+            for own, place in enumerate(places):
+                r, j = residuals[place].reshape(-1), columns[place]
+                c = whiten[place](signature.columns[:, own]).reshape(-1, r.size)
+                here = [c @ c.T, c @ r, c @ j]
+                sums[k] = [a + b for a, b in zip(sums[k], here)] if k in sums else here
     best, start = -np.inf, {member.name: member.null for member in members}
-    for same in zip(*parts):
-        signature = same[0][0]
-        gram, g, cross = (sum(part[i] for part in same) for i in (1, 2, 3))
+    for k, signature in enumerate(at):
+        gram, g, cross = sums[k]
         gram, g = gram - cross @ inverse @ cross.T, g - cross @ inverse @ slope
         acts_beyond = all(member.grid for member in members)
         size = np.ones(g.size) if acts_beyond else np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ g

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from pipeline.criticism.problem import Candidate, FitResult, Problem, Region, Signatures
+from pipeline.criticism.problem import FitResult, Problem, Region, Signatures
 
 
 class Narrowed:
@@ -22,22 +20,11 @@ class Narrowed:
         return self.whole.fit(terms, start)
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Those of the whole problem, less what is left out and its columns."""
+        """Those of the whole problem, less what is left out."""
         found = self.whole.signatures(fit)
-        kept: list[Candidate] = []
-        columns: list[int] = []
-        for candidate in found.candidates:
-            if candidate.name in self.left_out:
-                continue
-            cells = []
-            for cell in candidate.cells:
-                first = len(columns)
-                columns += range(cell.start, cell.stop)
-                cells.append(slice(first, len(columns)))
-            kept.append(replace(candidate, cells=tuple(cells)))
-        chosen = np.array(columns, dtype=np.int64)
+        kept = tuple(candidate for candidate in found.candidates if candidate.name not in self.left_out)
         local = tuple(candidate for candidate in found.local if candidate.name not in self.left_out)
-        return Signatures(tuple(kept), tuple(np.ascontiguousarray(z[:, chosen]) for z in found.blocks), local)
+        return replace(found, candidates=kept, local=local)
 
     def probes(self, fit: FitResult) -> Signatures:
         """As in the whole problem."""

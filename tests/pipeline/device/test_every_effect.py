@@ -22,6 +22,7 @@ from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward import forward, signatures
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.integrate import trajectory
+from pipeline.experiment.play import play_of
 from pipeline.experiment.record import Record
 from pipeline.experiment.system import assemble, conditions_of
 
@@ -118,9 +119,10 @@ def test_it_grows_smoothly_from_the_null_with_its_signature_as_slope(effect: Eff
     at = _values(effect, larger, share)
     grid = {m.name: (at[effect.full_name(m)],) for m in effect.members(larger.built.shape) if m.grid}
     smaller = larger.without_effect(effect.name)
-    (found,) = signatures(smaller, PLANT, RECORD, INSTRUMENT, effect.name, grid=grid)
+    play = play_of([RECORD], INSTRUMENT, None)
+    (found,) = signatures(smaller, PLANT, play, INSTRUMENT, effect.name, grid=grid)
     steps = {m.name: at[effect.full_name(m)] - m.null for m in effect.members(larger.built.shape) if not m.grid}
-    expected = found.columns @ np.array([steps[name] for name in found.names])
+    expected = np.tensordot([steps[name] for name in found.names], found.columns[:, 0], axes=1)
     change = forward(larger, {**PLANT, **at}, RECORD, INSTRUMENT) - forward(smaller, PLANT, RECORD, INSTRUMENT)
     assert np.linalg.norm(expected) > 0.0
     assert np.linalg.norm(change - expected) < 2e-2 * np.linalg.norm(expected)

@@ -16,6 +16,7 @@ from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward import forward, jacobian, signatures
 from pipeline.experiment.instrument import AntiAlias, Instrument
+from pipeline.experiment.play import play_of
 from pipeline.experiment.record import Record
 
 PLANT = {
@@ -247,18 +248,14 @@ def test_the_jacobian_is_the_slope_of_the_forward_model(effects: tuple[str, ...]
 
 def test_parameters_that_do_not_exist_at_the_null_are_scanned() -> None:
     record = _record(300)
-    found = signatures(
-        DEFAULT_COMPARE_MODEL,
-        PLANT,
-        record,
-        INSTRUMENT,
-        "parasitic_mode",
-        grid={"f": (700.0, 900.0), "zeta": (1e-2,), "a": (0.0, 90.0)},
-    )
+    play = play_of([record], INSTRUMENT, None)
+    grid = {"f": (700.0, 900.0), "zeta": (1e-2,), "a": (0.0, 90.0)}
+    found = list(signatures(DEFAULT_COMPARE_MODEL, PLANT, play, INSTRUMENT, "parasitic_mode", grid=grid))
     assert [(s.point["f"], s.point["a"]) for s in found] == [(700.0, 0.0), (700.0, 90.0), (900.0, 0.0), (900.0, 90.0)]
     assert all(s.names == ("b_d1", "b_d2") for s in found)
     # A mode seen by sense 1 alone leaves sense 2 alone.
-    assert np.max(np.abs(found[0].columns[:, 1])) < 1e-12 * np.max(np.abs(found[0].columns[:, 0]))
+    columns = found[0].columns
+    assert np.max(np.abs(columns[..., 1])) < 1e-12 * np.max(np.abs(columns[..., 0]))
 
 
 def test_impossible_devices_and_records_are_typed_errors() -> None:

@@ -74,8 +74,10 @@ def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
     found = filtered(q, g, readout.static, deviation[:, 3:] @ m.velocity_sense[0].T, clock.step_s, late_s)
     # Reading late is reading a record with a negative delay: the shift is undone here.
     early = replace(readout, delay_s=clock.step_s - late_s if late_s else 0.0)
-    expected = linear_response(_changed(law.__name__, m, p), early, DRIVE, DRIVE, clock)
-    expected = expected - linear_response(m, early, DRIVE, DRIVE, clock)
+    # Each drive plays a waveform of its own.
+    played = (np.ascontiguousarray(DRIVE.T), np.eye(2)[None], clock)
+    expected = linear_response(_changed(law.__name__, m, p), early, *played)[0]
+    expected = expected - linear_response(m, early, *played)[0]
     if late_s:
         found, expected = found[:-1], expected[1:]
     assert np.max(np.abs(found - expected)) < 1e-6 * np.max(np.abs(expected))

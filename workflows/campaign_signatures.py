@@ -1,0 +1,124 @@
+"""Signatures of absent effects in the rows of a campaign, and the candidates that they make.
+
+Shapes: N samples, S senses, F bins, K columns; rows of a record 2 F S.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.arrays import FloatArray
+from pipeline.criticism.problem import Candidate, TermParameter
+from pipeline.device.effect import Effect
+from pipeline.device.model import Model
+from pipeline.device.parameters import Parameter
+from pipeline.errors import ConfigError
+from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.play import Play
+from pipeline.experiment.response import Starts
+from pipeline.experiment.sensitivity import Signature, signatures
+
+#: Grid of the parasitic mode's signature: the driven band and a little beyond it.
+_GRID: dict[str, dict[str, tuple[float, ...]]] = {
+    "parasitic_mode": {"f": tuple(320.0 * 1.04**k for k in range(22)), "zeta": (1e-2,)}
+}
+#: Clip levels that are scanned, as shares of the largest sample.
+_LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
+#: A direction enters as (cos a, sin a), so two of them span all.
+_AXES_DEG = (0.0, 90.0)
+#: A signature need not be as exact as a fit: half the substeps leave 1e-4 of it.
+_SUBSTEPS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """A fitted model from which signatures are taken: its plays with the places of their records, and their states.
+
+    ``rows`` takes volts (k, N, S) of the record at a place to its rows (k, 2 F S); ``peak_v`` is the largest sample.
+    """
+
+    model: Model
+    values: Mapping[str, float]
+    instrument: Instrument
+    plays: tuple[tuple[tuple[int, ...], Play], ...]
+    starts: Starts
+    rows: Callable[[int, FloatArray], FloatArray]
+    peak_v: float
+
+
+def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArray]]] | None:
+    """The candidate and its columns (k, rows), part by part, of each record; ``None`` where the effect makes no sense."""
+    effect = at.model.library[name]
+    members = effect.members(at.model.built.shape)
+    turned = next((m.name for m in members if m.per == "direction" or (m.name == "a" and m.grid)), None)
+    grid = dict(_GRID.get(name, {}))
+    if turned is not None and len(members) > 1:
+        grid[turned] = _AXES_DEG
+    if effect.stages == ("adc",) and len(members) == 1:
+        # A clip level above all samples changes nothing, and one far below them would be plain to see.
+        grid[members[0].name] = tuple(1.0 / (at.peak_v * share) for share in _LEVELS)
+    columns: list[list[FloatArray]] = [[] for _ in range(sum(len(places) for places, _ in at.plays))]
+    found: list[Signature] = []
+    hints: dict[str, float] = {}
+    try:
+        for number, (places, play) in enumerate(at.plays):
+            for signature in _played(at, places, play, name, grid, hints):
+                hints = signature.steps
+                if number == 0:
+                    found.append(replace(signature, columns=np.zeros(0)))
+                for k, place in enumerate(places):
+                    first = places[play.twins[k]]
+                    same = first != place and at.starts[place] is None and at.starts[first] is None
+                    own = columns[first][-1] if same else at.rows(place, signature.columns[:, k])
+                    columns[place].append(own)
+    except ConfigError:
+        return None
+    return _candidate(effect, members, found, turned), columns
+
+
+def _played(
+    at: Tangent,
+    places: Sequence[int],
+    play: Play,
+    name: str,
+    grid: Mapping[str, tuple[float, ...]],
+    hints: Mapping[str, float],
+) -> Iterator[Signature]:
+    return signatures(
+        at.model,
+        at.values,
+        play,
+        at.instrument,
+        name,
+        starts=[at.starts[place] for place in places],
+        grid=grid or None,
+        step_hints=hints,
+        substeps=_SUBSTEPS,
+    )
+
+
+def _candidate(
+    effect: Effect, members: Sequence[Parameter], found: Sequence[Signature], turned: str | None
+) -> Candidate:
+    """The candidate whose columns are those of ``found``, one after the other; directions of one point share a cell."""
+    own = [m for m in members if m.name in found[0].names]
+    parameters = [
+        TermParameter(
+            effect.full_name(m),
+            m.unit,
+            m.null,
+            max(abs(m.high - m.null), abs(m.low - m.null)),
+            1 if m.low == m.null else (-1 if m.high == m.null else 0),
+        )
+        for m in own
+    ]
+    together = len(_AXES_DEG) if turned is not None and len(found) % len(_AXES_DEG) == 0 and len(found) > 1 else 1
+    if together > 1:
+        parameters = [replace(p, name=f"{p.name} at {a:g} deg") for a in _AXES_DEG for p in parameters]
+    width = len(own) * together
+    cells = tuple(slice(i * width, (i + 1) * width) for i in range(len(found) // together))
+    grid = tuple({k: float(v) for k, v in s.point.items() if k != turned} for s in found[::together])
+    return Candidate(effect.name, tuple(parameters), cells, grid)
