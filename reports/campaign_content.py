@@ -19,6 +19,7 @@ from .campaign_rows import (
     candidates_of,
     classes_of,
     finite,
+    kinds_of,
     last_rung,
     laws_of,
     letter,
@@ -53,6 +54,7 @@ class CampaignContent:
     verdicts: tuple[str, str]
     rungs: tuple[Rung, ...]
     refused: tuple[tuple[str, str], ...]
+    kinds: tuple[Region, ...]
     regions: tuple[tuple[str, tuple[Region, ...]], ...]
     noise: str
     candidates: tuple[CandidateRow, ...]
@@ -103,7 +105,9 @@ def campaign_content(
     parameters = parameters_of(compare, found, library)
     by_name = {row.name: row for row in parameters}
     after = mapping(found.get("parameters")) or mapping(last_rung(found).get("parameters"))
-    verdict_words = verdicts or {}
+    verdict_words = (
+        verdicts or {"before": rungs[0].verdict, "after": last.verdict} if rungs and last else verdicts or {}
+    )
     return CampaignContent(
         device_id=device_id,
         verdict=said,
@@ -128,6 +132,7 @@ def campaign_content(
         verdicts=(str(verdict_words.get("before", "")), str(verdict_words.get("after", ""))),
         rungs=rungs,
         refused=tuple((str(name), str(why)) for name, why in mapping(found.get("refused")).items()),
+        kinds=kinds_of(compare, found),
         regions=regions_of(compare, found),
         noise=noise_sentence(mapping(compare.get("noise"))),
         candidates=candidates_of(told, effects, classes, library),

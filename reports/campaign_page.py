@@ -17,7 +17,18 @@ from pipeline.device.effect import Effect, find_effects
 from .campaign_content import CampaignContent, campaign_content
 from .campaign_figures import CampaignFigures, campaign_figures
 from .campaign_rows import Value, parameter_label, short_name
-from .campaign_wording import effect_words, error_words, explained_words, kind_words, listed, p_words, sentence, typeset
+from .campaign_wording import (
+    effect_words,
+    error_words,
+    explained_words,
+    family_words,
+    kind_words,
+    listed,
+    p_words,
+    quantity_words,
+    sentence,
+    typeset,
+)
 from .record_view import RecordView
 from .rendering import environment, measured, number, stylesheet
 from .wording import SUPERSCRIPT
@@ -76,6 +87,9 @@ def render_campaign_report(
         p_words=p_words,
         chi2_width=_chi2_width,
         listed=listed,
+        kind_words=kind_words,
+        family_words=family_words,
+        quantities=quantity_words,
     )
     return env.get_template("campaign.html.j2").render(
         c=content,
@@ -84,7 +98,6 @@ def render_campaign_report(
         sections=_sections(content, figures),
         shown=_SHOWN,
         parameter=parameter_label,
-        kind_words=kind_words,
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from pipeline.axial import difference
 from pipeline.quantities import AXES
 
-from .campaign_wording import effect_words, region_words
+from .campaign_wording import FREQUENCY_KINDS, effect_words, region_words
 from .wording import UNITS, label
 
 Json = Mapping[str, Any]
@@ -50,14 +50,17 @@ class Rung:
     theta: Value | None
     split: Value | None
     verdict: str
+    at_face: str
+    reason: str
     dropped: tuple[str, ...]
+    by_kind: tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True)
 class Region:
-    """Where the model fails: kind and place, share of its kind, error before, share explained, error after."""
+    """Where the model fails: family and place, share of its family, error before, share explained, error after."""
 
-    kind: str
+    family: str
     place: str
     share: float
     error: float | None
@@ -163,7 +166,8 @@ def _unit(name: str, effect: str, library: Library) -> str:
 
 def rung_of(k: int, row: Json, library: Library) -> Rung:
     effect = str(row.get("effect") or "")
-    inside = mapping(row.get("parameters"))
+    inside = {**mapping(row.get("parameters")), **mapping(row.get("derived"))}
+    by_kind = ((str(kind), finite(share)) for kind, share in mapping(row.get("explained_by_kind")).items())
     error_fit, error_validate = finite(row.get("error_fit")), finite(row.get("error_validate"))
 
     def misfit(key: str, error: float | None) -> float | None:
@@ -186,31 +190,34 @@ def rung_of(k: int, row: Json, library: Library) -> Rung:
         theta=_value("theta_deg", row.get("theta_deg", inside.get("theta_deg")), UNITS["theta_deg"]),
         split=_value("split_hz", row.get("split_hz", inside.get("split_hz")), UNITS["split_hz"]),
         verdict=str(row.get("verdict") or ""),
+        at_face=str(row.get("verdict_at_face") or ""),
+        reason=str(row.get("verdict_reason") or ""),
         dropped=names_of(row.get("dropped")),
+        by_kind=tuple((kind, share) for kind, share in by_kind if share is not None) if effect else (),
     )
 
 
-def _place(row: Json) -> tuple[tuple[str, str], ...]:
-    return tuple(sorted((k, str(v)) for k, v in row.items() if k not in ("share", "error", "explained", "p_value")))
-
-
 def regions_of(compare: Json, refine: Json) -> tuple[tuple[str, tuple[Region, ...]], ...]:
-    """Regions by kind, kinds and regions by share; "explained" from the ladder where it names the same region."""
-    rows = rows_of(compare.get("where"))
-    after = {_place(row): finite(row.get("explained")) for row in rows_of(refine.get("regions"))}
-    if not rows:
-        rows = rows_of(refine.get("regions"))
-    kinds: dict[str, list[Region]] = {}
-    for row in rows:
-        error, share = finite(row.get("error")), finite(row.get("share"))
-        explained = finite(row.get("explained"))
-        explained = after.get(_place(row)) if explained is None else explained
-        left = None
-        if error is not None and explained is not None:
-            left = math.sqrt(max(1.0 + (error**2 - 1.0) * (1.0 - explained), 0.0))
+    """Regions by family, the largest share first; with what a ladder left of them where there is one."""
+    families: dict[str, list[Region]] = {}
+    for row in rows_of(refine.get("regions")) or rows_of(compare.get("where")):
         kind = str(row.get("kind") or "region")
-        kinds.setdefault(kind, []).append(Region(kind, region_words(row), share or 0.0, error, explained, left))
-    return tuple((kind, tuple(sorted(found, key=lambda one: -one.share))) for kind, found in kinds.items())
+        family = str(row.get("family") or ("frequency" if kind in FREQUENCY_KINDS else kind))
+        families.setdefault(family, []).append(_region(family, row))
+    return tuple((family, tuple(sorted(found, key=lambda one: -one.share))) for family, found in families.items())
+
+
+def kinds_of(compare: Json, refine: Json) -> tuple[Region, ...]:
+    """The cut by frequency with all records and channels together, the largest share first."""
+    rows = rows_of(refine.get("regions_by_kind")) or rows_of(compare.get("where_by_kind"))
+    return tuple(sorted((_region("frequency", row) for row in rows), key=lambda one: -one.share))
+
+
+def _region(family: str, row: Json) -> Region:
+    error, explained, left = (finite(row.get(key)) for key in ("error", "explained", "error_after"))
+    if left is None and error is not None and explained is not None:
+        left = math.sqrt(max(1.0 + (error**2 - 1.0) * (1.0 - explained), 0.0))
+    return Region(family, region_words(row), finite(row.get("share")) or 0.0, error, explained, left)
 
 
 def candidates_of(

@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .wording import PERCENT, SUPERSCRIPT, percent
+from pipeline.quantities import NAMES
+
+from .wording import PERCENT, SUPERSCRIPT, label, percent
 
 _WORDS = {
     "offdiagonal": "off-diagonal",
@@ -16,6 +18,7 @@ _WORDS = {
     "pickoff": "pick-off",
     "adc": "ADC",
 }
+LIMITED = frozenset(NAMES)
 _HELD = "on records the fit had not seen"
 
 
@@ -230,6 +233,12 @@ def kind_words(kind: str, order: Any = None) -> str:
 
 def _ordinal(order: int) -> str:
     return f"{order}" + {2: "nd", 3: "rd"}.get(order, "th")
+
+
+def quantity_words(text: str) -> str:
+    """A comma-separated list of failed limits in words; any other text as it is."""
+    names = text.split(",")
+    return listed([label(name) for name in names]) if all(name in LIMITED for name in names) else text
 
 
 def p_words(p_value: float | None) -> str:

@@ -123,7 +123,7 @@ class Comparison(Answer):
             "misfit": {k: v if known else None for k, v in fit.misfit.items()},
             "noise": self.noise,
             "where": rows,
-            "where_by_kind": by_kind(regions, fit.noise.dof),
+            "where_by_kind": where_rows(by_kind(regions), fit.noise.dof),
             "where_rest": where_rest(rows),
             "where_families": {f: list(FREQUENCY_KINDS) if f == "frequency" else [f] for f in FAMILIES},
             "records": {
@@ -259,7 +259,7 @@ class Refined(Answer):
             row.update(self._judged(rung, first, ground, kinds))
         last = first.regions(self.after)
         out["regions"] = with_after(told["where"], ground, last)
-        out["regions_by_kind"] = with_after(told["where_by_kind"], ground, last)
+        out["regions_by_kind"] = with_after(told["where_by_kind"], by_kind(ground), by_kind(last))
         out["noise"] = first.noise
         for key, fit in (("before_", self.before), ("", self.after)):
             if fit.theta_deg is not None and fit.split_hz is not None:

@@ -1,9 +1,9 @@
 """Where a model fails on a campaign: the residual cut by frequency, time, channel, level, direction and record.
 
-By frequency, in the full band up to Nyquist, every part of the whole is in one region (the cells of an orthonormal transform), so
-the shares of resonance, harmonic, line and broadband add up to one together.  The other families (time; level of the drive;
-response, the level of the motion; direction of the sweep; channel; record) cut the same residual along one line each and add up to one
-by themselves, never across.
+By frequency, in the full band up to Nyquist, every part of the whole is in one region (the cells of an orthonormal
+transform), so the shares of resonance, harmonic, line and broadband add up to one together.  The other families (time; level of
+the drive; response, the level of the motion; direction of the sweep; channel; record) cut the same residual along one line each
+and add up to one by themselves, never across.
 
 Shapes: N samples, S senses, K blocks, M bins; residuals in sigmas.
 """

@@ -22,18 +22,27 @@ from .campaign_regions import FAMILIES, FREQUENCY_KINDS
 
 #: Rows a family, and the least share of a row.
 _SHOWN, _LEAST = 12, 1e-3
+#: Family-wise probability of telling a region that is noise.
+ALPHA = 0.003
+_WHOLE = ("level", "direction", "channel", "record")
 _KEYS = ("record", "channel", "band_hz", "time_s", "harmonic", "level", "response_v", "direction")
 
 Row = dict[str, Any]
 
 
 def where_rows(regions: Sequence[Region], noise_dof: float) -> list[Row]:
-    """Significant regions of every family, the largest first; families in their order."""
-    found = where(regions, noise_dof=noise_dof)
+    """Significant regions of every family, the largest first, families in their order.
+
+    A family of a few regions that cut the whole campaign is told whole as soon as one of them is significant.
+    """
+    found = where(regions, np.inf, noise_dof)
     rows: list[Row] = []
     for family in FAMILIES:
-        own = [w for w in found if w.family == family and w.share >= _LEAST]
-        rows += [_row(w.family, w.labels, w.share, w.error) for w in own[:_SHOWN]]
+        own = [w for w in found if w.family == family]
+        told = [w for w in own if w.p_value < ALPHA and w.share >= _LEAST]
+        if told and family in _WHOLE:
+            told = own
+        rows += [_row(w.family, w.labels, w.share, w.error) for w in told[:_SHOWN]]
     return rows
 
 
@@ -44,7 +53,7 @@ def where_rest(rows: Sequence[Row]) -> dict[str, float]:
     return {family: max(1.0 - total, 0.0) for family, total in sums.items()}
 
 
-def by_kind(regions: Sequence[Region], noise_dof: float) -> list[Row]:
+def by_kind(regions: Sequence[Region]) -> list[Region]:
     """The cut by frequency with all records and channels together: kinds, harmonics by their order, bands and lines."""
     pooled: dict[tuple[Any, ...], list[Region]] = {}
     for region in regions:
@@ -53,10 +62,9 @@ def by_kind(regions: Sequence[Region], noise_dof: float) -> list[Row]:
             # Bands of a kind differ a little with the drive; harmonics are one whatever their band.
             place = None if labels["kind"] in ("harmonic", "broadband") else str(labels["band_hz"])
             pooled.setdefault((labels["kind"], labels.get("harmonic"), place), []).append(region)
-    merged = [
+    return [
         Region("frequency", _joined(own), sum(r.chi2 for r in own), sum(r.dof for r in own)) for own in pooled.values()
     ]
-    return [_row(w.family, w.labels, w.share, w.error) for w in where(merged, noise_dof=noise_dof) if w.share >= _LEAST]
 
 
 def _joined(regions: Sequence[Region]) -> dict[str, object]:

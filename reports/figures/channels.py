@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from .panels import panels, plain
+from .panels import log_ticks, panels, plain
 from .states import AFTER, BEFORE
 from .style import INK, MUTED, RULE, style, to_svg
 
@@ -50,10 +49,8 @@ def channel_errors(rows: Sequence[ChannelError], senses: int, name: str = "chann
         values = [v for row in rows for v in (row.before, row.after) if v is not None and np.isfinite(v) and v > 0.0]
         if values:
             axes.set_xscale("log")
-            axes.set_xlim(min([0.9, *(0.9 * v for v in values)]), max([2.0, *(1.15 * v for v in values)]))
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.xaxis.set_minor_locator(NullLocator())
+            axes.set_xlim(min([0.9, *(0.9 * v for v in values)]), max([1.2, *(1.15 * v for v in values)]))
+            log_ticks(axes.xaxis)
         axes.set_ylim(-len(rows) + 0.4, 0.6)
         axes.grid(axis="x", color=RULE, lw=0.5)
         axes.set_xlabel("error, rms residual / σ")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.patches import Patch
 
-from .panels import panels, plain
+from .panels import log_ticks, panels, plain
 from .states import AFTER, BEFORE
 from .style import INK, MUTED, RULE, style, to_svg
 
@@ -24,6 +23,8 @@ STATUS = {
 }
 #: Below this a misfit is drawn at the edge: it is nothing that records of any length could show.
 _LEAST = 1e-3
+#: Half the width of a bar, in rungs.
+_HALF = 0.14
 #: Width of the column of a refused effect, in rungs.
 _NARROW = 0.6
 
@@ -74,104 +75,89 @@ def ladder_plot(
 
 
 def _errors(axes: Axes, points: Sequence[LadderPoint], relative: bool) -> None:
-    known = _lines(axes, points, lambda p: p.error_fit, lambda p: p.error_validate, 0.0)
+    errors = [(p.error_fit, p.error_validate) for p in points]
+    known = [v for pair in errors for v in pair if v is not None and math.isfinite(v) and v > 0.0]
+    axes.set_yscale("log")
+    if known:
+        low, high = min([*known, *([] if relative else [1.0])]), max([*known, *([] if relative else [1.02])])
+        room = max(high / low, 1.05)
+        axes.set_ylim(low / room ** (0.4 if relative else 0.12), high * room**0.42)
+    _bars(axes, points, errors, axes.get_ylim()[0] if relative else 1.0)
     if not relative:
-        axes.axhline(1.0, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=1)
+        axes.axhline(1.0, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=4)
         axes.annotate(
-            "noise floor", (1.0, 1.0), xycoords=("axes fraction", "data"), xytext=(-2, -11),
+            "noise floor", (1.0, 1.0), xycoords=("axes fraction", "data"), xytext=(-2, 4),
             textcoords="offset points", ha="right", color=INK, fontsize=9.5,
         )  # fmt: skip
-    if known:
-        low, high = min([*known, *([] if relative else [1.0])]), max([*known, *([] if relative else [1.3])])
-        room = max(high / low, 1.2)
-        axes.set_yscale("log")
-        axes.set_ylim(low / room**0.16, high * room**0.38)
     for k, point in enumerate(points):
         _label(axes, k, point, relative)
-    _log_ticks(axes)
+    log_ticks(axes.yaxis)
     axes.set_ylabel("relative error" if relative else "error")
     handles = [
-        *([] if relative else [Line2D([], [], color=AFTER, lw=1.8, marker="o", ms=6, label="held-out records")]),
-        Line2D([], [], color=MUTED, lw=1.2, marker="o", mfc="white", ms=6, label="fitted records"),
+        Patch(fc="#c3ccd5", label="fitted records"),
+        *([] if relative else [Patch(fc=MUTED, label="held-out records")]),
     ]
     axes.legend(handles=handles, loc="upper right", ncols=2, borderaxespad=0.0)
 
 
 def _label(axes: Axes, k: int, point: LadderPoint, relative: bool) -> None:
-    """The held-out error with the status, and the fitted one where the two would not run into each other."""
+    """The errors above their bars, the held-out one with the status."""
     fit, held = point.error_fit, point.error_validate
     colour, _, words = STATUS.get(point.status, (INK, "s", plain(point.status)))
-    main = held if held is not None else fit
-    apart = fit is not None and held is not None and not 0.8 < fit / held < 1.25
-    if main is None:
-        return
     shown = _percent if relative else _short
     beside: dict[str, Any] = {
         "textcoords": "offset points",
-        "xytext": (10, 4),
-        "ha": "left",
+        "xytext": (0, 4),
+        "ha": "center",
         "va": "bottom",
         "zorder": 6,
     }
-    axes.annotate(
-        shown(main) + (f"\n{words}" if words else ""), (k, main), color=colour, weight="bold", fontsize=12,
-        linespacing=1.1, **beside,
-    )  # fmt: skip
-    if apart and fit is not None:
-        axes.annotate(shown(fit), (k, fit), color=MUTED, fontsize=10.5, **beside)
+    floor = 0.0 if relative else 1.0
+    main = held if held is not None else fit
+    if fit is not None and held is not None:
+        axes.annotate(shown(fit), (k - _HALF, max(fit, floor)), color=MUTED, fontsize=10.5, **beside)
+    if main is not None:
+        at = k + (_HALF if held is not None and fit is not None else 0.0)
+        axes.annotate(
+            (f"{words}\n" if words else "") + shown(main), (at, max(main, floor)), color=colour, weight="bold", fontsize=12,
+            linespacing=1.15, **beside,
+        )  # fmt: skip
 
 
 def _misfits(axes: Axes, points: Sequence[LadderPoint]) -> None:
-    known = _lines(axes, points, lambda p: p.misfit_fit, lambda p: p.misfit_validate, _LEAST)
+    misfits = [(p.misfit_fit, p.misfit_validate) for p in points]
+    known = [max(v, _LEAST) for pair in misfits for v in pair if v is not None and math.isfinite(v)]
+    axes.set_yscale("log")
     if known:
-        low, high = min(known), max(known)
-        axes.set_yscale("log")
-        axes.set_ylim(max(low, _LEAST) / 2.0, max(high, 10 * low) * 2.0)
-        if low <= _LEAST:
+        axes.set_ylim(min(known) / 2.0, max([*known, 10.0 * min(known)]) * 2.0)
+        if min(known) <= _LEAST:
             axes.text(
-                0.004, 0.05, f"at the edge: {_LEAST:g} or less", transform=axes.transAxes, color=MUTED, fontsize=9
-            )
-    _log_ticks(axes)
+                0.996, 0.05, f"at the edge: {_LEAST:g} or less", transform=axes.transAxes, color=MUTED, fontsize=9, ha="right"
+            )  # fmt: skip
+    _bars(axes, points, [(_edged(a), _edged(b)) for a, b in misfits], axes.get_ylim()[0])
+    log_ticks(axes.yaxis)
     axes.set_ylabel("misfit √(error² − 1)")
 
 
-def _lines(
-    axes: Axes,
-    points: Sequence[LadderPoint],
-    fit: Callable[[LadderPoint], float | None],
-    held: Callable[[LadderPoint], float | None],
-    least: float,
-) -> list[float]:
-    """Draws both lines; the values drawn."""
-    drawn: list[float] = []
-    for of, is_held in ((fit, False), (held, True)):
-        at = [
-            (k, max(value, least), points[k].status)
-            for k, value in enumerate(map(of, points))
-            if value is not None and math.isfinite(value) and (value > 0.0 or least)
-        ]
-        drawn += [value for _, value, _ in at]
-        colour = AFTER if is_held else MUTED
-        climbed = [(k, v) for k, v, status in at if status != "refused"]
-        axes.plot([k for k, _ in climbed], [v for _, v in climbed], color=colour, lw=1.8 if is_held else 1.2, zorder=2)
-        for k, value, status in at:
-            mark, shape, _ = STATUS.get(status, (INK, "s", ""))
-            axes.plot(
-                [k], [value], marker=shape, ms=8 if is_held else 6.5, mfc=mark if is_held else "white", mec=mark,
-                mew=1.2, zorder=3 + is_held,
-            )  # fmt: skip
+def _edged(misfit: float | None) -> float | None:
+    return None if misfit is None else max(misfit, _LEAST)
+
+
+def _bars(
+    axes: Axes, points: Sequence[LadderPoint], pairs: Sequence[tuple[float | None, float | None]], floor: float
+) -> None:
+    """A pale bar for the fitted records, a strong one in the colour of the status for the held-out ones, from ``floor``."""
+    for k, (point, (fit, held)) in enumerate(zip(points, pairs)):
+        colour = STATUS.get(point.status, (BEFORE, "", ""))[0]
+        alone = fit is None or held is None
+        for value, at, alpha in ((fit, -_HALF, 0.4), (held, _HALF, 1.0)):
+            if value is not None and math.isfinite(value) and value > 0.0:
+                place = k + (0.0 if alone else at)
+                # A bar of no height still shows that there is a value.
+                axes.plot([place - _HALF, place + _HALF], [value, value], color=colour, lw=2.0, alpha=alpha, zorder=3)
+                axes.bar(place, value - floor, 2.0 * _HALF, floor, color=colour, alpha=alpha, lw=0, zorder=2)
     axes.grid(axis="y", color=RULE, lw=0.5)
-    return drawn
-
-
-def _log_ticks(axes: Axes) -> None:
-    if axes.get_yscale() != "log":
-        return
-    low, high = axes.get_ylim()
-    few = high / low < 300.0
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=12))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_axisbelow(True)
 
 
 def _percent(value: float) -> str:

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from pipeline.arrays import FloatArray
 
-from .panels import panels
+from .panels import log_ticks, panels
 from .states import AFTER, BEFORE
 from .style import INK, RULE, style, to_svg
 
@@ -45,11 +44,8 @@ def level_plot(curves: Sequence[LevelCurve], senses: int, name: str = "level") -
             axes.axhline(1.0, color=INK, lw=1.0, ls=(0, (1, 1.5)))
             if axes.lines[:-1]:
                 axes.set(xscale="log", yscale="log")
-                axes.xaxis.set_minor_locator(NullLocator())
-                axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))
-                axes.yaxis.set_minor_locator(NullLocator())
                 for axis in (axes.xaxis, axes.yaxis):
-                    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                    log_ticks(axis)
             axes.grid(color=RULE, lw=0.5)
             axes.set_xlabel(f"response of sense {channel + 1}, V rms" if senses > 1 else "response, V rms")
         grid[0].set_ylabel("residual, σ rms")

@@ -8,7 +8,9 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from .style import WIDTH
 
@@ -18,6 +20,18 @@ Share = bool | Literal["none", "all", "row", "col"]
 def plain(text: str) -> str:
     """A name as it stands: dollars would make it a formula."""
     return text.replace("$", r"\$")
+
+
+def log_ticks(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis: 1, 2, 5 of every decade, decades alone over many, round steps within one."""
+    low, high = axis.get_view_interval()
+    ratio = high / max(low, 1e-300)
+    if ratio < 4.0:
+        axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 300.0 else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
 
 
 def panels(
