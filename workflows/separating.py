@@ -36,7 +36,6 @@ _LONGER_S = (10.0, 30.0)
 _GAIN = 2.0
 #: How often a level is lowered until the converter holds the answer.
 _LOWERED = 4
-_GRIDDED = {"force", "sense"}
 _GIVE_OUT = "give --out DIR to have the drive file"
 
 
@@ -99,8 +98,8 @@ class Proposal:
         """The lines for campaign.toml, and how to come by the record."""
         head = [
             f"# {self.text(written=True)}",
-            f"# Play the drive columns at {self.sample_rate_hz:g} Hz (hold {self.hold!r}) from rest, add the columns sense1_V, ..",
-            "# that were measured to the file, put it beside campaign.toml with the lines below, and diagnose again.",
+            f"# Play the drive columns at {self.sample_rate_hz:g} Hz (hold {self.hold!r}) from rest, add what was measured",
+            "# as columns sense1_V, .., put the file beside campaign.toml with the lines below, and diagnose again.",
         ]
         conditions = {"rate_dps": self.experiment.rate_dps, "bias_v": self.experiment.bias_v}
         return "\n".join(head) + "\n" + toml.table("[[record]]", {"file": self.file, "role": "fit", **conditions})
@@ -137,10 +136,12 @@ class _Member:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """An experiment at a level that the converter allows, and what it would tell (or a bound on it)."""
+    """An experiment at a level that the converter allows, what each member would answer (in sigmas), and what it would tell
+    (or a bound on it)."""
 
     experiment: Experiment
     record: Record
+    signals: tuple[FloatArray, ...]
     found: Separation
 
     @property
@@ -176,7 +177,7 @@ def separating_record(view: CampaignView, terms: Sequence[str], found: TermClass
             best = _best(view, members, [] if slower is None else [slower], best)
     if best is None:
         return None
-    if any(_GRIDDED & set(effect.stages) for m in members for effect in m.fitted.model.ordered_effects()):
+    if any(effect.force is not None for m in members for effect in m.fitted.model.ordered_effects()):
         best = _told(view, members, best, exact=True)
     hold = view.campaign.instrument.hold
     return Proposal(names, best.experiment, best.record.drive_v, best.record.sample_rate_hz, best.found, hold)
@@ -219,14 +220,18 @@ def _bounded(view: CampaignView, members: Sequence[_Member], experiment: Experim
             return None
     except ConfigError:
         return None
-    white = [_white(view, member, record, y[:, :, None])[:, 0] for member, y in zip(members, answers)]
-    found = separation([Prediction(m.term, s, m.chi2, m.known) for m, s in zip(members, white)])
-    return _Trial(experiment, record, found)
+    signals = tuple(_white(view, member, record, y[:, :, None])[:, 0] for member, y in zip(members, answers))
+    found = separation([Prediction(m.term, s, m.chi2, m.known) for m, s in zip(members, signals)])
+    return _Trial(experiment, record, signals, found)
 
 
 def _told(view: CampaignView, members: Sequence[_Member], trial: _Trial, exact: bool = False) -> _Trial:
     """What an experiment would tell with all parameters refitted."""
-    return replace(trial, found=separation([_prediction(view, m, trial.record, exact) for m in members]))
+    predictions = [
+        Prediction(m.term, signal, m.chi2, m.known, _columns(view, m, trial.record, exact))
+        for m, signal in zip(members, trial.signals)
+    ]
+    return replace(trial, found=separation(predictions))
 
 
 def _answer(campaign: Campaign, member: _Member, record: Record) -> FloatArray:
@@ -234,16 +239,16 @@ def _answer(campaign: Campaign, member: _Member, record: Record) -> FloatArray:
     return forward(model, values, record, campaign.instrument, angular_gain=campaign.angular_gain)
 
 
-def _prediction(view: CampaignView, member: _Member, record: Record, exact: bool) -> Prediction:
+def _columns(view: CampaignView, member: _Member, record: Record, exact: bool) -> FloatArray:
+    """(N S, P) what the parameters of a member's fit move in a new record, in sigmas."""
     fitted, campaign = member.fitted, view.campaign
     gain = campaign.angular_gain
     columns = jacobian(fitted.model, fitted.values, record, campaign.instrument, angular_gain=gain, exact=exact)
-    both = np.concatenate([columns, _answer(campaign, member, record)[:, :, None]], axis=2)
-    white, free = _white(view, member, record, both), columns.shape[2]
+    white, free = _white(view, member, record, columns), columns.shape[2]
     # Columns of the old rows beyond the free parameters are initial states of single records.
     wide = np.zeros((white.shape[0], member.known.shape[1]))
-    wide[:, :free] = np.linalg.solve(member.turn.T, white[:, :free].T).T
-    return Prediction(member.term, white[:, free], member.chi2, member.known, wide)
+    wide[:, :free] = np.linalg.solve(member.turn.T, white.T).T
+    return wide
 
 
 def _white(view: CampaignView, member: _Member, record: Record, y: FloatArray) -> FloatArray:
