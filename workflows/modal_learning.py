@@ -158,6 +158,7 @@ class ModalRefined:
         out["parameters"] = {name: list(value) for name, value in last.parameters.items()}
         out["relative_error"] = {"before": first.relative_error["fit"], "after": last.relative_error["fit"]}
         out["where"] = self.view.where(last)
+        out["candidates_left"] = _candidates(look(self.view, last, rules_for(self.view.record)))
         out["invisible"], out["declared"] = list(self.view.unseen), list(self.view.declared)
         return out
 
@@ -167,10 +168,13 @@ class ModalRefined:
             return {}
         seen = look(self.view, before, rules_for(self.view.record))
         own = next((score for score in seen.scores if score.name == rung.term), None)
-        rivals: list[dict[str, Any]] = [
-            {"effect": score.name, **_tested(seen, score)} for score in seen.scores if score.name != rung.term
-        ]
+        rivals = [one for one in _candidates(seen) if one["effect"] != rung.term]
         return {**({} if own is None else _tested(seen, own)), "rivals": rivals[:_RIVALS]}
+
+
+def _candidates(seen: Look) -> list[dict[str, Any]]:
+    """The absent terms that could act, most significant first."""
+    return [{"effect": score.name, **_tested(seen, score)} for score in seen.scores if score.detectable]
 
 
 def _tested(seen: Look, score: Score) -> dict[str, Any]:

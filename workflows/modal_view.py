@@ -7,6 +7,8 @@ Both in one unit, the relative sd r of a mode's entries: whoever finds residues 
 width (Cramer-Rao bound of a decaying exponential in white noise, one channel).  With declared ``sd`` a residue's rows are
 divided by it instead, and a pole's by sqrt 2 |Re p_m| rms(sd) / |c_m|_F; then the noise is known.
 
+With so few rows a declared noise gives error = sqrt(chi2 / degrees of freedom): 1.0 is explained, however many parameters.
+
 The plant's frequencies and damping ratios fit any poles, so poles weigh nothing until an effect ties the residues to them.
 
     relative_error^2 = 1/M sum_m |c_m - c_m(model)|^2 / |c_m|^2
@@ -160,7 +162,14 @@ class ModalView:
 
     def modes(self, values: Mapping[str, float]) -> ResonantModes:
         """What the model gives at ``values``; absent effects are at their null."""
-        return modelled_modes(self._all, self._all.complete(values), self.record, self.measured.poles)
+        known = self._all.complete({**self._held, **values})
+        return modelled_modes(self._all, known, self.record, self.measured.poles)
+
+    @cached_property
+    def _held(self) -> dict[str, float]:
+        """Parameters of terms that a fit does not move."""
+        scans = (item for term in self.terms for item in (term.scanned or {}).items())
+        return {name: tried[0] for name, tried in scans if len(tried) == 1}
 
     def _predict(self, values: Mapping[str, float]) -> tuple[FloatArray, ...]:
         try:
@@ -206,13 +215,19 @@ class ModalView:
             turn[names.index("f2_hz")], turn[names.index("f1_hz")] = 1.0, -1.0
             split = parameters["f2_hz"][0] - parameters["f1_hz"][0]
             derived["split_hz"] = (split, float(np.sqrt(max(float(turn @ self.covariance(fit) @ turn), 0.0))))
-        error = {"fit": self.relative_error(fit)}
-        return replace(fit, parameters=parameters, derived=derived, relative_error=error)
+        return replace(
+            fit,
+            parameters=parameters,
+            derived=derived,
+            error={"fit": float(np.sqrt(fit.chi2 / max(fit.dof, 1)))} if self.noise_known else {},
+            relative_error={"fit": self.relative_error(fit)},
+        )
 
     def covariance(self, fit: FitResult) -> FloatArray:
         """Of the free parameters (P, P)."""
         jacobian = fit.jacobian[0]
-        scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale[scale == 0.0] = 1.0
         gram = (jacobian / scale).T @ (jacobian / scale)
         return np.asarray(np.linalg.pinv(gram, hermitian=True) / np.outer(scale, scale) * self._level(fit) ** 2)
 
@@ -224,6 +239,10 @@ class ModalView:
         """(M,) sd of an entry's Re or Im, in units of its mode's norm."""
         mean = np.sqrt(np.mean(self._unit**2, axis=(1, 2, 3))) / self.norms
         return np.asarray(mean * self._level(fit))
+
+    def noise(self, fit: FitResult) -> tuple[FloatArray, FloatArray]:
+        """sd of R1 and R0 / w (M, 2, S, D) [1/s] and of Re p and Im p (M,) [rad/s]."""
+        return self._unit * self._level(fit), self._pole_unit * self._level(fit)
 
     def residuals(self, fit: FitResult) -> ComplexArray:
         """(M, S, D) measured less modelled c, each mode in units of its norm."""
@@ -241,7 +260,7 @@ class ModalView:
         own = {p.name: _values(fit).get(p.name, self._start[p.name]) for p in plant.built.parameters}
         bare = modelled_modes(plant, plant.complete(own), self.record, self.measured.poles)
         try:
-            return four_thetas(self.record, self.modes(_values(fit)).c - bare.c, self._unit * self._level(fit))
+            return four_thetas(self.record, self.modes(_values(fit)).c - bare.c, self.noise(fit)[0])
         except GyroscreenError:
             return None
 
@@ -300,7 +319,7 @@ class ModalView:
                     **region.labels,
                     "kind": "resonance",
                     "share": float(squared[place] / max(float(squared.sum()), 1e-300)),
-                    "error": float(np.sqrt(region.chi2 / 2.0)) if self.noise_known else None,
+                    "error": float(np.sqrt(region.chi2 / region.dof)) if self.noise_known else None,
                     "relative_error": float(np.abs(rest[place])),
                     "measured": [float((c / norm).real), float((c / norm).imag)],
                     "model": [float((model[place] / norm).real), float((model[place] / norm).imag)],

@@ -31,6 +31,9 @@ from ..experiment.system import Conditions, System, assemble
 from ..identification.failure import IdentificationError
 from ..identification.route import RouteResult, identify_modal
 
+#: Relative distance of poles that are one.
+_SAME = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class ResonantModes:
@@ -64,11 +67,14 @@ def conditions(record: ModalRecord) -> Conditions:
 
 
 def linear_modes(system: System) -> tuple[ComplexArray, ComplexArray]:
-    """Poles (n,) of the mechanics and residues (n, S, D) of what is seen behind the read-out."""
+    """Poles (n,) of the mechanics and residues (n, S, D) of what is seen behind the read-out; equal poles are one."""
     modes = modes_of(system.mechanics)
-    poles = modes.poles[0]
+    poles, own = modes.poles[0], modes.residues[0]
+    first = np.array([int(np.argmax(np.abs(poles - p) < _SAME * np.abs(p))) for p in poles])
+    kept = np.unique(first)
+    poles, own = poles[kept], np.stack([own[first == k].sum(axis=0) for k in kept])
     seen = system.readout.response(poles) * np.exp(-poles * system.readout.delay_s)[:, None, None]
-    return poles, np.asarray(seen @ modes.residues[0])
+    return poles, np.asarray(seen @ own)
 
 
 def modelled_modes(

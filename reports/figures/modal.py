@@ -13,6 +13,8 @@ from .states import AFTER, BEFORE
 from .style import ACCENT, INK, MUTED, RULE, style, to_svg
 
 _NAMES = ("u₁", "v₁", "u₂", "v₂")
+#: Of the names of entries [points], so that neighbours keep apart.
+_OFFSETS = ((9, 3), (9, -11), (-37, 3), (-37, -11))
 _MARKERS = ("s", "o", "D", "^")
 
 
@@ -46,7 +48,7 @@ def residues(entries: Sequence[Entry], name: str = "residues") -> str:
             own = [entry for entry in entries if entry.mode == mode]
             axes.axhline(0.0, color=RULE, lw=0.7, zorder=0)
             axes.axvline(0.0, color=RULE, lw=0.7, zorder=0)
-            for entry in own:
+            for entry, offset in zip(own, _OFFSETS * len(own)):
                 for model, colour in ((entry.before, BEFORE), (entry.after, AFTER)):
                     if model is None:
                         continue
@@ -55,7 +57,7 @@ def residues(entries: Sequence[Entry], name: str = "residues") -> str:
                     axes.plot(model.imag, model.real, "x", color=colour, ms=7, mew=1.6, zorder=4)
                 axes.plot(entry.measured.imag, entry.measured.real, "o", mec=INK, mfc="white", ms=7, zorder=3)
                 axes.annotate(
-                    plain(entry.name), (entry.measured.imag, entry.measured.real), xytext=(8, -3),
+                    plain(entry.name), (entry.measured.imag, entry.measured.real), xytext=offset,
                     textcoords="offset points", color=MUTED, fontsize=9.0,
                 )  # fmt: skip
             axes.set_title(f"mode {mode}, {own[0].frequency_hz:.1f} Hz")
