@@ -20,6 +20,8 @@ _WORDS = {
 }
 LIMITED = frozenset(NAMES)
 _HELD = "on records the fit had not seen"
+#: How a separating record begins that does not exist.
+NONE = "none with this instrument"
 
 
 @dataclass(frozen=True)
@@ -151,13 +153,15 @@ def standing_notes(
 ) -> tuple[str, ...]:
     """What the reader must know beside the two sentences of the head.
 
-    ``separating`` is the record that would separate the classes, "" where there is none, ``None`` where nobody asked.
+    ``separating`` is the record that would separate the classes, "" or ``NONE`` and why where there is none, ``None`` where
+    nobody asked.
     """
     notes = []
     for members in classes:
         if len(members) > 1:
             how = f" A record that would: {separating}." if separating else ""
-            how = " No record of this instrument would." if separating == "" else how
+            if separating is not None and (not separating or separating.startswith(NONE)):
+                how = f" No record of this instrument would{separating.removeprefix(NONE)}."
             notes.append(f"These records cannot tell {_one_of(members)} apart.{how}")
     for name, by in wrong_form.items():
         notes.append(

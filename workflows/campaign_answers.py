@@ -22,6 +22,7 @@ from .campaign_view import CampaignView
 from .campaign_where import by_kind, explained_by_kind, where_rest, where_rows, with_after
 from .learning_text import compare_text, diagnose_text, ladder_text
 from .modal_view import GAUGES
+from .separating import Proposal, proposals, separating_text
 
 
 class Answer(ABC):
@@ -150,10 +151,11 @@ class Comparison(Answer):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosed(Answer):
-    """What a model lacks on a campaign."""
+    """What a model lacks on a campaign; ``drive_files``: those of ``separating`` are being written."""
 
     view: CampaignView
     diagnosis: Diagnosis
+    drive_files: bool = False
 
     @property
     def verdict(self) -> str:
@@ -170,6 +172,12 @@ class Diagnosed(Answer):
         """Classes of more than one member."""
         return tuple(tuple(c.members) for c in self.diagnosis.classes if len(c.members) > 1)
 
+    @cached_property
+    def separating(self) -> tuple[Proposal, ...]:
+        """For every class the record that would separate it, or the best there is."""
+        fit = self.diagnosis.fit_after
+        return () if fit is None else proposals(self.view, fit.terms, self.diagnosis.classes)
+
     @property
     def candidates(self) -> pd.DataFrame:
         """One row an absent effect, the most significant first."""
@@ -177,7 +185,7 @@ class Diagnosed(Answer):
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON, DESIGN's keys."""
-        out = {"separating_record": None, **self.diagnosis.to_dict()}
+        out = {"separating_record": separating_text(self.separating, self.drive_files), **self.diagnosis.to_dict()}
         gauges = GAUGES if self.view.model.plant.kind == "gyro" else ()
         return {**out, "invisible": [*out["invisible"], *gauges]}
 
@@ -192,10 +200,11 @@ class Diagnosed(Answer):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Refined(Answer):
-    """The ladder of a campaign, with theta, split and the verdict on every rung."""
+    """The ladder of a campaign, with theta, split and the verdict on every rung; ``drive_files`` as in ``Diagnosed``."""
 
     view: CampaignView
     ladder: Ladder
+    drive_files: bool = False
 
     @property
     def verdict(self) -> str:
@@ -211,6 +220,11 @@ class Refined(Answer):
     def classes(self) -> tuple[tuple[str, ...], ...]:
         """Classes of more than one member."""
         return tuple(tuple(c.members) for c in self.ladder.classes if len(c.members) > 1)
+
+    @cached_property
+    def separating(self) -> tuple[Proposal, ...]:
+        """For every class the record that would separate it, or the best there is."""
+        return proposals(self.view, self.effects, self.ladder.classes)
 
     @property
     def before(self) -> CampaignFit:
@@ -251,6 +265,7 @@ class Refined(Answer):
         out: dict[str, Any] = self.ladder.to_dict()
         if self.verdict == "fit_failed" or not self.ladder.rungs:
             return out
+        out["separating_record"] = separating_text(self.separating, self.drive_files)
         first = self.comparison
         told = first.to_dict()
         ground = first.regions()

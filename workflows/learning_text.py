@@ -52,11 +52,15 @@ def diagnose_text(said: Said) -> list[str]:
         lines.append(f"  {c['effect']:24s} chi2 falls by {c['delta_chi2']:.4g}, p {number(c['p_value'])}; {size}")
     for name, how in said.get("wrong_form", {}).items():
         lines.append(f"right place, wrong form: the size of {name} disagrees by {how['by']}")
-    if said.get("separating_record"):
-        lines.append(f"a record that would separate them: {said['separating_record']}")
+    lines += _separating(said)
     if said.get("invisible"):
         lines.append(f"invisible here: {', '.join(said['invisible'])}")
     return lines
+
+
+def _separating(said: Said) -> list[str]:
+    record = said.get("separating_record")
+    return [f"a record that would separate them: {record}"] if record else []
 
 
 def _sd(sd: float | None) -> str:
@@ -92,6 +96,7 @@ def ladder_text(said: Said) -> list[str]:
             f"  {number(rung.get('error_validate')):>8s}   {'#' * length}"
         )
     lines.append(verdict_sentence(said["verdict"], said["effects"], said["classes"]))
+    lines += _separating(said)
     for name, how in said.get("wrong_form", {}).items():
         lines.append(f"right place, wrong form: the size of {name} disagrees by {how['by']}")
     theta, before = said.get("theta_deg"), said.get("theta_before_deg")

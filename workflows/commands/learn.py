@@ -34,6 +34,7 @@ from ..modal_learning import (
     diagnose_modal,
     refine_modal,
 )
+from ..separating import Proposal
 from .modal_text import modal_text
 
 
@@ -90,6 +91,13 @@ def _page(out: Path | None, name: str, page: str) -> Path | None:
     return out / name
 
 
+def _drive_files(found: Sequence[Proposal], out: Path | None) -> None:
+    """The records that would separate classes, ready to be played."""
+    if out is not None:
+        for proposal in found:
+            proposal.write(out)
+
+
 def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen compare --help``."""
     measured, base = read_measurement(path), _model(model, folders)
@@ -120,8 +128,9 @@ def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence
         _modal("diagnose", measured, base, out, folders, json)
         return
     campaign = _fitted(measured)
-    found = learning.diagnose(campaign, base)
+    found = replace(learning.diagnose(campaign, base), drive_files=out is not None)
     said = plain(found.to_dict())
+    _drive_files(found.separating, out)
     if out is not None and found.verdict != "fit_failed":
         first = learning.Comparison(found.view)
         page = render_campaign_report(
@@ -180,8 +189,9 @@ def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[P
         _modal("refine", measured, base, out, folders, json)
         return
     campaign = _fitted(measured)
-    found = learning.refine(campaign, base)
+    found = replace(learning.refine(campaign, base), drive_files=out is not None)
     said = plain(found.to_dict())
+    _drive_files(found.separating, out)
     page = _ladder_page(campaign, found, said, out, folders, None)
     if json:
         print(json_.dumps(said))
