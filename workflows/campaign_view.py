@@ -10,8 +10,9 @@ Shapes: N samples, S senses, F bins; rows of a block 2 F, columns S.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.fft import rfft
@@ -44,6 +45,8 @@ TOP_HZ = 2500.0
 _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 #: Share of a record made by forces and pick-off laws from which the plant's columns are computed with them.
 _STRONG = 0.1
+#: Room for the columns of signatures, enlarged where users bring more effects.
+_COLUMNS = 200
 #: Signatures are taken anew once the fitted records have moved by this share of themselves.
 _STALE = 0.05
 
@@ -101,10 +104,14 @@ class _Taken:
 
 
 class CampaignView:
-    """The ``Problem`` of one campaign; fits and signatures are kept, for they are asked for again."""
+    """The ``Problem`` of one campaign; fits and signatures are kept, for they are asked for again.
 
-    def __init__(self, campaign: Campaign, model: Model, noise: NoiseLevel) -> None:
+    ``threads`` of signatures are taken at once.
+    """
+
+    def __init__(self, campaign: Campaign, model: Model, noise: NoiseLevel, threads: int = 1) -> None:
         self.campaign = campaign
+        self.threads = threads
         self.noise = noise
         first = campaign.with_role("fit")[0]
         self.model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])
@@ -246,23 +253,24 @@ class CampaignView:
             max(float(np.max(np.abs(record.sense_v))) for record in self.records),
         )
         candidates: list[Candidate] = []
-        parts: list[list[FloatArray]] = [[] for _ in self.records]
+        sizes = [2 * s.bins.size * record.sense_v.shape[1] for s, record in zip(self.spectra, self.records)]
+        # By rows of memory: a column of a block is one run of it.  What is not written to takes no memory.
+        room = [np.empty((_COLUMNS, size)) for size in sizes]
         width = 0
-        for name in names:
-            found = signature_of(tangent, name)
-            if found is None:
-                continue
-            candidate, columns = found
-            cells = tuple(slice(c.start + width, c.stop + width) for c in candidate.cells)
-            candidates.append(replace(candidate, cells=cells))
-            for part, own in zip(parts, columns):
-                part.extend(own)
-            width += sum(own.shape[0] for own in columns[0])
-        # By rows of memory: a column of a block is one run of it.
-        blocks = tuple(
-            (np.concatenate(part) if part else np.zeros((0, 2 * s.bins.size * record.sense_v.shape[1]))).T
-            for part, s, record in zip(parts, self.spectra, self.records)
-        )
+        with ThreadPoolExecutor(self.threads) as pool:
+            for found in pool.map(partial(signature_of, tangent), names):
+                if found is None:
+                    continue
+                candidate, columns = found
+                cells = tuple(slice(c.start + width, c.stop + width) for c in candidate.cells)
+                candidates.append(replace(candidate, cells=cells))
+                more = sum(part.shape[0] for part in columns[0])
+                if width + more > room[0].shape[0]:
+                    room = [np.concatenate([old, np.empty((more + _COLUMNS, old.shape[1]))]) for old in room]
+                for block, own in zip(room, columns):
+                    np.concatenate(own, out=block[width : width + more])
+                width += more
+        blocks = tuple(block[:width].T for block in room)
         predicted = {r.name: r.predicted_v for r in fitted.of_role("fit")}
         grams = stratum_grams(blocks, self.strata)
         return _Taken(tuple(candidates), frozenset(names), blocks, grams, predicted)

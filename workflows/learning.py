@@ -19,13 +19,14 @@ from pipeline.experiment.record import Campaign
 
 from .campaign_answers import Comparison, Diagnosed, Refined
 from .campaign_view import CampaignView
+from .cluster import worker_count
 from .modal_learning import ModalComparison, ModalDiagnosed, ModalRefined, compare_modal, diagnose_modal, refine_modal
 
 __all__ = ["Comparison", "Diagnosed", "Refined", "compare", "diagnose", "refine", "view_of"]
 
 
-def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL) -> CampaignView:
-    """The campaign as the loop sees it.
+def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int = 0) -> CampaignView:
+    """The campaign as the loop sees it; ``threads`` (one a usable core where it is 0) take signatures at once.
 
     Raises
     ------
@@ -35,7 +36,7 @@ def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL) -> Campaig
         raise MeasurementError(
             "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
         )
-    return CampaignView(campaign, model, noise_level(campaign))
+    return CampaignView(campaign, model, noise_level(campaign), worker_count(threads))
 
 
 @overload

@@ -88,7 +88,12 @@ class Diagnosis:
 def diagnose(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Diagnosis:
     """Say what the model with these terms lacks; at most ``rules.together`` terms are named."""
     rules = rules or Rules()
-    climbed = climb(problem, terms, replace(rules, rungs=min(rules.rungs, rules.together)))
+    return as_diagnosis(problem, climb(problem, terms, replace(rules, rungs=min(rules.rungs, rules.together))), rules)
+
+
+def as_diagnosis(problem: Problem, climbed: Climb, rules: Rules | None = None) -> Diagnosis:
+    """A climb of at most ``rules.together`` steps, told as what the model lacked where it began."""
+    rules = rules or Rules()
     if not climbed.looks:
         fit = next(iter(climbed.fits.values()))
         return Diagnosis("fit_failed", (), (), {}, (), (), None, None, fit, None, {}, climbed.failed)
@@ -114,8 +119,12 @@ def diagnose(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None 
 
 def refine(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Ladder:
     """Climb from the model with these terms until nothing more is warranted."""
+    return as_ladder(problem, climb(problem, terms, rules), rules)
+
+
+def as_ladder(problem: Problem, climbed: Climb, rules: Rules | None = None) -> Ladder:
+    """A climb, told rung by rung."""
     rules = rules or Rules()
-    climbed = climb(problem, terms, rules)
     if not climbed.looks:
         return build(climbed, "fit_failed", (), {})
     found, said, wrong = _judge(problem, climbed, rules)

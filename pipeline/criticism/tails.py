@@ -1,6 +1,8 @@
 """Tails of chi-square and F in logarithms, where the plain functions have long been zero.
 
-chi2_k(t):  log P = -t/2 + (k/2 - 1) log(t/2) - log Gamma(k/2) + log(1 + (k/2 - 1)/(t/2) + ...)   for large t
+chi2_k(t):  h = t/2,  even k:  P = e^-h sum_{i < k/2} h^i / i!
+                       odd k:  P = erfc(sqrt h) + e^-h sum_{1 <= i <= (k-1)/2} h^(i - 1/2) / Gamma(i + 1/2)
+            many degrees of freedom:  log P = -h + (k/2 - 1) log h - log Gamma(k/2) + log(1 + (k/2 - 1)/h + ...)
 F(k, nu):   P = I_x(nu/2, k/2),  x = nu / (nu + k f)
 N trials:   P_N = 1 - (1 - P)^N
 """
@@ -8,23 +10,41 @@ N trials:   P_N = 1 - (1 - P)^N
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import betainc, betaln, gammaincc, gammaln
+from scipy.special import betainc, betaln, erfcx, gamma, gammaincc, gammaln
 from scipy.stats import norm
 
 from ..arrays import FloatArray
 
 _TINY = 1e-250
+#: Up to here a closed form, exact however far out.
+_FEW = 24
 
 
 def log_tail(statistic: FloatArray | float, k: int, dof: int | None = None) -> FloatArray:
     """log P of a statistic (...) that is chi2_k, or k F(k, dof) where ``dof`` is given."""
     t = np.maximum(np.asarray(statistic, dtype=np.float64), 0.0)
+    if dof is None and 0 < k <= _FEW:
+        return _log_chi2(t, k)
     plain = gammaincc(k / 2.0, t / 2.0) if dof is None else betainc(dof / 2.0, k / 2.0, dof / (dof + t))
     near = np.log(np.maximum(plain, _TINY))
     if np.all(plain > _TINY):
         return np.asarray(near)
     far = _log_chi2_far(np.maximum(t, 1.0), k) if dof is None else _log_f_far(t, k, dof)
     return np.asarray(np.where(plain > _TINY, near, np.minimum(far, np.log(_TINY))))
+
+
+def _log_chi2(t: FloatArray, k: int) -> FloatArray:
+    half = t / 2.0
+    if k % 2 == 0:
+        total = np.ones_like(half)
+        for i in range(k // 2 - 1, 0, -1):
+            total = 1.0 + total * half / i
+        return np.asarray(-half + np.log(total))
+    root = np.sqrt(half)
+    total = np.zeros_like(half)
+    for i in range((k - 1) // 2, 0, -1):
+        total = total * half + 1.0 / gamma(i + 0.5)
+    return np.asarray(-half + np.log(erfcx(root) + total * root))
 
 
 def _log_f_far(t: FloatArray, k: int, dof: int) -> FloatArray:

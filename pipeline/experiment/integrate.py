@@ -204,7 +204,7 @@ def _march_of(half_size: int) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         signature = types.void(types.UniTuple(types.int64, half_size), *_KERNEL)
-        return njit(signature, cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(_march)
+        return njit(signature, cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(_march)
 
 
 def trajectory(
@@ -306,7 +306,7 @@ def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArr
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _filter(
     z: ComplexArray,
     w: ComplexArray,

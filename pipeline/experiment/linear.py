@@ -72,7 +72,7 @@ def delay_steps(delay_s: float, step_s: float) -> tuple[int, float]:
     return (whole, 0.0) if rest < 1e-12 * step_s else (whole + 1, step_s - rest)
 
 
-@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
 def _states(
     z_re: FloatArray,
     z_im: FloatArray,

@@ -97,8 +97,7 @@ class Problem:
 
     def whiten(self, y: FloatArray, task: Task) -> FloatArray:
         """P y / sigma, y (.., N, S)."""
-        offset_alone = task.basis.shape[1] == 1
-        rest = y - (np.mean(y, axis=-2, keepdims=True) if offset_alone else task.basis @ (task.basis.T @ y))
+        rest = y - task.basis @ (task.basis.T @ y)
         rest /= self.sigma_v
         return np.asarray(rest)
 

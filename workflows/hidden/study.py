@@ -12,24 +12,26 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import dask
 from threadpoolctl import threadpool_limits
 
-from pipeline.criticism.loop import diagnose as examine_problem
-from pipeline.criticism.loop import refine as climb_problem
+from pipeline.criticism.climb import climb
+from pipeline.criticism.examine import Rules
+from pipeline.criticism.loop import as_diagnosis, as_ladder
+from pipeline.criticism.problem import Problem
 from pipeline.errors import GyroscreenError, UsageError
-from pipeline.experiment.record import Campaign
 
 from ..cluster import cluster, in_parallel, worker_count
-from ..learning import Diagnosed, Refined, diagnose, refine, view_of
+from ..learning import Diagnosed, Refined, view_of
 from .draw import KINDS, Hidden, hide
 from .narrowed import Narrowed
 
 #: Kinds whose campaigns are refined too.
 _REFINED = ("one", "two", "outside", "left-out")
 _CANDIDATES = 5
+_Found = TypeVar("_Found")
 #: A campaign with the signatures of all candidates is larger than a screening block; a worker is not to be killed for it.
 _MEMORY = {f"distributed.worker.memory.{what}": False for what in ("target", "spill", "pause", "terminate")}
 
@@ -84,36 +86,38 @@ def examine(hidden: Hidden) -> dict[str, Any]:
         "failed": "",
     }
     try:
-        row["diagnose"] = _timed(lambda: _diagnosed(diagnose_without(hidden.campaign, hidden.left_out).to_dict()))
-        if hidden.kind in _REFINED:
-            row["refine"] = _timed(lambda: _refined(refine_without(hidden.campaign, hidden.left_out).to_dict()))
+        row |= told(hidden)
     except (GyroscreenError, ArithmeticError, ValueError) as error:
         # A study outlives a campaign that cannot be run, and shows it.
         row["failed"] = f"{type(error).__name__}: {error}"
     return row
 
 
-def _timed(step: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def told(hidden: Hidden) -> dict[str, Any]:
+    """One climb, told as a diagnosis and, where the kind is refined, as a ladder; each with the time it takes by itself."""
+    view = view_of(hidden.campaign, threads=1)
+    problem: Problem = Narrowed(view, hidden.left_out) if hidden.left_out else view
+    climbed, begun = _timed(lambda: climb(problem))
+    short, again = climbed, begun
+    if len(climbed.steps) > Rules.together:
+        short, again = _timed(lambda: climb(problem, rules=Rules(rungs=Rules.together)))
+    diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
+    row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(again, own)}}
+    if hidden.kind in _REFINED:
+        ladder, own = _timed(lambda: as_ladder(problem, climbed))
+        row["refine"] = {**_refined(Refined(view, ladder).to_dict()), **_sum(begun, own)}
+    return row
+
+
+def _timed(step: Callable[[], _Found]) -> tuple[_Found, dict[str, float]]:
     """What ``step`` gives, and the time that it took: of the wall, and of the processor."""
     wall, cpu = time.perf_counter(), time.process_time()
     found = step()
-    return {**found, "seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
+    return found, {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
 
 
-def diagnose_without(campaign: Campaign, left_out: tuple[str, ...]) -> Diagnosed:
-    """``diagnose`` with a library that lacks ``left_out``."""
-    if not left_out:
-        return diagnose(campaign)
-    view = view_of(campaign)
-    return Diagnosed(view, examine_problem(Narrowed(view, left_out)))
-
-
-def refine_without(campaign: Campaign, left_out: tuple[str, ...]) -> Refined:
-    """``refine`` with a library that lacks ``left_out``."""
-    if not left_out:
-        return refine(campaign)
-    view = view_of(campaign)
-    return Refined(view, climb_problem(Narrowed(view, left_out)))
+def _sum(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    return {name: one[name] + other[name] for name in one}
 
 
 def _diagnosed(found: Mapping[str, Any]) -> dict[str, Any]:
