@@ -1,0 +1,78 @@
+"""The notebook page does what it says: its code runs as it stands, and the answers are frozen, print, and give tables."""
+
+import json
+import re
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from pipeline.experiment.campaign import write_campaign
+from workflows.simulate import campaign_config, simulate
+
+PAGE = Path(__file__).parents[2] / "docs" / "notebook.md"
+
+
+@pytest.fixture(scope="module")
+def notebook(tmp_path_factory):
+    """Names that the page's code leaves behind, run in a folder that holds a campaign."""
+    folder = tmp_path_factory.mktemp("notebook")
+    # A device that the shipped limits pass, and an effect that leaves no doubt.
+    device = {"f1_hz": 534.5, "split_hz": 1.9, "theta_deg": -33.0, "zeta1": 3.2e-4, "zeta2": 1.6e-4}
+    write_campaign(simulate(campaign_config(None), device, ["sense_nonlinearity"], 5).campaign, folder / "campaign")
+    code = re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
+    names: dict[str, object] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        exec(code, names)
+    return names
+
+
+def test_the_page_fits_one_screen():
+    assert len(PAGE.read_text(encoding="utf-8").splitlines()) <= 50
+
+
+def test_the_tables_say_what_was_missing_and_how_far_the_error_fell(notebook):
+    where, ladder = notebook["how_good"].where, notebook["better"].table
+    assert where.iloc[0]["kind"] == "harmonic"
+    assert where.iloc[0]["harmonic"] == 2
+    by_family = where.groupby("family")["share"].sum()
+    assert set(by_family.index) >= {"frequency", "time", "level", "record"}
+    assert (by_family <= 1.0 + 1e-9).all()
+    assert notebook["missing"].candidates.index[0] == "sense_nonlinearity"
+    assert ladder["effect"].tolist() == [None, "sense_nonlinearity"]
+    assert ladder["error_fit"].iloc[0] > 1.1 > 1.02 > ladder["error_fit"].iloc[-1]
+    assert ladder["theta_deg_sd"].gt(0.0).all()
+    assert ladder["split_hz"].iloc[-1] == pytest.approx(1.9, abs=1e-4)
+    parameters = notebook["better"].parameters
+    assert parameters.loc["f1_hz", "unit"] == "Hz"
+    assert parameters.loc["sense_nonlinearity.1/g", "sd"] > 0.0
+    assert isinstance(notebook["how_good"].records, pd.DataFrame)
+
+
+def test_a_model_that_does_not_explain_the_records_decides_nothing(notebook):
+    ladder = notebook["better"].table
+    assert ladder["verdict"].iloc[0] == "undecided"
+    assert ladder["verdict"].iloc[-1] == ladder["verdict_at_face"].iloc[-1] != "undecided"
+
+
+def test_what_was_there_before_is_told_beside_what_is_left(notebook):
+    regions = notebook["better"].where
+    first = regions.iloc[0]
+    assert first["error"] > 1.5
+    assert first["error_after"] == pytest.approx(1.0, abs=0.1)
+    assert first["explained"] > 0.9
+
+
+@pytest.mark.parametrize(("name", "says"), [
+    ("how_good", "harmonic of the drive"), ("missing", "sense_nonlinearity"), ("better", "confirmed"),
+])  # fmt: skip
+def test_answers_print_show_and_are_frozen(notebook, name, says):
+    answer = notebook[name]
+    assert says in str(answer)
+    assert repr(answer) == str(answer)
+    assert "<table" in answer._repr_html_()
+    assert json.loads(json.dumps(answer.to_dict()))
+    with pytest.raises(FrozenInstanceError):
+        answer.view = None
