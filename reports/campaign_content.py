@@ -105,9 +105,8 @@ def campaign_content(
     parameters = parameters_of(compare, found, library)
     by_name = {row.name: row for row in parameters}
     after = mapping(found.get("parameters")) or mapping(last_rung(found).get("parameters"))
-    verdict_words = (
-        verdicts or {"before": rungs[0].verdict, "after": last.verdict} if rungs and last else verdicts or {}
-    )
+    of_rungs = {"before": rungs[0].verdict, "after": last.verdict} if rungs and last is not None else {}
+    verdict_words = verdicts or of_rungs
     return CampaignContent(
         device_id=device_id,
         verdict=said,

@@ -190,6 +190,7 @@ def test_numbers_are_rounded_by_their_sd() -> None:
     assert measured(1234.5, 60.0) == "1234 ± 60"
     assert measured(3.167e-4, 2e-7) == "0.00031670 ± 0.00000020"
     assert number(2.2e-6, 2) == "2.2·10⁻⁶"
+    assert (number(6.2e-12, 1), number(7.0, 1)) == ("6·10⁻¹²", "7")
     assert measured(1.0, float("nan")) == "1.00000 ± ?"
     assert measured(float("nan"), 1.0) == "–"
     assert interval(0.99, 1.011, 0.0096) == "0.9900 to 1.0110"
