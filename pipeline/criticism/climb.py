@@ -58,10 +58,6 @@ class Climb:
         return self.looks[-1]
 
 
-#: Why a term is refused where the noise level is not known.
-UNSUPPORTED = "the noise level is not known and held-out data do not confirm it"
-
-
 def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Climb:
     """Add terms until nothing more is warranted; ``terms`` are in the model from the start and may be removed too."""
     rules = rules or Rules()
@@ -105,6 +101,9 @@ def _next(
         if not fit.ok or fit.chi2 > here.fit.chi2 * (1.0 + 1e-9):
             failures.append(score.name)
             continue
+        if score.name in fit.at_limit:
+            reasons[score.name] = "refitted, a parameter ran to the end of its range"
+            continue
         fall = here.fit.chi2 - fit.chi2
         if not _worth(fall, here, score.parameters, rules.alpha):
             reasons[score.name] = "refitted, chi2 fell too little"
@@ -114,7 +113,9 @@ def _next(
             reasons[score.name] = f"held-out chi2 rose by {-held.fall:.3g} +- {held.sd:.2g}"
             continue
         if _unsupported(fit, held):
-            reasons[score.name] = f"{UNSUPPORTED} (fall {held.fall:.3g} +- {held.sd:.2g})"
+            reasons[score.name] = (
+                f"held-out chi2 fell by {held.fall:.3g} +- {held.sd:.2g}: no support where no noise level is known"
+            )
             continue
         trials.append(Step(score.name, fit, fall, held))
     if trials:

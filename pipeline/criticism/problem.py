@@ -69,6 +69,7 @@ class FitResult:
     noise_known : false where the residuals are white up to an unknown common factor.
     noise_bounded : where it is unknown: the noise has at most unit variance, so chi2/dof well above 1 is a misfit.
     nuisances : free amplitudes that were projected out, counted in the degrees of freedom.
+    at_limit : terms of which a parameter ran to an end of its range that is not its null.
     error, relative_error : "fit" and "validate" as the problem defines them; rms of the residuals where left out.
     """
 
@@ -88,6 +89,7 @@ class FitResult:
     error: Mapping[str, float] = field(default_factory=dict)
     relative_error: Mapping[str, float] = field(default_factory=dict)
     noise_bounded: bool = False
+    at_limit: tuple[str, ...] = ()
 
     @property
     def chi2(self) -> float:
@@ -156,13 +158,13 @@ class Candidate:
 class LocalCandidate:
     """An absent term whose amplitudes are free in every block (lines of the mains).
 
-    For each grid point the fall of chi2, which is chi2 of ``dof`` where the term does nothing; ``reach`` is the fall that
+    For each grid point the fall of chi2, which is chi2 of ``dofs`` where the term does nothing; ``reach`` is the fall that
     could be expected of the strongest there may be.
     """
 
     name: str
     falls: tuple[float, ...]
-    dof: int
+    dofs: tuple[int, ...]
     grid: tuple[Mapping[str, float], ...] = ({},)
     reach: float = np.inf
 

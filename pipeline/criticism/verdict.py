@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from .classes import Rival, rivals
-from .climb import UNSUPPORTED, Climb, tail_of_fall
+from .climb import Climb, tail_of_fall
 from .examine import Rules
 from .problem import Problem
 
@@ -71,18 +71,16 @@ def verdict(climbed: Climb, found: tuple[TermClass, ...], rules: Rules) -> Verdi
     if climbed.failed or not climbed.looks:
         return "fit_failed"
     last = climbed.last
-    if any(not _doubted(climbed, score.name) for score in last.significant(rules.alpha)):
+    # F-tests take all that is left for white noise: without a noise level a term that its refit or the held-out data do not
+    # support is no evidence, what is left above the bound of the noise is.
+    doubted = () if last.fit.noise_known else climbed.refused
+    if any(score.name not in doubted for score in last.significant(rules.alpha)):
         return "unknown"
     if last.goodness.p_value < rules.alpha_left or (last.fit.noise_bounded and last.goodness.level > _PLAIN):
         return "unknown"
     if not found:
         return "adequate"
     return "class" if any(len(item.members) > 1 for item in found) else "effect"
-
-
-def _doubted(climbed: Climb, term: str) -> bool:
-    """Whether a term was refused for want of a noise level and of support by the held-out data."""
-    return climbed.refused.get(term, "").startswith(UNSUPPORTED)
 
 
 def misfit(error: float | None) -> float | None:
