@@ -10,8 +10,9 @@ from typing import Any
 
 import pandas as pd
 
+from pipeline.criticism.climb import Climb
 from pipeline.criticism.ladder import Ladder, Rung
-from pipeline.criticism.loop import Diagnosis
+from pipeline.criticism.loop import Diagnosis, as_diagnosis
 from pipeline.criticism.problem import Region
 from pipeline.inference.campaign_fit import CampaignFit
 
@@ -185,7 +186,11 @@ class Diagnosed(Answer):
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON, DESIGN's keys."""
-        out = {"separating_record": separating_text(self.separating, self.drive_files), **self.diagnosis.to_dict()}
+        return {"separating_record": separating_text(self.separating, self.drive_files), **self.told()}
+
+    def told(self) -> dict[str, Any]:
+        """The JSON without the search for a separating record; the gauges of a gyro are invisible to any record."""
+        out = self.diagnosis.to_dict()
         gauges = GAUGES if self.view.model.plant.kind == "gyro" else ()
         return {**out, "invisible": [*out["invisible"], *gauges]}
 
@@ -204,6 +209,7 @@ class Refined(Answer):
 
     view: CampaignView
     ladder: Ladder
+    climbed: Climb
     drive_files: bool = False
 
     @property
@@ -225,6 +231,17 @@ class Refined(Answer):
     def separating(self) -> tuple[Proposal, ...]:
         """For every class the record that would separate it, or the best there is."""
         return proposals(self.view, self.effects, self.ladder.classes)
+
+    @cached_property
+    def first_look(self) -> dict[str, Any]:
+        """Candidates at the first model and what no record could show, as in the JSON of a diagnosis."""
+        told = Diagnosed(self.view, as_diagnosis(self.view, self.climbed)).told()
+        return {key: told[key] for key in ("candidates", "invisible")}
+
+    @property
+    def candidates(self) -> pd.DataFrame:
+        """One row an effect that the first model lacks, the most significant first."""
+        return tables.candidates_table(self.first_look)
 
     @property
     def before(self) -> CampaignFit:

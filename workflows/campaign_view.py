@@ -30,10 +30,10 @@ from pipeline.criticism.problem import (
 from pipeline.criticism.projection import stratum_grams
 from pipeline.device.model import Model
 from pipeline.errors import GyroscreenError
-from pipeline.experiment.lines import lines_removed, without_lines
 from pipeline.experiment.noise_level import NoiseLevel
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
+from pipeline.inference.campaign_fit import CampaignFit, RecordFit, fit_campaign
+from pipeline.inference.campaign_free import free_shapes
 from pipeline.inference.campaign_problem import Problem
 
 from .campaign_plane import Plane, planes_of
@@ -199,10 +199,19 @@ class CampaignView:
             shifts=shifts,
             strata=self.strata,
             noise_known=known,
+            nuisances=sum(block.nuisances for block in blocks),
             error={k: v for k, v in fitted.error.items() if v is not None and known},
             relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
             noise_bounded=not known,
+            at_limit=tuple(term for term in terms if any(_ended(fitted, free[i]) for i in columns[term])),
         )
+
+    @staticmethod
+    def _spent(mine: RecordFit) -> int:
+        """Free amplitudes of a record beside its offsets, which are the bins at zero, and its initial state."""
+        samples, senses = mine.residual.shape
+        start = 0 if mine.start is None else mine.start.size
+        return samples * senses - mine.dof - senses - start
 
     def _starts(self, fitted: CampaignFit) -> list[FloatArray | None]:
         """Fitted initial states of the fit records; ``None`` for those that start at rest."""
@@ -217,7 +226,7 @@ class CampaignView:
             spectra_of(record)(mine.residual),
             labels_of(record, self.campaign),
             repeat=twins[0] if len(twins) > 1 else None,
-            nuisances=0,
+            nuisances=self._spent(mine),
         )
 
     def signatures(self, fit: FitResult) -> Signatures:
@@ -229,7 +238,7 @@ class CampaignView:
             taken = self._taken = self._take(fitted, names)
         candidates = tuple(c for c in taken.candidates if c.name in names)
         local = tuple(
-            self._lines(fitted, name) for name in fitted.model.candidates() if fitted.model.library[name].disturbance
+            self._free(fitted, name) for name in fitted.model.candidates() if fitted.model.library[name].disturbance
         )
         return Signatures(candidates, taken.blocks, local, taken.grams)
 
@@ -275,21 +284,21 @@ class CampaignView:
         grams = stratum_grams(blocks, self.strata)
         return _Taken(tuple(candidates), frozenset(names), blocks, grams, predicted)
 
-    def _lines(self, fitted: CampaignFit, name: str) -> LocalCandidate:
-        """Fall of chi2 that free lines bring, for 50 and 60 Hz."""
-        falls, dof = [], 0
-        grid = ({"f": 50.0}, {"f": 60.0})
-        for point in grid:
-            fall, spent = 0.0, 0
-            for record in self.records:
-                mine = next(r for r in fitted.records if r.name == record.name)
-                samples, senses = record.sense_v.shape
-                left = without_lines(mine.residual, record.sample_rate_hz, point["f"])
-                fall += float(np.sum(mine.residual**2) - np.sum(left**2))
-                spent += (lines_removed(samples, record.sample_rate_hz, point["f"]) - 1) * senses
-            falls.append(fall)
-            dof = max(dof, spent)
-        return LocalCandidate(name, tuple(falls), dof, grid)
+    def _free(self, fitted: CampaignFit, name: str) -> LocalCandidate:
+        """Fall of chi2 that a disturbance with free amplitudes brings."""
+        residuals = {r.name: r.residual for r in fitted.records}
+        shapes = free_shapes(
+            fitted.model.library[name],
+            fitted.model.built.shape,
+            [residuals[record.name] for record in self.records],
+            [record.sample_rate_hz for record in self.records],
+        )
+        return LocalCandidate(
+            name,
+            tuple(shape.fall for shape in shapes),
+            tuple(shape.dof for shape in shapes),
+            tuple({f"{name}.{k}": v for k, v in shape.point.items()} for shape in shapes),
+        )
 
     def probes(self, fit: FitResult) -> Signatures:
         """Shapes that almost any missing physics touches: powers, drifts and cross-talk of the model's own response."""
@@ -332,6 +341,13 @@ def _block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
         wide[:, first : first + part.shape[1]] = part
         out.append(wide)
     return out
+
+
+def _ended(fitted: CampaignFit, name: str) -> bool:
+    """Whether a parameter lies at an end of its range that is not its null."""
+    low, high = fitted.model.bounds(name)
+    value, null = fitted.values[name], fitted.model.by_name[name].null
+    return value in (low, high) and value != null
 
 
 def _is_quantity(term: str, name: str) -> bool:

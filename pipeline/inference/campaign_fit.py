@@ -27,6 +27,7 @@ from ..errors import ConfigError, MeasurementError
 from ..experiment.noise_level import NoiseLevel
 from ..experiment.record import Campaign, Role
 from .campaign_descend import CLOSE, FAINT, covariance_of, descend, point_at
+from .campaign_free import free_shapes
 from .campaign_problem import Problem, Task, Tasks
 from .campaign_scan import scan
 from .campaign_start import find_start
@@ -160,6 +161,21 @@ def _scanned(
     )
 
 
+def _shaped(
+    model: Model, effect: str, campaign: Campaign, sigma_v: FloatArray, begun: Mapping[str, float]
+) -> dict[str, float]:
+    """The shape of a disturbance (mains frequency, harmonics) that the residuals without it show best."""
+    smaller = model.without_effect(effect)
+    problem = Problem(smaller, campaign, sigma_v)
+    values = smaller.complete({name: value for name, value in begun.items() if name in smaller.by_name})
+    tasks = problem.tasks(campaign.with_role("fit"), values)
+    residuals = problem.residuals(values, tasks, (None,) * len(tasks.each))
+    found = model.effect(effect)
+    rates = [task.record.sample_rate_hz for task in tasks.each]
+    best = max(free_shapes(found, model.built.shape, residuals, rates), key=lambda shape: shape.worth)
+    return {found.full_name(m): best.point[m.name] for m in found.members(model.built.shape)}
+
+
 def fit_campaign(
     model: Model, campaign: Campaign, noise: NoiseLevel, start: Mapping[str, float] | None = None
 ) -> CampaignFit:
@@ -193,6 +209,10 @@ def fit_campaign(
         members = [m for m in effect.members(model.built.shape) if m.fitted]
         if any(m.grid for m in members) and not any(effect.full_name(m) in begun for m in members):
             begun |= _scanned(model, effect.name, campaign, sigma_v, begun)
+    for effect in model.ordered_effects():
+        members = effect.members(model.built.shape)
+        if effect.disturbance is not None and not any(effect.full_name(m) in begun for m in members):
+            begun |= _shaped(model, effect.name, campaign, sigma_v, begun)
     problem = Problem(model, campaign, sigma_v)
     values = model.complete(begun)
     tasks = problem.tasks(fitted, values)
