@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import overload
 
+from pipeline.criticism.climb import climb
+from pipeline.criticism.loop import as_ladder
 from pipeline.criticism.loop import diagnose as examine
-from pipeline.criticism.loop import refine as climb
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import MeasurementError
 from pipeline.experiment.modal_record import ModalRecord
@@ -73,4 +74,5 @@ def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODE
     if isinstance(campaign, ModalRecord):
         return refine_modal(campaign, model)
     view = view_of(campaign, model)
-    return Refined(view, climb(view))
+    climbed = climb(view)
+    return Refined(view, as_ladder(view, climbed), climbed)

@@ -49,7 +49,7 @@ def diagnose_text(said: Said) -> list[str]:
     lines = [verdict_sentence(said["verdict"], said["effects"], said["classes"])]
     for c in said["candidates"][:_SHOWN]:
         size = ", ".join(f"{k} = {v[0]:.4g} +- {_sd(v[1])}" for k, v in c["estimate"].items())
-        lines.append(f"  {c['effect']:24s} chi2 falls by {c['delta_chi2']:.4g}, p {number(c['p_value'])}; {size}")
+        lines.append(f"  {c['effect']:24s} chi2 falls by {c['delta_chi2']:.4g}, p {_p(c['p_value'])}; {size}")
     for name, how in said.get("wrong_form", {}).items():
         lines.append(f"right place, wrong form: the size of {name} disagrees by {how['by']}")
     lines += _separating(said)
@@ -61,6 +61,10 @@ def diagnose_text(said: Said) -> list[str]:
 def _separating(said: Said) -> list[str]:
     record = said.get("separating_record")
     return [f"a record that would separate them: {record}"] if record else []
+
+
+def _p(p_value: float | None) -> str:
+    return "unknown" if p_value is None else f"{p_value:.2g}" if p_value >= 1e-99 else "< 1e-99"
 
 
 def _sd(sd: float | None) -> str:

@@ -215,7 +215,7 @@ def _ladder_page(
     page = render_campaign_report(
         campaign.device_id,
         plain(first.to_dict()),
-        None,
+        plain(found.first_look),
         said,
         views(campaign, found.before),
         views(campaign, found.after),

@@ -105,7 +105,7 @@ def told(hidden: Hidden) -> dict[str, Any]:
     row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(again, own)}}
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, climbed))
-        row["refine"] = {**_refined(Refined(view, ladder).to_dict()), **_sum(begun, own)}
+        row["refine"] = {**_refined(Refined(view, ladder, climbed).to_dict()), **_sum(begun, own)}
     return row
 
 
