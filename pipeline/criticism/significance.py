@@ -160,11 +160,11 @@ def score_all(
             )
         )
     for other in local:
-        best = int(np.argmax(other.falls))
-        # Where the residual as a whole is above the noise, so may be its lines.
-        level = max(projected.chi2 / max(projected.dof, 1), 1.0 if known else 0.0)
-        log_p = float(log_any(log_tail(other.falls[best] / max(level, 1e-300), other.dof), len(other.falls)))
+        singles = [float(log_tail(fall, dof)) for fall, dof in zip(other.falls, other.dofs)]
+        best = int(np.argmin(singles))
+        log_p = float(log_any(singles[best], len(singles)))
         values = {name: (value, float("nan")) for name, value in other.grid[best].items()}
-        p_value, snr = null.p_family(log_p), float(np.sqrt(other.reach / max(level, 1e-300)))
-        scores.append(Score(other.name, other.falls[best], other.dof, values, log_p, p_value, 1.0, snr, snr >= WORTH))
+        p_value, snr = null.p_family(log_p), float(np.sqrt(other.reach))
+        fall, dof = other.falls[best], other.dofs[best]
+        scores.append(Score(other.name, fall, dof, values, log_p, p_value, 1.0, snr, snr >= WORTH))
     return tuple(sorted(scores, key=lambda score: (score.log_p_single, -score.delta_chi2))), null

@@ -48,15 +48,20 @@ def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | No
     """Variance (S,) of y (N, S) less offset, trend, harmonics of ``line_hz`` and any other narrow line; its dof."""
     samples = y.shape[0]
     basis = line_basis(samples, sample_rate_hz, line_hz, True)
-    power = np.abs(rfft((y - basis @ (basis.T @ y)) * np.hanning(samples)[:, None], axis=0)[1:]) ** 2
+    rest = y - basis @ (basis.T @ y)
+    power = np.abs(rfft(rest * np.hanning(samples)[:, None], axis=0)[1:]) ** 2
     reach = min(_NEIGHBOURS, power.shape[0] | 1)
     # A Hann window spreads a line over three bins whatever its frequency.
     level = median_filter(power, size=(reach, 1), mode="nearest") / np.log(2.0)
     line = maximum_filter1d(power > _LINE * level, size=5, axis=0)
+    free = samples - basis.shape[1]
+    if not line.any():
+        # Without lines every sample counts alike; a window would throw half of them away.
+        return np.sum(rest**2, axis=0) / max(free, 1), free
     kept = np.maximum(np.sum(~line, axis=0), 1)
     window = np.sum(np.hanning(samples) ** 2)
-    lost = samples / max(samples - basis.shape[1], 1)
-    return np.sum(np.where(line, 0.0, power), axis=0) / kept / window * lost, int(2 * kept.min())
+    variance = np.sum(np.where(line, 0.0, power), axis=0) / kept / window * samples / max(free, 1)
+    return variance, int(kept.min())
 
 
 def _silent(records: tuple[Record, ...], line_hz: float | None, adc: Adc | None) -> NoiseLevel:

@@ -15,7 +15,7 @@ Shapes: N samples, S senses, P free parameters, L nuisances a channel.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -210,9 +210,11 @@ def fit_campaign(
         if any(m.grid for m in members) and not any(effect.full_name(m) in begun for m in members):
             begun |= _scanned(model, effect.name, campaign, sigma_v, begun)
     for effect in model.ordered_effects():
-        members = effect.members(model.built.shape)
-        if effect.disturbance is not None and not any(effect.full_name(m) in begun for m in members):
-            begun |= _shaped(model, effect.name, campaign, sigma_v, begun)
+        shape = {effect.full_name(m) for m in effect.members(model.built.shape) if not m.fitted}
+        if effect.disturbance is not None and not shape <= begun.keys():
+            begun = _shaped(model, effect.name, campaign, sigma_v, begun) | begun
+        # What is not fitted stays as it was found.
+        model = replace(model, fixed={**model.fixed, **{name: begun[name] for name in shape if name in begun}})
     problem = Problem(model, campaign, sigma_v)
     values = model.complete(begun)
     tasks = problem.tasks(fitted, values)

@@ -11,16 +11,19 @@ from ..parameters import Parameter
 
 def disturbance(t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
     rate = (t.size - 1) / (t[-1] - t[0])
-    harmonics = np.arange(1, int(np.ceil(rate / 2.0 / p[0] - 1e-9)))
+    harmonics = np.arange(1, 1 + min(int(p[1]), int(np.ceil(rate / 2.0 / p[0] - 1e-9)) - 1))
     angle = 2.0 * np.pi * p[0] * t[:, None] * harmonics
     return np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
 
 
 EFFECT = Effect(
     name="mains_hum",
-    law="S += sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t), free in every channel and record, all h f below Nyquist",
+    law="S += sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t), free in every channel and record, h up to top",
     source="the paper, section 3.1 and figure 4 (multiples of 60 Hz)",
     signature="fixed lines, present in silence",
-    parameters=(Parameter("f", "Hz", 50.0, 60.0, "mains frequency", 60.0, grid=(50.0, 60.0), fitted=False),),
+    parameters=(
+        Parameter("f", "Hz", 50.0, 60.0, "mains frequency", 60.0, grid=(50.0, 60.0), fitted=False),
+        Parameter("top", "1", 1.0, 1e3, "highest harmonic", 16.0, grid=(1.0, 5.0, 16.0), fitted=False),
+    ),
     disturbance=disturbance,
 )

@@ -131,7 +131,7 @@ def test_it_grows_smoothly_from_the_null_with_its_signature_as_slope(effect: Eff
 def test_an_observable_moves(effect: Effect, larger: Model) -> None:
     if effect.disturbance is not None:
         t = np.arange(1000) / 10_000.0
-        basis = effect.disturbance(t, np.array([60.0]), Context(5.0, 5.0, {}))
+        basis = effect.disturbance(t, np.array([60.0, 16.0]), Context(5.0, 5.0, {}))
         assert np.allclose(np.linalg.norm(basis, axis=0) ** 2, 500.0, rtol=0.05)
         return
     values = _values(effect, larger, 1.0)

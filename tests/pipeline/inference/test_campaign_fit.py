@@ -101,15 +101,17 @@ def test_a_fit_with_the_right_effect_explains_everything_within_its_sd(effect: s
     assert abs(after.split_hz[0] - 1.9) < 4.5 * after.split_hz[1]
 
 
-def test_hum_is_refitted_and_counted_on_every_record() -> None:
+@pytest.mark.parametrize("mains", [50.0, 60.0])
+def test_hum_is_found_refitted_and_counted_on_every_record(mains: float) -> None:
     campaign = _campaign(DEFAULT_COMPARE_MODEL, PLANT, SIGMA)
     t = np.arange(10_000) / RATE
-    hum = np.stack([0.01 * np.cos(2 * np.pi * 60.0 * t + 1.0), 0.02 * np.cos(2 * np.pi * 180.0 * t)], axis=1)
+    hum = np.stack([0.01 * np.cos(2 * np.pi * mains * t + 1.0), 0.02 * np.cos(2 * np.pi * 3 * mains * t)], axis=1)
     campaign = replace(campaign, records=tuple(replace(r, sense_v=r.sense_v + hum) for r in campaign.records))
     model = DEFAULT_COMPARE_MODEL.with_effect("mains_hum")
     fit = fit_campaign(model, campaign, NOISE, PLANT)
-    # Offset, and cosine and sine of 83 harmonics of 60 Hz below 5 kHz, in each of two channels.
-    assert all(r.dof == 20_000 - 2 * (1 + 2 * 83) for r in fit.records)
+    assert (fit.values["mains_hum.f"], fit.values["mains_hum.top"]) == (mains, 5.0)
+    # Offset, and cosine and sine of five harmonics, in each of two channels.
+    assert all(r.dof == 20_000 - 2 * (1 + 2 * 5) for r in fit.records)
     assert abs(fit.chi2 - fit.dof) < 4.0 * np.sqrt(2.0 * fit.dof)
 
 

@@ -1,0 +1,78 @@
+"""Disturbances whose amplitudes are free in every record and channel: which of their shapes the residuals hold.
+
+    fall = sum over records, channels and columns of (q^T r)^2 / gamma,        dof = as many terms
+
+q are the columns of the disturbance, orthonormal; gamma, at least 1, is the level of the residual around the column's frequency:
+where the whole neighbourhood is too loud, the neighbourhood is what is wrong, not the line.
+Shapes: N samples, S senses, L columns; residuals in sigmas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+from scipy.fft import rfft
+
+from ..arrays import FloatArray, IntArray
+from ..device.effect import Context, Effect
+from ..device.parameters import Shape
+
+#: Bins on either side that tell the level around a line, and those nearest to it that are its own.
+_AROUND = 20
+_OWN = 2
+
+
+@dataclass(frozen=True)
+class Free:
+    """One shape of a disturbance: values of its parameters, the fall of chi2 that it brings, and at what cost."""
+
+    point: Mapping[str, float]
+    fall: float
+    dof: int
+
+    @property
+    def worth(self) -> float:
+        """The fall beyond what noise would give, and as much again: the larger, the better explained."""
+        return self.fall - 3.0 * self.dof
+
+
+@lru_cache(maxsize=32)
+def _columns(
+    effect: Effect, point: tuple[float, ...], samples: int, sample_rate_hz: float
+) -> tuple[FloatArray, IntArray]:
+    """Orthonormal columns (N, L) without offset, and the bin where each is strongest."""
+    assert effect.disturbance is not None
+    t = np.arange(samples) / sample_rate_hz
+    columns = effect.disturbance(t, np.array(point), Context(0.0, 0.0, {}))
+    q, _ = np.linalg.qr(columns - columns.mean(axis=0))
+    bins = np.array([int(np.argmax(np.abs(rfft(column)))) for column in q.T], dtype=np.int64)
+    q.setflags(write=False)
+    return q, bins
+
+
+def free_shapes(
+    effect: Effect, shape: Shape, residuals: Sequence[FloatArray], sample_rates_hz: Sequence[float]
+) -> tuple[Free, ...]:
+    """Every shape on the grid of a disturbance against residuals (N, S) of the fitted records."""
+    members = effect.members(shape)
+    spectra = [np.abs(rfft(r, axis=0)) ** 2 * (2.0 / r.shape[0]) for r in residuals]
+    # chi2 of two degrees of freedom a bin, so the running sum over bins tells the level.
+    sums = [np.concatenate([np.zeros((1, s.shape[1])), np.cumsum(s, axis=0)]) for s in spectra]
+    found = []
+    for at in product(*(member.grid or (member.null,) for member in members)):
+        fall, dof = 0.0, 0
+        for r, power, total, rate in zip(residuals, spectra, sums, sample_rates_hz):
+            q, bins = _columns(effect, at, r.shape[0], rate)
+            low, high = np.maximum(bins - _AROUND, 1), np.minimum(bins + _AROUND + 1, power.shape[0])
+            first, last = np.maximum(bins - _OWN, low), np.minimum(bins + _OWN + 1, high)
+            around = total[high] - total[low] - (total[last] - total[first])
+            count = 2.0 * ((high - low) - (last - first))
+            level = np.maximum(around / count[:, None], 1.0)
+            fall += float(np.sum((q.T @ r) ** 2 / level))
+            dof += q.shape[1] * r.shape[1]
+        found.append(Free({m.name: float(v) for m, v in zip(members, at)}, fall, dof))
+    return tuple(found)
