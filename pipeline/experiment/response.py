@@ -20,6 +20,9 @@ from .system import System
 
 Starts = Sequence[FloatArray | None]
 
+#: An interpolated drive steps finely already: two substeps leave 1e-6 of the record where the read-out has a pole.
+_INTERPOLATED_SUBSTEPS = 2
+
 
 def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
     """u (N, D): drive samples behind the drive stage."""
@@ -84,14 +87,15 @@ def _remainder(
     u = interpolated(force_volts(system, drive_v), clock)
     forces = [(effect.force, p) for effect, p in system.forces]
     begun = None if start is None else full_start(system, start)
-    linear, deviation = trajectory(m, forces, system.laws, u, clock.step_s, clock.hold, begun, substeps)
+    fine = min(substeps, _INTERPOLATED_SUBSTEPS) if clock.stride > 1 else substeps
+    linear, deviation = trajectory(m, forces, system.laws, u, clock.step_s, clock.hold, begun, fine)
     reads = np.concatenate([m.position_sense[0], m.velocity_sense[0]], axis=1)
     r = deviation @ reads.T
     if system.senses:
         n = m.stiffness.shape[1]
         state = linear + deviation
         x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ reads.T
-        t = np.arange(state.shape[0], dtype=np.float64) * (clock.step_s / substeps)
+        t = np.arange(state.shape[0], dtype=np.float64) * (clock.step_s / fine)
         seen = s
         for effect, p in system.senses:
             assert effect.sense is not None
@@ -99,7 +103,7 @@ def _remainder(
         r = r + (seen - s)
     q, g = upper_poles(system.readout)
     shift, late_s = delay_steps(system.readout.delay_s, clock.step_s)
-    y = filtered(q, g, system.readout.static, r, clock.step_s, late_s, substeps)
+    y = filtered(q, g, system.readout.static, r, clock.step_s, late_s, fine)
     return shifted(y, shift)[:: clock.stride]
 
 
