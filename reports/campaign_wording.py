@@ -128,7 +128,9 @@ def fall_sentence(fall: Fall, verdict: str) -> str:
     """How far the error fell, or where it stands; empty where it is not known."""
     before, after = error_words(fall.before, fall.relative), error_words(fall.after, fall.relative)
     if fall.before is not None and fall.after is not None:
-        if before == after or fall.after > fall.before:
+        if before == after:
+            return f"The {fall.what} stays at {after} {fall.where}."
+        if fall.after > fall.before:
             return f"The {fall.what} went from {before} to {after} {fall.where}."
         return f"The {fall.what} fell from {before} to {after} {fall.where}."
     if fall.before is None and fall.after is None:
@@ -176,10 +178,23 @@ def standing_notes(
         but = "not confirmed by the held-out ones" if held_out else "no record was held out"
         notes.append(f"Partial: {listed(doubted)} {are} significant on the fitted records, but {but}.")
     if verdict == "unknown" and left:
-        notes.append(f"What is left: {left}.")
+        notes.append(f"What is left: {left_words(left)}.")
     if verdict == "fit_failed" and why:
         notes.append(f"Why: {why}.")
     return tuple(notes)
+
+
+def left_words(left: str) -> str:
+    """The strongest structure that is left, "test: where", in words."""
+    test, _, where = left.partition(": ")
+    if test == "agreement":
+        what, _, partition = where.rpartition(" by ")
+        return f"{effect_words(what)} as fitted disagree between {_parts(partition)}"
+    if test == "repeat":
+        return f"what repeats of a drive have in common and the model has not ({where})"
+    if test == "probe":
+        return f"something that follows the response itself ({where})"
+    return f"more than noise in {where}" if test == "region" else left
 
 
 def _parts(partition: str) -> str:
@@ -230,7 +245,7 @@ def kind_words(kind: str, order: Any = None) -> str:
         return "the drive's own frequency" if order == 1 else f"{_ordinal(order)} harmonic of the drive"
     return {
         "line": "fixed line",
-        "broadband": "between and beyond",
+        "broadband": "between the resonances and beyond",
         "harmonic": "harmonic of the drive",
     }.get(kind, kind.replace("_", " "))
 
@@ -277,7 +292,7 @@ def region_words(region: Mapping[str, Any]) -> str:
         elif key == "response_v":
             parts.append(f"{span} V rms")
         elif key == "level":
-            parts.append(f"{span} of the largest")
+            parts.append("the largest level" if value == 1.0 else f"{span} of the largest level")
         elif key.endswith(("_hz", "_s", "_v")):
             stem, _, unit = key.rpartition("_")
             parts.append(f"{stem.replace('_', ' ')} {span} {unit.replace('hz', 'Hz').replace('v', 'V')}")
@@ -304,7 +319,9 @@ def noise_sentence(noise: Mapping[str, Any]) -> str:
     sigma = noise.get("sigma")
     given = list(sigma) if isinstance(sigma, Sequence) and not isinstance(sigma, str) else []
     words = ", ".join(
-        f"{1e3 * one:.3g}" for one in given if isinstance(one, int | float) and math.isfinite(one) and one > 0.0
+        f"{1e3 * one:#.3g}".rstrip(".")
+        for one in given
+        if isinstance(one, int | float) and math.isfinite(one) and one > 0.0
     )
     whence = str(noise.get("from") or "")
     if not words:

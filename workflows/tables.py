@@ -51,7 +51,7 @@ def ladder_table(said: Said) -> pd.DataFrame:
     """One row a rung, from the model as given upward: errors, fall of chi2, theta, split and verdict with that model."""
     rows = []
     for k, rung in enumerate(said.get("ladder", ())):
-        row = {"rung": k, "effect": rung.get("effect"), **{name: rung.get(name) for name in _RUNG}}
+        row = {"rung": k, "effect": rung.get("effect") or "", **{name: rung.get(name) for name in _RUNG}}
         for name, (value, sd) in rung.get("derived", {}).items():
             row |= {name: value, f"{name}_sd": sd}
         rows.append(row | {"verdict": rung.get("verdict"), "verdict_at_face": rung.get("verdict_at_face")})

@@ -22,6 +22,7 @@ from ..arrays import FloatArray
 from .agreement import agreement, partitions
 from .problem import FitResult, Region, Signatures
 from .projection import Baseline, project
+from .regions import place
 from .scores import cells_of, falls
 from .tails import log_any, log_tail, normal_log_tail
 
@@ -128,7 +129,7 @@ def _regions(regions: Sequence[Region]) -> Structure | None:
         for region, value, count in zip(own, energy / level, dof):
             # Scaled so that mean and variance are right: chi2 of dof / spread^2, times spread^2.
             log_p.append(float(log_tail(value / spread**2, max(round(count / spread**2), 1))))
-            where.append(f"{family} {dict(region.labels)}")
+            where.append(place(region))
     return _strongest("region", log_p, where)
 
 

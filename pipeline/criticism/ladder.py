@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+
 from .agreement import Agreement
 from .climb import Climb
 from .problem import FitResult
@@ -31,7 +33,7 @@ class Rung:
     error_fit, error_validate, relative_error : of this model; ``None`` where they cannot be given.
     delta_chi2 : fall of the fitted chi2 against the rung below.
     held_fall, held_sd : fall of the held-out chi2 and sd of the paired difference.
-    explained : share of the ground's excess chi2 that this model takes away.
+    explained : share of the ground's excess chi2 that this model takes away; ``None`` where the ground has none.
     dropped : members removed for this rung.
     parameters, derived : name -> (value, sd).
     """
@@ -45,7 +47,7 @@ class Rung:
     delta_chi2: float
     held_fall: float | None
     held_sd: float | None
-    explained: float
+    explained: float | None
     dropped: tuple[str, ...]
     parameters: Mapping[str, tuple[float, float]]
     derived: Mapping[str, tuple[float, float]]
@@ -120,12 +122,14 @@ def build(climbed: Climb, said: Verdict, found: tuple[TermClass, ...], wrong_for
     if not climbed.looks:
         return Ladder((), said, (), (), why=climbed.failed)
     ground = climbed.looks[0].fit
-    excess = max(ground.chi2 - ground.dof, 1e-300)
-    rungs = [_rung(ground, None, None, 0.0, (), 0.0)]
+    excess = ground.chi2 - ground.dof
+    # Within its own scatter an excess is nothing that could be explained.
+    some = ground.noise_known and excess > 2.0 * np.sqrt(2.0 * ground.dof)
+    rungs = [_rung(ground, None, None, 0.0, (), 0.0 if some else None)]
     for step in climbed.steps:
         confirmed = step.held.standing == "confirmed" and said != "unknown" and step.term not in wrong_form
         held = (step.held.fall, step.held.sd) if step.fit.held else None
-        share = min((ground.chi2 - step.fit.chi2) / excess, 1.0) if ground.noise_known else 0.0
+        share = min((ground.chi2 - step.fit.chi2) / excess, 1.0) if some else None
         status: Status = "confirmed" if confirmed else "partial"
         rungs.append(_rung(step.fit, step.term, status, step.delta_chi2, step.dropped, share, held))
     last = climbed.last
@@ -151,7 +155,7 @@ def _rung(
     status: Status | None,
     delta_chi2: float,
     dropped: tuple[str, ...],
-    share: float,
+    share: float | None,
     held: tuple[float, float] | None = None,
 ) -> Rung:
     return Rung(

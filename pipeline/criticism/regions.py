@@ -51,6 +51,21 @@ def where(regions: Sequence[Region], alpha: float = 0.003, noise_dof: float = np
     return tuple(sorted(found, key=lambda item: -item.share))
 
 
+def place(region: Region) -> str:
+    """Where a region lies, in plain words: family, then its labels."""
+    return f"{region.family}, " + ", ".join(_told(name, value) for name, value in region.labels.items())
+
+
+def _told(name: str, value: object) -> str:
+    stem, _, unit = name.rpartition("_")
+    units = {"hz": "Hz", "s": "s", "v": "V"}
+    if isinstance(value, list | tuple):
+        return " to ".join(f"{end:.5g}" for end in value) + f" {units.get(unit, '')}".rstrip()
+    if isinstance(value, float):
+        return f"{stem or name} {value:.5g}"
+    return str(value) if isinstance(value, str) else f"{name.replace('_', ' ')} {value}"
+
+
 def explained(
     before: Sequence[Region], after: Sequence[Region], alpha: float = 0.003
 ) -> tuple[tuple[Where, float], ...]:

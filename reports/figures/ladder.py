@@ -131,12 +131,11 @@ def _misfits(axes: Axes, points: Sequence[LadderPoint]) -> None:
     if known:
         axes.set_ylim(min(known) / 2.0, max([*known, 10.0 * min(known)]) * 2.0)
         if min(known) <= _LEAST:
-            axes.text(
-                0.996, 0.05, f"at the edge: {_LEAST:g} or less", transform=axes.transAxes, color=MUTED, fontsize=9, ha="right"
-            )  # fmt: skip
+            words = f"at the lower edge: {_LEAST:g} or less"
+            axes.text(0.996, 0.86, words, transform=axes.transAxes, color=MUTED, fontsize=9, ha="right")
     _bars(axes, points, [(_edged(a), _edged(b)) for a, b in misfits], axes.get_ylim()[0])
     log_ticks(axes.yaxis)
-    axes.set_ylabel("misfit √(error² − 1)")
+    axes.set_ylabel("misfit")
 
 
 def _edged(misfit: float | None) -> float | None:

@@ -41,7 +41,7 @@ def test_the_tables_say_what_was_missing_and_how_far_the_error_fell(notebook):
     assert set(by_family.index) >= {"frequency", "time", "level", "record"}
     assert (by_family <= 1.0 + 1e-9).all()
     assert notebook["missing"].candidates.index[0] == "sense_nonlinearity"
-    assert ladder["effect"].tolist() == [None, "sense_nonlinearity"]
+    assert ladder["effect"].tolist() == ["", "sense_nonlinearity"]
     assert ladder["error_fit"].iloc[0] > 1.1 > 1.02 > ladder["error_fit"].iloc[-1]
     assert ladder["theta_deg_sd"].gt(0.0).all()
     assert ladder["split_hz"].iloc[-1] == pytest.approx(1.9, abs=1e-4)
