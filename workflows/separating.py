@@ -21,6 +21,7 @@ from pipeline.errors import ConfigError, UsageError
 from pipeline.experiment.forward import forward, jacobian
 from pipeline.experiment.readers import write_columns
 from pipeline.experiment.record import Campaign, Record
+from pipeline.experiment.sensitivity import tuned_steps
 from pipeline.inference.campaign_fit import CampaignFit
 from pipeline.inference.campaign_problem import nuisance_columns
 
@@ -29,8 +30,8 @@ from .separating_experiments import Experiment, experiments, within
 
 #: SNR from which a record is said to separate, and from which the loop sees it surely and nothing longer is tried.
 LEAST, SURE = 5.0, 8.0
-#: From here on no better one is looked for.
-_PLENTY = 16.0
+#: From here on no better one is looked for; nor after so many with the largest bounds.
+_PLENTY, _MOST = 12.0, 8
 _LONGER_S = (10.0, 30.0)
 #: A slower sweep may gain more than the root of its duration, but hardly by more than this.
 _GAIN = 2.0
@@ -125,13 +126,14 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """The fit with one member in place, what the old records say of it, and d values / d coordinates."""
+    """The fit with one member in place, what the old records say of it, d values / d coordinates, and steps of differences."""
 
     term: str
     fitted: CampaignFit
     chi2: float
     known: FloatArray
     turn: FloatArray
+    steps: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +202,7 @@ def _best(
     view: CampaignView, members: Sequence[_Member], bounds: Sequence[_Trial], best: _Trial | None
 ) -> _Trial | None:
     """The best of some experiments and ``best``; those whose bound is no better need no derivatives."""
-    for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True):
+    for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:_MOST]:
         if best is not None and (bound.merit <= best.merit or best.found.least >= _PLENTY):
             break
         trial = _told(view, members, bound)
@@ -214,8 +216,10 @@ def _member(view: CampaignView, terms: Sequence[str], term: str, rival: str) -> 
     fit = view.fit(swapped, None if rival == term else view.fit(tuple(terms)))
     if not fit.ok:
         return None
-    fitted = view.campaign_fit(swapped)
-    return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.turn(fitted.x))
+    fitted, campaign = view.campaign_fit(swapped), view.campaign
+    plain = replace(campaign.with_role("fit")[0], at_rest=True)
+    steps = tuned_steps(fitted.model, fitted.values, plain, campaign.instrument, angular_gain=campaign.angular_gain)
+    return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.turn(fitted.x), steps)
 
 
 def _bounded(view: CampaignView, members: Sequence[_Member], experiment: Experiment) -> _Trial | None:
@@ -255,8 +259,15 @@ def _answer(campaign: Campaign, member: _Member, record: Record) -> FloatArray:
 def _columns(view: CampaignView, member: _Member, record: Record, exact: bool) -> FloatArray:
     """(N S, P) what the parameters of a member's fit move in a new record, in sigmas."""
     fitted, campaign = member.fitted, view.campaign
-    gain = campaign.angular_gain
-    columns = jacobian(fitted.model, fitted.values, record, campaign.instrument, angular_gain=gain, exact=exact)
+    columns = jacobian(
+        fitted.model,
+        fitted.values,
+        record,
+        campaign.instrument,
+        angular_gain=campaign.angular_gain,
+        exact=exact,
+        steps=member.steps,
+    )
     white, free = _white(view, member, record, columns), columns.shape[2]
     # Columns of the old rows beyond the free parameters are initial states of single records.
     wide = np.zeros((white.shape[0], member.known.shape[1]))
