@@ -34,6 +34,7 @@ from .campaign_rows import (
 )
 from .campaign_wording import Fall, fall_sentence, missing_sentence, noise_sentence, standing_notes
 from .content import Fact, facts
+from .wording import percent
 
 
 @dataclass(frozen=True)
@@ -105,14 +106,16 @@ def campaign_content(
     parameters = parameters_of(compare, found, library)
     by_name = {row.name: row for row in parameters}
     after = mapping(found.get("parameters")) or mapping(last_rung(found).get("parameters"))
-    of_rungs = {"before": rungs[0].verdict, "after": last.verdict} if rungs and last is not None else {}
+    kinds = kinds_of(compare, found)
+    of_rungs = {"before": rungs[0].verdict, "after": last.verdict if last and climbed else ""} if rungs else {}
     verdict_words = verdicts or of_rungs
     return CampaignContent(
         device_id=device_id,
         verdict=said,
         missing=missing_sentence(said, effects, classes, bool(refine), climbed),
         fell=fall_sentence(shown, said),
-        notes=standing_notes(
+        notes=_place_note(kinds)
+        + standing_notes(
             said,
             classes,
             {one.effect: one.status for one in rungs if one.effect in effects},
@@ -131,7 +134,7 @@ def campaign_content(
         verdicts=(str(verdict_words.get("before", "")), str(verdict_words.get("after", ""))),
         rungs=rungs,
         refused=tuple((str(name), str(why)) for name, why in mapping(found.get("refused")).items()),
-        kinds=kinds_of(compare, found),
+        kinds=kinds,
         regions=regions_of(compare, found),
         noise=noise_sentence(mapping(compare.get("noise"))),
         candidates=candidates_of(told, effects, classes, library),
@@ -162,3 +165,10 @@ def _relative(compare: Json, rungs: Sequence[Rung], last: Rung | None) -> Fall:
     if after is None and held is not None:
         return Fall(held, None, True, relative=True)
     return Fall(before, after, False, relative=True)
+
+
+def _place_note(kinds: Sequence[Region]) -> tuple[str, ...]:
+    """Where most of the misfit lies, for the head."""
+    if not kinds:
+        return ()
+    return (f"Where the model as given fails: {percent(kinds[0].share)} of its misfit is in {kinds[0].place}.",)

@@ -164,7 +164,7 @@ def standing_notes(
             how = f" A record that would: {separating}." if separating else ""
             if separating is not None and (not separating or separating.startswith(NONE)):
                 how = f" No record of this instrument would{separating.removeprefix(NONE)}."
-            notes.append(f"These records cannot tell {_one_of(members)} apart.{how}")
+            notes.append(f"These records cannot tell {listed([effect_words(one) for one in members])} apart.{how}")
     for name, by in wrong_form.items():
         notes.append(
             f"Right place, wrong form: the size of {effect_words(name)} disagrees"
