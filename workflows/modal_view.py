@@ -52,8 +52,11 @@ GAUGES = (
 POLE_WEIGHT = float(np.sqrt(2.0))
 #: Steps of differences are 1e-5 of this many scales of a parameter.
 _SCALES = 100.0
-#: Rows that move less for a step of one scale do not see the effect.
+#: Residues and poles that move by a smaller share for a step of one scale do not see the effect.
 _NOTHING = 1e-9
+#: Of the way to the edge of what can be.
+_BISECTIONS = 24
+_INSIDE = 0.9
 _ANGLES = (-90.0, -45.0, 0.0, 45.0, 90.0)
 
 
@@ -112,7 +115,11 @@ class ModalView:
             there = modelled_modes(larger, trial, self.record, self.measured.poles)
         except ConfigError:
             return None
-        if np.max(np.abs(self._rows(there) - self._rows(self._here))) < _NOTHING:
+        moved = (
+            np.abs(there.c - self._here.c).max() / self.norms.max(),
+            np.abs(there.poles / self._here.poles - 1.0).max(),
+        )
+        if max(moved) < _NOTHING:
             return None
         if np.any(there.present != self._here.present):
             scanned = {name: self._of_lacking(name, tried) for name, tried in scanned.items()}
@@ -175,7 +182,36 @@ class ModalView:
         try:
             return (self._rows(self.modes(values)),)
         except ConfigError:
-            return (np.full((self._rows(self.measured).size, 1), np.nan),)
+            return (self._rows(self.modes(self._possible(values))),)
+
+    def _possible(self, values: Mapping[str, float]) -> dict[str, float]:
+        """``values``, or where no device has them the last possible ones on the way from the effects' nulls.
+
+        So a fit slides along the edge (abs(c12) <= sqrt(c11 c22)) instead of being stopped by it.
+        """
+        inside, outside = 0.0, 1.0
+        nulls = {name: self._all.by_name[name].null for name in values if name not in self._plant_names}
+
+        def at(share: float) -> dict[str, float]:
+            return {**values, **{name: null + share * (values[name] - null) for name, null in nulls.items()}}
+
+        if self._exists(values):
+            return dict(values)
+        for _ in range(_BISECTIONS):
+            middle = (inside + outside) / 2.0
+            inside, outside = (middle, outside) if self._exists(at(middle)) else (inside, middle)
+        return at(inside)
+
+    def _exists(self, values: Mapping[str, float]) -> bool:
+        try:
+            self.modes(values)
+        except ConfigError:
+            return False
+        return True
+
+    @cached_property
+    def _plant_names(self) -> frozenset[str]:
+        return frozenset(p.name for p in self.model.built.parameters)
 
     @cached_property
     def _problem(self) -> Regression:
@@ -185,27 +221,48 @@ class ModalView:
             (Block(self.record.name, self._rows(self.measured)),),
             {name: self._start[name] for name in self.model.free},
             self.terms,
-            scale={name: _SCALES * p.scale for name, p in known.items()},
+            scale={name: self._size(name, p) for name, p in known.items()},
             noise_known=self.noise_known,
             limits={name: (p.low, p.high) for name, p in known.items() if p.unit != "deg"},
         )
+
+    def _size(self, name: str, parameter: Parameter) -> float:
+        """The unit of a parameter's steps; a damping ratio's is its own size, for less than none does not exist."""
+        if name not in self._plant_names:
+            return _SCALES * parameter.scale
+        return abs(self._start[name]) if name.startswith("zeta") else max(abs(self._start[name]), 1e-2)
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
         """Least squares of the model with these terms."""
         key = frozenset(terms)
         if key not in self._fits:
             try:
-                self._fits[key] = self._told(self._problem.fit(terms, start))
+                self._fits[key] = self._told(self._best(terms, start))
             except (GyroscreenError, np.linalg.LinAlgError) as error:
                 return FitResult(False, terms, {}, (), (), why=str(error))
         return self._fits[key]
+
+    def _best(self, terms: tuple[str, ...], start: FitResult | None) -> FitResult:
+        """A fit that ends beyond the edge may have jumped over a minimum: a second one begins inside."""
+        found = self._problem.fit(terms, start)
+        values = _values(found)
+        possible = self._possible(values) if found.jacobian else values
+        if possible == values:
+            return found
+        inside = {name: (v if name in self._plant_names else _INSIDE * v, np.nan) for name, v in possible.items()}
+        again = self._problem.fit(terms, replace(found, parameters=inside))
+        return again if again.ok and again.chi2 < found.chi2 else found
 
     def _told(self, fit: FitResult) -> FitResult:
         """The fit with theta as an axis, theta and split with their sd, and the error of residues at resonance."""
         if not fit.jacobian:
             return fit
-        parameters = dict(fit.parameters)
-        derived = {}
+        # Beyond the edge of what can be, the last possible value stands, without an sd.
+        possible = self._possible(_values(fit))
+        parameters = {
+            n: (v, sd) if v == possible[n] else (possible[n], np.nan) for n, (v, sd) in fit.parameters.items()
+        }
+        fit, derived = replace(fit, parameters=parameters), {}
         if "theta_deg" in parameters:
             value, sd = parameters["theta_deg"]
             parameters["theta_deg"] = derived["theta_deg"] = (float(wrap(value)), sd)

@@ -43,7 +43,7 @@ class Regression:
 
     Parameters
     ----------
-    predict : parameters -> one array (n_b, m_b) a block, the held-out blocks last; not finite where no such thing can be.
+    predict : parameters -> one array (n_b, m_b) a block, the held-out blocks last.
     measured : the blocks in the same order, residual replaced by what was measured in units of its sd.
     baseline : parameter -> start value.
     terms : the library.
@@ -203,17 +203,12 @@ class Regression:
         for name in names:
             step = 1e-5 * max(abs(at[name]), (self.scale or {}).get(name, 1.0))
             above, below = self.predict({**at, name: at[name] + step}), self.predict({**at, name: at[name] - step})
-            for block, up, down, here in zip(columns, above, below, self._between(at, above, below)):
-                block.append(_slope(up, down, here, step).reshape(-1))
+            for block, up, down in zip(columns, above, below):
+                block.append(((up - down) / (2.0 * step)).reshape(-1))
         return [
             np.stack(block, axis=1) if block else np.zeros((old.residual.size, 0))
             for block, old in zip(columns, self.measured)
         ]
-
-    def _between(self, at: Values, above: Sequence[FloatArray], below: Sequence[FloatArray]) -> Sequence[FloatArray]:
-        """The prediction itself, where a step to one side leaves what is possible."""
-        inside = all(bool(np.all(np.isfinite(up + down))) for up, down in zip(above, below))
-        return above if inside else self.predict(at)
 
     def _bounds(self, chosen: Sequence[Term], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         sides = {p.name: (p.side, p.null) for term in chosen for p in term.parameters}
@@ -254,13 +249,6 @@ def _all_names(term: Term) -> list[str]:
         *(p.name for p in term.parameters),
         *(name for name, tried in (term.scanned or {}).items() if len(tried) > 1),
     ]
-
-
-def _slope(above: FloatArray, below: FloatArray, here: FloatArray, step: float) -> FloatArray:
-    """Central difference; one-sided at the edge of what is possible."""
-    if np.all(np.isfinite(above)) and np.all(np.isfinite(below)):
-        return np.asarray((above - below) / (2.0 * step))
-    return np.asarray((above - here) / step if np.all(np.isfinite(above)) else (here - below) / step)
 
 
 def _grid(term: Term) -> list[dict[str, float]]:

@@ -79,3 +79,32 @@ def test_the_baseline_alone_is_fitted_to_its_truth() -> None:
         value, sd = fit.parameters[name]
         assert abs(value - truth) < 4.0 * sd
     assert fit.chi2 == pytest.approx(fit.dof, abs=4.0 * np.sqrt(2.0 * fit.dof))
+
+
+_SLOPE = np.linspace(-1.0, 1.0, 20)[:, None]
+
+
+def test_a_fit_stays_inside_its_limits_and_fits_the_rest() -> None:
+    def predict(p: Mapping[str, float]) -> list[FloatArray]:
+        return [p["a"] + p["b"] * _SLOPE]
+
+    fit = Regression(
+        predict, (Block("y", 1.0 + 2.0 * _SLOPE),), {"a": 0.2, "b": 0.0}, (), limits={"a": (-5.0, 0.4)}
+    ).fit(())
+    assert fit.ok
+    assert fit.parameters["a"][0] == pytest.approx(0.4, abs=1e-6)
+    assert fit.parameters["b"][0] == pytest.approx(2.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-4])
+def test_with_an_unknown_noise_level_units_change_nothing(unit: float) -> None:
+    """A member that is needed stays, however small the rows are."""
+    rng = np.random.default_rng(6)
+    truth = _SLOPE + 0.3 * _SLOPE**2 + 0.2 * _SLOPE**3 + 0.02 * rng.standard_normal(_SLOPE.shape)
+
+    def predict(p: Mapping[str, float]) -> list[FloatArray]:
+        return [unit * (p["a"] * _SLOPE + p["square"] * _SLOPE**2 + p["cube"] * _SLOPE**3)]
+
+    terms = (Term("square", (TermParameter("square"),)), Term("cube", (TermParameter("cube"),)))
+    problem = Regression(predict, (Block("y", unit * truth),), {"a": 1.0}, terms, noise_known=False)
+    assert set(refine(problem, rules=Rules(alpha=0.05, draws=2000)).terms) == {"square", "cube"}
