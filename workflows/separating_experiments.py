@@ -179,11 +179,15 @@ def _sweeps(low: float, high: float, level: float, duration: float, drives: int)
         chirp(f"{band}, {odd} down and {even} up", [not up for up in cross], [1.0] * drives),
     ]
     for up in (True, False):
-        found += [one(up, ", drives in phase", [1.0] * drives), one(up, ", drives opposite in sign", signs)]
+        found += [one(up, _in_phase(drives), [1.0] * drives), one(up, ", drives opposite in sign", signs)]
         found += [
             one(up, f", drive {k + 1} alone", [1.0 if k == d else 0.0 for d in range(drives)]) for k in range(drives)
         ]
     return found
+
+
+def _in_phase(drives: int) -> str:
+    return ", drives in phase" if drives > 1 else ""
 
 
 def _wide(campaign: Campaign, level: float, duration: float, drives: int) -> list[Experiment]:
@@ -192,7 +196,9 @@ def _wide(campaign: Campaign, level: float, duration: float, drives: int) -> lis
         return []
     band, all_ = f"{_LOWEST_HZ:g} to {top:g} Hz", (level,) * drives
     return [
-        Experiment(f"wide chirp {band}", Chirp((_LOWEST_HZ,) * drives, (top,) * drives, all_, duration)),
+        Experiment(
+            f"wide chirp {band}{_in_phase(drives)}", Chirp((_LOWEST_HZ,) * drives, (top,) * drives, all_, duration)
+        ),
         Experiment(f"random-phase multisine {band}", Multisine(_LOWEST_HZ, top, all_, duration, duration)),
     ]
 
@@ -204,7 +210,9 @@ def _resonant(lines: Sequence[float], level: float, duration: float, drives: int
     low, high = max(round(lines[0] - _MARGIN_HZ), 1.0), float(round(lines[-1] + _MARGIN_HZ))
     all_ = (level,) * drives
     ends = ((low,) * drives, (high,) * drives)
-    found = [Experiment(f"chirp {low:g} to {high:g} Hz, drives in phase", Chirp(*ends, all_, duration))]
+    found = [Experiment(f"chirp {low:g} to {high:g} Hz{_in_phase(drives)}", Chirp(*ends, all_, duration))]
     for f in (round(line, 2) for line in lines[:3]):
-        found.append(Experiment(f"dwell on {f:.2f} Hz", Chirp((f,) * drives, (f,) * drives, all_, duration)))
+        found.append(
+            Experiment(f"dwell on {f:.2f} Hz{_in_phase(drives)}", Chirp((f,) * drives, (f,) * drives, all_, duration))
+        )
     return found

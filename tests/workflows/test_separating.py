@@ -92,6 +92,14 @@ def test_bias_and_rate_are_varied_where_a_member_depends_on_them(drifting):
     assert {one.rate_dps for one in offered("offdiagonal_damping", "angular_rate")} == {None, 0.0, 100.0}
 
 
+def test_a_device_with_one_drive_is_offered_one_drive(drifting):
+    _, view, _, _ = drifting
+    single = tuple(replace(r, drive_v=r.drive_v[:, :1], sense_v=r.sense_v[:, :1]) for r in view.campaign.records)
+    offered = experiments(replace(view.campaign, records=single), view.model, {"f1_hz": 535.0}, ("gain_drift",))
+    assert {one.record(view.campaign).drive_v.shape[1] for one in offered} == {1}
+    assert not any("drive" in one.shape for one in offered)
+
+
 def test_a_delay_and_a_pole_are_told_apart_by_no_record_of_this_instrument(tmp_path):
     _, campaign = one_chirp("loop_delay:tau=1e-6")
     view = view_of(campaign)
