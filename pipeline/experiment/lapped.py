@@ -24,7 +24,7 @@ def block_size(samples: int) -> int:
 
 def bin_frequencies(size: int, sample_rate_hz: float) -> FloatArray:
     """(M,) centres [Hz] of the bins."""
-    return (np.arange(size) + 0.5) * sample_rate_hz / (2.0 * size)
+    return np.asarray((np.arange(size) + 0.5) * sample_rate_hz / (2.0 * size), dtype=np.float64)
 
 
 def lapped(y: FloatArray, size: int) -> FloatArray:
