@@ -192,7 +192,8 @@ def separating_record(view: CampaignView, terms: Sequence[str], found: TermClass
             best = _best(view, members, [] if slower is None else [slower], best)
     if best is None:
         return None
-    if any(effect.force is not None for m in members for effect in m.fitted.model.ordered_effects()):
+    forces = any(effect.force is not None for m in members for effect in m.fitted.model.ordered_effects())
+    if forces and best.found.least < _PLENTY:
         best = _told(view, members, best, exact=True)
     hold = view.campaign.instrument.hold
     return Proposal(names, best.experiment, best.record.drive_v, best.record.sample_rate_hz, best.found, hold)

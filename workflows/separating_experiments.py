@@ -5,7 +5,7 @@ response   predicted, below full scale of the converter (the level is lowered to
 band       up to 0.9 of the anti-alias corner, and to where the loop looks
 clock      sample rate and hold of the campaign
 
-The shapes are those of the paper's chirp: sweeps of every drive up or down, together, against one another, crossed or alone, at
+The shapes are those of the paper's chirp: sweeps, the drives crossed, together up or down, against one another or alone, at
 a lower level; slow ones around the resonances, wide ones, noise of random phases, dwelling on resonances; another bias or a
 known rate where an effect depends on them.
 """
@@ -158,7 +158,7 @@ def _band(driven: Sequence[Record]) -> tuple[float, float]:
 
 
 def _sweeps(low: float, high: float, level: float, duration: float, drives: int) -> list[Experiment]:
-    """Up and down, the drives crossed, together, against one another and alone."""
+    """The drives crossed, together up and down, against one another and alone."""
 
     def chirp(shape: str, ups: Sequence[bool], factors: Sequence[float]) -> Experiment:
         start, stop = tuple(low if up else high for up in ups), tuple(high if up else low for up in ups)
@@ -178,11 +178,10 @@ def _sweeps(low: float, high: float, level: float, duration: float, drives: int)
         chirp(f"{band}, {odd} up and {even} down", cross, [1.0] * drives),
         chirp(f"{band}, {odd} down and {even} up", [not up for up in cross], [1.0] * drives),
     ]
-    for up in (True, False):
-        found += [one(up, _in_phase(drives), [1.0] * drives), one(up, ", drives opposite in sign", signs)]
-        found += [
-            one(up, f", drive {k + 1} alone", [1.0 if k == d else 0.0 for d in range(drives)]) for k in range(drives)
-        ]
+    found += [one(up, _in_phase(drives), [1.0] * drives) for up in (True, False)]
+    found.append(one(True, ", drives opposite in sign", signs))
+    alone = [[1.0 if k == d else 0.0 for d in range(drives)] for k in range(drives)]
+    found += [one(True, f", drive {k + 1} alone", factors) for k, factors in enumerate(alone)]
     return found
 
 
