@@ -104,6 +104,9 @@ def _next(
         if score.name in fit.at_limit:
             reasons[score.name] = "refitted, a parameter ran to the end of its range"
             continue
+        if not _told_from_null(fit, score.name):
+            reasons[score.name] = "refitted, its size cannot be told from none"
+            continue
         fall = here.fit.chi2 - fit.chi2
         if not _worth(fall, here, score.parameters, rules.alpha):
             reasons[score.name] = "refitted, chi2 fell too little"
@@ -203,6 +206,11 @@ def _prune(
         fit = worst[1]
         dropped.append(worst[2])
     return fit, tuple(dropped)
+
+
+def _told_from_null(fit: FitResult, term: str) -> bool:
+    """Whether the size of a term is seen in its own uncertainty; a fall of chi2 without it is a jump at the null."""
+    return not any(fit.shifts.get(term, ())) or _wald(fit, term) > 1.0
 
 
 def _wald(fit: FitResult, term: str) -> float:
