@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +21,7 @@ from .campaign_regions import FAMILIES, FREQUENCY_KINDS, Layout, decomposed, lay
 from .campaign_verdict import verdict_of
 from .campaign_view import CampaignView
 from .campaign_where import by_kind, explained_by_kind, where_rest, where_rows, with_after
+from .hold_hint import hold_hint
 from .learning_text import compare_text, diagnose_text, ladder_text
 from .modal_view import GAUGES
 from .separating import Proposal, proposals, separating_text
@@ -150,6 +151,14 @@ class Comparison(Answer):
         return self.where, self.records, self.parameters
 
 
+def _hints(view: CampaignView, terms: Sequence[str], verdict: str) -> list[str]:
+    """Whether another hold would do better; where the noise is known and the model reaches it, there is nothing to ask."""
+    if verdict in ("adequate", "effect", "class") and view.noise.source != "local":
+        return []
+    found = hold_hint(view.campaign_fit(terms), view.campaign, view.model.effects)
+    return [] if found is None else [str(found)]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosed(Answer):
     """What a model lacks on a campaign; ``drive_files``: those of ``separating`` are being written."""
@@ -192,7 +201,13 @@ class Diagnosed(Answer):
         """The JSON without the search for a separating record; the gauges of a gyro are invisible to any record."""
         out = self.diagnosis.to_dict()
         gauges = GAUGES if self.view.model.plant.kind == "gyro" else ()
-        return {**out, "invisible": [*out["invisible"], *gauges]}
+        return {**out, "invisible": [*out["invisible"], *gauges], "hints": self.hints}
+
+    @cached_property
+    def hints(self) -> list[str]:
+        """What may be wrong with the campaign rather than with the model."""
+        after = self.diagnosis.fit_after
+        return [] if after is None or not after.ok else _hints(self.view, after.terms, self.verdict)
 
     def lines(self) -> list[str]:
         """What `gyroscreen diagnose` says."""
@@ -280,8 +295,9 @@ class Refined(Answer):
     @cached_property
     def _said(self) -> dict[str, Any]:
         out: dict[str, Any] = self.ladder.to_dict()
-        if self.verdict == "fit_failed" or not self.ladder.rungs:
+        if not self.ladder.rungs:
             return out
+        out["hints"] = _hints(self.view, self.effects, self.verdict)
         out["separating_record"] = separating_text(self.separating, self.drive_files)
         first = self.comparison
         told = first.to_dict()

@@ -53,6 +53,7 @@ def diagnose_text(said: Said) -> list[str]:
     for name, how in said.get("wrong_form", {}).items():
         lines.append(f"right place, wrong form: the size of {name} disagrees by {how['by']}")
     lines += _separating(said)
+    lines += said.get("hints", ())
     if said.get("invisible"):
         lines.append(f"invisible here: {', '.join(said['invisible'])}")
     return lines
@@ -86,11 +87,23 @@ def verdict_sentence(verdict: str, effects: Sequence[str], classes: Sequence[Seq
     return told + (f" (these data cannot tell apart: {others})" if others else "")
 
 
+def _volts_text(rungs: Sequence[Said]) -> list[str]:
+    """A rung a line where no noise level is known: relative error, and rms of (measured - model) in every record."""
+    lines = ["rung                      status      relative error   rms left in each record"]
+    for rung in rungs:
+        left = ", ".join(f"{name} {1e3 * volts:.3g} mV" for name, volts in rung.get("error_v", {}).items())
+        name, relative = rung["effect"] or "(the model as given)", number(rung.get("relative_error"))
+        lines.append(f"{name:24s}  {rung['status'] or '':10s}  {relative:>14s}   {left}")
+    return lines
+
+
 def ladder_text(said: Said) -> list[str]:
     """A rung a line, the misfit as a bar on a logarithmic scale; then the verdict, and what became of theta and the device."""
     rungs = said["ladder"]
     most = max([r.get("misfit_fit") or 0.0 for r in rungs] + [1.0])
     lines = ["rung                      status      error fitted  held-out   misfit"] if rungs else []
+    if rungs and all(rung.get("error_fit") is None for rung in rungs):
+        lines, rungs = _volts_text(rungs), []
     for rung in rungs:
         misfit = rung.get("misfit_fit") or 0.0
         length = round(30 * max(0.0, math.log10(max(misfit, 1e-2) / 1e-2)) / math.log10(most / 1e-2))
@@ -100,13 +113,16 @@ def ladder_text(said: Said) -> list[str]:
             f"  {number(rung.get('error_validate')):>8s}   {'#' * length}"
         )
     lines.append(verdict_sentence(said["verdict"], said["effects"], said["classes"]))
+    if said["verdict"] == "fit_failed" and said.get("why"):
+        lines.append(said["why"])
     lines += _separating(said)
+    lines += said.get("hints", ())
     for name, how in said.get("wrong_form", {}).items():
         lines.append(f"right place, wrong form: the size of {name} disagrees by {how['by']}")
     theta, before = said.get("theta_deg"), said.get("theta_before_deg")
     if theta and before:
         lines.append(f"theta {before[0]:.4f} +- {before[1]:.2g} deg before, {theta[0]:.4f} +- {theta[1]:.2g} deg after")
-    verdicts = [str(rung["verdict"]) for rung in rungs if rung.get("verdict")]
+    verdicts = [str(rung["verdict"]) for rung in said["ladder"] if rung.get("verdict")]
     if verdicts:
         lines.append(f"device {verdicts[0]} before, {verdicts[-1]} after (the shipped limits)")
     if said.get("noise", {}).get("from", "silent") != "silent":

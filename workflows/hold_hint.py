@@ -1,0 +1,84 @@
+"""Is the declared hold right?  A wrong one shows as a lag or a feedthrough that is not there.
+
+Between two samples a hold that is not the true one is late, or too weak, in a way that grows with frequency: read-out effects
+stand in for it.  The model less these effects is fitted with every other hold; if one of them explains the fitted records better
+than the declared hold does with the stand-ins, the declaration is doubtful.  Only the beginning of long records is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.device.model import Model
+from pipeline.errors import GyroscreenError
+from pipeline.experiment.instrument import HOLDS, Hold
+from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
+
+#: Effects of the read-out that a wrong hold looks like.
+STAND_INS = ("capacitive_feedthrough", "loop_delay", "pickoff_pole", "resistive_feedthrough")
+#: Samples of each fit record that are asked.
+_ASKED = 12_000
+
+
+@dataclass(frozen=True)
+class HoldHint:
+    """``likely`` explains the records with relative error ``error``; ``declared`` and ``stand_ins`` with ``error_declared``."""
+
+    declared: Hold
+    likely: Hold
+    stand_ins: tuple[str, ...]
+    error: float
+    error_declared: float
+
+    def __str__(self) -> str:
+        return (
+            f'the declared hold = "{self.declared}" is doubtful: hold = "{self.likely}" explains the records better'
+            f" (relative error {self.error:.3g} against {self.error_declared:.3g}) without {', '.join(self.stand_ins)},"
+            " which a wrong hold looks like; ask how the drive samples become volts, correct [instrument] hold and run again"
+        )
+
+
+def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -> HoldHint | None:
+    """A better hold than the declared one, where read-out effects may stand in for it.
+
+    Parameters
+    ----------
+    fit : the model at the end of the climb.
+    campaign : its records.
+    given : effects that the user put into the model; they are not doubted.
+    """
+    stand_ins = tuple(name for name in STAND_INS if name in fit.model.effects and name not in given)
+    if not stand_ins:
+        return None
+    asked = replace(campaign, records=tuple(_beginning(record) for record in campaign.with_role("fit")))
+    plain = fit.model
+    for name in stand_ins:
+        plain = plain.without_effect(name)
+    declared = _error(fit.model, asked, fit)
+    others = {hold: _error(plain, _held(asked, hold), fit) for hold in HOLDS if hold != campaign.instrument.hold}
+    likely = min(others, key=lambda hold: others[hold])
+    if not others[likely] < declared:
+        return None
+    return HoldHint(campaign.instrument.hold, likely, stand_ins, others[likely], declared)
+
+
+def _beginning(record: Record) -> Record:
+    return replace(record, drive_v=record.drive_v[:_ASKED].copy(), sense_v=record.sense_v[:_ASKED].copy())
+
+
+def _held(campaign: Campaign, hold: Hold) -> Campaign:
+    return replace(campaign, instrument=replace(campaign.instrument, hold=hold))
+
+
+def _error(model: Model, campaign: Campaign, fit: CampaignFit) -> float:
+    """Relative error of ``model`` on the records, from where ``fit`` stands; infinite where it cannot be fitted."""
+    start = {name: value for name, value in fit.values.items() if name in model.by_name}
+    try:
+        found = fit_campaign(model, campaign, fit.noise, start).relative_error["fit"]
+    except (GyroscreenError, np.linalg.LinAlgError):
+        found = None
+    return np.inf if found is None else found
