@@ -21,10 +21,6 @@ from pipeline.experiment.play import Play
 from pipeline.experiment.response import Starts
 from pipeline.experiment.sensitivity import Signature, signatures
 
-#: Grid of the parasitic mode's signature: the driven band and a little beyond it.
-_GRID: dict[str, dict[str, tuple[float, ...]]] = {
-    "parasitic_mode": {"f": tuple(320.0 * 1.04**k for k in range(22)), "zeta": (1e-2,)}
-}
 #: Clip levels that are scanned, as shares of the largest sample.
 _LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
 #: A direction enters as (cos a, sin a), so two of them span all.
@@ -54,7 +50,7 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
     effect = at.model.library[name]
     members = effect.members(at.model.built.shape)
     turned = next((m.name for m in members if m.per == "direction" or (m.name == "a" and m.grid)), None)
-    grid = dict(_GRID.get(name, {}))
+    grid: dict[str, tuple[float, ...]] = {}
     if turned is not None and len(members) > 1:
         grid[turned] = _AXES_DEG
     if effect.stages == ("adc",) and len(members) == 1:

@@ -31,11 +31,14 @@ from pipeline.criticism.projection import stratum_grams
 from pipeline.device.model import Model
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.noise_level import NoiseLevel
+from pipeline.experiment.play import plays_of
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.campaign_fit import CampaignFit, RecordFit, fit_campaign
 from pipeline.inference.campaign_free import free_shapes
 from pipeline.inference.campaign_problem import Problem
 
+from .campaign_modes import NAME as MODE
+from .campaign_modes import Scan, grid_of, mode_candidate, scan_of
 from .campaign_plane import Plane, planes_of
 from .campaign_regions import regions_of
 from .campaign_signatures import Tangent, signature_of
@@ -46,7 +49,9 @@ _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 #: Share of a record made by forces and pick-off laws from which the plant's columns are computed with them.
 _STRONG = 0.1
 #: Room for the columns of signatures, enlarged where users bring more effects.
-_COLUMNS = 200
+_COLUMNS = 100
+#: Frequencies of the scan for one more mode that a fit starts from.
+_LIKELY = 3
 #: Signatures are taken anew once the fitted records have moved by this share of themselves.
 _STALE = 0.05
 
@@ -118,6 +123,7 @@ class CampaignView:
         self.records = campaign.with_role("fit")
         self._fits: dict[frozenset[str], tuple[CampaignFit, FitResult]] = {}
         self._taken: _Taken | None = None
+        self._modes: dict[frozenset[str], tuple[float, ...]] = {}
 
     @cached_property
     def spectra(self) -> tuple[Spectra, ...]:
@@ -137,7 +143,8 @@ class CampaignView:
                 model = model.with_effect(term)
             begun = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
             try:
-                fitted = fit_campaign(model, self.campaign, self.noise, begun)
+                likely = {f"{MODE}.f": self._modes.get(key - {MODE}, ())}
+                fitted = fit_campaign(model, self.campaign, self.noise, begun, likely)
                 self._fits[key] = (fitted, self._result(fitted, terms))
             except (GyroscreenError, np.linalg.LinAlgError) as error:
                 return FitResult(False, terms, {}, (), (), why=str(error))
@@ -232,15 +239,30 @@ class CampaignView:
     def signatures(self, fit: FitResult) -> Signatures:
         """Signatures of all absent effects; those taken at an earlier fit serve until the model has moved."""
         fitted = self.campaign_fit(fit.terms)
-        names = [name for name in fitted.model.candidates() if fitted.model.library[name].disturbance is None]
+        absent = fitted.model.candidates()
+        names = [name for name in absent if name != MODE and fitted.model.library[name].disturbance is None]
         taken = self._taken
         if taken is None or taken.moved(fitted) > _STALE or not set(names) <= taken.asked:
             taken = self._taken = self._take(fitted, names)
         candidates = tuple(c for c in taken.candidates if c.name in names)
-        local = tuple(
-            self._free(fitted, name) for name in fitted.model.candidates() if fitted.model.library[name].disturbance
+        local = [self._free(fitted, name) for name in absent if fitted.model.library[name].disturbance]
+        if MODE in absent and any(scan.points for scan in self.scans):
+            found = mode_candidate(fit, self.scans, self.model.built.shape.senses, self.noise.sigma_v)
+            order = np.argsort(found.falls)[::-1][:_LIKELY]
+            self._modes[frozenset(fit.terms)] = tuple(found.grid[i][f"{MODE}.f"] for i in order)
+            local.append(found)
+        return Signatures(candidates, taken.blocks, tuple(local), taken.grams)
+
+    @cached_property
+    def scans(self) -> tuple[Scan, ...]:
+        """The grid of one more mode, for each play of the fit records."""
+        plays = plays_of(self.records, self.campaign.instrument, self.campaign.angular_gain)
+        grid = grid_of([play for _, play in plays], TOP_HZ)
+        displacement = self.model.plant.sense == "displacement"
+        return tuple(
+            scan_of(places, play, self.campaign.instrument, self.spectra[places[0]].bins.size, grid, displacement)
+            for places, play in plays
         )
-        return Signatures(candidates, taken.blocks, local, taken.grams)
 
     def _take(self, fitted: CampaignFit, names: Sequence[str]) -> _Taken:
         problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
@@ -298,6 +320,7 @@ class CampaignView:
             tuple(shape.fall for shape in shapes),
             tuple(shape.dof for shape in shapes),
             tuple({f"{name}.{k}": v for k, v in shape.point.items()} for shape in shapes),
+            levels=tuple(shape.level for shape in shapes),
         )
 
     def probes(self, fit: FitResult) -> Signatures:

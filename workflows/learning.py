@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import overload
 
+from threadpoolctl import threadpool_limits
+
 from pipeline.criticism.climb import climb
 from pipeline.criticism.loop import as_ladder
 from pipeline.criticism.loop import diagnose as examine
@@ -44,6 +46,7 @@ def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: i
 def compare(campaign: Campaign, model: Model = ...) -> Comparison: ...
 @overload
 def compare(campaign: ModalRecord, model: Model = ...) -> ModalComparison: ...
+@threadpool_limits.wrap(limits=1)
 def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Comparison | ModalComparison:
     """Fit ``model`` to the fit records and judge it on all."""
     if isinstance(campaign, ModalRecord):
@@ -57,6 +60,7 @@ def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MOD
 def diagnose(campaign: Campaign, model: Model = ...) -> Diagnosed: ...
 @overload
 def diagnose(campaign: ModalRecord, model: Model = ...) -> ModalDiagnosed: ...
+@threadpool_limits.wrap(limits=1)
 def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Diagnosed | ModalDiagnosed:
     """Say what ``model`` lacks."""
     if isinstance(campaign, ModalRecord):
@@ -69,6 +73,7 @@ def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MO
 def refine(campaign: Campaign, model: Model = ...) -> Refined: ...
 @overload
 def refine(campaign: ModalRecord, model: Model = ...) -> ModalRefined: ...
+@threadpool_limits.wrap(limits=1)
 def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Refined | ModalRefined:
     """Climb from ``model`` until nothing more is warranted."""
     if isinstance(campaign, ModalRecord):

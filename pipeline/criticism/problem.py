@@ -158,8 +158,8 @@ class Candidate:
 class LocalCandidate:
     """An absent term whose amplitudes are free in every block (lines of the mains).
 
-    For each grid point the fall of chi2, which is chi2 of ``dofs`` where the term does nothing; ``reach`` is the fall that
-    could be expected of the strongest there may be.
+    For each grid point the fall of chi2, which over its level of noise (1 where left out) is chi2 of ``dofs`` where the term
+    does nothing; ``reach`` is the fall that could be expected of the strongest there may be.
     """
 
     name: str
@@ -167,6 +167,7 @@ class LocalCandidate:
     dofs: tuple[int, ...]
     grid: tuple[Mapping[str, float], ...] = ({},)
     reach: float = np.inf
+    levels: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

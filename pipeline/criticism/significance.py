@@ -160,8 +160,11 @@ def score_all(
             )
         )
     for other in local:
-        singles = [float(log_tail(fall, dof)) for fall, dof in zip(other.falls, other.dofs)]
-        best = int(np.argmin(singles))
+        # Where no noise level is known, the residual's own is all there is.
+        level = 1.0 if known else max(projected.chi2 / max(projected.dof, 1), 1e-300)
+        levels = other.levels or (1.0,) * len(other.falls)
+        singles = [float(log_tail(f / (level * g), dof)) for f, g, dof in zip(other.falls, levels, other.dofs)]
+        best = max(range(len(singles)), key=lambda i: (-singles[i], other.falls[i]))
         log_p = float(log_any(singles[best], len(singles)))
         values = {name: (value, float("nan")) for name, value in other.grid[best].items()}
         p_value, snr = null.p_family(log_p), float(np.sqrt(other.reach))

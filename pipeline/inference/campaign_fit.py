@@ -140,14 +140,19 @@ def _pooled(
 
 
 def _scanned(
-    model: Model, effect: str, campaign: Campaign, sigma_v: FloatArray, begun: Mapping[str, float]
+    model: Model,
+    effect: str,
+    campaign: Campaign,
+    sigma_v: FloatArray,
+    begun: Mapping[str, float],
+    likely: Mapping[str, tuple[float, ...]],
 ) -> dict[str, float]:
     """Start values of an effect whose parameters do not all exist at its null, from where the model without it stands."""
     smaller = model.without_effect(effect)
     problem = Problem(smaller, campaign, sigma_v)
     values = smaller.complete({name: value for name, value in begun.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
-    rest = (None,) * len(tasks.each)
+    rest, shape = (None,) * len(tasks.each), model.built.shape
     steps = problem.steps(values, tasks.each[0], None)
     return scan(
         smaller,
@@ -158,6 +163,7 @@ def _scanned(
         problem.residuals(values, tasks, rest),
         problem.columns(values, tasks, rest, False, steps),
         [partial(problem.whiten, task=task) for task in tasks.each],
+        {m.name: likely.get(model.effect(effect).full_name(m), ()) for m in model.effect(effect).members(shape)},
     )
 
 
@@ -177,7 +183,11 @@ def _shaped(
 
 
 def fit_campaign(
-    model: Model, campaign: Campaign, noise: NoiseLevel, start: Mapping[str, float] | None = None
+    model: Model,
+    campaign: Campaign,
+    noise: NoiseLevel,
+    start: Mapping[str, float] | None = None,
+    likely: Mapping[str, tuple[float, ...]] | None = None,
 ) -> CampaignFit:
     """Fit ``model`` to the records with role "fit" and judge it on those and the held-out ones.
 
@@ -189,6 +199,7 @@ def fit_campaign(
     start : parameter values to start from (other names are ignored); what is missing is found from the records
         (plant) or
         starts at its null (effects), or where a scan finds it best (parameters that do not exist at the null).
+    likely : parameter -> values that such a scan should not leave out.
 
     Raises
     ------
@@ -208,7 +219,7 @@ def fit_campaign(
     for effect in model.ordered_effects():
         members = [m for m in effect.members(model.built.shape) if m.fitted]
         if any(m.grid for m in members) and not any(effect.full_name(m) in begun for m in members):
-            begun |= _scanned(model, effect.name, campaign, sigma_v, begun)
+            begun |= _scanned(model, effect.name, campaign, sigma_v, begun, likely or {})
     for effect in model.ordered_effects():
         shape = {effect.full_name(m) for m in effect.members(model.built.shape) if not m.fitted}
         if effect.disturbance is not None and not shape <= begun.keys():

@@ -1,6 +1,6 @@
 """Disturbances whose amplitudes are free in every record and channel: which of their shapes the residuals hold.
 
-    fall = sum over records, channels and columns of (q^T r)^2 / gamma,        dof = as many terms
+    fall / level = sum over records, channels and columns of (q^T r)^2 / gamma,        dof = as many terms
 
 q are the columns of the disturbance, orthonormal; gamma, at least 1, is the level of the residual around the column's frequency:
 where the whole neighbourhood is too loud, the neighbourhood is what is wrong, not the line.
@@ -28,16 +28,17 @@ _OWN = 2
 
 @dataclass(frozen=True)
 class Free:
-    """One shape of a disturbance: values of its parameters, the fall of chi2 that it brings, and at what cost."""
+    """One shape of a disturbance: values of its parameters, the fall of chi2, at what cost, gamma as a mean over the columns."""
 
     point: Mapping[str, float]
     fall: float
     dof: int
+    level: float
 
     @property
     def worth(self) -> float:
         """The fall beyond what noise would give, and as much again: the larger, the better explained."""
-        return self.fall - 3.0 * self.dof
+        return self.fall / self.level - 3.0 * self.dof
 
 
 @lru_cache(maxsize=32)
@@ -64,7 +65,7 @@ def free_shapes(
     sums = [np.concatenate([np.zeros((1, s.shape[1])), np.cumsum(s, axis=0)]) for s in spectra]
     found = []
     for at in product(*(member.grid or (member.null,) for member in members)):
-        fall, dof = 0.0, 0
+        fall, dof, quiet = 0.0, 0, 0.0
         for r, power, total, rate in zip(residuals, spectra, sums, sample_rates_hz):
             q, bins = _columns(effect, at, r.shape[0], rate)
             low, high = np.maximum(bins - _AROUND, 1), np.minimum(bins + _AROUND + 1, power.shape[0])
@@ -72,7 +73,9 @@ def free_shapes(
             around = total[high] - total[low] - (total[last] - total[first])
             count = 2.0 * ((high - low) - (last - first))
             level = np.maximum(around / count[:, None], 1.0)
-            fall += float(np.sum((q.T @ r) ** 2 / level))
+            own = (q.T @ r) ** 2
+            fall += float(np.sum(own))
+            quiet += float(np.sum(own / level))
             dof += q.shape[1] * r.shape[1]
-        found.append(Free({m.name: float(v) for m, v in zip(members, at)}, fall, dof))
+        found.append(Free({m.name: float(v) for m, v in zip(members, at)}, fall, dof, fall / max(quiet, 1e-300)))
     return tuple(found)

@@ -57,6 +57,7 @@ def scan(
     residuals: Sequence[FloatArray],
     columns: Sequence[FloatArray],
     whiten: Sequence[Callable[[FloatArray], FloatArray]],
+    likely: Mapping[str, tuple[float, ...]],
 ) -> dict[str, float]:
     """Start values of the parameters of ``effect``, by full name.
 
@@ -69,6 +70,7 @@ def scan(
     residuals : (N, S) of each record in sigmas.
     columns : (N S, P) of each record in sigmas.
     whiten : takes volts (k, N, S) of each record to sigmas, nuisances projected out.
+    likely : values of a frequency by name that are scanned beside the peaks.
     """
     found = model.with_effect(effect).effect(effect)
     members = found.members(model.built.shape)
@@ -77,7 +79,8 @@ def scan(
     for member in members:
         if member.grid and member.unit == "Hz":
             top = min(member.high, rate / 2.0)
-            grid[member.name] = peaks_hz(residuals, rate, member.low, top)
+            peaks = peaks_hz(residuals, rate, member.low, top)
+            grid[member.name] = tuple(sorted({*peaks, *likely.get(member.name, ())}))
     normal = sum(j.T @ j for j in columns)
     scale = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
@@ -98,6 +99,7 @@ def _drive_files(found: Sequence[Proposal], out: Path | None) -> None:
             proposal.write(out)
 
 
+@threadpool_limits.wrap(limits=1)
 def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen compare --help``."""
     measured, base = read_measurement(path), _model(model, folders)
@@ -121,6 +123,7 @@ def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[
         print(where)
 
 
+@threadpool_limits.wrap(limits=1)
 def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen diagnose --help``."""
     measured, base = read_measurement(path), _model(model, folders)
@@ -182,6 +185,7 @@ def _modal(
         print(page)
 
 
+@threadpool_limits.wrap(limits=1)
 def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen refine --help``."""
     measured, base = read_measurement(path), _model(model, folders)
@@ -225,6 +229,7 @@ def _ladder_page(
     return _page(out, "ladder.html", page)
 
 
+@threadpool_limits.wrap(limits=1)
 def demo(out: Path, seed: int | None) -> None:
     """See ``gyroscreen demo --help``."""
     began = time.monotonic()

@@ -1,0 +1,160 @@
+"""The scan for one more mode: its frequency and damping do not exist at its null, and a narrow mode wants a fine grid.
+
+    H(s) = s / (s^2 + 2 zeta w s + w^2)            (w / (..) where the pick-off sees displacement)
+    Z_{r,d} = sum_w gain[r, d, w] G H b_w,   T = s^T (Z~^T Z~)^-1 s / gamma         free for every drive and sense
+
+in the bins around the mode, the baseline projected out: a fall of chi2 with S D degrees of freedom a point of the grid.
+Shapes: R records, N samples, F bins, S senses, D drives, W waveforms, p columns of the baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import rfft
+
+from pipeline.arrays import ComplexArray, FloatArray
+from pipeline.criticism.problem import FitResult, LocalCandidate
+from pipeline.criticism.projection import Baseline, baseline
+from pipeline.device.readout import plain_readout
+from pipeline.experiment.antialias import filter_poles
+from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.linear import pole_states
+from pipeline.experiment.play import Play
+
+NAME = "parasitic_mode"
+#: zeta, step of the grid as a share of the frequency, margins around the driven band (share of its edges).
+_WIDE = (1e-2, 0.02, 1e9)
+_NARROW = (1.5e-3, 0.003, 0.05)
+_LOW_HZ = 300.0
+#: Bins in which a waveform has this share of its strongest are driven.
+_DRIVEN = 0.05
+#: A mode is followed to where it has this share of its peak.
+_SEEN = 5e-3
+_CHUNK = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A mode of the grid: its first bin, and its answer (W, bins) there to each waveform, scaled like the rows."""
+
+    f_hz: float
+    zeta: float
+    first: int
+    answer: ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """The grid of one play and the places of its records."""
+
+    places: tuple[int, ...]
+    gains: FloatArray
+    points: tuple[Point, ...]
+
+
+def grid_of(plays: Sequence[Play], top_hz: float) -> list[tuple[float, float]]:
+    """(f, zeta) of the grid: wide modes up to ``top_hz``, narrow ones in the driven band."""
+    low, high = np.inf, 0.0
+    for play in plays:
+        frequency = np.fft.rfftfreq(play.waveforms.shape[1], play.clock.step_s)
+        for waveform in play.waveforms:
+            power = np.abs(rfft(waveform))
+            driven = frequency[power > _DRIVEN * power.max()]
+            low, high = min(low, float(driven[0])), max(high, float(driven[-1]))
+    found = []
+    for zeta, step, margin in (_WIDE, _NARROW):
+        first, last = max(_LOW_HZ, low / (1.0 + margin)), min(high * (1.0 + margin), top_hz)
+        count = int(np.log(last / first) / step) + 1 if last > first else 0
+        found += [(first * (1.0 + step) ** k, zeta) for k in range(count)]
+    return found
+
+
+def scan_of(
+    places: tuple[int, ...],
+    play: Play,
+    instrument: Instrument,
+    bins: int,
+    grid: Sequence[tuple[float, float]],
+    displacement: bool,
+) -> Scan:
+    """What the modes of ``grid`` answer in the first ``bins`` bins above zero of a play."""
+    samples = play.drives[0].shape[0]
+    omega = 2.0 * np.pi * np.arange(1, bins + 1) * play.sample_rate_hz / samples
+    seen = np.ones(bins, dtype=np.complex128)
+    if instrument.antialias is not None:
+        seen = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
+    seen = seen * np.sqrt(2.0 / samples)
+    points: list[Point] = []
+    for start in range(0, len(grid), _CHUNK):
+        part = grid[start : start + _CHUNK]
+        w, zeta = 2.0 * np.pi * np.array([f for f, _ in part]), np.array([z for _, z in part])
+        poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+        residues = (w if displacement else poles) / (2j * poles.imag)
+        answers = np.zeros((len(part), play.waveforms.shape[0], bins), dtype=np.complex128)
+        for k, waveform in enumerate(play.waveforms):
+            states = pole_states(poles, waveform, play.clock)[:: play.clock.stride].T
+            y = 2.0 * (residues.real[:, None] * states[: w.size] - residues.imag[:, None] * states[w.size :])
+            answers[:, k] = rfft(y, axis=-1)[:, 1 : bins + 1] * seen
+        for (f, z), answer in zip(part, answers):
+            size = np.max(np.abs(answer), axis=0, initial=0.0)
+            strong = np.flatnonzero(size > _SEEN * size.max())
+            first, last = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
+            points.append(Point(f, z, first, np.ascontiguousarray(answer[:, first:last])))
+    return Scan(places, play.gains, tuple(points))
+
+
+def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: FloatArray) -> LocalCandidate:
+    """The fall of chi2 that one more mode brings at each point of the grid."""
+    base = baseline(fit)
+    ready = [_complex(base, scan.places, senses) for scan in scans]
+    falls, dofs, grid, levels = [], [], [], []
+    for k, point in enumerate(scans[0].points):
+        drives = scans[0].gains.shape[1]
+        p = base.upper.shape[0]
+        score, overlap = np.zeros((drives, senses)), np.zeros((drives, senses, p))
+        gram, level, weight = np.zeros((drives, drives)), np.zeros(senses), 0.0
+        for scan, (residual, basis, gamma) in zip(scans, ready):
+            own = scan.points[k]
+            part = slice(own.first, own.first + own.answer.shape[1])
+            z = np.einsum("rdw,wb->drb", scan.gains, own.answer).reshape(drives, -1)
+            energy = np.sum(np.abs(z) ** 2, axis=0)
+            score += (z.conj() @ residual[:, part].reshape(-1, senses)).real
+            overlap += (z.conj() @ basis[:, part].reshape(z.shape[1], -1)).real.reshape(overlap.shape)
+            gram += (z.conj() @ z.T).real
+            level += energy @ gamma[:, part].reshape(-1, senses)
+            weight += float(energy.sum())
+        falls.append(_fall(score, overlap, gram, sigma_v))
+        levels.append(max(float(np.max(level)) / max(weight, 1e-300), 1.0))
+        dofs.append(drives * senses)
+        grid.append({f"{NAME}.f": point.f_hz, f"{NAME}.zeta": point.zeta})
+    return LocalCandidate(NAME, tuple(falls), tuple(dofs), tuple(grid), levels=tuple(levels))
+
+
+def _fall(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> float:
+    """s^T (Z~^T Z~)^-1 s over drives and senses, the columns of sense k in units of 1/sigma_k."""
+    drives, senses = score.shape
+    o = (overlap / sigma_v[:, None]).reshape(drives * senses, -1)
+    full = np.einsum("de,st->dset", gram, np.diag(1.0 / sigma_v**2)).reshape(drives * senses, -1) - o @ o.T
+    s = (score / sigma_v).reshape(-1)
+    scale = np.sqrt(np.maximum(np.diagonal(full), 1e-300))
+    size, vector = np.linalg.eigh(full / np.outer(scale, scale))
+    along = vector.T @ (s / scale)
+    good = size > 1e-6 * max(float(size[-1]), 1e-300)
+    return float(np.sum(along[good] ** 2 / size[good]))
+
+
+def _complex(base: Baseline, places: Sequence[int], senses: int) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Residual (R, F, S), basis (R, F, S p) and noise level (R, F, S) of some blocks, their rows as complex bins."""
+
+    def paired(rows: FloatArray) -> ComplexArray:
+        """(2 F S, ..) -> (F, S ..)."""
+        both = rows.reshape(2, rows.shape[0] // (2 * senses), -1)
+        return np.asarray(both[0] + 1j * both[1])
+
+    residual = np.stack([paired(base.residual[i]) for i in places])
+    basis = np.stack([paired(base.basis[i]) for i in places])
+    gamma = np.stack([base.gamma[i].reshape(2, -1, senses)[0] for i in places])
+    return residual, basis, gamma
