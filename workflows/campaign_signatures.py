@@ -25,8 +25,6 @@ from pipeline.experiment.sensitivity import Signature, signatures
 _LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
 #: A direction enters as (cos a, sin a), so two of them span all.
 _AXES_DEG = (0.0, 90.0)
-#: A signature need not be as exact as a fit: half the substeps leave 1e-4 of it.
-_SUBSTEPS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +90,6 @@ def _played(
         starts=[at.starts[place] for place in places],
         grid=grid or None,
         step_hints=hints,
-        substeps=_SUBSTEPS,
     )
 
 

@@ -22,7 +22,6 @@ from ..device.model import Model
 from ..device.parameters import Parameter
 from ..errors import ConfigError, MeasurementError
 from .instrument import Instrument
-from .integrate import SUBSTEPS
 from .play import Play, play_of
 from .record import Record
 from .response import Starts, converted, linear_volts, remainder_volts, volts
@@ -30,6 +29,8 @@ from .system import assemble
 
 #: A step of an effect's parameter moves the record by about this share.
 _SHARE = 1e-6
+#: Substeps of the integrator where only slopes are wanted: they need not be as exact as a record.
+SLOPE_SUBSTEPS = 2
 _GRIDDED_STAGES = {"force", "sense"}
 
 
@@ -174,6 +175,8 @@ def play_jacobian(
         x[i] = value
         return how(assemble(model, model.to_values(x), instrument, play.conditions), play, starts)
 
+    remainders = partial(remainder_volts, substeps=SLOPE_SUBSTEPS)
+
     columns = np.zeros((x0.size, len(play.drives), play.drives[0].shape[0], base.sense_motion.shape[0]))
     clipped = remainder = None
     for i, name in enumerate(model.free):
@@ -193,9 +196,9 @@ def play_jacobian(
             columns[i] = _slope(partial(run, i, linear_volts), x0[i], steps[i], low, high)
         if _is_gridded(model, name) or (exact and gridded):
             # Deviations are free of cancellation: one side is enough, inside the range.
-            remainder = remainder_volts(base, play, starts) if remainder is None else remainder
+            remainder = remainders(base, play, starts) if remainder is None else remainder
             step = steps[i] if "." not in name or x0[i] + steps[i] <= model.bounds(name)[1] else -steps[i]
-            columns[i] += (run(i, remainder_volts, x0[i] + step) - remainder) / step
+            columns[i] += (run(i, remainders, x0[i] + step) - remainder) / step
     if base.adcs:
         # Behind the converter a sample that is clipped does not move.
         y = volts(base, play, starts) if clipped is None else clipped
@@ -240,7 +243,7 @@ def signatures(
     starts: Starts | None = None,
     grid: Mapping[str, tuple[float, ...]] | None = None,
     step_hints: Mapping[str, float] | None = None,
-    substeps: int = SUBSTEPS,
+    substeps: int = SLOPE_SUBSTEPS,
 ) -> Iterator[Signature]:
     """Signatures of the absent ``effect`` in the records of a play, at ``parameters`` of ``model``.
 
