@@ -331,6 +331,7 @@ def _derivative(
 ) -> tuple[FloatArray, float]:
     """dy/dp (R, N, S) at the null and its step, which moves the records by about ``_SHARE`` of their level.
 
+    A record that jumps (a lag behind a feedthrough of held steps, without a filter) has no slope: ConfigError.
     One side is enough where deviations are integrated: what is curved is of the order of that share.  Where the change is
     a difference of two records, both sides are taken, so that the rounding common to them cancels.
     """
@@ -348,6 +349,9 @@ def _derivative(
         if found == 0.0 or shortest * _SHARE <= found <= longest * _SHARE:
             break
         step = min(step * (1e-3 if not np.isfinite(found) else float(np.clip(_SHARE / found, 1e-6, 1e6))), most)
+    else:
+        if found > longest * _SHARE:
+            raise ConfigError("the record jumps at the null of a parameter", value=member.name)
     if both_sides and member.null - step >= member.low:
         return (first - moved(point, member.name, member.null - step)) / (2.0 * step), step
     return first / step, step
