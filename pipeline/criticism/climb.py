@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .examine import Look, Rules, look
+from .goodness import excess
 from .heldout import Paired, paired
 from .pairs import best_pairs
 from .problem import FitResult, Problem
@@ -93,10 +94,15 @@ def _next(
     trials: list[Step] = []
     significant = here.significant(rules.alpha)
     top = max((score.delta_chi2 for score in significant), default=0.0)
+    # A misfit that many terms nibble at is the misfit of something else.
+    least = rules.least * excess(here.regions) if here.fit.noise_known else 0.0
     near = [score for score in significant if score.delta_chi2 >= rules.near * top]
     for score in [*near, *(score for score in significant if score not in near)]:
         if len(trials) >= rules.contenders or (trials and score not in near):
             break
+        if score.delta_chi2 < 0.2 * least:
+            reasons[score.name] = f"it promises less than {20 * rules.least:.0f} % of the misfit"
+            continue
         fit = _fit(problem, (*here.fit.terms, score.name), here.fit, fits)
         if not fit.ok or fit.chi2 > here.fit.chi2 * (1.0 + 1e-9):
             failures.append(score.name)
@@ -110,6 +116,9 @@ def _next(
         fall = here.fit.chi2 - fit.chi2
         if not _worth(fall, here, score.parameters, rules.alpha):
             reasons[score.name] = "refitted, chi2 fell too little"
+            continue
+        if fall < least:
+            reasons[score.name] = f"refitted, it takes less than {100 * rules.least:.0f} % of the misfit"
             continue
         held = _held(here.fit, fit)
         if held.standing == "refused":

@@ -21,6 +21,7 @@ class Rules:
     alpha : family-wise probability of naming a term where there is none.
     alpha_left : probability of calling a residual structured where it is noise.
     rungs : how many terms may be added.
+    least : a term must take this share of the misfit, or what is missing is something else.
     together : how many terms a diagnosis may name together.
     contenders : how many significant candidates are refitted before one is chosen.
     near : a contender promises at least this share of the largest fall of chi2.
@@ -30,7 +31,8 @@ class Rules:
 
     alpha: float = 0.003
     alpha_left: float = 0.003
-    rungs: int = 8
+    rungs: int = 6
+    least: float = 0.05
     together: int = 3
     contenders: int = 3
     near: float = 0.5

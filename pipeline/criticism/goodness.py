@@ -80,6 +80,24 @@ def goodness(fit: FitResult, base: Baseline, probes: Signatures, regions: Sequen
     return Goodness(float(np.exp(log_any(smallest, len(structures)))), structures, level)
 
 
+def excess(regions: Sequence[Region]) -> float:
+    """Residual energy that stands above the common level of the regions, three sd of its own error taken off.
+
+    Every family of regions cuts the same residual; the median of what they say counts.  Zero without regions.
+    """
+    found = []
+    for family in {region.family for region in regions}:
+        own = [region for region in regions if region.family == family and region.dof > 0.0]
+        energy, dof = np.array([region.chi2 for region in own]), np.array([region.dof for region in own])
+        if not own:
+            continue
+        level = max(1.0, float(np.median(energy / dof)))
+        # The median of n energies is 1.25 times as uncertain as their mean.
+        error = 1.6 * level * float(np.sqrt(2.0 * dof.sum()))
+        found.append(max(float(energy.sum() - level * dof.sum()) - 3.0 * error, 0.0))
+    return float(np.median(found)) if found else 0.0
+
+
 def _strongest(test: str, log_p: Sequence[float], where: Sequence[str]) -> Structure | None:
     if not log_p:
         return None
