@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import msgspec
 import numpy as np
@@ -50,7 +51,7 @@ from reports.limits import Limits
 from .config import RunConfig
 from .trimming import trimmed_columns
 
-_NOISE_STREAM, _POSTERIOR_STREAM, _TRIM_STREAM = 101, 102, 107
+_NOISE_STREAM, _POSTERIOR_STREAM, _TRIM_STREAM, _EFFECT_STREAM = 101, 102, 107, 108
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
     instrument = config.instrument.instrument()
     shared = shared_record(config).record
     physical = physical_of(drawn.true)[i : i + 1]
-    if not config.experiment.effects:
+    if not config.experiment.effects and not config.effects:
         bank = behind_filter(gyro_modes(physical), instrument.antialias)
         return respond(bank, shared.drive_v, instrument.sample_rate_hz, instrument.hold)[0]
     model = physics_of(config)
@@ -143,18 +144,45 @@ def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
     for name, parameters in drawn.effects.items():
         if name in config.experiment.effects:
             values |= {f"{name}.{parameter}": float(value[i]) for parameter, value in parameters.items()}
+    values |= carried_sizes(config, model, int(drawn.index[i]), drawn.device_id[i], drawn.lot[i])
     return forward(model, values, shared, instrument)
 
 
+def carried_sizes(config: RunConfig, model: Model, n: int, device_id: str, lot: str) -> dict[str, float]:
+    """Sizes by parameter of what [effects] gives device n; nothing where it carries none."""
+    out: dict[str, float] = {}
+    for name, table in sorted(config.effects.items()):
+        random = np.random.default_rng(
+            np.random.SeedSequence(config.run.seed, spawn_key=(_EFFECT_STREAM, n, crc32(name.encode())))
+        )
+        carries = random.random() < table.share if not table.devices else device_id in table.devices
+        if not carries or (table.lots and lot not in table.lots):
+            continue
+        for parameter, (mean, sd) in sorted(table.size.items()):
+            full = f"{name}.{parameter}"
+            out[full] = float(np.clip(mean + sd * random.standard_normal(), *model.bounds(full)))
+    return out
+
+
 def physics_of(config: RunConfig) -> Model:
-    """The model that virtual devices obey: the plant with c12, and the effects that [experiment] names.
+    """The model that virtual devices obey: the plant with c12, and the effects of [experiment] and [effects].
 
     Raises
     ------
-    ConfigError : an effect that does not exist, or that no population draws.
+    ConfigError : an effect that does not exist, or that no population draws; a size of no parameter of its.
     """
     named = config.experiment.effects
-    model = Model(effects=tuple(dict.fromkeys(("offdiagonal_damping", *named))))
+    model = Model(effects=tuple(dict.fromkeys(("offdiagonal_damping", *named, *config.effects))))
+    for name, table in config.effects.items():
+        effect = model.effect(name)
+        own = [member.name for member in effect.members(model.built.shape)]
+        if name in named or name == "offdiagonal_damping" or effect.disturbance is not None:
+            raise ConfigError(
+                "[effects] cannot give this effect", value=name, allowed="effects that [experiment] does not"
+            )
+        for parameter in table.size:
+            if parameter not in own:
+                raise ConfigError(f"no such parameter of {name}", value=parameter, allowed=", ".join(own))
     drawn = draw(population(config), config.run.seed, 0, 1).effects
     for name in named:
         if name not in drawn:

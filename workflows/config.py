@@ -182,6 +182,33 @@ class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):
         return Target(self.split_hz, self.theta_deg)
 
 
+class EffectTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """An effect that virtual devices have and the screening model may lack: a rehearsal of such a night.
+
+    ``size``: parameter -> mean and sd of a normal distribution over the devices that carry it, cut at the effect's range.
+    Carriers: ``share`` of the devices, or those named in ``devices``; only in ``lots``, where some are named.
+    """
+
+    size: dict[str, tuple[float, NotNegative]]
+    share: Share = 1.0
+    devices: tuple[str, ...] = ()
+    lots: tuple[str, ...] = ()
+
+
+class DiagnosisTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is asked of misfits after the last block.
+
+    At most ``most`` flagged devices are examined, and ``sample`` of those that are ok (absent: a fiftieth of the run, 4 at
+    least), so that an effect too weak to flag a single one is found; ``alpha`` is the family-wise probability of naming one
+    where there is none.
+    """
+
+    enabled: bool = True
+    most: Annotated[int, Meta(ge=1)] = 200
+    sample: Annotated[int, Meta(ge=0)] | None = None
+    alpha: Annotated[float, Meta(gt=0.0, lt=0.5)] = 0.003
+
+
 class Targets(Struct, frozen=True, forbid_unknown_fields=True):
     """Gates on the whole run: they set the exit code 1, nothing else."""
 
@@ -204,6 +231,8 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     gate: GateTable = GateTable()
     targets: Targets = Targets()
     trim: TrimTable | None = None
+    effects: dict[str, EffectTable] = {}
+    diagnosis: DiagnosisTable = DiagnosisTable()
     rule: dict[str, Any] = {}
     limits: dict[str, Any] = {}
 

@@ -3,18 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..errors import IntegrityError
-from .manifest import Kind
-from .schema import devices_schema, duplicates, posterior_schema, require_schema
+from .manifest import FileEntry, Kind
+from .schema import devices_schema, devices_table, duplicates, posterior_schema, require_schema
 
 
 def block_file(kind: Kind, block: int) -> str:
     """File name of a block's table."""
     return f"{kind}-{block:05d}.parquet"
+
+
+def other_name(entry: FileEntry) -> str:
+    """A name for a devices table that stands in for a committed one, which keeps its own until the manifest changes."""
+    plain = block_file("devices", entry.block or 0)
+    return plain if entry.name != plain else plain.replace(".parquet", "-amended.parquet")
+
+
+def amended(table: pa.Table, values: Mapping[str, Mapping[str, Any]]) -> pa.Table:
+    """A devices table with columns of single devices set; the table itself where nothing changes.
+
+    Raises
+    ------
+    UsageError : a column that is not registered, or a value of the wrong type.
+    """
+    ids = table.column("device_id").to_pylist()
+    mine = {name: values[name] for name in ids if name in values}
+    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    for column in {column for own in mine.values() for column in own}:
+        before = columns.get(column, [None] * len(ids))
+        columns[column] = [mine.get(name, {}).get(column, old) for name, old in zip(ids, before)]
+    changed = devices_table(columns)
+    return table if changed.equals(table) else changed
 
 
 def check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:

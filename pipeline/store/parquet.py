@@ -53,3 +53,8 @@ def decode_table(data: bytes | pa.Buffer, schema: pa.Schema, where: str) -> pa.T
         for field in schema
     ]
     return pa.table(arrays, schema=schema)
+
+
+def stored_columns(data: bytes) -> frozenset[str]:
+    """Names of the columns that a file holds."""
+    return frozenset(pq.read_schema(pa.BufferReader(data)).names)

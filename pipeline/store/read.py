@@ -11,7 +11,7 @@ from ..errors import IntegrityError, UsageError
 from .files import sha256
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest, read_manifest
-from .parquet import decode_table
+from .parquet import decode_table, stored_columns
 from .schema import devices_schema, posterior_schema
 
 CONFIG = "run.toml"
@@ -113,6 +113,20 @@ def read_config(folder: Path, manifest: Manifest) -> str:
     return read_file(folder, entries[0]).decode()
 
 
+def read_block(folder: Path, entry: FileEntry) -> pa.Table:
+    """One block of a table in the registered schema; raises as :func:`read_table`."""
+    schema = devices_schema() if entry.kind == "devices" else posterior_schema()
+    table = decode_table(read_file(folder, entry), schema, str(folder / entry.name))
+    if table.num_rows != entry.rows:
+        raise IntegrityError(
+            f"{folder / entry.name} has the wrong number of rows",
+            value=table.num_rows,
+            allowed=str(entry.rows),
+            next_step="run `gyroscreen verify`",
+        )
+    return table
+
+
 def read_table(folder: Path, manifest: Manifest, kind: Kind) -> pa.Table:
     """All blocks of one table in the registered schema, in block order; empty where nothing was committed.
 
@@ -121,18 +135,16 @@ def read_table(folder: Path, manifest: Manifest, kind: Kind) -> pa.Table:
     IntegrityError : a file is not what was committed, or holds another number of rows.
     """
     schema = devices_schema() if kind == "devices" else posterior_schema()
-    blocks = [schema.empty_table()]
-    for entry in manifest.of_kind(kind):
-        table = decode_table(read_file(folder, entry), schema, str(folder / entry.name))
-        if table.num_rows != entry.rows:
-            raise IntegrityError(
-                f"{folder / entry.name} has the wrong number of rows",
-                value=table.num_rows,
-                allowed=str(entry.rows),
-                next_step="run `gyroscreen verify`",
-            )
-        blocks.append(table)
+    blocks = [schema.empty_table(), *(read_block(folder, entry) for entry in manifest.of_kind(kind))]
     return pa.concat_tables(blocks).combine_chunks()
+
+
+def stored_devices(folder: Path, manifest: Manifest, devices: pa.Table) -> pa.Table:
+    """``devices`` with the columns that the run's files hold: one registered later is not part of its digest."""
+    stored: set[str] = set()
+    for entry in manifest.of_kind("devices"):
+        stored |= stored_columns(read_file(folder, entry))
+    return devices.select([name for name in devices.column_names if name in stored]) if stored else devices
 
 
 def read_run(results: Path, run_id: str | None = None) -> RunTables:

@@ -25,12 +25,12 @@ import pyarrow as pa
 
 from ..errors import ConfigError, IncompleteError, UsageError
 from . import files
-from .block import block_file, check_block, require_unique
+from .block import amended, block_file, check_block, other_name, require_unique
 from .digest import table_digest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest, encode, read_manifest
 from .parquet import encode_table
-from .read import CONFIG, PREFIX, find_run, read_config, read_table
+from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_table, stored_devices
 
 LOG = "log.jsonl"
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -121,6 +121,41 @@ class RunStore:
                 )
             )
 
+    def amend_devices(self, values: Mapping[str, Mapping[str, Any]]) -> None:
+        """Set columns of single devices in committed blocks, all of them or, should the process die, none.
+
+        Parameters
+        ----------
+        values : device_id -> column -> value, in the registered schema; other columns stay as they are.
+
+        Raises
+        ------
+        UsageError : a column that is not registered, or a value of the wrong type.
+        IncompleteError : the disk would not take it; the run is as it was.
+        """
+        with self._writing():
+            manifest = self.manifest
+            entries, replaced = [], []
+            for entry in manifest.of_kind("devices"):
+                table = read_block(self.folder, entry)
+                changed = amended(table, values)
+                if changed is table:
+                    entries.append(entry)
+                    continue
+                data = memoryview(encode_table(changed))
+                name = other_name(entry)
+                files.stage(self.folder, name, data)
+                files.publish(self.folder, name)
+                entries.append(replace(entry, name=name, bytes=data.nbytes, sha256=files.sha256(data)))
+                replaced.append(entry.name)
+            if not replaced:
+                return
+            files.fsync_folder(self.folder)
+            others = tuple(entry for entry in manifest.files if entry.kind != "devices")
+            self._put_manifest(replace(manifest, files=(*others, *entries), devices_digest=None))
+            for name in replaced:
+                (self.folder / name).unlink(missing_ok=True)
+
     def write_file(self, name: str, data: bytes) -> None:
         """Write or replace a page of the run (report.html) and record it in the manifest.
 
@@ -168,7 +203,7 @@ class RunStore:
                     status=status,
                     finished=_now(),
                     summary=dict(summary),
-                    devices_digest=table_digest(devices),
+                    devices_digest=table_digest(stored_devices(self.folder, manifest, devices)),
                 )
             )
 

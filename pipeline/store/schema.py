@@ -124,6 +124,18 @@ _TRIM = (
     _number("trimmed_true_conforms", "1", "1 where the true device conforms to all limits after the trim, else 0"),
 )
 
+_MISSING = (
+    _text(
+        "missing_effect",
+        "what its model lacks: effects joined by +, rivals of one class by |, or unknown; null: nothing",
+    ),
+    _text("missing_effect_size", "fitted sizes of these effects, as parameter=value+-sd"),
+    _text("missing_effect_reason", "what was found of a device that was examined after the last block"),
+    _text("status_with_effects", "status with the effects that its lot needs in the model; null where not refitted"),
+    _number("p_pass_with_effects", "1", "probability of conformity with the effects that its lot needs in the model"),
+    _text("verdict_with_effects", "verdict with the effects that its lot needs in the model"),
+)
+
 DEVICES: tuple[Column, ...] = (
     *_ORIGIN,
     *(column for quantity in QUANTITIES for column in _estimate(quantity)),
@@ -131,6 +143,7 @@ DEVICES: tuple[Column, ...] = (
     *_QUALITY,
     *_DECISION,
     *_TRIM,
+    *_MISSING,
     *(column for quantity in QUANTITIES for column in _virtual(quantity)),
 )
 

@@ -21,11 +21,11 @@ from .files import STAGED
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Manifest, in_block_order, read_manifest
 from .parquet import decode_table
-from .read import PREFIX, read_file, run_folders
+from .read import PREFIX, read_file, run_folders, stored_devices
 from .run import LOG
 from .schema import devices_schema, duplicates, posterior_schema
 
-_BLOCK = re.compile(r"(devices|posterior)-\d{5,}\.parquet")
+_BLOCK = re.compile(r"(devices|posterior)-\d{5,}(-amended)?\.parquet")
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def _contents(folder: Path, manifest: Manifest, devices: pa.Table) -> Iterator[F
     if twice:
         yield Finding(str(folder), "devices with more than one row", "one row a device", ", ".join(twice[:5]))
     if manifest.devices_digest is not None:
-        found = table_digest(devices)
+        found = table_digest(stored_devices(folder, manifest, devices))
         if found != manifest.devices_digest:
             yield Finding(str(folder), "digest of the devices table", manifest.devices_digest, found)
 
