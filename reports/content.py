@@ -22,6 +22,7 @@ from .causes import Pareto, StageLoss, pareto, stage_losses
 from .devices import Devices
 from .health import RouteDifference, Spread, StatusCount, route_differences, spreads, status_counts
 from .limits import Limits
+from .lot_effects import LotEffects, NeededEffects, needed_effects
 from .trim import TrimYield, trim_yield, true_conformity
 from .wording import cause_sentence, main_cause, process_sentence, stage_sentence, undecided_sentence
 from .worst import WorstDevice, worst_devices
@@ -100,6 +101,7 @@ class RunContent:
     pareto: Pareto
     stages: tuple[StageLoss, ...]
     trim: TrimYield | None
+    needed: NeededEffects | None
     coverages: tuple[Coverage, ...]
     verdict_check: VerdictCheck | None
     statuses: tuple[StatusCount, ...]
@@ -114,7 +116,12 @@ class RunContent:
     glossary: tuple[Quantity, ...]
 
 
-def run_content(run: Run, limits: Limits, population_summary: Mapping[str, Any] | None = None) -> RunContent:
+def run_content(
+    run: Run,
+    limits: Limits,
+    population_summary: Mapping[str, Any] | None = None,
+    lot_effects: LotEffects | None = None,
+) -> RunContent:
     """The content of a run's page.
 
     Parameters
@@ -124,6 +131,8 @@ def run_content(run: Run, limits: Limits, population_summary: Mapping[str, Any] 
     limits : the limits and rule by which the run was judged.
     population_summary : what the population says of itself, shown as it is; nested tables become dotted
     names.
+
+    lot_effects : what was found of its misfits, or ``None``.
 
     Raises
     ------
@@ -158,6 +167,7 @@ def run_content(run: Run, limits: Limits, population_summary: Mapping[str, Any] 
         causes=tuple(sorted(Counter(filter(None, devices.text("cause"))).items(), key=lambda row: (-row[1], row[0]))),
         pareto=bars,
         stages=stages,
+        needed=needed_effects(devices, lot_effects),
         trim=trim_yield(devices, true_conformity(devices, limits)),
         coverages=coverages(devices),
         verdict_check=check_verdicts(devices, limits),

@@ -15,6 +15,7 @@ from pipeline.quantities import QUANTITIES
 from .content import Run, RunContent, run_content
 from .devices import Devices, wafer_name
 from .limits import Limits
+from .lot_effects import LotEffects, counted, probability
 from .rendering import environment, interval, measured, stylesheet
 from .run_figures import corner_plots, run_figures
 from .worst import Estimate
@@ -41,7 +42,13 @@ _ROUTE = {
 }
 
 
-def render_run_report(run: Run, limits: Limits, *, population_summary: Mapping[str, Any] | None = None) -> str:
+def render_run_report(
+    run: Run,
+    limits: Limits,
+    *,
+    population_summary: Mapping[str, Any] | None = None,
+    lot_effects: LotEffects | None = None,
+) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
     Parameters
@@ -49,12 +56,13 @@ def render_run_report(run: Run, limits: Limits, *, population_summary: Mapping[s
     run : tables in the registered schema, manifest and configuration; no devices and null columns are fine.
     limits : the limits and rule by which the run was judged.
     population_summary : what the population says of itself; nested tables become dotted names.
+    lot_effects : what was found of its misfits.
 
     Raises
     ------
     ConfigError : the limits name a quantity that the results do not hold.
     """
-    content = run_content(run, limits, population_summary)
+    content = run_content(run, limits, population_summary, lot_effects)
     devices = Devices(run.devices)
     page = environment().get_template("run.html.j2")
     return page.render(
@@ -72,6 +80,8 @@ def render_run_report(run: Run, limits: Limits, *, population_summary: Mapping[s
         interval=interval,
         wafer_name=wafer_name,
         truth_of=_truth,
+        probability=probability,
+        counted=counted,
     )
 
 
@@ -88,6 +98,7 @@ def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
             ("yield", "Yield", True),
             ("wafers", "Wafers", bool(content.wafers)),
             ("distributions", "Theta and split", True),
+            ("lot-effects", "Effects this lot needs", content.needed is not None),
             ("trim", "Electronic tuning", content.trim is not None),
             ("calibration", "Calibration", True),
             ("health", "Convergence", True),

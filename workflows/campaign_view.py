@@ -33,6 +33,7 @@ from pipeline.errors import GyroscreenError
 from pipeline.experiment.noise_level import NoiseLevel
 from pipeline.experiment.play import plays_of
 from pipeline.experiment.record import Campaign, Record
+from pipeline.experiment.sensitivity import STRONG
 from pipeline.inference.campaign_fit import CampaignFit, RecordFit, fit_campaign
 from pipeline.inference.campaign_free import free_shapes
 from pipeline.inference.campaign_problem import Problem
@@ -46,8 +47,6 @@ from .campaign_signatures import Tangent, signature_of
 #: Above this every effect of the library is as good as silent for drives below 700 Hz.
 TOP_HZ = 2500.0
 _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
-#: Share of a record made by forces and pick-off laws from which the plant's columns are computed with them.
-_STRONG = 0.1
 #: Room for the columns of signatures, enlarged where users bring more effects.
 _COLUMNS = 100
 #: Frequencies of the scan for one more mode that a fit starts from.
@@ -161,7 +160,7 @@ class CampaignView:
         starts = self._starts(fitted)
         loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
         task = tasks.each[loudest]
-        exact = problem.strength(fitted.values, task) > _STRONG
+        exact = problem.strength(fitted.values, task) > STRONG
         steps = problem.steps(fitted.values, task, starts[loudest])
         turn = _external(fitted)
         jacobians, free_starts = [], []

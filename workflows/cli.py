@@ -313,6 +313,18 @@ def lattice(
     command(order, seconds, json)
 
 
+@benchmark.command()
+def silverbox(
+    data: Annotated[Path, typer.Argument(help="Folder of SNLS80mV.mat, the Silverbox measurement.")],
+    hold: Annotated[str, typer.Option(help="How drive samples become volts: zoh, foh or bandlimited.")] = "bandlimited",
+    json: Json = False,
+) -> None:
+    """The loop on a measured one-drive resonator: rms error in mV, rung by rung."""
+    from .commands.silverbox import silverbox as command
+
+    command(data, hold, json)
+
+
 @benchmark.command("hidden-effects")
 def hidden_effects(
     kind: Annotated[str, typer.Option(help="none, one, weak, outside, left-out, two, .. or all.")] = "all",

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import tomli_w
+from distributed import Client
 
 from pipeline.errors import ConfigError, GateError, IncompleteError
 from pipeline.store.provenance import provenance
 from pipeline.store.read import read_run
 from pipeline.store.run import RunStore, create_run, open_run
+from reports import lot_effects as lot_report
 from reports.page import render_run_report
 from reports.yields import yield_of_verdicts
 
@@ -36,6 +38,8 @@ from .block import (
 from .campaign_block import campaign_block
 from .cluster import cluster, in_parallel, worker_count
 from .config import RunConfig, to_struct_from_toml, to_toml_table
+from .lot_effects import examine
+from .lot_look import DeviceLook, Request, look_at
 from .progress import progress
 
 
@@ -50,6 +54,7 @@ class NightResult:
     statuses: dict[str, int]
     yield_share: float
     yield_interval: tuple[float, float]
+    lot_effects: tuple[str, ...]
     main_cause: str | None
     seconds: float
     report: Path | None
@@ -64,6 +69,7 @@ class NightResult:
             "statuses": self.statuses,
             "yield": self.yield_share,
             "yield_interval": list(self.yield_interval),
+            "lot_effects": list(self.lot_effects),
             "main_cause": self.main_cause,
             "seconds": round(self.seconds, 3),
             "report": None if self.report is None else str(self.report),
@@ -164,16 +170,36 @@ def run_blocks(night: Night, store: RunStore, workers: int, scheduler: str | Non
     """Run all blocks that are not committed yet, committing each as it comes."""
     done = store.committed_blocks()
     left = [block for block in night.blocks if block.index not in done]
-    if not left:
+    examined = not night.config.diagnosis.enabled or store.page(lot_report.FILE) is not None
+    if not left and examined:
         return
     finished = night.devices - sum(block.count for block in left)
-    count = min(worker_count(workers or night.config.run.workers), len(left))
+    count = worker_count(workers or night.config.run.workers)
+    count = min(count, len(left)) if examined else count
     store.log({"event": "start", "workers": count, "scheduler": scheduler, "blocks": len(left)})
     with cluster(count, scheduler) as client, progress(night.devices, finished, quiet) as advance:
         for tables in in_parallel(client, block_task, (night.config, night.folders), left):
             store.commit_block(tables.index, tables.devices, tables.posterior)
             store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
             advance(tables.devices.num_rows)
+        if not examined:
+            _examine(night, store, client, quiet)
+
+
+def _examine(night: Night, store: RunStore, client: Client, quiet: bool) -> None:
+    """Find out what misfits lack, write it into their rows, and leave the findings beside the tables."""
+
+    def look(requests: Sequence[Request]) -> Iterator[DeviceLook]:
+        store.log({"event": "look", "devices": len(requests)})
+        with progress(len(requests), 0, quiet, "examining") as advance:
+            for seen in in_parallel(client, look_at, (night.config, night.folders), requests):
+                advance(1)
+                yield seen
+
+    found, columns = examine(store.devices(), night.config.diagnosis, look)
+    store.amend_devices(columns)
+    store.write_file(lot_report.FILE, found.to_json())
+    store.log({"event": "examined", "effects": [effect.effect for effect in found.effects]})
 
 
 def write_report(results: Path, run_id: str) -> tuple[str, Path]:
@@ -181,10 +207,17 @@ def write_report(results: Path, run_id: str) -> tuple[str, Path]:
     tables = read_run(results, run_id)
     config = to_struct_from_toml(tables.config_toml, f"run.toml of {run_id}")
     said = dict(population(config).assumptions()) if config.source.kind == "population" else None
-    page = render_run_report(tables, config.judged_by(), population_summary=said)
     store = open_run(results, run_id)
+    found = lot_effects(store)
+    page = render_run_report(tables, config.judged_by(), population_summary=said, lot_effects=found)
     store.write_file("report.html", page.encode("utf-8"))
     return page, store.folder / "report.html"
+
+
+def lot_effects(store: RunStore) -> lot_report.LotEffects | None:
+    """What a run found of its misfits; ``None`` where they were not examined."""
+    data = store.page(lot_report.FILE)
+    return None if data is None else lot_report.LotEffects.from_json(data)
 
 
 def finish(night: Night, store: RunStore, results: Path, started: float) -> NightResult:
@@ -200,7 +233,10 @@ def finish(night: Night, store: RunStore, results: Path, started: float) -> Nigh
     main = max(causes, key=lambda name: causes[name]) if causes else None
     interval = (found.clopper_pearson.low, found.clopper_pearson.high)
     seconds = time.monotonic() - started
-    store.finish("complete", {"verdicts": verdicts, "statuses": statuses, "seconds": round(seconds, 3)})
+    said = lot_effects(store)
+    needed = () if said is None else tuple(sorted({effect.effect for effect in said.effects}))
+    summary = {"verdicts": verdicts, "statuses": statuses, "lot_effects": list(needed), "seconds": round(seconds, 3)}
+    store.finish("complete", summary)
     _, path = write_report(results, store.run_id)
     store.log({"event": "finish", "verdicts": verdicts, "statuses": statuses})
     return NightResult(
@@ -211,6 +247,7 @@ def finish(night: Night, store: RunStore, results: Path, started: float) -> Nigh
         statuses,
         verdicts["pass"] / max(devices.num_rows, 1),
         interval,
+        needed,
         main,
         time.monotonic() - started,
         path,

@@ -11,24 +11,24 @@ _EVERY_S = 10.0
 
 
 @contextmanager
-def progress(total: int, done: int, quiet: bool) -> Iterator[Callable[[int], None]]:
+def progress(total: int, done: int, quiet: bool, doing: str = "identifying") -> Iterator[Callable[[int], None]]:
     """A function to call with the number of devices that were just finished; rate and time left are shown."""
     if quiet:
         yield lambda _: None
     elif sys.stderr.isatty():
-        with _bar(total, done) as advance:
+        with _bar(total, done, doing) as advance:
             yield advance
     else:
-        yield _Lines(total, done).advance
+        yield _Lines(total, done, doing).advance
 
 
 @contextmanager
-def _bar(total: int, done: int) -> Iterator[Callable[[int], None]]:
+def _bar(total: int, done: int, doing: str) -> Iterator[Callable[[int], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn("identifying"),
+        TextColumn(doing),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("devices  {task.fields[rate]}  left"),
@@ -51,8 +51,8 @@ def _bar(total: int, done: int) -> Iterator[Callable[[int], None]]:
 class _Lines:
     """A line at the start, at the end and every few seconds between."""
 
-    def __init__(self, total: int, done: int) -> None:
-        self._total, self._done, self._fresh = total, done, 0
+    def __init__(self, total: int, done: int, doing: str) -> None:
+        self._total, self._done, self._fresh, self._doing = total, done, 0, doing
         self._started = self._last = time.monotonic()
 
     def advance(self, devices: int) -> None:
@@ -64,7 +64,7 @@ class _Lines:
         self._last = now
         rate = self._fresh / max(now - self._started, 1e-9)
         left = (self._total - finished) / max(rate, 1e-9)
-        text = f"{finished}/{self._total} devices, {rate:.1f}/s, {left:.0f} s left"
+        text = f"{self._doing} {finished}/{self._total} devices, {rate:.1f}/s, {left:.0f} s left"
         # A night must not end because nobody reads its progress any more.
         with suppress(OSError):
             print(text, file=sys.stderr, flush=True)

@@ -20,7 +20,7 @@ from .problem import FitResult, Problem
 from .tails import log_tail
 
 #: A member this significant by its own estimate needs no refit without it.
-_SURE = 8.0
+SURE = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ def _prune(
     while len(fit.terms) > 1:
         worst: tuple[float, FitResult, str] | None = None
         for term in fit.terms[:-1] if not dropped else fit.terms:
-            if _wald(fit, term) > _SURE**2:
+            if wald(fit, term) > SURE**2:
                 continue
             less = _fit(problem, tuple(name for name in fit.terms if name != term), fit, fits)
             if not less.ok:
@@ -219,10 +219,10 @@ def _prune(
 
 def _told_from_null(fit: FitResult, term: str) -> bool:
     """Whether the size of a term is seen in its own uncertainty; a fall of chi2 without it is a jump at the null."""
-    return not any(fit.shifts.get(term, ())) or _wald(fit, term) > 1.0
+    return not any(fit.shifts.get(term, ())) or wald(fit, term) > 1.0
 
 
-def _wald(fit: FitResult, term: str) -> float:
+def wald(fit: FitResult, term: str) -> float:
     """theta' C^-1 theta of a member, from the jacobian alone."""
     gram = sum((jac.T @ jac for jac in fit.jacobian), np.zeros((fit.jacobian[0].shape[1],) * 2))
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))

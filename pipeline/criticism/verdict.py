@@ -1,7 +1,7 @@
 """The verdict: what is left decides, not what fell.
 
 fit_failed  a fit that was needed failed; never evidence
-unknown     a significant misfit is left that nothing explains
+unknown     a significant misfit is left that nothing explains, or only several terms that hardly stand by themselves
 adequate    nothing is missing
 effect      the added terms explain everything, and no other term could stand for one of them
 class       the same, but another term could
@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from .classes import Rival, rivals
-from .climb import Climb, tail_of_fall
+from .climb import SURE, Climb, tail_of_fall, wald
 from .examine import Rules
 from .problem import Problem
 
@@ -80,7 +80,18 @@ def verdict(climbed: Climb, found: tuple[TermClass, ...], rules: Rules) -> Verdi
         return "unknown"
     if not found:
         return "adequate"
+    if any(not supported(climbed, item.term) for item in found) and len(found) > 1:
+        return "unknown"
     return "class" if any(len(item.members) > 1 for item in found) else "effect"
+
+
+def supported(climbed: Climb, term: str) -> bool:
+    """Whether a term stands without the help of others: confirmed on held-out data, or far beyond doubt on the fitted.
+
+    Two terms that just pass can together imitate a third that is no candidate; a single one hardly can.
+    """
+    confirmed = any(step.term == term and step.held.standing == "confirmed" for step in climbed.steps)
+    return confirmed or not climbed.last.fit.columns.get(term) or wald(climbed.last.fit, term) > SURE**2
 
 
 def misfit(error: float | None) -> float | None:

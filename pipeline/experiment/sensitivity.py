@@ -29,6 +29,8 @@ from .system import assemble
 
 #: A step of an effect's parameter moves the record by about this share.
 _SHARE = 1e-6
+#: Share of the record made by forces and pick-off laws from which linear parts are followed through them too.
+STRONG = 0.1
 #: Substeps of the integrator where only slopes are wanted: they need not be as exact as a record.
 SLOPE_SUBSTEPS = 2
 _GRIDDED_STAGES = {"force", "sense"}
@@ -277,6 +279,9 @@ def signatures(
     curved = bool(before.forces or before.senses)
     remainder0 = remainder_volts(before, play, starts, substeps) if curved else None
     y0 = linear0 if remainder0 is None else linear0 + remainder0
+    bends = found.force is not None or found.sense is not None
+    # A weak nonlinear effect changes what a linear one does in second order only.
+    strong = remainder0 is not None and np.linalg.norm(remainder0) > STRONG * np.linalg.norm(linear0)
     t = np.arange(y0.shape[1]) / play.sample_rate_hz
 
     def moved(point: Mapping[str, float], name: str, value: float) -> FloatArray:
@@ -286,7 +291,7 @@ def signatures(
         trial = {**values, **{found.full_name(m): point[m.name] for m in scanned}}
         trial[found.full_name(next(m for m in members if m.name == name))] = value
         system = assemble(larger, larger.complete(trial), instrument, play.conditions)
-        if system.forces or system.senses:
+        if bends or strong:
             # Deviations free of cancellation: the linear part is the same unless the effect touches it.
             change = remainder_volts(system, play, starts, substeps)
             if remainder0 is not None:
@@ -313,8 +318,7 @@ def signatures(
             columns = moved(point, scanned[0].name, point[scanned[0].name])[None]
             names = tuple(m.name for m in scanned)
         else:
-            linear = found.force is None and found.sense is None
-            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), linear) for m in followed]
+            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), not bends) for m in followed]
             columns = np.stack([slope for slope, _ in slopes])
             names = tuple(m.name for m in followed)
             steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}

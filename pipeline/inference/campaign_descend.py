@@ -14,6 +14,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..device.model import Model
 from ..errors import ConfigError
+from ..experiment.sensitivity import STRONG
 from .campaign_problem import Problem, Tasks
 
 _ITERATIONS = 40
@@ -23,8 +24,6 @@ _STANDSTILL = 1e-4
 CLOSE = 1e-2
 #: Expected fall of chi2 below which the columns of the step before, updated, still serve.
 _SMALL_STEP = 3e3
-#: Share of the record made by forces and pick-off laws from which the plant's columns are computed with them.
-_STRONG = 0.1
 #: And below which they always suffice without.
 FAINT = 1e-3
 
@@ -161,7 +160,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point,
     loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
     task = tasks.each[loudest]
     steps = problem.steps(problem.model.to_values(at.x), task, at.starts[loudest])
-    exact = problem.strength(problem.model.to_values(at.x), task) > _STRONG
+    exact = problem.strength(problem.model.to_values(at.x), task) > STRONG
     damping = 0.0
     sensitivities: list[_Sensitivity] | None = None
     normal = np.zeros((at.x.size, at.x.size))
@@ -207,7 +206,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point,
         at = accepted
         damping = 0.0 if damping <= 1e-4 else damping * 0.1
         poor = expected > noise and fall < 0.5 * expected
-        was_exact, exact = exact, exact or strength > _STRONG or (poor and strength > FAINT)
+        was_exact, exact = exact, exact or strength > STRONG or (poor and strength > FAINT)
         if fall < _STANDSTILL * noise and exact == was_exact:
             return at, normal, True
         if poor or expected > _SMALL_STEP * noise or exact != was_exact:

@@ -199,7 +199,7 @@ def fit_campaign(
     start : parameter values to start from (other names are ignored); what is missing is found from the records
         (plant) or
         starts at its null (effects), or where a scan finds it best (parameters that do not exist at the null).
-    likely : parameter -> values that such a scan should not leave out.
+    likely : parameter -> values that such a scan tries.
 
     Raises
     ------

@@ -4,7 +4,7 @@ For each point of the grid the effect's columns c, with the columns J of the mod
 
     g^T A^-1 g,      A = c^T (1 - J (J^T J)^-1 J^T) c,     g = c^T (1 - J (J^T J)^-1 J^T) r
 
-A frequency is scanned at the strongest peaks of the residuals' spectrum instead of its grid.
+A frequency is scanned where it is likely, or at the strongest peaks of the residuals' spectrum, instead of its grid.
 Shapes: N samples, S senses, P parameters of the model without the effect, k columns of the effect; all in sigmas.
 """
 
@@ -70,7 +70,7 @@ def scan(
     residuals : (N, S) of each record in sigmas.
     columns : (N S, P) of each record in sigmas.
     whiten : takes volts (k, N, S) of each record to sigmas, nuisances projected out.
-    likely : values of a frequency by name that are scanned beside the peaks.
+    likely : values of a frequency by name that are scanned instead of the peaks.
     """
     found = model.with_effect(effect).effect(effect)
     members = found.members(model.built.shape)
@@ -79,8 +79,7 @@ def scan(
     for member in members:
         if member.grid and member.unit == "Hz":
             top = min(member.high, rate / 2.0)
-            peaks = peaks_hz(residuals, rate, member.low, top)
-            grid[member.name] = tuple(sorted({*peaks, *likely.get(member.name, ())}))
+            grid[member.name] = likely.get(member.name) or peaks_hz(residuals, rate, member.low, top)
     normal = sum(j.T @ j for j in columns)
     scale = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)

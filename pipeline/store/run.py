@@ -30,7 +30,7 @@ from .digest import table_digest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest, encode, read_manifest
 from .parquet import encode_table
-from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_table, stored_devices
+from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_file, read_table, stored_devices
 
 LOG = "log.jsonl"
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -69,6 +69,15 @@ class RunStore:
     def committed_blocks(self) -> frozenset[int]:
         """Numbers of the blocks that need not be computed again."""
         return self.manifest.blocks()
+
+    def devices(self) -> pa.Table:
+        """The committed ``devices`` in block order; IntegrityError where one is not what was committed."""
+        return read_table(self.folder, self.manifest, "devices")
+
+    def page(self, name: str) -> bytes | None:
+        """A page of the run as it was written, or ``None`` where there is none; IntegrityError if it has changed."""
+        entry = next((entry for entry in self.manifest.of_kind("page") if entry.name == name), None)
+        return None if entry is None else read_file(self.folder, entry)
 
     def commit_block(self, block: int, devices: pa.Table, posterior: pa.Table | None) -> None:
         """Commit the tables of one block, whole or not at all.  A block that is committed already is left

@@ -67,6 +67,7 @@ def _summary(result: NightResult, out: Path) -> str:
         f"yield {100 * result.yield_share:.1f} % (95 % interval {100 * low:.1f} to {100 * high:.1f} %): {verdicts}",
         f"main cause of loss: {result.main_cause or 'none'}",
         f"status: {statuses}; {result.devices} devices in {result.seconds:.1f} s",
+        *([f"effects the lot needs: {', '.join(result.lot_effects)}"] if result.lot_effects else []),
         f"results: {result.folder}",
         f"report:  {result.report}",
         f'query:   gyroscreen query "SELECT verdict, count(*) AS n FROM devices GROUP BY verdict"{where}',
