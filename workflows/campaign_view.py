@@ -40,7 +40,7 @@ from pipeline.inference.campaign_problem import Problem
 
 from .campaign_modes import NAME as MODE
 from .campaign_modes import Scan, grid_of, mode_candidate, scan_of
-from .campaign_plane import Plane, planes_of
+from .campaign_plane import Plane, planes_of, resonances_of
 from .campaign_regions import regions_of
 from .campaign_signatures import Tangent, signature_of
 
@@ -49,6 +49,8 @@ TOP_HZ = 2500.0
 _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 #: Room for the columns of signatures, enlarged where users bring more effects.
 _COLUMNS = 100
+#: Half widths by which the frequencies of two modes differ at least.
+_APART = 3.0
 #: Frequencies of the scan for one more mode that a fit starts from.
 _LIKELY = 3
 #: Signatures are taken anew once the fitted records have moved by this share of themselves.
@@ -209,7 +211,11 @@ class CampaignView:
             error={k: v for k, v in fitted.error.items() if v is not None and known},
             relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
             noise_bounded=not known,
-            at_limit=tuple(term for term in terms if any(_ended(fitted, free[i]) for i in columns[term])),
+            at_limit=tuple(
+                term
+                for term in terms
+                if any(_ended(fitted, free[i]) for i in columns[term]) or (term == MODE and _coincides(fitted))
+            ),
         )
 
     @staticmethod
@@ -371,6 +377,12 @@ def _ended(fitted: CampaignFit, name: str) -> bool:
     low, high = fitted.model.bounds(name)
     value, null = fitted.values[name], fitted.model.by_name[name].null
     return value in (low, high) and value != null
+
+
+def _coincides(fitted: CampaignFit) -> bool:
+    """Whether the additional mode lies in the resonance of another: then it mends that one's residue and is no mode."""
+    f, zeta = (fitted.values[f"{MODE}.{name}"] for name in ("f", "zeta"))
+    return any(abs(f - other) < _APART * (zeta * f + width) for other, width in resonances_of(fitted.values))
 
 
 def _is_quantity(term: str, name: str) -> bool:

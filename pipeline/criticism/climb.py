@@ -108,7 +108,7 @@ def _next(
             failures.append(score.name)
             continue
         if score.name in fit.at_limit:
-            reasons[score.name] = "refitted, a parameter ran to the end of its range"
+            reasons[score.name] = "refitted, it ran to the end of its range, or to where the model is already"
             continue
         if not _told_from_null(fit, score.name):
             reasons[score.name] = "refitted, its size cannot be told from none"
@@ -148,7 +148,7 @@ def _pair(problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], r
     first, second = sorted(pairs[0].names, key=lambda name: -_fall(here, name))
     one = _fit(problem, (*here.fit.terms, first), here.fit, fits)
     both = _fit(problem, (*here.fit.terms, first, second), one if one.ok else here.fit, fits)
-    if not (one.ok and both.ok and both.chi2 <= one.chi2 <= here.fit.chi2):
+    if not (one.ok and both.ok and both.chi2 <= one.chi2 <= here.fit.chi2) or {first, second} & set(both.at_limit):
         return ()
     sizes = sum(score.parameters for score in here.scores if score.name in (first, second))
     if not _worth(here.fit.chi2 - both.chi2, here, sizes, rules.alpha):

@@ -69,7 +69,8 @@ class FitResult:
     noise_known : false where the residuals are white up to an unknown common factor.
     noise_bounded : where it is unknown: the noise has at most unit variance, so chi2/dof well above 1 is a misfit.
     nuisances : free amplitudes that were projected out, counted in the degrees of freedom.
-    at_limit : terms of which a parameter ran to an end of its range that is not its null.
+    at_limit : terms of which a parameter ran to an end of its range that is not its null, or to where the term only does again
+        what the model does already.
     error, relative_error : "fit" and "validate" as the problem defines them; rms of the residuals where left out.
     """
 
