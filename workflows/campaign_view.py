@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.fft import rfft
 
 from pipeline.arrays import FloatArray, IntArray
 from pipeline.criticism.problem import (
@@ -42,11 +41,9 @@ from .campaign_modes import NAME as MODE
 from .campaign_modes import Scan, grid_of, mode_candidate, scan_of
 from .campaign_plane import Plane, planes_of, resonances_of
 from .campaign_regions import regions_of
+from .campaign_rows import TOP_HZ, Spectra, block_diagonal, labels_of, same_drive, spectra_of, strata_of
 from .campaign_signatures import Tangent, signature_of
 
-#: Above this every effect of the library is as good as silent for drives below 700 Hz.
-TOP_HZ = 2500.0
-_STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 #: Room for the columns of signatures, enlarged where users bring more effects.
 _COLUMNS = 100
 #: Half widths by which the frequencies of two modes differ at least.
@@ -55,38 +52,6 @@ _APART = 3.0
 _LIKELY = 3
 #: Signatures are taken anew once the fitted records have moved by this share of themselves.
 _STALE = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class Spectra:
-    """Which bins of a record count, and how they are scaled."""
-
-    samples: int
-    bins: IntArray
-    frequency_hz: FloatArray
-
-    def __call__(self, y: FloatArray) -> FloatArray:
-        """(.., N, S) -> (.., 2 F, S): unitary real Fourier coefficients."""
-        # Along the last, contiguous axis a transform is several times faster than down a column.
-        lines = np.ascontiguousarray(np.moveaxis(y, -2, -1))
-        out = np.zeros((*lines.shape[:-2], 2 * self.bins.size, lines.shape[-2]))
-        first, last = int(self.bins[0]), int(self.bins[-1]) + 1
-        for place in np.ndindex(lines.shape[:-1]):
-            if not lines[place].any():
-                continue
-            c = rfft(lines[place])[first:last] * np.sqrt(2.0 / self.samples)
-            out[(*place[:-1], slice(None, self.bins.size), place[-1])] = c.real
-            out[(*place[:-1], slice(self.bins.size, None), place[-1])] = c.imag
-        return out
-
-
-def spectra_of(record: Record) -> Spectra:
-    """Bins above zero, up to ``TOP_HZ`` and below Nyquist."""
-    n, rate = record.drive_v.shape[0], record.sample_rate_hz
-    bins = np.arange(1, (n - 1) // 2 + 1)
-    frequency = bins * rate / n
-    kept = frequency <= TOP_HZ
-    return Spectra(n, bins[kept], frequency[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +119,7 @@ class CampaignView:
     @cached_property
     def strata(self) -> tuple[IntArray, ...]:
         """Noise stratum of every row of each fit record."""
-        return tuple(_strata(s, record.sense_v.shape[1]) for record, s in zip(self.records, self.spectra))
+        return tuple(strata_of(s, record.sense_v.shape[1]) for record, s in zip(self.records, self.spectra))
 
     def _result(self, fitted: CampaignFit, terms: tuple[str, ...]) -> FitResult:
         problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
@@ -176,7 +141,7 @@ class CampaignView:
                 f = problem.start_columns(fitted.values, tasks.each[place], start, exact)
                 free_starts.append(spectra(f.T.reshape(-1, *shape)).reshape(start.size, -1).T)
         if any(f.shape[1] for f in free_starts):
-            jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, _block_diagonal(free_starts))]
+            jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, block_diagonal(free_starts))]
         free = fitted.model.free
         columns = {
             term: tuple(i for i, name in enumerate(free) if name.startswith(f"{term}.") or _is_quantity(term, name))
@@ -232,7 +197,7 @@ class CampaignView:
 
     def _block(self, record: Record, fitted: CampaignFit) -> Block:
         mine = next(r for r in fitted.records if r.name == record.name)
-        twins = [r.name for r in self.campaign.records if r.role == record.role and _same_drive(r, record)]
+        twins = [r.name for r in self.campaign.records if r.role == record.role and same_drive(r, record)]
         return Block(
             record.name,
             spectra_of(record)(mine.residual),
@@ -361,17 +326,6 @@ class CampaignView:
         return regions_of(self.campaign_fit(fit.terms), self.planes)
 
 
-def _block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
-    """Columns of single records (n_b, k_b) as columns of all of them (n_b, sum k)."""
-    edges = np.cumsum([0, *(part.shape[1] for part in parts)])
-    out = []
-    for part, first in zip(parts, edges):
-        wide = np.zeros((part.shape[0], int(edges[-1])))
-        wide[:, first : first + part.shape[1]] = part
-        out.append(wide)
-    return out
-
-
 def _ended(fitted: CampaignFit, name: str) -> bool:
     """Whether a parameter lies at an end of its range that is not its null."""
     low, high = fitted.model.bounds(name)
@@ -389,17 +343,6 @@ def _is_quantity(term: str, name: str) -> bool:
     return term == "offdiagonal_damping" and name == "c12_per_s"
 
 
-def _same_drive(a: Record, b: Record) -> bool:
-    return a.drive_v.shape == b.drive_v.shape and bool(np.array_equal(a.drive_v, b.drive_v))
-
-
-def _strata(spectra: Spectra, senses: int) -> IntArray:
-    """Noise stratum of each row: band of frequency and channel."""
-    band = np.digitize(spectra.frequency_hz, _STRATA_HZ) - 1
-    both = np.concatenate([band, band])
-    return np.asarray((both[:, None] * senses + np.arange(senses)).reshape(-1))
-
-
 def _external(fitted: CampaignFit) -> FloatArray:
     """d smooth coordinates / d parameters (P, P) at the fit."""
     model, values = fitted.model, fitted.values
@@ -409,24 +352,3 @@ def _external(fitted: CampaignFit) -> FloatArray:
         pair = [model.to_internal({**values, name: values[name] + sign * size}) for sign in (1.0, -1.0)]
         out[:, i] = (pair[0] - pair[1]) / (2.0 * size)
     return out
-
-
-def labels_of(record: Record, campaign: Campaign) -> Mapping[str, str]:
-    """Level, direction and drives of a record, in words that group records."""
-    peaks = np.max(np.abs(record.drive_v), axis=0)
-    most = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records) or 1.0
-    on = [d for d in range(peaks.size) if peaks[d] > 0.01 * most]
-    direction = "none"
-    if on:
-        v = record.drive_v[:, on[0]]
-        signs = np.signbit(v)
-        half = v.size // 2
-        early, late = np.count_nonzero(np.diff(signs[:half])), np.count_nonzero(np.diff(signs[half:]))
-        direction = "up" if late > 1.1 * early else ("down" if early > 1.1 * late else "flat")
-        if on[0] == 1 and direction in ("up", "down"):
-            direction = "down" if direction == "up" else "up"
-    return {
-        "level": f"{float(peaks.max()) / most:.2g}",
-        "direction": direction,
-        "drives": "+".join(str(d + 1) for d in on) or "none",
-    }

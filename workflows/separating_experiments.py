@@ -24,7 +24,7 @@ from pipeline.experiment.excitation import Chirp, Excitation, Multisine, drive_s
 from pipeline.experiment.instrument import Adc
 from pipeline.experiment.record import Campaign, Record
 
-from .campaign_view import TOP_HZ
+from .campaign_rows import TOP_HZ
 
 #: Effects whose law holds the bias, and the share of the bias that is tried.
 _BIASED = {"electrostatic_softening", "drive_nonlinearity"}
