@@ -71,7 +71,7 @@ def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = N
     refused: dict[str, str] = {}
     while len(steps) < rules.rungs:
         step, reasons, failures = _next(problem, looks[-1], fits, rules)
-        refused.update(reasons)
+        refused.update(reasons | dict.fromkeys(failures, "its fit failed, or raised chi2"))
         if not step:
             failed = "" if not failures or reasons else f"no fit with {', '.join(failures)} succeeded"
             break
