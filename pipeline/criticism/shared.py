@@ -19,6 +19,7 @@ Shapes: n units, K columns in all, k of a term.  ``weights`` (n,): how many unit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -101,10 +102,10 @@ class Shared:
 
     Parameters
     ----------
-    terms : all that were judged, most significant first.
+    terms : all that were judged, most significant first; ``nearest`` is the name of the one that came nearest to being shared.
     found : the best of those that are shared, or ``None``.
     rivals : terms that could stand for ``found``.
-    log_p_any : the smallest log p, every term counted (before any unit is left out).
+    log_p_any : the smallest log p without the most telling units, every term counted.
     aside : (n,) units that were set aside as odd.
     dispersion : of the scores, at least 1.
     """
@@ -112,6 +113,7 @@ class Shared:
     terms: tuple[Joint, ...]
     found: Joint | None
     rivals: tuple[str, ...]
+    nearest: str
     log_p_any: float
     aside: tuple[bool, ...]
     dispersion: float
@@ -143,7 +145,7 @@ def shared(
     trials : how many such families are looked at.
     """
     if not terms or evidence.score.shape[0] == 0:
-        return Shared((), None, (), 0.0, (False,) * evidence.score.shape[0], 1.0)
+        return Shared((), None, (), "", 0.0, (False,) * evidence.score.shape[0], 1.0)
     whole, scale = evidence.scaled()
     alone, dispersion = _alone(whole, terms)
     budget = TENTH * population
@@ -154,6 +156,7 @@ def shared(
     left = max(budget - float(whole.weights[odd].sum()), 0.0)
     joints = [_judged(kept, term, scale, dispersion, left) for term in terms]
     order = sorted(range(len(terms)), key=lambda i: joints[i].log_p)
+    near = min(order, key=lambda i: joints[i].log_p_without)
     count = float(len(terms)) * trials
     found = next(
         (
@@ -172,7 +175,8 @@ def shared(
         tuple(joints[i] for i in order),
         None if found is None else joints[found],
         rivals,
-        float(log_any(min(joint.log_p for joint in joints), count)),
+        joints[near].name,
+        float(log_any(joints[near].log_p_without, count)),
         tuple(odd.tolist()),
         dispersion,
     )
@@ -241,8 +245,8 @@ def _judged(kept: Evidence, term: SharedTerm, scale: FloatArray, dispersion: flo
         term.name,
         common,
         spread,
-        min(min(common, spread) + np.log(2.0), 0.0),
-        min(without + np.log(2.0), 0.0),
+        min(min(common, spread) + math.log(2.0), 0.0),
+        min(without + math.log(2.0), 0.0),
         tuple((size / units).tolist()),
         tuple((sd / units).tolist()),
         all(side == 0 or side * value > 0.0 for side, value in zip(term.sides, size.tolist())),
