@@ -35,8 +35,8 @@ from populations.draw import draw
 from reports.decision import decide
 
 from .block import population, rate_of, shared_record, virtual_records
-from .campaign_signatures import Tangent, signature_of
 from .campaign_rows import spectra_of
+from .campaign_signatures import Tangent, signature_of
 from .campaign_view import CampaignView
 from .config import RunConfig
 
