@@ -22,7 +22,7 @@ from pipeline.experiment.record import Campaign, Record
 
 from ..simulate import device_parameters, standard_excitations
 from .effects import LIBRARY, Drawn, draw_effect
-from .strengths import Baseline, baseline, sized
+from .strengths import Baseline, baseline, modelled, sized
 from .truth import OUTSIDE, clipped, hum, response
 
 Noise = Literal["white", "coloured", "heavy-tailed", "louder"]
@@ -129,7 +129,6 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
     values = device(random)
     effects = effects_of(kind, number, random)
     empty = _empty(int(random.integers(2**31)))
-    clean = {r.name: response(values, r.drive_v, INSTRUMENT) for r in empty if r.role != "noise"}
     snr: list[float] = []
     sizes: list[str] = []
     if effects:
@@ -137,7 +136,7 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
         # What the ADC adds to the noise.
         sigma = float(np.hypot(SIGMA_V, Adc().lsb_v / np.sqrt(12.0)))
         base = baseline(values, fitted, INSTRUMENT, sigma)
-        before = [clean[r.name] for r in fitted]
+        before = modelled(values, (), fitted, INSTRUMENT)
         changed = dict(values)
         for i, effect in enumerate(effects):
             target = float(np.exp(random.uniform(*np.log(KINDS[kind].snr))))
@@ -149,8 +148,7 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
             snr.append(found[1])
             sizes += drawn.direction
         values = changed
-        if effects != ("adc_saturation",) and effects != ("mains_hum",):
-            clean = {r.name: response(values, r.drive_v, INSTRUMENT) for r in empty if r.role != "noise"}
+    clean = _answers(values, empty)
     measured = tuple(
         _measured(r, clean.get(r.name), values, KINDS[kind].noise, stream(seed, kind, number, f"record{i}"))
         for i, r in enumerate(empty)
@@ -164,6 +162,19 @@ def _empty(seed: int) -> tuple[Record, ...]:
     rate = INSTRUMENT.sample_rate_hz
     drives = [(n, role, drive_samples(e, rate)) for n, role, e in standard_excitations(seed)]
     return tuple(Record(name, rate, v, np.zeros_like(v), role=role) for name, role, v in drives)
+
+
+def _answers(values: Mapping[str, float], records: tuple[Record, ...]) -> dict[str, FloatArray]:
+    """The noise-free driven records by name, those with the same drive computed once."""
+    made: dict[bytes, FloatArray] = {}
+    out = {}
+    for record in records:
+        key = record.drive_v.tobytes()
+        if record.role != "noise":
+            if key not in made:
+                made[key] = response(values, record.drive_v, INSTRUMENT)
+            out[record.name] = made[key]
+    return out
 
 
 def _strength(
@@ -186,7 +197,9 @@ def _strength(
         trial = {**values, **drawn.at(size)}
         if effect == "adc_saturation":
             return base.snr([clipped(y, trial) - y for y in before])
-        return base.snr([response(trial, r.drive_v, INSTRUMENT) - y for r, y in zip(fitted, before)])
+        if effect in OUTSIDE:
+            return base.snr([y - z for y, z in zip((response(trial, r.drive_v, INSTRUMENT) for r in fitted), before)])
+        return base.snr([y - z for y, z in zip(modelled(trial, (effect,), fitted, INSTRUMENT), before)])
 
     found = sized(snr_of, target, drawn.most)
     return found.size, found.snr

@@ -80,7 +80,7 @@ class Physics(NamedTuple):
     cooling_per_s: float
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
     """dy/dt of the state (STATES,) at time t [s] under the held drive v (2,) [V], written to ``dy``."""
     n = COORDINATES
@@ -137,7 +137,7 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
     _read(t, y, v, g, dy)
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
     n = COORDINATES
     seen = np.empty(2)
@@ -158,7 +158,7 @@ def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
             volts = y[b]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _step(t: float, h: float, y: FloatArray, v: FloatArray, g: Physics, stages: FloatArray, trial: FloatArray) -> None:
     """One step of length h [s], in place."""
     for i in range(_STAGES):
@@ -177,7 +177,7 @@ def _step(t: float, h: float, y: FloatArray, v: FloatArray, g: Physics, stages: 
                 y[k] += b * stages[j, k]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _filtered(y: FloatArray, g: Physics, out: FloatArray) -> None:
     """(2, 3): what the filters give, y, y', y''."""
     for k in range(2):
@@ -186,7 +186,7 @@ def _filtered(y: FloatArray, g: Physics, out: FloatArray) -> None:
         out[k, 2] = g.filter_square * (y[b - 2] - y[b]) - g.filter_damping[3] * y[b + 1]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> float:
     """p(h) of lag p' = y - p, y the quintic with y, y', y'' = ``a`` (3,) at 0 and ``b`` (3,) at h."""
     # y = sum c_i s^i with s = time / h.
@@ -206,7 +206,7 @@ def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> floa
     return e[0] + e[1] + e[2] + e[3] + e[4] + e[5] + np.exp(-h / lag) * (p - e[0])
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def integrate(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatArray:
     """The record (N, 2) [V] from rest at the drive samples v (N, 2), ``steps`` steps a sample.
 

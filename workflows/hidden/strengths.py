@@ -18,7 +18,10 @@ from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.errors import ConfigError
 from pipeline.experiment.forward import jacobian
 from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.play import plays_of
 from pipeline.experiment.record import Record
+from pipeline.experiment.response import volts
+from pipeline.experiment.system import assemble
 
 #: A strength is hit to this share, in at most this many simulations.
 _CLOSE = 0.15
@@ -54,6 +57,27 @@ def baseline(
     rows = np.stack([row([block[:, :, i] for block in columns]) for i in range(columns[0].shape[2])], axis=1)
     basis, _ = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))
     return Baseline(basis, sigma_v)
+
+
+def modelled(
+    values: Mapping[str, float], effects: Sequence[str], records: Sequence[Record], instrument: Instrument
+) -> list[FloatArray]:
+    """The records (N, 2) [V] as the model under test has them: quick, and good enough to choose a size by.
+
+    Raises
+    ------
+    ConfigError : no such device, or a motion that diverges.
+    """
+    model = DEFAULT_COMPARE_MODEL
+    for effect in effects:
+        model = model.with_effect(effect)
+    known = model.complete({name: value for name, value in values.items() if name in model.by_name})
+    out: list[FloatArray] = [np.zeros(0)] * len(records)
+    for places, play in plays_of(records, instrument, None):
+        system = assemble(model, known, instrument, play.conditions)
+        for place, y in zip(places, volts(system, play)):
+            out[place] = y
+    return out
 
 
 @dataclass(frozen=True)
