@@ -31,6 +31,8 @@ Source = Literal["silent", "repeats", "local"]
 #: A bin this many times above the median of its neighbourhood is a line (chance 1e-6 a bin in white noise).
 _LINE = 20.0
 _NEIGHBOURS = 201
+#: Lines with less than this share of the power are subtracted by their power alone.
+_FAINT = 0.03
 #: Below this many LSB of noise, silence does not exercise the converter.
 _EXERCISED_LSB = 0.5
 
@@ -55,13 +57,16 @@ def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | No
     level = median_filter(power, size=(reach, 1), mode="nearest") / np.log(2.0)
     line = maximum_filter1d(power > _LINE * level, size=5, axis=0)
     free = samples - basis.shape[1]
-    if not line.any():
-        # Without lines every sample counts alike; a window would throw half of them away.
-        return np.sum(rest**2, axis=0) / max(free, 1), free
+    plain = np.sum(rest**2, axis=0) / max(free, 1)
     kept = np.maximum(np.sum(~line, axis=0), 1)
     window = np.sum(np.hanning(samples) ** 2)
-    variance = np.sum(np.where(line, 0.0, power), axis=0) / kept / window * samples / max(free, 1)
-    return variance, int(kept.min())
+    quiet = np.sum(np.where(line, 0.0, power), axis=0) / kept
+    # A^2/2 = 2 sum |X|^2 / (N sum w^2) over the bins of a line.
+    lines = 2.0 * np.sum(np.where(line, power - quiet, 0.0), axis=0) / (window * samples)
+    if np.all(lines < _FAINT * plain):
+        # The window throws half of the samples away; faint lines, most of them chance, are taken off the whole.
+        return plain - lines, free - int(2 * line.sum(axis=0).max())
+    return quiet / window * samples / max(free, 1), int(kept.min())
 
 
 def _silent(records: tuple[Record, ...], line_hz: float | None, adc: Adc | None) -> NoiseLevel:
