@@ -21,7 +21,7 @@ from .campaign_regions import FAMILIES, FREQUENCY_KINDS, Layout, decomposed, lay
 from .campaign_verdict import verdict_of
 from .campaign_view import CampaignView
 from .campaign_where import by_kind, explained_by_kind, where_rest, where_rows, with_after
-from .hold_hint import hold_hint
+from .hold_hint import hold_hint, stand_ins_of
 from .learning_text import compare_text, diagnose_text, ladder_text
 from .modal_view import GAUGES
 from .separating import Proposal, proposals, separating_text
@@ -153,9 +153,13 @@ class Comparison(Answer):
 
 def _hints(view: CampaignView, terms: Sequence[str], verdict: str) -> list[str]:
     """Whether another hold would do better; where the noise is known and the model reaches it, there is nothing to ask."""
-    if verdict in ("adequate", "effect", "class") and view.noise.source != "local":
+    fit, known = view.campaign_fit(terms), view.noise.source != "local"
+    left = verdict in ("unknown", "fit_failed")
+    if not left and (known or not stand_ins_of(fit, view.model.effects)):
         return []
-    found = hold_hint(view.campaign_fit(terms), view.campaign, view.model.effects)
+    if left and known and view.model.plant.kind == "gyro" and not stand_ins_of(fit, view.model.effects):
+        return []
+    found = hold_hint(fit, view.campaign, view.model.effects)
     return [] if found is None else [str(found)]
 
 

@@ -1,8 +1,8 @@
 """Is the declared hold right?  A wrong one shows as a lag or a feedthrough that is not there.
 
 Between two samples a hold that is not the true one is late, or too weak, in a way that grows with frequency: read-out effects
-stand in for it.  The model less these effects is fitted with every other hold; if one of them explains the fitted records better
-than the declared hold does with the stand-ins, the declaration is doubtful.  Only the beginning of long records is asked.
+stand in for it.  The model less these effects is fitted with every other hold; if one of them explains the fitted records plainly
+better than the declared hold does with the stand-ins, the declaration is doubtful.  Only the beginning of long records is asked.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from pipeline.inference.campaign_fit import CampaignFit, fit_campaign
 STAND_INS = ("capacitive_feedthrough", "loop_delay", "pickoff_pole", "resistive_feedthrough")
 #: Samples of each fit record that are asked.
 _ASKED = 12_000
+#: Relative error of a better hold, as a share of that with the declared one.
+_PLAINLY = 0.95
 
 
 @dataclass(frozen=True)
@@ -35,15 +37,16 @@ class HoldHint:
     error_declared: float
 
     def __str__(self) -> str:
+        without = f", without {', '.join(self.stand_ins)}, which a wrong hold looks like" if self.stand_ins else ""
         return (
             f'the declared hold = "{self.declared}" is doubtful: hold = "{self.likely}" explains the records better'
-            f" (relative error {self.error:.3g} against {self.error_declared:.3g}) without {', '.join(self.stand_ins)},"
-            " which a wrong hold looks like; ask how the drive samples become volts, correct [instrument] hold and run again"
+            f" (relative error {self.error:.3g} against {self.error_declared:.3g}){without};"
+            " ask how the drive samples become volts, correct [instrument] hold and run again"
         )
 
 
 def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -> HoldHint | None:
-    """A better hold than the declared one, where read-out effects may stand in for it.
+    """A better hold than the declared one, if there is one.
 
     Parameters
     ----------
@@ -51,9 +54,7 @@ def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -
     campaign : its records.
     given : effects that the user put into the model; they are not doubted.
     """
-    stand_ins = tuple(name for name in STAND_INS if name in fit.model.effects and name not in given)
-    if not stand_ins:
-        return None
+    stand_ins = stand_ins_of(fit, given)
     asked = replace(campaign, records=tuple(_beginning(record) for record in campaign.with_role("fit")))
     plain = fit.model
     for name in stand_ins:
@@ -61,9 +62,14 @@ def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -
     declared = _error(fit.model, asked, fit)
     others = {hold: _error(plain, _held(asked, hold), fit) for hold in HOLDS if hold != campaign.instrument.hold}
     likely = min(others, key=lambda hold: others[hold])
-    if not others[likely] < declared:
+    if not others[likely] < _PLAINLY * declared:
         return None
     return HoldHint(campaign.instrument.hold, likely, stand_ins, others[likely], declared)
+
+
+def stand_ins_of(fit: CampaignFit, given: Sequence[str] = ()) -> tuple[str, ...]:
+    """Effects of a fit that a wrong hold looks like and that the user did not put there."""
+    return tuple(name for name in STAND_INS if name in fit.model.effects and name not in given)
 
 
 def _beginning(record: Record) -> Record:
