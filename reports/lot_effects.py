@@ -170,6 +170,18 @@ def counted(rows: tuple[Misfit, ...]) -> tuple[tuple[str, int], ...]:
     return tuple(sorted(Counter(row.missing for row in rows).items(), key=lambda item: (-item[1], item[0])))
 
 
+def with_sd(mean: float | None, sd: float | None) -> str:
+    """A size with its sd, to two digits of the sd: "(1.032 ± 0.018)e9"; "–" where it is unknown."""
+    if mean is None or sd is None or sd <= 0.0:
+        return "–"
+    exponent = math.floor(math.log10(max(abs(mean), sd)))
+    digits = min(max(1 - math.floor(math.log10(sd)) + exponent, 0), 9)
+    if -3 <= exponent <= 3:
+        places = max(digits - exponent, 0)
+        return f"{mean:.{places}f} ± {sd:.{places}f}"
+    return f"({mean / 10.0**exponent:.{digits}f} ± {sd / 10.0**exponent:.{digits}f})e{exponent}"
+
+
 def probability(log_p: float) -> str:
     """A p-value from its logarithm, however small."""
     if log_p > math.log(1e-3):

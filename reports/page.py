@@ -15,7 +15,7 @@ from pipeline.quantities import QUANTITIES
 from .content import Run, RunContent, run_content
 from .devices import Devices, wafer_name
 from .limits import Limits
-from .lot_effects import LotEffects, counted, probability
+from .lot_effects import LotEffects, counted, probability, with_sd
 from .rendering import environment, interval, measured, stylesheet
 from .run_figures import corner_plots, run_figures
 from .worst import Estimate
@@ -82,6 +82,7 @@ def render_run_report(
         truth_of=_truth,
         probability=probability,
         counted=counted,
+        with_sd=with_sd,
     )
 
 
