@@ -305,13 +305,6 @@ def test_an_instrument_without_its_filter_is_refused() -> None:
         physics(_DEVICE, replace(INSTRUMENT, antialias=None))
 
 
-@pytest.fixture
-def brief_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The standard campaign with records of 1 s."""
-    brief = [(name, role, replace(e, duration_s=1.0)) for name, role, e in standard_excitations(1)]
-    monkeypatch.setattr(draw, "standard_excitations", lambda seed: brief)
-
-
 @pytest.mark.usefixtures("brief_records")
 @pytest.mark.parametrize(
     ("kind", "number", "said"),
