@@ -1,7 +1,7 @@
 """How noisy a campaign is, never from a model's own residual.
 
     silent    rms of the silent records less offset, trend and lines; LSB^2/12 added where silence does not exercise
-    the ADC
+    the ADC; pooled with the repeats where there are some and both agree
     repeats   rms of the difference of records with the same drive, over sqrt 2
     local     what a local polynomial in frequency (response and transient, second order) leaves of each record,
     median over
@@ -33,6 +33,8 @@ _LINE = 20.0
 _NEIGHBOURS = 201
 #: Lines with less than this share of the power are subtracted by their power alone.
 _FAINT = 0.03
+#: Silence and repeats agree within this many sd.
+_AGREE = 3.0
 #: Below this many LSB of noise, silence does not exercise the converter.
 _EXERCISED_LSB = 0.5
 
@@ -94,6 +96,29 @@ def _repeated(campaign: Campaign) -> list[tuple[Record, Record]]:
     ]
 
 
+def _between(repeats: list[tuple[Record, Record]], line_hz: float | None) -> NoiseLevel | None:
+    """From the differences of repeats; ``None`` without any."""
+    if not repeats:
+        return None
+    total, dof = np.zeros(repeats[0][0].sense_v.shape[1]), 0
+    for a, b in repeats:
+        variance, own = _spectral_variance((a.sense_v - b.sense_v) / np.sqrt(2.0), a.sample_rate_hz, line_hz)
+        total, dof = total + own * variance, dof + own
+    return NoiseLevel(np.sqrt(total / dof), "repeats", dof)
+
+
+def _agreed(silent: NoiseLevel, repeats: NoiseLevel | None) -> NoiseLevel:
+    """The level of silence, made surer by repeats where they say the same within 3 sd; else silence alone counts."""
+    if repeats is None:
+        return silent
+    ratio = (repeats.sigma_v / silent.sigma_v) ** 2 - 1.0
+    if not np.all(np.abs(ratio) < _AGREE * np.sqrt(2.0 / silent.dof + 2.0 / repeats.dof)):
+        return silent
+    dof = silent.dof + repeats.dof
+    pooled = (silent.dof * silent.sigma_v**2 + repeats.dof * repeats.sigma_v**2) / dof
+    return NoiseLevel(np.sqrt(pooled), "silent", dof)
+
+
 def _local_variance(record: Record) -> tuple[FloatArray, int]:
     """Median over windows of what a local quadratic in frequency leaves, (S,), and the dof of all windows."""
     samples, drives = record.drive_v.shape
@@ -130,15 +155,11 @@ def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
         tell.
     """
     silent = campaign.with_role("noise")
-    repeats = _repeated(campaign)
+    repeats = _between(_repeated(campaign), line_hz)
     if silent:
-        level = _silent(silent, line_hz, campaign.instrument.adc)
-    elif repeats:
-        total, dof = np.zeros(repeats[0][0].sense_v.shape[1]), 0
-        for a, b in repeats:
-            variance, own = _spectral_variance((a.sense_v - b.sense_v) / np.sqrt(2.0), a.sample_rate_hz, line_hz)
-            total, dof = total + own * variance, dof + own
-        level = NoiseLevel(np.sqrt(total / dof), "repeats", dof)
+        level = _agreed(_silent(silent, line_hz, campaign.instrument.adc), repeats)
+    elif repeats is not None:
+        level = repeats
     else:
         found = [_local_variance(r) for r in campaign.records if r.drive_v.shape[0] > 50 * (r.drive_v.shape[1] + 1)]
         if not found:

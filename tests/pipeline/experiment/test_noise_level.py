@@ -81,3 +81,16 @@ def test_a_channel_without_noise_is_refused() -> None:
     silent = replace(campaign.records[0], sense_v=np.zeros_like(campaign.records[0].sense_v))
     with pytest.raises(MeasurementError, match="no noise"):
         noise_level(replace(campaign, records=(silent, campaign.records[1])))
+
+
+@pytest.mark.parametrize(("louder", "pooled"), [(1.0, True), (1.1, False)])
+def test_repeats_make_the_level_surer_only_where_they_agree_with_silence(louder: float, pooled: bool) -> None:
+    chirp = (Chirp(duration_s=0.5), "fit")
+    campaign = _campaign(1e-3, Hum(), None, (Silence(), "noise"), chirp, chirp)
+    extra = np.sqrt(louder**2 - 1.0) * 1e-3 * np.random.default_rng(6).standard_normal((5000, 2))
+    records = [r if r.role == "noise" else replace(r, sense_v=r.sense_v + extra) for r in campaign.records[:2]]
+    level = noise_level(replace(campaign, records=(*records, campaign.records[2])))
+    alone = noise_level(replace(campaign, records=(records[0],)))
+    assert level.source == alone.source == "silent"
+    assert (level.dof > alone.dof) == pooled
+    assert pooled or np.array_equal(level.sigma_v, alone.sigma_v)
