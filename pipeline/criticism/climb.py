@@ -21,6 +21,8 @@ from .tails import log_tail
 
 #: A member this significant by its own estimate needs no refit without it.
 SURE = 8.0
+#: F statistics above this are as good as infinite.
+_LARGEST = 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +189,15 @@ def tail_of_fall(fall: float, parameters: int, here: Look) -> float:
     if here.fit.noise_known:
         return float(log_tail(fall / max(here.goodness.level, 1.0) ** 2, parameters))
     left = max(here.fit.dof - parameters, 1)
-    return float(log_tail(fall * left / max(here.fit.chi2 - fall, 1e-300), parameters, left))
+    return float(log_tail(min(fall * left / max(here.fit.chi2 - fall, 1e-300), _LARGEST), parameters, left))
+
+
+def tail_of_rise(rise: float, parameters: int, here: Look) -> float:
+    """log p of a rise of chi2 above this look's fit where ``parameters`` of it are taken away."""
+    if here.fit.noise_known:
+        return tail_of_fall(rise, parameters, here)
+    left = max(here.fit.dof, 1)
+    return float(log_tail(min(rise * left / max(here.fit.chi2, 1e-300), _LARGEST), parameters, left))
 
 
 def _prune(

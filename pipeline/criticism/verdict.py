@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from .classes import Rival, rivals
-from .climb import SURE, Climb, tail_of_fall, wald
+from .climb import SURE, Climb, tail_of_rise, wald
 from .examine import Rules
 from .problem import Problem
 
@@ -51,7 +51,7 @@ def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, 
         members = [term]
         size = len(here.fit.columns[term])
         asked = [
-            rival for rival in near if rival.sin_angle < _CLOSE or tail_of_fall(rival.left / 4.0, size, here) > critical
+            rival for rival in near if rival.sin_angle < _CLOSE or tail_of_rise(rival.left / 4.0, size, here) > critical
         ]
         for rival in asked[: rules.class_refits]:
             swapped = tuple(rival.name if name == term else name for name in here.fit.terms)
@@ -60,7 +60,7 @@ def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, 
             if not fit.ok:
                 continue
             left = max(fit.chi2 - here.fit.chi2 + rival.joint, 0.0)
-            if tail_of_fall(left, size, here) > critical:
+            if tail_of_rise(left, size, here) > critical:
                 members.append(rival.name)
         found.append(TermClass(term, tuple(members), near))
     return tuple(found)

@@ -33,6 +33,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from numba import njit, types
+from numba.core.errors import NumbaExperimentalFeatureWarning
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
@@ -72,10 +73,10 @@ _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
 LAWS_TYPE = types.NamedTuple((_MATRIX, _MATRIX, _MATRIX, _MATRIX, types.float64, types.float64, types.int64), Laws)
 FORCE_SIGNATURE = types.void(types.float64, _VECTOR, _VECTOR, _VECTOR, _VECTOR, LAWS_TYPE, _VECTOR)
-with warnings.catch_warnings():
-    # Function pointers in tuples are what keeps the one integrator from being compiled again for every combination.
-    warnings.simplefilter("ignore")
-    FORCE_TYPE = types.FunctionType(FORCE_SIGNATURE)
+# Function pointers in tuples are what keeps the one integrator from being compiled again for every combination.  Filters are
+# set once: setting them around each call is not safe with threads.
+warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
+FORCE_TYPE = types.FunctionType(FORCE_SIGNATURE)
 
 _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbance")
 

@@ -15,7 +15,6 @@ Shapes: N samples, M = (N - 1) SUBSTEPS + 1 grid points, n coordinates, D drives
 
 from __future__ import annotations
 
-import warnings
 from functools import lru_cache
 from typing import Any
 
@@ -201,10 +200,8 @@ _KERNEL = (
 @lru_cache(maxsize=8)
 def _march_of(half_size: int) -> Any:
     """The compiled kernel for at most ``half_size`` coordinates."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        signature = types.void(types.UniTuple(types.int64, half_size), *_KERNEL)
-        return njit(signature, cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(_march)
+    signature = types.void(types.UniTuple(types.int64, half_size), *_KERNEL)
+    return njit(signature, cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})(_march)
 
 
 def trajectory(
@@ -259,27 +256,25 @@ def trajectory(
     points = (drive.shape[0] - 1) * substeps + 1
     linear, deviation = np.empty((points, 2 * n)), np.empty((points, 2 * n))
     padding = MOST_FORCES - len(forces)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        _march_of(half_size)(
-            (0,) * half_size,
-            tuple([compiled_force(force) for force, _ in forces] + [compiled_force(_no_force)] * padding),
-            len(forces),
-            tuple([np.ascontiguousarray(p, dtype=np.float64) for _, p in forces] + [np.zeros(1)] * padding),
-            laws,
-            half,
-            placed(moved[: 2 * n, 2 * n : 2 * n + drives].T),
-            placed(moved[: 2 * n, 2 * n + drives :].T),
-            scale,
-            step_s,
-            substeps,
-            n,
-            np.ascontiguousarray(drive),
-            hold != "zoh",
-            placed((np.zeros(2 * n) if start is None else start * unit)[None])[0],
-            linear,
-            deviation,
-        )
+    _march_of(half_size)(
+        (0,) * half_size,
+        tuple([compiled_force(force) for force, _ in forces] + [compiled_force(_no_force)] * padding),
+        len(forces),
+        tuple([np.ascontiguousarray(p, dtype=np.float64) for _, p in forces] + [np.zeros(1)] * padding),
+        laws,
+        half,
+        placed(moved[: 2 * n, 2 * n : 2 * n + drives].T),
+        placed(moved[: 2 * n, 2 * n + drives :].T),
+        scale,
+        step_s,
+        substeps,
+        n,
+        np.ascontiguousarray(drive),
+        hold != "zoh",
+        placed((np.zeros(2 * n) if start is None else start * unit)[None])[0],
+        linear,
+        deviation,
+    )
     if not np.isfinite(deviation[-1]).all():
         raise ConfigError("the motion diverges", next_step="check size and sign of the nonlinear effects")
     return linear, deviation
