@@ -227,8 +227,9 @@ class CampaignView:
     def scans(self) -> tuple[Scan, ...]:
         """The grid of one more mode, for each play of the fit records."""
         plays = plays_of(self.records, self.campaign.instrument, self.campaign.angular_gain)
-        # Above Nyquist a mode would be seen as its image only, which anything below it may look like.
-        grid = grid_of([play for _, play in plays], min(TOP_HZ, 0.5 * self.records[0].sample_rate_hz))
+        # Near Nyquist a mode cannot be told from its image, which anything else may look like.
+        top_hz = _BELOW_NYQUIST * 0.5 * self.records[0].sample_rate_hz
+        grid = grid_of([play for _, play in plays], min(TOP_HZ, top_hz))
         displacement = self.model.plant.sense == "displacement"
         return tuple(
             scan_of(places, play, self.campaign.instrument, self.spectra[places[0]].bins.size, grid, displacement)
