@@ -50,6 +50,8 @@ _COLUMNS = 100
 _APART = 3.0
 #: Frequencies of the scan for one more mode that a fit starts from.
 _LIKELY = 3
+#: Share of Nyquist up to which a mode is looked for.
+_BELOW_NYQUIST = 0.95
 #: Signatures are taken anew once the fitted records have moved by this share of themselves.
 _STALE = 0.05
 
