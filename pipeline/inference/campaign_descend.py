@@ -17,7 +17,7 @@ from ..errors import ConfigError
 from ..experiment.sensitivity import STRONG
 from .campaign_problem import Problem, Tasks
 
-_ITERATIONS = 40
+_ITERATIONS = 24
 #: Expected fall of chi2 (in units of chi2/dof, at least 1) at which the fit stands still: a hundredth of a sd.
 _STANDSTILL = 1e-4
 #: The same where a trial does not fall any more: rounding and inexact columns, a tenth of a sd.
