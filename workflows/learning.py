@@ -7,11 +7,13 @@ refine(campaign, model)      add, refit, until nothing more is warranted: the la
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import overload
 
 from threadpoolctl import threadpool_limits
 
 from pipeline.criticism.climb import climb
+from pipeline.criticism.examine import Rules
 from pipeline.criticism.loop import as_ladder
 from pipeline.criticism.loop import diagnose as examine
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
@@ -66,7 +68,11 @@ def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MO
     if isinstance(campaign, ModalRecord):
         return diagnose_modal(campaign, model)
     view = view_of(campaign, model)
-    return Diagnosed(view, examine(view))
+    rules = Rules()
+    if view.noise.source == "local":
+        # Held-out records vouch for every term, so there may be as many as in a ladder.
+        rules = replace(rules, together=rules.rungs)
+    return Diagnosed(view, examine(view, rules=rules))
 
 
 @overload
