@@ -73,7 +73,7 @@ class LotEffects:
     sampled, ok : devices with status ok that were examined, of how many.
     refitted : devices refitted with the effects.
     effects : that the lots need.
-    nearest, log_p_nearest : the effect that came nearest to being shared beside them, and its log p, all trials counted.
+    nearest, log_p_nearest : of the other effects the one for which all together say most, and its log p, every effect counted.
     """
 
     alpha: float

@@ -11,87 +11,40 @@ cannot prove, the sample is enlarged.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from hashlib import sha256
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from pipeline.arrays import FloatArray
-from pipeline.criticism.shared import Evidence, Shared, carried, shared, still_needed
-from pipeline.device.gyro import PHYSICAL
-from pipeline.device.model import Model
+from pipeline.criticism.carriers import carried
+from pipeline.criticism.shared import Evidence, Shared, shared
 from reports.lot_effects import LotEffect, LotEffects, ParameterSize
 
 from .config import DiagnosisTable
 from .lot_look import DeviceLook, Request, columns_of, sizes_of
+from .lot_scope import (
+    SEEN,
+    Device,
+    Scope,
+    bounds_of,
+    devices_of,
+    in_turn,
+    lacks,
+    needed_in,
+    parameters_of,
+    scopes_of,
+    sizes_in,
+)
 
 Looker = Callable[[Sequence[Request]], Iterable[DeviceLook]]
 Columns = dict[str, dict[str, Any]]
+Found = dict[str, Shared]
 
 _RUNGS = 3
 #: The sample is enlarged at most so many times, by this factor, while chance would give as much more rarely than this.
-_STAGES, _GROWTH, _HINT = 4, 4, 0.5
+_STAGES, _GROWTH, _HINT = 4, 4, 0.2
 #: So many flagged devices of a lot are scored again once effects have been added; all are refitted.
 _SCORED = 24
-#: A device carries an effect visibly when its own size is so many sd from null.
-_SEEN = 3.0
-
-
-@dataclass(frozen=True)
-class Device:
-    """A row of the devices table, as far as it is needed here."""
-
-    number: int
-    device_id: str
-    lot: str
-    flagged: bool
-    start: tuple[tuple[str, float], ...]
-
-
-@dataclass(frozen=True)
-class Scope:
-    """The whole run ("") or one lot: its flagged and its ok devices, in the order in which they are examined."""
-
-    lot: str
-    flagged: tuple[Device, ...]
-    ok: tuple[Device, ...]
-
-    @property
-    def population(self) -> int:
-        """Devices that could be fitted."""
-        return len(self.flagged) + len(self.ok)
-
-    def weights(self, looks: Mapping[int, DeviceLook]) -> dict[int, float]:
-        """How many devices each examined one stands for."""
-        out: dict[int, float] = {}
-        for group in (self.flagged, self.ok):
-            seen = [device.number for device in group if device.number in looks]
-            out |= {number: len(group) / len(seen) for number in seen}
-        return out
-
-
-def devices_of(table: pa.Table) -> tuple[Device, ...]:
-    """The devices that a fit can start from, in the order in which they are examined."""
-    columns = {name: table.column(name).to_pylist() for name in ("device_id", "lot", "status", *PHYSICAL)}
-    out = []
-    for number, (name, lot, status) in enumerate(zip(columns["device_id"], columns["lot"], columns["status"])):
-        start = tuple((q, columns[q][number]) for q in PHYSICAL)
-        if status in ("ok", "misfit", "not_converged") and all(value is not None for _, value in start):
-            out.append(Device(number, name, lot or "", status == "misfit", start))
-    return tuple(sorted(out, key=lambda device: sha256(device.device_id.encode()).digest()))
-
-
-def scopes_of(devices: Sequence[Device]) -> tuple[Scope, ...]:
-    """The whole run, then each lot where there are several."""
-
-    def scope(lot: str, own: Sequence[Device]) -> Scope:
-        return Scope(lot, tuple(d for d in own if d.flagged), tuple(d for d in own if not d.flagged))
-
-    lots = sorted({device.lot for device in devices})
-    single = [scope(lot, [d for d in devices if d.lot == lot]) for lot in lots] if len(lots) > 1 else []
-    return (scope("", devices), *single)
 
 
 def examine(table: pa.Table, rules: DiagnosisTable, look: Looker) -> tuple[LotEffects, Columns]:
@@ -110,7 +63,7 @@ def examine(table: pa.Table, rules: DiagnosisTable, look: Looker) -> tuple[LotEf
     devices = devices_of(table)
     scopes = scopes_of(devices)
     flagged = [device for device in devices if device.flagged][: rules.most]
-    ok = _spread([device for device in devices if not device.flagged])
+    ok = in_turn([device for device in devices if not device.flagged])
     wanted = max(12, len(ok) // 50) if rules.sample is None else rules.sample
     looks: dict[int, DeviceLook] = {}
     found: Found = {}
@@ -156,19 +109,6 @@ def examine(table: pa.Table, rules: DiagnosisTable, look: Looker) -> tuple[LotEf
     return summary, columns
 
 
-Found = dict[str, Shared]
-
-
-def _spread(devices: Sequence[Device]) -> list[Device]:
-    """Devices in an order that visits the lots in turn."""
-    places: dict[str, int] = {}
-    keyed = []
-    for device in devices:
-        places[device.lot] = places.get(device.lot, -1) + 1
-        keyed.append((places[device.lot], device.lot, device))
-    return [device for _, _, device in sorted(keyed, key=lambda item: item[:2])]
-
-
 def _looked(look: Looker, requests: Sequence[Request]) -> dict[int, DeviceLook]:
     found = {seen.number: seen for seen in look(requests)} if requests else {}
     return dict(sorted(found.items()))
@@ -202,7 +142,9 @@ def _start(device: Device, seen: DeviceLook, wanted: Sequence[str]) -> tuple[tup
         if term.name in wanted:
             own = list(term.columns)
             step = np.linalg.pinv(seen.information[np.ix_(own, own)], hermitian=True) @ seen.score[own]
-            for (full, _, null), (low, high), value in zip(_parameters(term.name), _bounds(term.name), step.tolist()):
+            for (full, _, null), (low, high), value in zip(
+                parameters_of(term.name), bounds_of(term.name), step.tolist()
+            ):
                 start[full] = min(max(null + value, low), high)
     return tuple(start.items())
 
@@ -218,7 +160,7 @@ def _best(
         seen = _shared(scope, looks, alpha, trials)
         if seen is None:
             continue
-        if seen.log_p_any < nearest[1]:
+        if scope.lot == "":
             nearest = (seen.nearest, seen.log_p_any)
         if seen.found is not None and "" not in found:
             found[scope.lot] = seen
@@ -243,61 +185,15 @@ def _shared(scope: Scope, looks: Mapping[int, DeviceLook], alpha: float, trials:
     return shared(evidence, columns_of(terms), scope.population, alpha, trials)
 
 
-def _sizes(
-    scope: Scope, looks: Mapping[int, DeviceLook], parameter: str, null: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fitted sizes, their sds and weights of a scope's devices that have the parameter in their model."""
-    weights = scope.weights({n: one for n, one in looks.items() if parameter in one.parameters})
-    pairs = [looks[n].parameters[parameter] for n in sorted(weights)]
-    values = np.array([value - null for value, _ in pairs])
-    return values, np.array([sd for _, sd in pairs]), np.array([weights[n] for n in sorted(weights)])
-
-
-def _parameters(name: str) -> tuple[tuple[str, str, float], ...]:
-    """Full names, units and nulls of an effect's parameters."""
-    model = Model(effects=(name,))
-    effect = model.effect(name)
-    return tuple((effect.full_name(m), m.unit, m.null) for m in effect.members(model.built.shape))
-
-
-def _bounds(name: str) -> tuple[tuple[float, float], ...]:
-    model = Model(effects=(name,))
-    return tuple(model.bounds(full) for full, _, _ in _parameters(name))
-
-
-def _needed(scope: Scope, looks: Mapping[int, DeviceLook], name: str, alpha: float) -> bool:
-    own = _parameters(name)
-    return any(
-        still_needed(*_sizes(scope, looks, full, null), scope.population, alpha / len(own)) for full, _, null in own
-    )
-
-
-def _lacks(lot: Scope, run: Scope, looks: Mapping[int, DeviceLook], name: str) -> bool:
-    """Whether the mean sizes in a lot are null within ``_SEEN`` sd, and are not those of the run."""
-    told = []
-    for full, _, null in _parameters(name):
-        (mean, sd), (whole, whole_sd) = (_mean(*_sizes(scope, looks, full, null)) for scope in (lot, run))
-        told.append(abs(mean) < _SEEN * sd < abs(whole - mean) - _SEEN * whole_sd)
-    return any(told) and not _needed(lot, looks, name, 0.05)
-
-
-def _mean(values: FloatArray, sds: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Mean size and its sd, from the sds or from the scatter, whichever is larger."""
-    if values.size == 0 or not np.all(sds > 0.0):
-        return 0.0, float("inf")
-    w = weights / weights.sum()
-    mean = float(w @ values)
-    scatter = float(np.sqrt(np.sum(w**2 * (values - mean) ** 2)))
-    return mean, max(float(np.sqrt(np.sum((w * sds) ** 2))), scatter)
-
-
 def _pruned(
     scopes: Sequence[Scope], looks: Mapping[int, DeviceLook], terms: Mapping[str, tuple[str, ...]], alpha: float
 ) -> dict[str, tuple[str, ...]]:
     """Terms whose fitted sizes still say that they are needed; the last one added is always kept."""
     by_lot = {scope.lot: scope for scope in scopes}
     return {
-        lot: tuple(name for i, name in enumerate(own) if i == len(own) - 1 or _needed(by_lot[lot], looks, name, alpha))
+        lot: tuple(
+            name for i, name in enumerate(own) if i == len(own) - 1 or needed_in(by_lot[lot], looks, name, alpha)
+        )
         for lot, own in terms.items()
     }
 
@@ -352,9 +248,9 @@ def _told(missing: str, sizes: str, reason: str) -> dict[str, Any]:
 
 def _visible(seen: DeviceLook, name: str) -> bool:
     """Whether an effect's size is seen in this device by itself."""
-    for full, _, null in _parameters(name):
+    for full, _, null in parameters_of(name):
         value, sd = seen.parameters.get(full, (null, float("nan")))
-        if abs(value - null) > _SEEN * sd:
+        if abs(value - null) > SEEN * sd:
             return True
     return False
 
@@ -365,8 +261,8 @@ def _effect(
     """An effect that a scope needs, with who carries it and how much of it, from the refits."""
     assert seen.found is not None
     rows, best, telling = [], None, -1.0
-    for full, unit, null in _parameters(name):
-        values, sds, weights = _sizes(scope, looks, full, null)
+    for full, unit, null in parameters_of(name):
+        values, sds, weights = sizes_in(scope, looks, full, null)
         told = carried(values, sds, weights)
         rows.append(ParameterSize(full.partition(".")[2], unit, told.mean, told.mean_sd, told.spread))
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -374,8 +270,8 @@ def _effect(
         if strength > telling:
             best, telling = told, strength
     assert best is not None
-    lots = [one.lot for one in scopes[1:]] if scope.lot == "" else []
-    inside = tuple(one.lot for one in scopes[1:] if one.lot in lots and not _lacks(one, scope, looks, name))
+    lots = scopes[1:] if scope.lot == "" else ()
+    inside = tuple(one.lot for one in lots if not lacks(one, looks, name, rows))
     return LotEffect(
         name,
         seen.rivals,

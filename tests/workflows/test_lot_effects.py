@@ -16,8 +16,9 @@ from reports.page import render_run_report
 from workflows.block import Block, virtual_block
 from workflows.cli import call
 from workflows.config import load_config
-from workflows.lot_effects import devices_of, examine
+from workflows.lot_effects import examine
 from workflows.lot_look import look_at
+from workflows.lot_scope import devices_of
 from workflows.night import plan, start
 
 # Chirps of one second: three times cheaper than the paper's, and a cubic stiffness of 8e9 is then a misfit.

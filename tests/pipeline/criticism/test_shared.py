@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.criticism.shared import Evidence, SharedTerm, carried, shared, still_needed
+from pipeline.criticism.carriers import carried
+from pipeline.criticism.shared import Evidence, SharedTerm, shared, still_needed
 
 ALPHA = 0.003
 TERMS = [
