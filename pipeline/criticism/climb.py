@@ -97,13 +97,13 @@ def _next(
     significant = here.significant(rules.alpha)
     top = max((score.delta_chi2 for score in significant), default=0.0)
     # A misfit that many terms nibble at is the misfit of something else.
-    least = rules.least * excess(here.regions) if here.fit.noise_known else 0.0
+    misfit = excess(here.regions) if here.fit.noise_known else 0.0
     near = [score for score in significant if score.delta_chi2 >= rules.near * top]
     for score in [*near, *(score for score in significant if score not in near)]:
         if len(trials) >= rules.contenders or (trials and score not in near):
             break
-        if score.delta_chi2 < 0.2 * least:
-            reasons[score.name] = f"it promises less than {20 * rules.least:.0f} % of the misfit"
+        if score.delta_chi2 < rules.promise * misfit:
+            reasons[score.name] = f"it promises less than {100 * rules.promise:.0f} % of the misfit"
             continue
         fit = _fit(problem, (*here.fit.terms, score.name), here.fit, fits)
         if not fit.ok or fit.chi2 > here.fit.chi2 * (1.0 + 1e-9):
@@ -119,7 +119,7 @@ def _next(
         if not _worth(fall, here, score.parameters, rules.alpha):
             reasons[score.name] = "refitted, chi2 fell too little"
             continue
-        if fall < least:
+        if fall < rules.least * misfit:
             reasons[score.name] = f"refitted, it takes less than {100 * rules.least:.0f} % of the misfit"
             continue
         held = _held(here.fit, fit)

@@ -22,6 +22,7 @@ class Rules:
     alpha_left : probability of calling a residual structured where it is noise.
     rungs : how many terms may be added.
     least : a term must take this share of the misfit, or what is missing is something else.
+    promise : a score must promise this share of it to be worth a refit.
     together : how many terms a diagnosis may name together.
     contenders : how many significant candidates are refitted before one is chosen.
     near : a contender promises at least this share of the largest fall of chi2.
@@ -32,7 +33,8 @@ class Rules:
     alpha: float = 0.003
     alpha_left: float = 0.003
     rungs: int = 6
-    least: float = 0.05
+    least: float = 0.15
+    promise: float = 0.01
     together: int = 3
     contenders: int = 3
     near: float = 0.5
