@@ -25,6 +25,8 @@ CONFIG = """
 devices = {devices}
 seed = 7
 block = {block}
+[diagnosis]
+sample = 1
 """
 
 
@@ -119,7 +121,7 @@ def test_measured_campaigns_are_judged_like_virtual_devices(tmp_path: Path) -> N
     with (tmp_path / "lot" / "device-1" / "campaign.toml").open("a") as file:
         file.write("\n[reference]\nf3_hz = [590.0, 50.0]\n")
     config = tmp_path / "lot.toml"
-    config.write_text(f'[source]\nkind = "campaigns"\npath = "{tmp_path / "lot"}"\n')
+    config.write_text(f'[source]\nkind = "campaigns"\npath = "{tmp_path / "lot"}"\n[diagnosis]\nsample = 1\n')
     assert call(["run", str(config), "--out", str(tmp_path / "out"), "--workers", "1", "--json"]) == 0
     rows = {row["device_id"]: row for row in read_run(tmp_path / "out").devices.to_pylist()}
     assert rows["virtual-1"]["status"] == rows["virtual-2"]["status"] == "ok"
