@@ -99,11 +99,16 @@ def _next(
     # A misfit that many terms nibble at is the misfit of something else.
     misfit = excess(here.regions) if here.fit.noise_known else 0.0
     near = [score for score in significant if score.delta_chi2 >= rules.near * top]
+    # Without a noise level F-tests find something in whatever is left; where held-out data refuse the strongest, it is that.
+    trifles = not here.fit.noise_known and bool(here.fit.held)
     for score in [*near, *(score for score in significant if score not in near)]:
         if len(trials) >= rules.contenders or (trials and score not in near):
             break
         if score.delta_chi2 < rules.promise * misfit:
             reasons[score.name] = f"it promises less than {100 * rules.promise:.0f} % of the misfit"
+            continue
+        if trifles and len(reasons) + len(failures) >= rules.contenders:
+            reasons[score.name] = "not refitted: terms that promise more were refused"
             continue
         fit = _fit(problem, (*here.fit.terms, score.name), here.fit, fits)
         if not fit.ok or fit.chi2 > here.fit.chi2 * (1.0 + 1e-9):
