@@ -88,8 +88,11 @@ def verdict(climbed: Climb, found: tuple[TermClass, ...], rules: Rules) -> Verdi
 def supported(climbed: Climb, term: str) -> bool:
     """Whether a term stands without the help of others: confirmed on held-out data, or far beyond doubt on the fitted.
 
-    Two terms that just pass can together imitate a third that is no candidate; a single one hardly can.
+    Two terms that just pass can together imitate a third that is no candidate; a single one hardly can.  Where neither a
+    noise level nor held-out data exist nothing stands but the tests that each term has passed, and they are taken for it.
     """
+    if not climbed.last.fit.noise_known and not climbed.last.fit.held:
+        return True
     confirmed = any(step.term == term and step.held.standing == "confirmed" for step in climbed.steps)
     return confirmed or not climbed.last.fit.columns.get(term) or wald(climbed.last.fit, term) > SURE**2
 

@@ -233,7 +233,11 @@ def test_the_ladder_of_the_paper_is_the_one_in_its_page(paper, ladder):
     assert [rung["effect"] for rung in ladder["ladder"]] == [
         None, "pickoff_pole", "offdiagonal_damping", "updown_tilt", "electrode_misalignment",
     ]  # fmt: skip
-    assert ladder["classes"] == [["pickoff_pole", "loop_delay"], ["updown_tilt", "electrode_mismatch"]]
+    assert ladder["classes"] == [
+        ["pickoff_pole", "loop_delay"],
+        ["updown_tilt", "electrode_mismatch"],
+        ["electrode_misalignment", "pickoff_crosstalk"],
+    ]
     for name, (value, sd) in ladder["parameters"].items():
         if "." in name or name == "c12_per_s":
             assert f"{value:.3g} +- {sd:.2g}" in text, name
