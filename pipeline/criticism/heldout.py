@@ -6,8 +6,9 @@
 
 If the better model is right its r is noise, and the fall is +-sum(delta^2) + 2 sum(delta r), whose sd is 2 level sqrt(sum
 delta^2) for noise of rms level: 1, or that of the larger model's fit where no noise level is known.  Sums over chunks of
-rows let noise that is stronger, coloured or heavy-tailed widen it, never narrow it.  Free amplitudes that the new model
-refits on the held-out data are taken off the fall.
+rows let noise that is stronger, coloured or heavy-tailed widen it, never narrow it.  Where chi2 rises they widen it to at most
+three times: beyond that r holds a misfit of the better model, which is no excuse for a worse one.  Free amplitudes that the
+new model refits on the held-out data are taken off the fall.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from .problem import Block
 
 Standing = Literal["confirmed", "partial", "refused"]
 _CHUNK = 256
+#: How much louder than its level noise may seem.
+_LOUDEST = 3.0
 
 
 @dataclass(frozen=True)
@@ -49,4 +52,6 @@ def paired(before: Sequence[Block], after: Sequence[Block], level: float = 1.0) 
         nominal += level**2 * float(np.vdot(delta, delta))
         edges = np.arange(0, delta.size, _CHUNK)
         actual += float(np.sum(np.add.reduceat(delta * right.rows, edges) ** 2)) if delta.size else 0.0
+    if fall < 0.0:
+        actual = min(actual, _LOUDEST**2 * nominal)
     return Paired(fall, 2.0 * float(np.sqrt(max(nominal, actual))))
