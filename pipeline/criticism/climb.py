@@ -17,6 +17,7 @@ from .goodness import excess
 from .heldout import Paired, paired
 from .pairs import best_pairs
 from .problem import FitResult, Problem
+from .scores import Score
 from .tails import log_tail
 
 #: A member this significant by its own estimate needs no refit without it.
@@ -102,7 +103,7 @@ def _next(
     # Without a noise level F-tests find something in whatever is left; where held-out data refuse the strongest, it is that.
     trifles = not here.fit.noise_known and bool(here.fit.held)
     for score in [*near, *(score for score in significant if score not in near)]:
-        if len(trials) >= rules.contenders or (trials and score not in near):
+        if len(trials) >= rules.contenders or (trials and (score not in near or _settled(trials, here, score, rules))):
             break
         if score.delta_chi2 < rules.promise * misfit:
             reasons[score.name] = f"it promises less than {100 * rules.promise:.0f} % of the misfit"
@@ -143,6 +144,13 @@ def _next(
     if significant:
         return (), reasons, tuple(failures)
     return _pair(problem, here, fits, rules), reasons, ()
+
+
+def _settled(trials: list[Step], here: Look, rival: Score, rules: Rules) -> bool:
+    """Whether a refit that kept its promise fell so far that a rival which promises less is not worth one."""
+    promised = {score.name: score.delta_chi2 for score in here.scores}
+    kept = (step.delta_chi2 for step in trials if step.delta_chi2 > rules.kept * promised[step.term])
+    return rival.delta_chi2 < rules.kept * max(kept, default=0.0)
 
 
 def _pair(problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], rules: Rules) -> tuple[Step, ...]:

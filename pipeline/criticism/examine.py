@@ -25,7 +25,8 @@ class Rules:
     promise : a score must promise this share of it to be worth a refit.
     together : how many terms a diagnosis may name together.
     contenders : how many significant candidates are refitted before one is chosen.
-    near : a contender promises at least this share of the largest fall of chi2.
+    near : a contender promises at least this share of the largest fall of chi2;
+    kept : and of the fall that a refit brought, where that was at least this share of its own promise.
     class_refits : how many rivals of a term are refitted in its place.
     draws, seed : of the simulated nulls.
     """
@@ -38,6 +39,7 @@ class Rules:
     together: int = 3
     contenders: int = 3
     near: float = 0.5
+    kept: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
     seed: int = 0
