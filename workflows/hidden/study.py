@@ -94,15 +94,18 @@ def examine(hidden: Hidden) -> dict[str, Any]:
 
 
 def told(hidden: Hidden) -> dict[str, Any]:
-    """One climb, told as a diagnosis and, where the kind is refined, as a ladder; each with the time it takes by itself."""
+    """One climb, told as a diagnosis and, where the kind is refined, as a ladder; each with the time it takes by itself.
+
+    Where the climb is longer than a diagnosis makes it, its time stands for both: at least what the shorter one takes.
+    """
     view = view_of(hidden.campaign, threads=1)
     problem: Problem = Narrowed(view, hidden.left_out) if hidden.left_out else view
     climbed, begun = _timed(lambda: climb(problem))
-    short, again = climbed, begun
+    short = climbed
     if len(climbed.steps) > Rules.together:
-        short, again = _timed(lambda: climb(problem, rules=Rules(rungs=Rules.together)))
+        short = climb(problem, rules=Rules(rungs=Rules.together))
     diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
-    row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(again, own)}}
+    row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(begun, own)}}
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, climbed))
         row["refine"] = {**_refined(Refined(view, ladder, climbed).to_dict()), **_sum(begun, own)}
