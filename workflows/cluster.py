@@ -6,7 +6,6 @@ worker costs what was in flight and nothing that was done.  Workers that vanish 
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -24,11 +23,6 @@ _IN_FLIGHT = 4
 _PATIENCE_S = 60.0
 _MEMORY_LIMIT = "2GiB"
 _THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-
-
-def worker_count(wanted: int) -> int:
-    """``wanted`` workers, or one a usable core where it is 0."""
-    return wanted or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else wanted or os.cpu_count() or 1
 
 
 @contextmanager

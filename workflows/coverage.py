@@ -28,8 +28,9 @@ from populations.draw import Draw, draw
 from reports.yields import clopper_pearson
 
 from .block import identify_virtual, physical_of, population, shared_record, virtual_records
-from .cluster import cluster, in_parallel, worker_count
+from .cluster import cluster, in_parallel
 from .config import NoiseTable, RunConfig, load_config
+from .machine import worker_count
 
 Splits = Literal["population", "small"]
 _SPLIT_STREAM = 104

@@ -24,7 +24,7 @@ from pipeline.experiment.record import Campaign
 
 from .campaign_answers import Comparison, Diagnosed, Refined
 from .campaign_view import CampaignView
-from .cluster import worker_count
+from .machine import worker_count
 from .modal_learning import ModalComparison, ModalDiagnosed, ModalRefined, compare_modal, diagnose_modal, refine_modal
 
 __all__ = ["Comparison", "Diagnosed", "Refined", "compare", "diagnose", "refine", "view_of"]

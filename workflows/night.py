@@ -36,10 +36,11 @@ from .block import (
     virtual_block,
 )
 from .campaign_block import campaign_block
-from .cluster import cluster, in_parallel, worker_count
+from .cluster import cluster, in_parallel
 from .config import RunConfig, to_struct_from_toml, to_toml_table
 from .lot_effects import examine
 from .lot_look import DeviceLook, Request, look_at
+from .machine import worker_count
 from .progress import progress
 
 

@@ -40,9 +40,10 @@ from reports.decision import Verdict, conforms
 from reports.limits import Limits
 
 from .block import physical_of, population, rate_of, shared_record, virtual_records
-from .cluster import cluster, in_parallel, worker_count
+from .cluster import cluster, in_parallel
 from .config import RunConfig, load_config
 from .coverage import Share
+from .machine import worker_count
 from .stream import verdict_of
 
 #: The looks [s], the last at the end of the record.

@@ -10,8 +10,7 @@ N trials:   P_N = 1 - (1 - P)^N
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import betainc, betaln, erfcx, gamma, gammaincc, gammaln
-from scipy.stats import norm
+from scipy.special import betainc, betaln, erfcx, gamma, gammaincc, gammaln, log_ndtr
 
 from ..arrays import FloatArray
 
@@ -76,4 +75,4 @@ def trials_of(log_p: float, share: float) -> float:
 
 def normal_log_tail(z: FloatArray | float) -> FloatArray:
     """log P(|N(0, 1)| > |z|)."""
-    return np.asarray(np.log(2.0) + norm.logsf(np.abs(z)))
+    return np.asarray(np.log(2.0) + log_ndtr(-np.abs(z)))

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.fft import irfft, rfft
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from ..arrays import FloatArray
 from .instrument import Adc
@@ -86,6 +86,6 @@ def hum_line(y: FloatArray, sample_rate_hz: float) -> float | None:
         fall = float(np.sum(without**2) - np.sum(left**2))
         ratio = (fall / more) / max(float(np.sum(left**2)) / rest, 1e-300)
         senses = y.shape[1]
-        if f_distribution.sf(ratio, more * senses, rest * senses) < 1e-3 and (best is None or ratio > best[1]):
+        if fdtrc(more * senses, rest * senses, ratio) < 1e-3 and (best is None or ratio > best[1]):
             best = (line_hz, ratio)
     return None if best is None else best[0]

@@ -23,12 +23,9 @@ from pipeline.inference.modal_fit import ModalFit, fit_modal
 from pipeline.inference.sample import SamplerSettings
 from pipeline.quantities import QUANTITIES
 
+from ..plain import plain
+
 _SEED = 1
-
-
-def plain(value: Any) -> Any:
-    """``value`` for JSON: nan and infinity become null."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def identify(measurement: Path, model: Path | None, json: bool) -> None:
@@ -40,7 +37,7 @@ def identify(measurement: Path, model: Path | None, json: bool) -> None:
         lines = _modal_text(found.name, columns)
     else:
         columns, lines = identified(found, model)
-    print(json_.dumps({k: plain(v) for k, v in columns.items()}) if json else "\n".join(lines))
+    print(json_.dumps(plain(columns)) if json else "\n".join(lines))
 
 
 def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from ..paper import write_paper
-from .identify import plain
+from ..plain import plain
 
 
 def paper(out: Path, json: bool) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from pipeline.errors import UsageError
 from pipeline.experiment.instrument import HOLDS
 
+from ..plain import plain
 from ..silverbox import climb, table
-from .learn import plain
 
 
 def silverbox(data: Path, hold: str, json: bool) -> None:

@@ -14,8 +14,9 @@ from pipeline.inference.stream import StreamSettings
 from reports.limits import DEFAULT_LIMITS, load_limits
 
 from ..growing import record_blocks
+from ..plain import plain
 from ..stream import Step, bench_of, follow
-from .identify import plain, rounded
+from .identify import rounded
 
 _HEAD = "  time s   theta deg            split Hz                 P(conform)  verdict    lattice: theta, split"
 

@@ -23,8 +23,9 @@ from pipeline.criticism.loop import as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
 from pipeline.errors import GyroscreenError, UsageError
 
-from ..cluster import cluster, in_parallel, worker_count
+from ..cluster import cluster, in_parallel
 from ..learning import Diagnosed, Refined, view_of
+from ..machine import worker_count
 from .draw import KINDS, Hidden, hide
 from .narrowed import Narrowed
 
