@@ -28,13 +28,17 @@ _LARGEST = 1e100
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One term added: the fit with it, the fall of chi2, what held-out data say, and the members dropped for it."""
+    """One term added: the fit with it, the fall of chi2, what held-out data say, and the members dropped for it.
+
+    ``alone``: it was significant by itself, not only in a pair.
+    """
 
     term: str
     fit: FitResult
     delta_chi2: float
     held: Paired
     dropped: tuple[str, ...] = ()
+    alone: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +176,8 @@ def _pair(problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], r
     if whole.standing == "refused" or _unsupported(both, whole):
         return ()
     return (
-        Step(first, one, here.fit.chi2 - one.chi2, _held(here.fit, one)),
-        Step(second, both, one.chi2 - both.chi2, _held(one, both)),
+        Step(first, one, here.fit.chi2 - one.chi2, _held(here.fit, one), alone=False),
+        Step(second, both, one.chi2 - both.chi2, _held(one, both), alone=False),
     )
 
 

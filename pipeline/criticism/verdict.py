@@ -24,6 +24,8 @@ Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
 _PLAIN = 1.5
 #: Below this sine the projection is not trusted to exclude a rival of a strong term.
 _CLOSE = 0.1
+#: So many times the fall of a term that was the best cannot be another's own.
+_CONCERT = 2.0
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,24 @@ def supported(climbed: Climb, term: str) -> bool:
     """
     if not climbed.last.fit.noise_known and not climbed.last.fit.held:
         return True
+    if in_concert(climbed, term):
+        return False
     confirmed = any(step.term == term and step.held.standing == "confirmed" for step in climbed.steps)
     return confirmed or not climbed.last.fit.columns.get(term) or wald(climbed.last.fit, term) > SURE**2
+
+
+def in_concert(climbed: Climb, term: str) -> bool:
+    """Whether a term brought little until another came that brought more, though the best one is added first.
+
+    Effects that are there each take their own part of the misfit.  Where the falls grow, the terms imitate together what none
+    of them is.
+    """
+    kept = [step for step in climbed.steps if step.alone and step.term in climbed.last.fit.terms]
+    places = [k for k, step in enumerate(kept) if step.term == term]
+    if not places or kept[places[-1]].dropped:
+        return False
+    own = places[-1]
+    return any(step.delta_chi2 > _CONCERT * kept[own].delta_chi2 and not step.dropped for step in kept[own + 1 :])
 
 
 def misfit(error: float | None) -> float | None:

@@ -19,12 +19,13 @@ from .truth import OUTSIDE
 
 Row = Mapping[str, Any]
 
-#: Library effects that may fairly stand for one that was taken out.
+#: Library effects that may fairly stand for one that was taken out.  A mode beyond the driven band answers as a capacitance does.
 LOOK_ALIKES: dict[str, tuple[str, ...]] = {
     "pickoff_pole": ("loop_delay",),
     "loop_delay": ("pickoff_pole",),
     "updown_tilt": ("electrode_mismatch",),
     "electrode_mismatch": ("updown_tilt",),
+    "parasitic_mode": ("capacitive_feedthrough",),
     **{name: like for name, (_, like) in OUTSIDE.items()},
 }
 _LARGEST_CLASS = 3

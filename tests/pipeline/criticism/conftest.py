@@ -23,6 +23,10 @@ CURVES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "cube_like": lambda x: x**3 + 0.02 * x**5,
     "kink": lambda x: np.abs(x - 0.2),
     "bump": lambda x: np.exp(-40.0 * (x - 0.3) ** 2),
+    # Two terms whose difference is large and whose sum is a third.
+    "sum": lambda x: np.sin(15.0 * x),
+    "left": lambda x: 0.45 * np.sin(15.0 * x) + np.cos(28.0 * x),
+    "right": lambda x: 0.5 * np.sin(15.0 * x) - np.cos(28.0 * x),
     "outside": lambda x: np.exp(-300.0 * (x + 0.31) ** 2) - np.exp(-300.0 * (x + 0.24) ** 2),
 }
 

@@ -89,6 +89,18 @@ def test_two_hidden_terms_are_both_found_and_the_error_falls_to_the_noise(toy: A
     assert [rung.status for rung in ladder.rungs] == [None, "confirmed", "confirmed"]
 
 
+def test_terms_that_explain_a_misfit_only_in_concert_are_not_named(toy: Any) -> None:
+    library = ("square", "left", "right")
+    for seed in range(4):
+        ladder = refine(toy.problem(seed, {"sum": 60.0}, library=library), rules=RULES)
+        assert {rung.term for rung in ladder.rungs} == {None, "left", "right"}
+        assert ladder.rungs[2].delta_chi2 > 2.0 * ladder.rungs[1].delta_chi2
+        assert ladder.verdict == "unknown"
+        assert all(rung.status != "confirmed" for rung in ladder.rungs)
+        both = diagnose(toy.problem(seed, {"left": 60.0, "right": 30.0}, library=library), rules=RULES)
+        assert (both.verdict, set(both.terms)) == ("effect", {"left", "right"})
+
+
 def test_a_superfluous_member_is_removed_when_the_right_one_comes(toy: Any) -> None:
     ladder = refine(toy.problem(4, {"cube": 80.0}), terms=("bump",), rules=RULES)
     assert ladder.terms == ("cube",)
