@@ -24,6 +24,9 @@ from .tails import log_tail
 SURE = 8.0
 #: F statistics above this are as good as infinite.
 _LARGEST = 1e100
+#: Points of a grid within this share of each other are one place.
+_NEAR = 0.05
+_ENDED = "refitted, it ran to the end of its range, or to where the model is already"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +79,9 @@ def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = N
     looks, failed = [look(problem, start, rules)], ""
     steps: list[Step] = []
     refused: dict[str, str] = {}
+    ended: dict[str, Score] = {}
     while len(steps) < rules.rungs:
-        step, reasons, failures = _next(problem, looks[-1], fits, rules)
+        step, reasons, failures = _next(problem, looks[-1], fits, ended, rules)
         refused.update(reasons | dict.fromkeys(failures, "its fit failed, or raised chi2"))
         if not step:
             failed = "" if not failures or reasons else f"no fit with {', '.join(failures)} succeeded"
@@ -93,9 +97,16 @@ def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = N
 
 
 def _next(
-    problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], rules: Rules
+    problem: Problem,
+    here: Look,
+    fits: dict[frozenset[str], FitResult],
+    ended: dict[str, Score],
+    rules: Rules,
 ) -> tuple[tuple[Step, ...], dict[str, str], tuple[str, ...]]:
-    """The best step from here (one term, or a pair), reasons of refusals, and terms whose fit failed."""
+    """The best step from here (one term, or a pair), reasons of refusals, and terms whose fit failed.
+
+    ``ended`` keeps the scores of terms whose refit ran to an end: while the scan is best at the same place it would again.
+    """
     reasons: dict[str, str] = {}
     failures: list[str] = []
     trials: list[Step] = []
@@ -115,12 +126,16 @@ def _next(
         if trifles and len(reasons) + len(failures) >= rules.contenders:
             reasons[score.name] = "not refitted: terms that promise more were refused"
             continue
+        if score.name in ended and _same_place(score, ended[score.name]):
+            reasons[score.name] = _ENDED
+            continue
         fit = _fit(problem, (*here.fit.terms, score.name), here.fit, fits)
         if not fit.ok or fit.chi2 > here.fit.chi2 * (1.0 + 1e-9):
             failures.append(score.name)
             continue
         if score.name in fit.at_limit:
-            reasons[score.name] = "refitted, it ran to the end of its range, or to where the model is already"
+            reasons[score.name] = _ENDED
+            ended[score.name] = score
             continue
         if not _told_from_null(fit, score.name):
             reasons[score.name] = "refitted, its size cannot be told from none"
@@ -148,6 +163,16 @@ def _next(
     if significant:
         return (), reasons, tuple(failures)
     return _pair(problem, here, fits, rules), reasons, ()
+
+
+def _same_place(now: Score, before: Score) -> bool:
+    """Whether the scans of a term's grid are best at the same point; a term without one is always to be refitted."""
+    points = [{name: value for name, (value, sd) in score.estimate.items() if np.isnan(sd)} for score in (now, before)]
+    return (
+        bool(points[0])
+        and points[0].keys() == points[1].keys()
+        and all(abs(value - points[1][name]) <= _NEAR * abs(points[1][name]) for name, value in points[0].items())
+    )
 
 
 def _settled(trials: list[Step], here: Look, rival: Score, rules: Rules) -> bool:

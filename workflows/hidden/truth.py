@@ -32,7 +32,7 @@ HARMONICS = 5
 OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
     "coulomb_friction": ("psi'' -= F psi' / sqrt(|psi'|^2 + s^2)", ()),
     "hysteresis": ("psi_i'' -= k h_i,  h' = psi' - (|psi'| h + psi' |h|)/(2 r): Bouc-Wen", ()),
-    "stop": ("psi'' -= k (1 - g/|psi|) psi where |psi| > g", ()),
+    "stop": ("psi'' -= k (1 - g/|psi|) psi where |psi| > g", ("cubic_stiffness",)),
     "mode_coupling": ("potential c psi_x^2 psi_y", ("quadratic_stiffness",)),
     "parametric_pumping": ("K (1 + h cos(2 pi f t))", ()),
     "self_heating": ("K (1 + b T),  T' = |psi'|^2 - T/tau", ()),
