@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import msgspec
 
 from pipeline.errors import IntegrityError
+from pipeline.plain import plain
 
 from .devices import Devices
 from .yields import Yield, yield_of_verdicts
@@ -88,7 +87,7 @@ class LotEffects:
 
     def to_json(self) -> bytes:
         """As the bytes of ``lot_effects.json``."""
-        return msgspec.json.format(msgspec.json.encode(_finite(asdict(self))), indent=1) + b"\n"
+        return msgspec.json.format(msgspec.json.encode(plain(asdict(self))), indent=1) + b"\n"
 
     @staticmethod
     def from_json(data: bytes) -> LotEffects:
@@ -188,11 +187,3 @@ def probability(log_p: float) -> str:
         return f"{math.exp(log_p):.2g}"
     exponent = math.floor(log_p / math.log(10.0))
     return "< 1e-300" if exponent < -300 else f"{math.exp(log_p - exponent * math.log(10.0)):.1f}e{exponent}"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -21,9 +21,8 @@ from pipeline.inference.device import IdentificationSettings
 from pipeline.inference.gate import Gate
 from pipeline.inference.modal_fit import ModalFit, fit_modal
 from pipeline.inference.sample import SamplerSettings
+from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
-
-from ..plain import plain
 
 _SEED = 1
 

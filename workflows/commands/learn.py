@@ -16,6 +16,7 @@ from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
+from pipeline.plain import plain
 
 from .. import learning
 from ..learning_text import verdict_sentence
@@ -27,7 +28,6 @@ from ..modal_learning import (
     diagnose_modal,
     refine_modal,
 )
-from ..plain import plain
 from ..separating import Proposal
 from .modal_text import modal_text
 

@@ -11,13 +11,13 @@ from pipeline.errors import UsageError
 from pipeline.experiment.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.campaign_fit import CampaignFit
+from pipeline.plain import plain
 from reports.campaign_page import RecordView, effect_texts, render_campaign_report
 from reports.modal_page import render_modal_report
 
 from .. import learning
 from ..modal_learning import ModalComparison
 from ..modal_view import ModalView
-from ..plain import plain
 
 Library = dict[str, dict[str, str]]
 

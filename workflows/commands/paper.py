@@ -6,8 +6,9 @@ import json as json_
 import sys
 from pathlib import Path
 
+from pipeline.plain import plain
+
 from ..paper import write_paper
-from ..plain import plain
 
 
 def paper(out: Path, json: bool) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pipeline.errors import UsageError
 from pipeline.experiment.instrument import HOLDS
+from pipeline.plain import plain
 
-from ..plain import plain
 from ..silverbox import climb, table
 
 

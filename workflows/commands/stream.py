@@ -11,10 +11,10 @@ from pipeline.errors import MeasurementError, UsageError
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.record import Campaign
 from pipeline.inference.stream import StreamSettings
+from pipeline.plain import plain
 from reports.limits import DEFAULT_LIMITS, load_limits
 
 from ..growing import record_blocks
-from ..plain import plain
 from ..stream import Step, bench_of, follow
 from .identify import rounded
 
