@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from pipeline.quantities import QUANTITIES
 
-from .causes import FailedLimit, Pareto, StageLoss
-from .health import StatusCount
-from .limits import Limit
-from .yields import Clustering, Yield
+if TYPE_CHECKING:
+    # For annotations alone: a page of a campaign says nothing of yields, whose statistics take long to load.
+    from .causes import FailedLimit, Pareto, StageLoss
+    from .health import StatusCount
+    from .limits import Limit
+    from .yields import Clustering, Yield
 
 UNITS = {quantity.name: "" if quantity.unit == "1" else quantity.unit for quantity in QUANTITIES}
 

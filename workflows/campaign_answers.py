@@ -6,9 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from pipeline.criticism.climb import Climb
 from pipeline.criticism.ladder import Ladder, Rung
@@ -25,6 +23,9 @@ from .hold_hint import hold_hint, stand_ins_of
 from .learning_text import compare_text, diagnose_text, ladder_text
 from .modal_view import GAUGES
 from .separating import Proposal, proposals, separating_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Answer(ABC):
@@ -50,6 +51,8 @@ class Answer(ABC):
 
     def _repr_html_(self) -> str:
         # The text may hold names of files and effects: it goes through pandas, which escapes.
+        import pandas as pd
+
         text = pd.DataFrame({"": self.lines()}).to_html(index=False, header=False, border=0)
         return text + tables.html(self.shown())
 

@@ -4,6 +4,7 @@
     Z_{r,d} = sum_w gain[r, d, w] G H b_w,   T = s^T (Z~^T Z~)^-1 s / gamma         free for every drive and sense
 
 in the bins around the mode, the baseline projected out: a fall of chi2 with S D degrees of freedom a point of the grid.
+Complex bins are held as pairs of real numbers, the real part of z^* x is then a product of real matrices.
 Shapes: R records, N samples, F bins, S senses, D drives, W waveforms, p columns of the baseline.
 """
 
@@ -53,6 +54,11 @@ class Scan:
     places: tuple[int, ...]
     gains: FloatArray
     points: tuple[Point, ...]
+
+    @property
+    def mixed(self) -> FloatArray:
+        """(W, D R): how much of each waveform a drive plays in each record."""
+        return np.asarray(self.gains.transpose(2, 1, 0).reshape(self.gains.shape[2], -1))
 
 
 def grid_of(plays: Sequence[Play], top_hz: float) -> list[tuple[float, float]]:
@@ -109,7 +115,7 @@ def scan_of(
 def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: FloatArray) -> LocalCandidate:
     """The fall of chi2 that one more mode brings at each point of the grid."""
     base = baseline(fit)
-    ready = [_complex(base, scan.places, senses) for scan in scans]
+    ready = [_by_bin(base, scan.places, senses) for scan in scans]
     falls, dofs, grid, levels = [], [], [], []
     for k, point in enumerate(scans[0].points):
         drives = scans[0].gains.shape[1]
@@ -119,12 +125,13 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
         for scan, (residual, basis, gamma) in zip(scans, ready):
             own = scan.points[k]
             part = slice(own.first, own.first + own.answer.shape[1])
-            z = np.einsum("rdw,wb->drb", scan.gains, own.answer).reshape(drives, -1)
-            energy = np.sum(np.abs(z) ** 2, axis=0)
-            score += (z.conj() @ residual[:, part].reshape(-1, senses)).real
-            overlap += (z.conj() @ basis[:, part].reshape(z.shape[1], -1)).real.reshape(overlap.shape)
-            gram += (z.conj() @ z.T).real
-            level += energy @ gamma[:, part].reshape(-1, senses)
+            mixed = (own.answer.T @ scan.mixed).reshape(own.answer.shape[1], drives, -1)
+            z = np.ascontiguousarray(np.moveaxis(mixed, 1, 0)).view(np.float64).reshape(drives, -1)
+            energy = np.sum(z**2, axis=0)
+            score += z @ residual[part].reshape(-1, senses)
+            overlap += (z @ basis[part].reshape(z.shape[1], -1)).reshape(overlap.shape)
+            gram += z @ z.T
+            level += energy @ gamma[part].reshape(-1, senses)
             weight += float(energy.sum())
         falls.append(_fall(score, overlap, gram, sigma_v))
         levels.append(max(float(np.max(level)) / max(weight, 1e-300), 1.0))
@@ -146,15 +153,12 @@ def _fall(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: Flo
     return float(np.sum(along[good] ** 2 / size[good]))
 
 
-def _complex(base: Baseline, places: Sequence[int], senses: int) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Residual (R, F, S), basis (R, F, S p) and noise level (R, F, S) of some blocks, their rows as complex bins."""
+def _by_bin(base: Baseline, places: Sequence[int], senses: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residual (F, R, 2, S), basis (F, R, 2, S p) and noise level (F, R, 2, S) of some blocks, bin by bin."""
 
-    def paired(rows: FloatArray) -> ComplexArray:
-        """(2 F S, ..) -> (F, S ..)."""
-        both = rows.reshape(2, rows.shape[0] // (2 * senses), -1)
-        return np.asarray(both[0] + 1j * both[1])
+    def stacked(blocks: Sequence[FloatArray]) -> FloatArray:
+        """(2 F S, ..) of each record -> (F, R, 2, S ..)."""
+        rows = [blocks[i].reshape(2, blocks[i].shape[0] // (2 * senses), -1) for i in places]
+        return np.ascontiguousarray(np.moveaxis(np.stack(rows), 2, 0))
 
-    residual = np.stack([paired(base.residual[i]) for i in places])
-    basis = np.stack([paired(base.basis[i]) for i in places])
-    gamma = np.stack([base.gamma[i].reshape(2, -1, senses)[0] for i in places])
-    return residual, basis, gamma
+    return stacked(base.residual), stacked(base.basis), stacked(base.gamma)

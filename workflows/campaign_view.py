@@ -79,7 +79,7 @@ class _Taken:
 class CampaignView:
     """The ``Problem`` of one campaign; fits and signatures are kept, for they are asked for again.
 
-    ``threads`` of signatures are taken at once.
+    ``threads`` of signatures are taken, and of records integrated, at once.
     """
 
     def __init__(self, campaign: Campaign, model: Model, noise: NoiseLevel, threads: int = 1) -> None:
@@ -110,9 +110,9 @@ class CampaignView:
             for term in terms:
                 model = model.with_effect(term)
             begun = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
+            likely = {f"{MODE}.f": self._modes.get(key - {MODE}, ())}
             try:
-                likely = {f"{MODE}.f": self._modes.get(key - {MODE}, ())}
-                fitted = fit_campaign(model, self.campaign, self.noise, begun, likely)
+                fitted = fit_campaign(model, self.campaign, self.noise, begun, likely, self.threads)
                 self._fits[key] = (fitted, self._result(fitted, terms))
             except (GyroscreenError, np.linalg.LinAlgError) as error:
                 return FitResult(False, terms, {}, (), (), why=str(error))
@@ -124,7 +124,7 @@ class CampaignView:
         return tuple(strata_of(s, record.sense_v.shape[1]) for record, s in zip(self.records, self.spectra))
 
     def _result(self, fitted: CampaignFit, terms: tuple[str, ...]) -> FitResult:
-        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
+        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v, self.threads)
         tasks = problem.tasks(self.records, fitted.values)
         starts = self._starts(fitted)
         loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
@@ -213,17 +213,25 @@ class CampaignView:
         fitted = self.campaign_fit(fit.terms)
         absent = fitted.model.candidates()
         names = [name for name in absent if name != MODE and fitted.model.library[name].disturbance is None]
+        free = [name for name in absent if fitted.model.library[name].disturbance]
         taken = self._taken
-        if taken is None or taken.moved(fitted) > _STALE or not set(names) <= taken.asked:
-            taken = self._taken = self._take(fitted, names)
+        with ThreadPoolExecutor(self.threads) as pool:
+            mode = pool.submit(self._mode, fit) if MODE in absent else None
+            disturbances = [pool.submit(self._free, fitted, name) for name in free]
+            if taken is None or taken.moved(fitted) > _STALE or not set(names) <= taken.asked:
+                taken = self._taken = self._take(fitted, names, pool)
         candidates = tuple(c for c in taken.candidates if c.name in names)
-        local = [self._free(fitted, name) for name in absent if fitted.model.library[name].disturbance]
-        if MODE in absent and any(scan.points for scan in self.scans):
-            found = mode_candidate(fit, self.scans, self.model.built.shape.senses, self.noise.sigma_v)
-            order = np.argsort(found.falls)[::-1][:_LIKELY]
-            self._modes[frozenset(fit.terms)] = tuple(found.grid[i][f"{MODE}.f"] for i in order)
-            local.append(found)
+        local = [*(job.result() for job in disturbances), *(() if mode is None else mode.result())]
         return Signatures(candidates, taken.blocks, tuple(local), taken.grams)
+
+    def _mode(self, fit: FitResult) -> tuple[LocalCandidate, ...]:
+        """One more mode as a candidate, where the records leave room for its grid; its best frequencies are kept."""
+        if not any(scan.points for scan in self.scans):
+            return ()
+        found = mode_candidate(fit, self.scans, self.model.built.shape.senses, self.noise.sigma_v)
+        order = np.argsort(found.falls)[::-1][:_LIKELY]
+        self._modes[frozenset(fit.terms)] = tuple(found.grid[i][f"{MODE}.f"] for i in order)
+        return (found,)
 
     @cached_property
     def scans(self) -> tuple[Scan, ...]:
@@ -238,8 +246,8 @@ class CampaignView:
             for places, play in plays
         )
 
-    def _take(self, fitted: CampaignFit, names: Sequence[str]) -> _Taken:
-        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
+    def _take(self, fitted: CampaignFit, names: Sequence[str], pool: ThreadPoolExecutor) -> _Taken:
+        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v, self.threads)
         tasks = problem.tasks(self.records, fitted.values)
 
         def rows(place: int, y: FloatArray) -> FloatArray:
@@ -262,19 +270,18 @@ class CampaignView:
         # By rows of memory: a column of a block is one run of it.  What is not written to takes no memory.
         room = [np.empty((_COLUMNS, size)) for size in sizes]
         width = 0
-        with ThreadPoolExecutor(self.threads) as pool:
-            for found in pool.map(partial(signature_of, tangent), names):
-                if found is None:
-                    continue
-                candidate, columns = found
-                cells = tuple(slice(c.start + width, c.stop + width) for c in candidate.cells)
-                candidates.append(replace(candidate, cells=cells))
-                more = sum(part.shape[0] for part in columns[0])
-                if width + more > room[0].shape[0]:
-                    room = [np.concatenate([old, np.empty((more + _COLUMNS, old.shape[1]))]) for old in room]
-                for block, own in zip(room, columns):
-                    np.concatenate(own, out=block[width : width + more])
-                width += more
+        for found in pool.map(partial(signature_of, tangent), names):
+            if found is None:
+                continue
+            candidate, columns = found
+            cells = tuple(slice(c.start + width, c.stop + width) for c in candidate.cells)
+            candidates.append(replace(candidate, cells=cells))
+            more = sum(part.shape[0] for part in columns[0])
+            if width + more > room[0].shape[0]:
+                room = [np.concatenate([old, np.empty((more + _COLUMNS, old.shape[1]))]) for old in room]
+            for block, own in zip(room, columns):
+                np.concatenate(own, out=block[width : width + more])
+            width += more
         blocks = tuple(block[:width].T for block in room)
         predicted = {r.name: r.predicted_v for r in fitted.of_role("fit")}
         grams = stratum_grams(blocks, self.strata)

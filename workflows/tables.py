@@ -1,14 +1,18 @@
-"""Answers of the loop as pandas tables, from their JSON."""
+"""Answers of the loop as pandas tables, from their JSON.
+
+pandas takes a quarter of a second to load: only who asks for a table waits for it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from pipeline.device.model import Model
 from pipeline.quantities import QUANTITIES
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Said = Mapping[str, Any]
 
@@ -20,17 +24,23 @@ _RUNG = (
 
 def where_table(said: Said) -> pd.DataFrame:
     """One row a region: family, kind, where it lies, share of the misfit in its family, error there."""
+    import pandas as pd
+
     table = pd.DataFrame([dict(row) for row in said.get("where", ())]).dropna(axis="columns", how="all")
     return table.astype({"harmonic": "Int64"}) if "harmonic" in table else table
 
 
 def records_table(said: Said) -> pd.DataFrame:
     """One row a record: role and error."""
+    import pandas as pd
+
     return pd.DataFrame.from_dict(dict(said.get("records", {})), orient="index").rename_axis("record")
 
 
 def parameters_table(said: Said, model: Model) -> pd.DataFrame:
     """One row a parameter: value, sd, unit."""
+    import pandas as pd
+
     units = _units(model)
     rows = {name: (*value, units.get(name, "")) for name, value in said.get("parameters", {}).items()}
     return pd.DataFrame.from_dict(rows, orient="index", columns=["value", "sd", "unit"]).rename_axis("parameter")
@@ -38,6 +48,8 @@ def parameters_table(said: Said, model: Model) -> pd.DataFrame:
 
 def candidates_table(said: Said) -> pd.DataFrame:
     """One row an absent effect, the most significant first; sizes as {parameter: (value, sd)}."""
+    import pandas as pd
+
     rows = [
         {k: v for k, v in row.items() if k != "estimate"}
         | {"estimate": {k: tuple(v) for k, v in row.get("estimate", {}).items()}}
@@ -49,6 +61,8 @@ def candidates_table(said: Said) -> pd.DataFrame:
 
 def ladder_table(said: Said) -> pd.DataFrame:
     """One row a rung, from the model as given upward: errors, fall of chi2, theta, split and verdict with that model."""
+    import pandas as pd
+
     rows = []
     for k, rung in enumerate(said.get("ladder", ())):
         row = {"rung": k, "effect": rung.get("effect") or "", **{name: rung.get(name) for name in _RUNG}}

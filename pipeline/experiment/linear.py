@@ -23,7 +23,6 @@ from math import floor
 
 import numpy as np
 from numba import njit
-from scipy.signal import resample_poly
 
 from ..arrays import ComplexArray, FloatArray
 from ..device.mechanics import Mechanics, modes_of, state_matrix
@@ -54,6 +53,9 @@ def interpolated(drive_v: FloatArray, clock: Clock) -> FloatArray:
     """Drive samples (N, D) at the clock's steps."""
     if clock.stride == 1:
         return np.ascontiguousarray(drive_v)
+    # Loading scipy.signal takes a third of a second.
+    from scipy.signal import resample_poly
+
     return np.ascontiguousarray(resample_poly(drive_v, clock.stride, 1, axis=0))
 
 

@@ -35,6 +35,7 @@ class Play:
     drives : R times (N, D) samples [V].
     waveforms : (W, N') at the clock's steps; gains (R, D, W).
     twins : for each record the first one with the same drive samples.
+    threads : how many records are integrated at once.
     """
 
     clock: Clock
@@ -43,6 +44,7 @@ class Play:
     waveforms: FloatArray
     gains: FloatArray
     twins: tuple[int, ...]
+    threads: int = 1
 
     @property
     def sample_rate_hz(self) -> float:
@@ -77,7 +79,7 @@ def waveforms_of(drives: Sequence[FloatArray], clock: Clock) -> tuple[FloatArray
     return np.ascontiguousarray(interpolated(np.array(found).T, clock).T), gains
 
 
-def play_of(records: Sequence[Record], instrument: Instrument, angular_gain: float | None) -> Play:
+def play_of(records: Sequence[Record], instrument: Instrument, angular_gain: float | None, threads: int = 1) -> Play:
     """The play of records that share sample rate, length and conditions."""
     clock = clock_of(records[0].sample_rate_hz, instrument.hold)
     drives = tuple(record.drive_v for record in records)
@@ -93,11 +95,12 @@ def play_of(records: Sequence[Record], instrument: Instrument, angular_gain: flo
         waveforms,
         gains,
         tuple(first),
+        threads,
     )
 
 
 def plays_of(
-    records: Sequence[Record], instrument: Instrument, angular_gain: float | None
+    records: Sequence[Record], instrument: Instrument, angular_gain: float | None, threads: int = 1
 ) -> tuple[tuple[tuple[int, ...], Play], ...]:
     """Plays that cover ``records``, each with the places of its records."""
     groups: dict[object, list[int]] = {}
@@ -105,5 +108,6 @@ def plays_of(
         key = (record.drive_v.shape, record.sample_rate_hz, conditions_of(record, instrument, angular_gain))
         groups.setdefault(key, []).append(i)
     return tuple(
-        (tuple(places), play_of([records[i] for i in places], instrument, angular_gain)) for places in groups.values()
+        (tuple(places), play_of([records[i] for i in places], instrument, angular_gain, threads))
+        for places in groups.values()
     )

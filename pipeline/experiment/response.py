@@ -9,6 +9,7 @@ Shapes: R records, N samples, D drives, S senses, n coordinates.  Units: volts, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -72,11 +73,23 @@ def remainder_volts(system: System, play: Play, starts: Starts | None = None, su
     if not (system.forces or system.senses):
         return out
     known = starts or (None,) * len(play.drives)
-    for record, (first, start) in enumerate(zip(play.twins, known)):
-        if first != record and start is None and known[first] is None:
-            out[record] = out[first]
-        else:
-            out[record] = _remainder(system, play.drives[record], play.clock, start, substeps)
+    source = [
+        first if start is None and known[first] is None else record
+        for record, (first, start) in enumerate(zip(play.twins, known))
+    ]
+    own = [record for record, first in enumerate(source) if first == record]
+
+    def one(record: int) -> FloatArray:
+        return _remainder(system, play.drives[record], play.clock, known[record], substeps)
+
+    if play.threads > 1 and len(own) > 1:
+        # The integrator runs free of the interpreter's lock.
+        with ThreadPoolExecutor(play.threads) as pool:
+            found = list(pool.map(one, own))
+    else:
+        found = [one(record) for record in own]
+    for record, first in enumerate(source):
+        out[record] = found[own.index(first)]
     return out
 
 

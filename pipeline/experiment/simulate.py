@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from scipy.signal import firwin, resample_poly
 
 from ..arrays import ComplexArray, FloatArray
 from .antialias import Bank
@@ -40,6 +39,9 @@ def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexA
 
 @lru_cache(maxsize=1)
 def _interpolator() -> FloatArray:
+    # Loading scipy.signal takes a third of a second.
+    from scipy.signal import firwin
+
     taps = 2 * _REACH * _OVERSAMPLING + 1
     return np.asarray(firwin(taps, 1.0 / _OVERSAMPLING, window=("kaiser", 14.0)))
 
@@ -98,6 +100,8 @@ def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) 
     step_s = 1.0 / sample_rate_hz
     drive = np.ascontiguousarray(drive_v)
     if hold == "bandlimited":
+        from scipy.signal import resample_poly
+
         window: Any = _interpolator()
         drive = np.ascontiguousarray(resample_poly(drive, _OVERSAMPLING, 1, axis=0, window=window))
         step_s /= _OVERSAMPLING

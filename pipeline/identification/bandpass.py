@@ -12,7 +12,6 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
-from scipy.signal import cheby1
 
 from ..arrays import FloatArray
 from .failure import IdentificationError
@@ -34,6 +33,9 @@ def bandpass_sections(sample_rate_hz: float, low_hz: float, high_hz: float) -> F
             allowed=f"0 < low < high < {sample_rate_hz / 2.0:g} Hz",
             next_step="choose another band or a record with a higher sample rate",
         )
+    # Loading scipy.signal takes a third of a second.
+    from scipy.signal import cheby1
+
     sections = cheby1(_POLE_PAIRS, _RIPPLE_DB, [low_hz, high_hz], btype="bandpass", fs=sample_rate_hz, output="sos")
     sections.setflags(write=False)
     return np.asarray(sections)

@@ -33,10 +33,11 @@ _Back = tuple[FloatArray, FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Where the fit stands: smooth coordinates, initial states by record, residuals, chi2 with priors."""
+    """Where the fit stands: smooth coordinates, initial states by record, volts and residuals, chi2 with priors."""
 
     x: FloatArray
     starts: tuple[FloatArray | None, ...]
+    predicted: tuple[FloatArray, ...]
     residuals: tuple[FloatArray, ...]
     chi2: float
 
@@ -63,14 +64,15 @@ def point_at(
         values = problem.model.to_values(x)
         if not problem.model.allowed(values):
             return None
-        residuals = tuple(problem.residuals(values, tasks, starts))
+        predicted = tuple(problem.predictions(values, tasks, starts))
+        residuals = tuple(problem.rests(predicted, tasks))
         chi2 = float(np.sum(_prior_rows(problem.model, values)[0] ** 2))
         chi2 += sum(float(np.vdot(r, r)) for r in residuals)
         if not (np.isfinite(chi2) and chi2 <= most):
             return None
     except (ConfigError, np.linalg.LinAlgError):
         return None
-    return Point(x, starts, residuals, chi2)
+    return Point(x, starts, predicted, residuals, chi2)
 
 
 _Sensitivity = tuple[FloatArray, FloatArray | None]

@@ -105,11 +105,10 @@ class CampaignFit:
         return tuple(record for record in self.records if record.role == role)
 
 
-def _judge(problem: Problem, values: Mapping[str, float], task: Task, start: FloatArray | None) -> RecordFit:
-    """The record as the model explains it; an unknown initial state of a held-out record is refitted."""
-    record, alone = task.record, Tasks((task,), (((0,), task.play),))
-    lost = task.basis.shape[1] * record.sense_v.shape[1] + 2 * task.coordinates
-    if task.coordinates and start is None:
+def _held_out(problem: Problem, values: Mapping[str, float], task: Task) -> RecordFit:
+    """A record that was not fitted, as the model explains it; its unknown initial state is refitted."""
+    alone, start = Tasks((task,), (((0,), task.play),)), None
+    if task.coordinates:
         start = np.zeros(2 * task.coordinates)
         f = problem.start_columns(values, task, start, problem.strength(values, task) > FAINT)
         solve = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True) @ f.T
@@ -119,6 +118,13 @@ def _judge(problem: Problem, values: Mapping[str, float], task: Task, start: Flo
             if float(np.sum((f @ step) ** 2)) < CLOSE:
                 break
     (predicted,) = problem.predictions(values, alone, [start])
+    return _judge(problem, task, start, predicted)
+
+
+def _judge(problem: Problem, task: Task, start: FloatArray | None, predicted: FloatArray) -> RecordFit:
+    """What a prediction (N, S) of a record is worth."""
+    record = task.record
+    lost = task.basis.shape[1] * record.sense_v.shape[1] + 2 * task.coordinates
     residual = problem.whiten(record.sense_v - predicted, task)
     chi2, dof = float(np.vdot(residual, residual)), residual.size - lost
     error = float(np.sqrt(chi2 / dof))
@@ -146,10 +152,11 @@ def _scanned(
     sigma_v: FloatArray,
     begun: Mapping[str, float],
     likely: Mapping[str, tuple[float, ...]],
+    threads: int,
 ) -> dict[str, float]:
     """Start values of an effect whose parameters do not all exist at its null, from where the model without it stands."""
     smaller = model.without_effect(effect)
-    problem = Problem(smaller, campaign, sigma_v)
+    problem = Problem(smaller, campaign, sigma_v, threads)
     values = smaller.complete({name: value for name, value in begun.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
     rest, shape = (None,) * len(tasks.each), model.built.shape
@@ -188,6 +195,7 @@ def fit_campaign(
     noise: NoiseLevel,
     start: Mapping[str, float] | None = None,
     likely: Mapping[str, tuple[float, ...]] | None = None,
+    threads: int = 1,
 ) -> CampaignFit:
     """Fit ``model`` to the records with role "fit" and judge it on those and the held-out ones.
 
@@ -200,6 +208,7 @@ def fit_campaign(
         (plant) or
         starts at its null (effects), or where a scan finds it best (parameters that do not exist at the null).
     likely : parameter -> values that such a scan tries.
+    threads : how many records are integrated at once.
 
     Raises
     ------
@@ -219,14 +228,14 @@ def fit_campaign(
     for effect in model.ordered_effects():
         members = [m for m in effect.members(model.built.shape) if m.fitted]
         if any(m.grid for m in members) and not any(effect.full_name(m) in begun for m in members):
-            begun |= _scanned(model, effect.name, campaign, sigma_v, begun, likely or {})
+            begun |= _scanned(model, effect.name, campaign, sigma_v, begun, likely or {}, threads)
     for effect in model.ordered_effects():
         shape = {effect.full_name(m) for m in effect.members(model.built.shape) if not m.fitted}
         if effect.disturbance is not None and not shape <= begun.keys():
             begun = _shaped(model, effect.name, campaign, sigma_v, begun) | begun
         # What is not fitted stays as it was found.
         model = replace(model, fixed={**model.fixed, **{name: begun[name] for name in shape if name in begun}})
-    problem = Problem(model, campaign, sigma_v)
+    problem = Problem(model, campaign, sigma_v, threads)
     values = model.complete(begun)
     tasks = problem.tasks(fitted, values)
     starts = tuple(np.zeros(2 * task.coordinates) if task.coordinates else None for task in tasks.each)
@@ -246,13 +255,15 @@ def fit_campaign(
     # What leaves no trace in the fit records is not known at all.
     unknown = np.where(np.diagonal(normal) > 0.0, 0.0, np.inf)
     sd = dict(zip(model.free, (np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) + unknown).tolist()))
-    start_of = {id(task.record): s for task, s in zip(tasks.each, at.starts)}
-    judged = []
-    for record in campaign.records:
-        if record.role in ("fit", "validate"):
-            known = next((task for task in tasks.each if task.record is record), None)
-            judged.append(_judge(problem, values, known or problem.task(record, values), start_of.get(id(record))))
-    records = tuple(judged)
+    judged = {
+        id(task.record): _judge(problem, task, s, predicted)
+        for task, s, predicted in zip(tasks.each, at.starts, at.predicted)
+    }
+    records = tuple(
+        judged.get(id(record)) or _held_out(problem, values, problem.task(record, values))
+        for record in campaign.records
+        if record.role in ("fit", "validate")
+    )
     error: dict[str, float | None] = {}
     relative: dict[str, float | None] = {}
     misfit: dict[str, float | None] = {}

@@ -24,6 +24,8 @@ from ..device.parameters import Shape
 #: Bins on either side that tell the level around a line, and those nearest to it that are its own.
 _AROUND = 20
 _OWN = 2
+#: Smallest eigenvalue of unit columns' inner products at which they are far from dependent.
+_INDEPENDENT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -49,10 +51,19 @@ def _columns(
     assert effect.disturbance is not None
     t = np.arange(samples) / sample_rate_hz
     columns = effect.disturbance(t, np.array(point), Context(0.0, 0.0, {}))
-    q, _ = np.linalg.qr(columns - columns.mean(axis=0))
+    q = _orthonormal(columns - columns.mean(axis=0))
     bins = np.array([int(np.argmax(np.abs(rfft(column)))) for column in q.T], dtype=np.int64)
     q.setflags(write=False)
     return q, bins
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Gram and Schmidt's columns of tall ones (N, L); by Cholesky where these are far from dependent, which is faster."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    gram = scaled.T @ scaled
+    if np.linalg.eigvalsh(gram)[0] < _INDEPENDENT:
+        return np.asarray(np.linalg.qr(scaled)[0])
+    return np.asarray(scaled @ np.linalg.inv(np.linalg.cholesky(gram)).T)
 
 
 def free_shapes(
