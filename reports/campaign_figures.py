@@ -181,10 +181,15 @@ def _lines(view: RecordView) -> float:
     return 30.0 * view.sample_rate_hz / view.measured_v.shape[0]
 
 
+def _titles(pair: _Pair) -> list[str]:
+    """A model that stands alone needs no title."""
+    return ["", ""] if pair[1] is None else ["before", "after"]
+
+
 def _resonance(pair: _Pair, window: Window, name: str) -> str:
     panels = [
-        ResonancePanel("after" if later else "before", spectra(view, window.band_hz), bool(later))
-        for later, view in enumerate(pair)
+        ResonancePanel(title, spectra(view, window.band_hz), bool(later))
+        for later, (view, title) in enumerate(zip(pair, _titles(pair)))
         if view is not None
     ]
     if not all(panel.spectra.frequency_hz.size > 1 for panel in panels):
@@ -194,7 +199,7 @@ def _resonance(pair: _Pair, window: Window, name: str) -> str:
 
 def _spectrogram(pair: _Pair, name: str) -> str:
     views = [view for view in pair if view is not None]
-    titles = ["before", "after"][: len(views)]
+    titles = _titles(pair)[: len(views)]
     nyquist = 0.5 * pair[0].sample_rate_hz
     low, high = drive_band(pair[0])
     room = max(0.2 * (high - low), _lines(pair[0]))

@@ -51,7 +51,8 @@ def level_plot(curves: Sequence[LevelCurve], senses: int, name: str = "level") -
         grid[0].set_ylabel("residual, σ rms")
         states = sorted({curve.after for curve in curves})
         handles = [
-            Line2D([], [], color=AFTER if s else BEFORE, lw=1.5, label="after" if s else "before") for s in states
+            Line2D([], [], color=AFTER if s else BEFORE, lw=1.5, label="after" if s else "before")
+            for s in (states if len(states) > 1 else ())
         ]
         handles += [
             Line2D([], [], color=INK, lw=1.1, label="fitted"),

@@ -70,8 +70,8 @@ def _panel(axes: Axes, panel: ResonancePanel, channel: int) -> None:
 
 def _handles(shown: Sequence[ResonancePanel]) -> list[Line2D]:
     residuals = [
-        Line2D([], [], color=AFTER if after else BEFORE, lw=1.4, label=f"residual {'after' if after else 'before'}")
-        for after in sorted({panel.after for panel in shown})
+        Line2D([], [], color=AFTER if after else BEFORE, lw=1.4, label=f"residual {title}".strip())
+        for after, title in sorted({(panel.after, panel.title) for panel in shown})
     ]
     return [
         Line2D([], [], color="#9aa5b1", lw=3.6, label="measured"),
