@@ -22,7 +22,8 @@ from .problem import Problem
 Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
 #: Times the largest noise level there may be, above which what is left is plainly no noise.
 _PLAIN = 1.5
-#: Below this sine the projection is not trusted to exclude a rival of a strong term.
+#: Below this sine the projection is not trusted to exclude a rival of a strong term, nor to say what both would bring together:
+#: signatures that were taken at an earlier fit differ by more than that.
 _CLOSE = 0.1
 #: So many times the fall of a term that was the best cannot be another's own.
 _CONCERT = 2.0
@@ -61,7 +62,7 @@ def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, 
             climbed.fits[frozenset(swapped)] = fit
             if not fit.ok:
                 continue
-            left = max(fit.chi2 - here.fit.chi2 + rival.joint, 0.0)
+            left = max(fit.chi2 - here.fit.chi2 + (rival.joint if rival.sin_angle >= _CLOSE else 0.0), 0.0)
             if tail_of_rise(left, size, here) > critical:
                 members.append(rival.name)
         found.append(TermClass(term, tuple(members), near))
