@@ -29,6 +29,8 @@ from .config import RunConfig, load_config
 CAMPAIGN_CONFIG = Path(__file__).parent / "configs" / "campaign.toml"
 #: An effect that is named without sizes is given this many sigmas in the paper's chirp, before any refit.
 _DEFAULT_SNR = 300.0
+#: Trials of a size, each a record.
+_TRIALS = 20
 _STREAM_NOISE, _STREAM_EFFECT = 105, 106
 
 
@@ -136,15 +138,19 @@ def sized(
         else:
             sign = -1.0 if member.low < member.null and random.random() < 0.5 else 1.0
             shape[full] = sign * member.scale * float(random.uniform(0.5, 1.0))
-    size = 1.0
+    size, low, high = 1.0, 0.0, np.inf
     bounds = {f: model.bounds(f) for f in shape}
-    for _ in range(6):
+    for _ in range(_TRIALS):
         trial = {f: float(np.clip(size * v, *bounds[f])) for f, v in shape.items()}
         loud = forward(model, {**base, **fixed, **trial}, chirp, instrument)
         moved = float(np.linalg.norm(loud - quiet)) / sigma_v
         if moved == 0.0 or not np.isfinite(moved) or abs(moved / snr - 1.0) < 0.05:
             break
+        low, high = (size, high) if moved < snr else (low, size)
         size *= float(np.clip(snr / moved, 1e-6, 1e6))
+        if not low < size < high:
+            # Curved effects overshoot: a proportional step would leap to and fro.
+            size = float(np.sqrt(low * high))
     return {**fixed, **trial} if shape else fixed
 
 
