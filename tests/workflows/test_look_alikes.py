@@ -57,10 +57,9 @@ def test_a_look_alike_leaves_less_than_a_hundredth_of_what_the_baseline_cannot_a
     campaign = Campaign("device", tuple(records), instrument)
     before = fit_campaign(DEFAULT_COMPARE_MODEL, campaign, NOISE, PLANT)
     for stand_in in LOOK_ALIKES[hidden]:
-        model, start = DEFAULT_COMPARE_MODEL, before.values
+        model, after = DEFAULT_COMPARE_MODEL, before
         for effect in sorted(stand_in):
             model = model.with_effect(effect)
-            start = start | {f"{effect}.{name}": value for name, value in BEGUN.get(effect, {}).items()}
-            start = fit_campaign(model, campaign, NOISE, start).values
-        after = fit_campaign(model, campaign, NOISE, start)
+            start = after.values | {f"{effect}.{name}": value for name, value in BEGUN.get(effect, {}).items()}
+            after = fit_campaign(model, campaign, NOISE, start)
         assert after.chi2 < 1e-4 * before.chi2
