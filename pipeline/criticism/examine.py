@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from .goodness import Goodness, goodness
 from .problem import FitResult, Problem, Region, Signatures
-from .projection import Projected, baseline, project
+from .projection import Baseline, Projected, baseline, project
 from .scores import Score
 from .significance import DRAWS, Null, score_all
 
@@ -74,11 +74,18 @@ class Look:
 def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
     """Examine a fit that is ok."""
     base = baseline(fit)
-    signatures = problem.signatures(fit)
-    projected = project(base, signatures.blocks, signatures.grams)
-    scores, null = score_all(
-        projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
-    )
-    regions: Sequence[Region] = problem.regions(fit)
-    left = goodness(fit, base, problem.probes(fit), regions)
-    return Look(fit, signatures, projected, scores, null, left, tuple(regions))
+    with ThreadPoolExecutor(1) as pool:
+        # What is left does not ask what could explain it.
+        rest = pool.submit(_left, problem, fit, base)
+        signatures = problem.signatures(fit)
+        projected = project(base, signatures.blocks, signatures.grams)
+        scores, null = score_all(
+            projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
+        )
+        regions, left = rest.result()
+    return Look(fit, signatures, projected, scores, null, left, regions)
+
+
+def _left(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], Goodness]:
+    regions = tuple(problem.regions(fit))
+    return regions, goodness(fit, base, problem.probes(fit), regions)

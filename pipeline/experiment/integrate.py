@@ -42,24 +42,40 @@ def _no_force(
 
 
 @njit(inline="always")
+def _summed(size: int, transposed: FloatArray, offset: int, rows: int, x: FloatArray, out: FloatArray) -> None:
+    """out = x[:rows] @ transposed[offset : offset + rows], four sums at a time: they stay in registers."""
+    quads = size // 4 * 4
+    for i in range(0, quads, 4):
+        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+        for j in range(rows):
+            s0 += transposed[offset + j, i] * x[j]
+            s1 += transposed[offset + j, i + 1] * x[j]
+            s2 += transposed[offset + j, i + 2] * x[j]
+            s3 += transposed[offset + j, i + 3] * x[j]
+        out[i], out[i + 1], out[i + 2], out[i + 3] = s0, s1, s2, s3
+    for i in range(quads, size):
+        s0 = 0.0
+        for j in range(rows):
+            s0 += transposed[offset + j, i] * x[j]
+        out[i] = s0
+
+
+@njit(inline="always")
 def _propagate(shape: tuple[int, ...], transposed: FloatArray, x: FloatArray, out: FloatArray) -> None:
-    size = 2 * len(shape)
-    for i in range(size):
-        out[i] = transposed[0, i] * x[0]
-    for j in range(1, size):
-        for i in range(size):
-            out[i] += transposed[j, i] * x[j]
+    _summed(2 * len(shape), transposed, 0, 2 * len(shape), x, out)
 
 
 @njit(inline="always")
 def _kicked(shape: tuple[int, ...], transposed: FloatArray, a: FloatArray, out: FloatArray) -> None:
-    half_size = len(shape)
-    size = 2 * half_size
-    for i in range(size):
-        out[i] = transposed[half_size, i] * a[0]
-    for j in range(1, half_size):
-        for i in range(size):
-            out[i] += transposed[half_size + j, i] * a[j]
+    _summed(2 * len(shape), transposed, len(shape), len(shape), a, out)
+
+
+@njit(inline="always")
+def _dot(shape: tuple[int, ...], taps: FloatArray, tap: int, x: FloatArray) -> float:
+    total = 0.0
+    for i in range(2 * len(shape)):
+        total += taps[tap, i] * x[i]
+    return total
 
 
 # A tuple's length is a constant to the compiler: loops of constant length run several times faster, and unlike a closure
@@ -80,6 +96,7 @@ def _march(
     drive: FloatArray,
     sloped: bool,
     start: FloatArray,
+    taps: FloatArray,
     linear: FloatArray,
     deviation: FloatArray,
 ) -> None:
@@ -87,7 +104,8 @@ def _march(
 
     forces, how many, their parameters and laws; ``half``, ``held``, ``ramp`` (transposed: (2H, 2H), (D, 2H), (D, 2H))
     propagate a state (scale q, 0, q', 0) by half a substep; scale; time between samples; substeps; coordinates n; drive
-    (N, D); whether it is sloped between samples; start; then linear and deviation (M, 2H).
+    (N, D); whether it is sloped between samples; start; what is read off a state (T, 2H); then linear (M, T), or (0, T)
+    where it is not wanted, and deviation (M, T).
     """
     half_size = len(shape)
     size = 2 * half_size
@@ -101,9 +119,11 @@ def _march(
     middle, after, d, push = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
     for i in range(size):
         y[i] = start[i]
-    for i in range(n):
-        linear[0, i], linear[0, n + i] = y[i] * inverse, y[half_size + i]
-        deviation[0, i], deviation[0, n + i] = 0.0, 0.0
+    whole = linear.shape[0] > 0
+    for tap in range(taps.shape[0]):
+        deviation[0, tap] = 0.0
+        if whole:
+            linear[0, tap] = _dot(shape, taps, tap, y)
     for sample in range(samples - 1):
         for k in range(drives):
             slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
@@ -172,9 +192,10 @@ def _march(
             point = sample * substeps + sub + 1
             for i in range(size):
                 y[i] = after[i]
-            for i in range(n):
-                linear[point, i], linear[point, n + i] = y[i] * inverse, y[half_size + i]
-                deviation[point, i], deviation[point, n + i] = d[i] * inverse, d[half_size + i]
+            for tap in range(taps.shape[0]):
+                deviation[point, tap] = _dot(shape, taps, tap, d)
+                if whole:
+                    linear[point, tap] = _dot(shape, taps, tap, y)
 
 
 _KERNEL = (
@@ -192,6 +213,7 @@ _KERNEL = (
     _MATRIX,
     types.boolean,
     _VECTOR,
+    _MATRIX,
     _MATRIX,
     _MATRIX,
 )
@@ -213,6 +235,7 @@ def trajectory(
     hold: Hold,
     start: FloatArray | None,
     substeps: int = SUBSTEPS,
+    reads: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Linear trajectory and deviation from it, both (M, 2n), under ``drive`` (N, D).
 
@@ -225,6 +248,7 @@ def trajectory(
     step_s : time between samples [s].
     hold : "zoh" or "foh".
     start : state (2n,) at the first sample; ``None`` is rest.
+    reads : (S, 2n), where only what it reads off the deviation is wanted: then (0, S) and (M, S).
 
     Raises
     ------
@@ -254,7 +278,10 @@ def trajectory(
     half = np.zeros((2 * half_size, 2 * half_size))
     half[place] = placed(moved[: 2 * n, : 2 * n].T)
     points = (drive.shape[0] - 1) * substeps + 1
-    linear, deviation = np.empty((points, 2 * n)), np.empty((points, 2 * n))
+    wanted = np.eye(2 * n) if reads is None else reads
+    taps = placed(wanted / unit)
+    linear = np.empty((points if reads is None else 0, taps.shape[0]))
+    deviation = np.empty((points, taps.shape[0]))
     padding = MOST_FORCES - len(forces)
     _march_of(half_size)(
         (0,) * half_size,
@@ -272,6 +299,7 @@ def trajectory(
         np.ascontiguousarray(drive),
         hold != "zoh",
         placed((np.zeros(2 * n) if start is None else start * unit)[None])[0],
+        taps,
         linear,
         deviation,
     )
@@ -307,11 +335,12 @@ def _filter(
     w: ComplexArray,
     z_out: ComplexArray,
     w_out: ComplexArray,
+    late: bool,
     residues: ComplexArray,
     r: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Poles z (J,) with weights w (J, m + 1) over remainders r (M, S) -> out (N, S), read off after z_out, w_out."""
+    """Poles z (J,) with weights w (J, m + 1) over remainders r (M, S) -> out (N, S), read off after z_out, w_out if late."""
     poles, width = w.shape
     samples, senses = out.shape
     x = np.zeros((poles, senses), dtype=np.complex128)
@@ -320,10 +349,12 @@ def _filter(
         last = sample + 1 == samples
         for j in range(poles):
             for b in range(senses):
-                seen = z_out[j] * x[j, b]
-                if not last:
-                    for i in range(width):
-                        seen += w_out[j, i] * r[first + i, b]
+                seen = x[j, b]
+                if late:
+                    seen *= z_out[j]
+                    if not last:
+                        for i in range(width):
+                            seen += w_out[j, i] * r[first + i, b]
                 for a in range(senses):
                     g = residues[j, a, b]
                     out[sample, a] += 2.0 * (g.real * seen.real - g.imag * seen.imag)
@@ -372,6 +403,7 @@ def filtered(
             _weights(poles, nodes, step_s),
             np.exp(poles * late_s),
             _weights(poles, nodes, late_s) if late_s > 0.0 else np.zeros((poles.size, nodes.size), dtype=np.complex128),
+            late_s > 0.0,
             np.ascontiguousarray(residues, dtype=np.complex128),
             np.ascontiguousarray(remainder),
             out,

@@ -9,11 +9,12 @@ Shapes: R records, N samples, D drives, S senses, n coordinates.  Units: volts, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
 from ..arrays import FloatArray
+from ..threads import mapped
 from .integrate import SUBSTEPS, filtered, trajectory
 from .linear import Clock, delay_steps, fed_through, free_response, interpolated, linear_response, shifted, upper_poles
 from .play import Play, waveforms_of
@@ -82,12 +83,7 @@ def remainder_volts(system: System, play: Play, starts: Starts | None = None, su
     def one(record: int) -> FloatArray:
         return _remainder(system, play.drives[record], play.clock, known[record], substeps)
 
-    if play.threads > 1 and len(own) > 1:
-        # The integrator runs free of the interpreter's lock.
-        with ThreadPoolExecutor(play.threads) as pool:
-            found = list(pool.map(one, own))
-    else:
-        found = [one(record) for record in own]
+    found = mapped(one, own, play.threads)
     for record, first in enumerate(source):
         out[record] = found[own.index(first)]
     return out
@@ -101,10 +97,10 @@ def _remainder(
     forces = [(effect.force, p) for effect, p in system.forces]
     begun = None if start is None else full_start(system, start)
     fine = min(substeps, _INTERPOLATED_SUBSTEPS) if clock.stride > 1 else substeps
-    linear, deviation = trajectory(m, forces, system.laws, u, clock.step_s, clock.hold, begun, fine)
     reads = np.concatenate([m.position_sense[0], m.velocity_sense[0]], axis=1)
-    r = deviation @ reads.T
+    march = partial(trajectory, m, forces, system.laws, u, clock.step_s, clock.hold, begun, fine)
     if system.senses:
+        linear, deviation = march()
         n = m.stiffness.shape[1]
         state = linear + deviation
         x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ reads.T
@@ -113,7 +109,9 @@ def _remainder(
         for effect, p in system.senses:
             assert effect.sense is not None
             seen = effect.sense(x, xd, seen, t, p, system.context)
-        r = r + (seen - s)
+        r = deviation @ reads.T + (seen - s)
+    else:
+        _, r = march(reads=reads)
     q, g = upper_poles(system.readout)
     shift, late_s = delay_steps(system.readout.delay_s, clock.step_s)
     y = filtered(q, g, system.readout.static, r, clock.step_s, late_s, fine)

@@ -11,7 +11,7 @@ Shapes: R records, N samples, S senses, P free parameters, k parameters of an ef
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 
@@ -21,11 +21,12 @@ from ..arrays import FloatArray
 from ..device.model import Model
 from ..device.parameters import Parameter
 from ..errors import ConfigError, MeasurementError
+from ..threads import mapped
 from .instrument import Instrument
 from .play import Play, play_of
 from .record import Record
 from .response import Starts, converted, linear_volts, remainder_volts, volts
-from .system import assemble
+from .system import System, assemble
 
 #: A step of an effect's parameter moves the record by about this share.
 _SHARE = 1e-6
@@ -170,42 +171,46 @@ def play_jacobian(
     """
     x0 = model.to_internal(model.complete(parameters))
     base = assemble(model, model.to_values(x0), instrument, play.conditions)
-    gridded = bool(base.forces or base.senses)
+    gridded = [_is_gridded(model, name) for name in model.free]
+    curved = any(gridded) or (exact and bool(base.forces or base.senses))
+    # Parameters are shared out among the threads; within one of them records follow each other.
+    alone = replace(play, threads=1)
+    clipped = volts(base, play, starts) if base.adcs else None
+    remainder = remainder_volts(base, play, starts, SLOPE_SUBSTEPS) if curved else None
+    columns = np.zeros((x0.size, len(play.drives), play.drives[0].shape[0], base.sense_motion.shape[0]))
 
-    def run(i: int, how: Callable[..., FloatArray], value: float) -> FloatArray:
+    def system(i: int, value: float) -> System:
         x = x0.copy()
         x[i] = value
-        return how(assemble(model, model.to_values(x), instrument, play.conditions), play, starts)
+        return assemble(model, model.to_values(x), instrument, play.conditions)
 
-    remainders = partial(remainder_volts, substeps=SLOPE_SUBSTEPS)
+    def behind(i: int, value: float) -> FloatArray:
+        assert clipped is not None
+        return converted(system(i, value), clipped)
 
-    columns = np.zeros((x0.size, len(play.drives), play.drives[0].shape[0], base.sense_motion.shape[0]))
-    clipped = remainder = None
-    for i, name in enumerate(model.free):
+    def linear(i: int, value: float) -> FloatArray:
+        return linear_volts(system(i, value), alone, starts)
+
+    def column(i: int) -> None:
+        name, step = model.free[i], float(steps[i])
+        own = model.bounds(name)
         if _is_adc(model, name):
-            clipped = volts(base, play, starts) if clipped is None else clipped
-            unclipped = clipped
-
-            def behind(value: float, i: int = i, unclipped: FloatArray = unclipped) -> FloatArray:
-                x = x0.copy()
-                x[i] = value
-                return converted(assemble(model, model.to_values(x), instrument, play.conditions), unclipped)
-
-            columns[i] = _slope(behind, x0[i], steps[i], *model.bounds(name))
-            continue
-        if not _is_gridded(model, name):
-            low, high = (-np.inf, np.inf) if "." not in name else model.bounds(name)
-            columns[i] = _slope(partial(run, i, linear_volts), x0[i], steps[i], low, high)
-        if _is_gridded(model, name) or (exact and gridded):
+            columns[i] = _slope(partial(behind, i), x0[i], step, *own)
+            return
+        if not gridded[i]:
+            columns[i] = _slope(partial(linear, i), x0[i], step, *(own if "." in name else (-np.inf, np.inf)))
+        if remainder is not None and (gridded[i] or exact):
             # Deviations are free of cancellation: one side is enough, inside the range.
-            remainder = remainders(base, play, starts) if remainder is None else remainder
-            step = steps[i] if "." not in name or x0[i] + steps[i] <= model.bounds(name)[1] else -steps[i]
-            columns[i] += (run(i, remainders, x0[i] + step) - remainder) / step
-    if base.adcs:
+            step = step if "." not in name or x0[i] + step <= own[1] else -step
+            change = remainder_volts(system(i, x0[i] + step), alone, starts, SLOPE_SUBSTEPS)
+            change -= remainder
+            columns[i] += np.divide(change, step, out=change)
+
+    mapped(column, range(x0.size), play.threads)
+    if clipped is not None:
         # Behind the converter a sample that is clipped does not move.
-        y = volts(base, play, starts) if clipped is None else clipped
-        moved = (converted(base, y * (1.0 + 1e-7)) - converted(base, y * (1.0 - 1e-7))) / 2e-7
-        passes = np.where(y != 0.0, moved / np.where(y != 0.0, y, 1.0), 1.0)
+        moved = (converted(base, clipped * (1.0 + 1e-7)) - converted(base, clipped * (1.0 - 1e-7))) / 2e-7
+        passes = np.where(clipped != 0.0, moved / np.where(clipped != 0.0, clipped, 1.0), 1.0)
         for i, name in enumerate(model.free):
             if not _is_adc(model, name):
                 columns[i] *= passes
