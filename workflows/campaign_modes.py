@@ -33,7 +33,7 @@ _LOW_HZ = 300.0
 #: Bins in which a waveform has this share of its strongest are driven.
 _DRIVEN = 0.05
 #: A mode is followed to where it has this share of its peak.
-_SEEN = 5e-3
+_SEEN = 2e-2
 _CHUNK = 16
 
 
@@ -116,10 +116,10 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
     """The fall of chi2 that one more mode brings at each point of the grid."""
     base = baseline(fit)
     ready = [_by_bin(base, scan.places, senses) for scan in scans]
-    falls, dofs, grid, levels = [], [], [], []
-    for k, point in enumerate(scans[0].points):
-        drives = scans[0].gains.shape[1]
-        p = base.upper.shape[0]
+    drives, p = scans[0].gains.shape[1], base.upper.shape[0]
+
+    def at(k: int) -> tuple[float, float]:
+        """Fall and noise level."""
         score, overlap = np.zeros((drives, senses)), np.zeros((drives, senses, p))
         gram, level, weight = np.zeros((drives, drives)), np.zeros(senses), 0.0
         for scan, (residual, basis, gamma) in zip(scans, ready):
@@ -133,11 +133,17 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
             gram += z @ z.T
             level += energy @ gamma[part].reshape(-1, senses)
             weight += float(energy.sum())
-        falls.append(_fall(score, overlap, gram, sigma_v))
-        levels.append(max(float(np.max(level)) / max(weight, 1e-300), 1.0))
-        dofs.append(drives * senses)
-        grid.append({f"{NAME}.f": point.f_hz, f"{NAME}.zeta": point.zeta})
-    return LocalCandidate(NAME, tuple(falls), tuple(dofs), tuple(grid), levels=tuple(levels))
+        return _fall(score, overlap, gram, sigma_v), max(float(np.max(level)) / max(weight, 1e-300), 1.0)
+
+    points = scans[0].points
+    found = [at(k) for k in range(len(points))]
+    return LocalCandidate(
+        NAME,
+        tuple(fall for fall, _ in found),
+        (drives * senses,) * len(points),
+        tuple({f"{NAME}.f": point.f_hz, f"{NAME}.zeta": point.zeta} for point in points),
+        levels=tuple(level for _, level in found),
+    )
 
 
 def _fall(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> float:

@@ -32,8 +32,8 @@ from pipeline.errors import GyroscreenError
 from pipeline.experiment.noise_level import NoiseLevel
 from pipeline.experiment.play import plays_of
 from pipeline.experiment.record import Campaign, Record
-from pipeline.experiment.sensitivity import STRONG
-from pipeline.inference.campaign_fit import CampaignFit, RecordFit, fit_campaign
+from pipeline.inference.campaign_descend import Sensitivity
+from pipeline.inference.campaign_fit import CampaignFit, RecordFit, fit_with_columns
 from pipeline.inference.campaign_free import free_shapes
 from pipeline.inference.campaign_problem import Problem
 
@@ -112,8 +112,8 @@ class CampaignView:
             begun = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
             likely = {f"{MODE}.f": self._modes.get(key - {MODE}, ())}
             try:
-                fitted = fit_campaign(model, self.campaign, self.noise, begun, likely, self.threads)
-                self._fits[key] = (fitted, self._result(fitted, terms))
+                fitted, columns = fit_with_columns(model, self.campaign, self.noise, begun, likely, self.threads)
+                self._fits[key] = (fitted, self._result(fitted, columns, terms))
             except (GyroscreenError, np.linalg.LinAlgError) as error:
                 return FitResult(False, terms, {}, (), (), why=str(error))
         return self._fits[key][1]
@@ -123,25 +123,16 @@ class CampaignView:
         """Noise stratum of every row of each fit record."""
         return tuple(strata_of(s, record.sense_v.shape[1]) for record, s in zip(self.records, self.spectra))
 
-    def _result(self, fitted: CampaignFit, terms: tuple[str, ...]) -> FitResult:
-        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v, self.threads)
-        tasks = problem.tasks(self.records, fitted.values)
-        starts = self._starts(fitted)
-        loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
-        task = tasks.each[loudest]
-        exact = problem.strength(fitted.values, task) > STRONG
-        steps = problem.steps(fitted.values, task, starts[loudest])
+    def _result(self, fitted: CampaignFit, columns_of: Sequence[Sensitivity], terms: tuple[str, ...]) -> FitResult:
         turn = _external(fitted)
         jacobians, free_starts = [], []
-        for place, j in enumerate(problem.columns(fitted.values, tasks, starts, exact, steps)):
-            shape, spectra = self.records[place].sense_v.shape, self.spectra[place]
+        for record, spectra, (j, f) in zip(self.records, self.spectra, columns_of):
+            shape = record.sense_v.shape
             jacobians.append(spectra(j.T.reshape(-1, *shape)).reshape(j.shape[1], -1).T @ turn)
-            start = starts[place]
-            if start is None:
+            if f is None:
                 free_starts.append(np.zeros((jacobians[-1].shape[0], 0)))
             else:
-                f = problem.start_columns(fitted.values, tasks.each[place], start, exact)
-                free_starts.append(spectra(f.T.reshape(-1, *shape)).reshape(start.size, -1).T)
+                free_starts.append(spectra(f.T.reshape(-1, *shape)).reshape(f.shape[1], -1).T)
         if any(f.shape[1] for f in free_starts):
             jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, block_diagonal(free_starts))]
         free = fitted.model.free
@@ -315,13 +306,11 @@ class CampaignView:
             t = np.arange(y.shape[0])[:, None] / record.sample_rate_hz
             slope = np.gradient(y, axis=0)
             shapes = [y * t, y**2, y**3, np.abs(y) * y, y**2 * slope, slope, slope * t, y[:, ::-1], np.sign(y)]
-            columns = np.zeros((len(shapes) * y.shape[1], *y.shape))
-            for i, shape in enumerate(shapes):
-                for channel in range(y.shape[1]):
-                    columns[i * y.shape[1] + channel, :, channel] = shape[:, channel]
-            white = problem.whiten(columns, problem.task(record, fitted.values))
-            blocks.append(spectra(white).reshape(columns.shape[0], -1).T)
-            count = columns.shape[0]
+            rows = spectra(problem.whiten(np.stack(shapes), problem.task(record, fitted.values)))
+            # Each shape in each channel by itself.
+            alone = rows[:, None] * np.eye(y.shape[1])[:, None, :]
+            blocks.append(alone.reshape(len(shapes) * y.shape[1], -1).T)
+            count = blocks[-1].shape[1]
         unit = (TermParameter("amplitude"),)
         candidates = tuple(Candidate(f"shape {i}", unit, (slice(i, i + 1),)) for i in range(count))
         return Signatures(candidates, tuple(blocks))

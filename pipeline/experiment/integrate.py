@@ -44,20 +44,12 @@ def _no_force(
 @njit(inline="always")
 def _summed(size: int, transposed: FloatArray, offset: int, rows: int, x: FloatArray, out: FloatArray) -> None:
     """out = x[:rows] @ transposed[offset : offset + rows], four sums at a time: they stay in registers."""
-    quads = size // 4 * 4
-    for i in range(0, quads, 4):
-        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    for i in range(0, size, 2):
+        s0, s1 = 0.0, 0.0
         for j in range(rows):
             s0 += transposed[offset + j, i] * x[j]
             s1 += transposed[offset + j, i + 1] * x[j]
-            s2 += transposed[offset + j, i + 2] * x[j]
-            s3 += transposed[offset + j, i + 3] * x[j]
-        out[i], out[i + 1], out[i + 2], out[i + 3] = s0, s1, s2, s3
-    for i in range(quads, size):
-        s0 = 0.0
-        for j in range(rows):
-            s0 += transposed[offset + j, i] * x[j]
-        out[i] = s0
+        out[i], out[i + 1] = s0, s1
 
 
 @njit(inline="always")
@@ -266,7 +258,7 @@ def trajectory(
     grown[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0]
     grown[2 * n : 2 * n + drives, 2 * n + drives :] = np.eye(drives)
     moved = expm(grown * (0.5 * step_s / substeps))
-    half_size = 1 << (n - 1).bit_length()
+    half_size = n if n <= 4 else 1 << (n - 1).bit_length()
     place = np.concatenate([np.arange(n), half_size + np.arange(n)])
 
     def placed(matrix: FloatArray) -> FloatArray:
@@ -329,40 +321,49 @@ def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArr
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _filter(
-    z: ComplexArray,
-    w: ComplexArray,
-    z_out: ComplexArray,
-    w_out: ComplexArray,
+    z: FloatArray,
+    w: FloatArray,
+    z_out: FloatArray,
+    w_out: FloatArray,
     late: bool,
-    residues: ComplexArray,
+    residues: FloatArray,
     r: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Poles z (J,) with weights w (J, m + 1) over remainders r (M, S) -> out (N, S), read off after z_out, w_out if late."""
-    poles, width = w.shape
+    """Remainders r (M, S) behind poles -> out (N, S), read off after z_out, w_out if late.
+
+    Real parts come before imaginary ones: z (2, J), w (2, J, m + 1), residues (2, J, S, S).
+    """
+    _, poles, width = w.shape
     samples, senses = out.shape
-    x = np.zeros((poles, senses), dtype=np.complex128)
+    x = np.zeros((2, poles, senses))
     for sample in range(samples):
         first = sample * (width - 1)
         last = sample + 1 == samples
         for j in range(poles):
             for b in range(senses):
-                seen = x[j, b]
+                re, im = x[0, j, b], x[1, j, b]
+                seen_re, seen_im = re, im
                 if late:
-                    seen *= z_out[j]
+                    seen_re, seen_im = z_out[0, j] * re - z_out[1, j] * im, z_out[0, j] * im + z_out[1, j] * re
                     if not last:
                         for i in range(width):
-                            seen += w_out[j, i] * r[first + i, b]
+                            seen_re += w_out[0, j, i] * r[first + i, b]
+                            seen_im += w_out[1, j, i] * r[first + i, b]
                 for a in range(senses):
-                    g = residues[j, a, b]
-                    out[sample, a] += 2.0 * (g.real * seen.real - g.imag * seen.imag)
+                    out[sample, a] += 2.0 * (residues[0, j, a, b] * seen_re - residues[1, j, a, b] * seen_im)
                 if not last:
-                    total = z[j] * x[j, b]
+                    next_re, next_im = z[0, j] * re - z[1, j] * im, z[0, j] * im + z[1, j] * re
                     for i in range(width):
-                        total += w[j, i] * r[first + i, b]
-                    x[j, b] = total
+                        next_re += w[0, j, i] * r[first + i, b]
+                        next_im += w[1, j, i] * r[first + i, b]
+                    x[0, j, b], x[1, j, b] = next_re, next_im
+
+
+def _parts(z: ComplexArray) -> FloatArray:
+    return np.stack([z.real, z.imag])
 
 
 def filtered(
@@ -398,13 +399,14 @@ def filtered(
         out[:-1] = (windows @ interpolate) @ static.T
         out[-1] = remainder[-1] @ static.T
     if poles.size:
+        late = late_s > 0.0
         _filter(
-            np.exp(poles * step_s),
-            _weights(poles, nodes, step_s),
-            np.exp(poles * late_s),
-            _weights(poles, nodes, late_s) if late_s > 0.0 else np.zeros((poles.size, nodes.size), dtype=np.complex128),
-            late_s > 0.0,
-            np.ascontiguousarray(residues, dtype=np.complex128),
+            _parts(np.exp(poles * step_s)),
+            _parts(_weights(poles, nodes, step_s)),
+            _parts(np.exp(poles * late_s)),
+            _parts(_weights(poles, nodes, late_s)) if late else np.zeros((2, poles.size, nodes.size)),
+            late,
+            _parts(residues),
             np.ascontiguousarray(remainder),
             out,
         )

@@ -11,7 +11,7 @@ Shapes: R records, N samples, D drives, S senses, W waveforms.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,6 +97,11 @@ def play_of(records: Sequence[Record], instrument: Instrument, angular_gain: flo
         tuple(first),
         threads,
     )
+
+
+def alone(play: Play, record: int) -> Play:
+    """One record of a play."""
+    return replace(play, drives=(play.drives[record],), gains=play.gains[record : record + 1], twins=(0,), threads=1)
 
 
 def plays_of(

@@ -18,12 +18,13 @@ from itertools import product
 import numpy as np
 
 from ..arrays import FloatArray
+from ..device.effect import Effect
 from ..device.model import Model
 from ..device.parameters import Parameter
 from ..errors import ConfigError, MeasurementError
 from ..threads import mapped
 from .instrument import Instrument
-from .play import Play, play_of
+from .play import Play, alone, play_of
 from .record import Record
 from .response import Starts, converted, linear_volts, remainder_volts, volts
 from .system import System, assemble
@@ -92,14 +93,16 @@ def tuned_steps(
     x0 = model.to_internal(model.complete(parameters))
     steps = model.steps(x0)
     base = assemble(model, model.to_values(x0), instrument, play.conditions)
-    y0, r0 = volts(base, play, [start]), remainder_volts(base, play, [start])
-    level = float(np.sqrt(np.mean(y0**2)))
+    # One substep tells how far a step goes.
+    rough = partial(remainder_volts, play=play, starts=[start], substeps=1)
+    r0 = rough(base)
+    level = float(np.sqrt(np.mean((linear_volts(base, play, [start]) + r0) ** 2)))
 
     def share(i: int, step: float) -> float:
         x = x0.copy()
         x[i] += step if x0[i] + step <= model.bounds(model.free[i])[1] else -step
         try:
-            r = remainder_volts(assemble(model, model.to_values(x), instrument, play.conditions), play, [start])
+            r = rough(assemble(model, model.to_values(x), instrument, play.conditions))
         except ConfigError:
             return np.inf
         return float(np.sqrt(np.mean((r - r0) ** 2))) / max(level, 1e-300)
@@ -174,7 +177,7 @@ def play_jacobian(
     gridded = [_is_gridded(model, name) for name in model.free]
     curved = any(gridded) or (exact and bool(base.forces or base.senses))
     # Parameters are shared out among the threads; within one of them records follow each other.
-    alone = replace(play, threads=1)
+    serial = replace(play, threads=1)
     clipped = volts(base, play, starts) if base.adcs else None
     remainder = remainder_volts(base, play, starts, SLOPE_SUBSTEPS) if curved else None
     columns = np.zeros((x0.size, len(play.drives), play.drives[0].shape[0], base.sense_motion.shape[0]))
@@ -189,7 +192,7 @@ def play_jacobian(
         return converted(system(i, value), clipped)
 
     def linear(i: int, value: float) -> FloatArray:
-        return linear_volts(system(i, value), alone, starts)
+        return linear_volts(system(i, value), serial, starts)
 
     def column(i: int) -> None:
         name, step = model.free[i], float(steps[i])
@@ -202,7 +205,7 @@ def play_jacobian(
         if remainder is not None and (gridded[i] or exact):
             # Deviations are free of cancellation: one side is enough, inside the range.
             step = step if "." not in name or x0[i] + step <= own[1] else -step
-            change = remainder_volts(system(i, x0[i] + step), alone, starts, SLOPE_SUBSTEPS)
+            change = remainder_volts(system(i, x0[i] + step), serial, starts, SLOPE_SUBSTEPS)
             change -= remainder
             columns[i] += np.divide(change, step, out=change)
 
@@ -279,6 +282,54 @@ def signatures(
     followed = [m for m in members if not m.grid]
     grids = [(grid or {}).get(m.name, m.grid) for m in scanned]
     values = model.complete(parameters)
+    bends = found.force is not None or found.sense is not None
+    moving = partial(_moving, model, larger, found, values, instrument)
+    y0, moved = moving(play, starts, substeps)
+    loudest = max(range(len(play.drives)), key=lambda r: float(np.mean(play.drives[r] ** 2)))
+    # One substep on the loudest record tells how far a step goes.
+    rough = moving(alone(play, loudest), None if starts is None else [starts[loudest]], 1) if bends else None
+    t = np.arange(y0.shape[1]) / play.sample_rate_hz
+    context = assemble(model, values, instrument, play.conditions).context
+
+    steps = dict(step_hints or {})
+    level = float(np.sqrt(np.mean(y0**2)))
+    for at in product(*grids):
+        point = {m.name: value for m, value in zip(scanned, at)}
+        basis = np.zeros((y0.shape[1], 0))
+        names: tuple[str, ...] = ()
+        if found.disturbance is not None:
+            basis = found.disturbance(t, np.array([point.get(m.name, m.null) for m in members]), context)
+            columns = np.zeros((0, *y0.shape))
+        elif not followed:
+            columns = moved(point, scanned[0].name, point[scanned[0].name])[None]
+            names = tuple(m.name for m in scanned)
+        else:
+            for m in followed:
+                if rough is not None and m.name not in steps:
+                    step, _ = _stepped(m, point, rough[1], float(np.sqrt(np.mean(rough[0] ** 2))), 0.0, False)
+                    steps[m.name] = step
+            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), not bends) for m in followed]
+            columns = np.stack([slope for slope, _ in slopes])
+            names = tuple(m.name for m in followed)
+            steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}
+        yield Signature(effect, names, point, columns, basis, dict(steps))
+
+
+_Moved = Callable[[Mapping[str, float], str, float], FloatArray]
+
+
+def _moving(
+    model: Model,
+    larger: Model,
+    found: Effect,
+    values: Mapping[str, float],
+    instrument: Instrument,
+    play: Play,
+    starts: Starts | None,
+    substeps: int,
+) -> tuple[FloatArray, _Moved]:
+    """Records (R, N, S) without the effect, and what moves in them: (point, parameter, value) -> (R, N, S)."""
+    members = found.members(larger.built.shape)
     before = assemble(model, values, instrument, play.conditions)
     linear0 = linear_volts(before, play, starts)
     curved = bool(before.forces or before.senses)
@@ -287,13 +338,12 @@ def signatures(
     bends = found.force is not None or found.sense is not None
     # A weak nonlinear effect changes what a linear one does in second order only.
     strong = remainder0 is not None and np.linalg.norm(remainder0) > STRONG * np.linalg.norm(linear0)
-    t = np.arange(y0.shape[1]) / play.sample_rate_hz
 
     def moved(point: Mapping[str, float], name: str, value: float) -> FloatArray:
         if found.adc is not None and found.stages == ("adc",):
             p = np.array([value if m.name == name else point.get(m.name, m.null) for m in members])
             return found.adc(y0, p, before.context) - y0
-        trial = {**values, **{found.full_name(m): point[m.name] for m in scanned}}
+        trial = {**values, **{found.full_name(m): point[m.name] for m in members if m.grid}}
         trial[found.full_name(next(m for m in members if m.name == name))] = value
         system = assemble(larger, larger.complete(trial), instrument, play.conditions)
         if bends or strong:
@@ -310,39 +360,34 @@ def signatures(
             change = converted(system, y0 + change) - converted(before, y0)
         return change
 
-    steps = dict(step_hints or {})
-    level = float(np.sqrt(np.mean(y0**2)))
-    for at in product(*grids):
-        point = {m.name: value for m, value in zip(scanned, at)}
-        basis = np.zeros((y0.shape[1], 0))
-        names: tuple[str, ...] = ()
-        if found.disturbance is not None:
-            basis = found.disturbance(t, np.array([point.get(m.name, m.null) for m in members]), before.context)
-            columns = np.zeros((0, *y0.shape))
-        elif not followed:
-            columns = moved(point, scanned[0].name, point[scanned[0].name])[None]
-            names = tuple(m.name for m in scanned)
-        else:
-            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), not bends) for m in followed]
-            columns = np.stack([slope for slope, _ in slopes])
-            names = tuple(m.name for m in followed)
-            steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}
-        yield Signature(effect, names, point, columns, basis, dict(steps))
+    return y0, moved
 
 
 def _derivative(
     member: Parameter,
     point: Mapping[str, float],
-    moved: Callable[[Mapping[str, float], str, float], FloatArray],
+    moved: _Moved,
     level: float,
     hint: float,
     both_sides: bool,
 ) -> tuple[FloatArray, float]:
-    """dy/dp (R, N, S) at the null and its step, which moves the records by about ``_SHARE`` of their level.
+    """dy/dp (R, N, S) at the null and its step.
 
-    A record that jumps (a lag behind a feedthrough of held steps, without a filter) has no slope: ConfigError.
     One side is enough where deviations are integrated: what is curved is of the order of that share.  Where the change is
     a difference of two records, both sides are taken, so that the rounding common to them cancels.
+    """
+    step, first = _stepped(member, point, moved, level, hint, both_sides)
+    if both_sides and member.null - step >= member.low:
+        return (first - moved(point, member.name, member.null - step)) / (2.0 * step), step
+    return first / step, step
+
+
+def _stepped(
+    member: Parameter, point: Mapping[str, float], moved: _Moved, level: float, hint: float, both_sides: bool
+) -> tuple[float, FloatArray]:
+    """A step that moves the records by about ``_SHARE`` of their level, and that change (R, N, S).
+
+    A record that jumps (a lag behind a feedthrough of held steps, without a filter) has no slope: ConfigError.
     """
     most = 0.25 * (member.high - member.null)
     step = min(hint or 1e-2 * member.scale, most)
@@ -361,6 +406,4 @@ def _derivative(
     else:
         if found > longest * _SHARE:
             raise ConfigError("the record jumps at the null of a parameter", value=member.name)
-    if both_sides and member.null - step >= member.low:
-        return (first - moved(point, member.name, member.null - step)) / (2.0 * step), step
-    return first / step, step
+    return step, first

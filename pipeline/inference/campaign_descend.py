@@ -24,6 +24,8 @@ _STANDSTILL = 1e-4
 CLOSE = 1e-2
 #: Expected fall of chi2 below which the columns of the step before, updated, still serve.
 _SMALL_STEP = 3e3
+#: Columns computed where the records were by at most this share of them elsewhere are those of the end.
+_STALE = 1e-3
 #: And below which they always suffice without.
 FAINT = 1e-3
 
@@ -75,11 +77,21 @@ def point_at(
     return Point(x, starts, predicted, residuals, chi2)
 
 
-_Sensitivity = tuple[FloatArray, FloatArray | None]
+#: Columns of x (N S, P) and of the initial state (N S, 2 n) of a record that does not start at rest, in sigmas.
+Sensitivity = tuple[FloatArray, FloatArray | None]
 
 
-def _sensitivities(problem: Problem, at: Point, tasks: Tasks, exact: bool, steps: FloatArray) -> list[_Sensitivity]:
-    """Columns of x (N S, P) and of the initial state (N S, 2 n) of each record, in sigmas."""
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Where a descent ended: the point, the normal matrix there, the columns of each record, whether it converged."""
+
+    at: Point
+    normal: FloatArray
+    sensitivities: list[Sensitivity]
+    converged: bool
+
+
+def _sensitivities(problem: Problem, at: Point, tasks: Tasks, exact: bool, steps: FloatArray) -> list[Sensitivity]:
     values = problem.model.to_values(at.x)
     free = [
         None if start is None else problem.start_columns(values, task, start, exact)
@@ -89,7 +101,7 @@ def _sensitivities(problem: Problem, at: Point, tasks: Tasks, exact: bool, steps
 
 
 def _equations(
-    problem: Problem, at: Point, sensitivities: list[_Sensitivity]
+    problem: Problem, at: Point, sensitivities: list[Sensitivity]
 ) -> tuple[FloatArray, FloatArray, list[_Back | None]]:
     """Normal matrix (P, P) and slope (P,), initial states eliminated; what recovers those, record by record."""
     size = at.x.size
@@ -115,20 +127,26 @@ def _equations(
     return normal, slope, back
 
 
-def _updated(sensitivities: list[_Sensitivity], before: Point, after: Point, weight: FloatArray) -> list[_Sensitivity]:
+def _updated(sensitivities: list[Sensitivity], before: Point, after: Point, weight: FloatArray) -> list[Sensitivity]:
     """Broyden's update: the columns of x put right along the step just made, at no cost."""
     step = after.x - before.x
     along = weight * step
     length = float(along @ step)
     if length == 0.0:
         return sensitivities
-    out: list[_Sensitivity] = []
+    out: list[Sensitivity] = []
     for (j, f), r0, r1, s0, s1 in zip(sensitivities, before.residuals, after.residuals, before.starts, after.starts):
         missed = (r0 - r1).reshape(-1) - j @ step
         if f is not None and s0 is not None and s1 is not None:
             missed -= f @ (s1 - s0)
         out.append((j + np.outer(along / length, missed).T, f))
     return out
+
+
+def _moved(before: Point, after: Point) -> float:
+    """How far the records moved, as a share of themselves."""
+    change = sum(float(np.sum((b - a) ** 2)) for a, b in zip(before.predicted, after.predicted))
+    return float(np.sqrt(change / max(sum(float(np.sum(a**2)) for a in before.predicted), 1e-300)))
 
 
 def _inside(model: Model, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -155,8 +173,8 @@ def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: BoolAr
     return steps[0], steps[1]
 
 
-def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point, FloatArray, bool]:
-    """From ``at`` down to where the fit stands still: the point, the normal matrix there, whether it converged."""
+def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
+    """From ``at`` down to where the fit stands still."""
     low, high = _inside(problem.model, at.x)
     # The loudest record sets the steps of the differences for all, and tells how strong nonlinear effects are.
     loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
@@ -164,12 +182,20 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point,
     steps = problem.steps(problem.model.to_values(at.x), task, at.starts[loudest])
     exact = problem.strength(problem.model.to_values(at.x), task) > STRONG
     damping = 0.0
-    sensitivities: list[_Sensitivity] | None = None
+    sensitivities: list[Sensitivity] | None = None
+    computed = at
     normal = np.zeros((at.x.size, at.x.size))
+
+    def stand(converged: bool) -> Stand:
+        if sensitivities is not None and _moved(computed, at) <= _STALE:
+            return Stand(at, normal, sensitivities, converged)
+        fresh = _sensitivities(problem, at, tasks, exact, steps)
+        return Stand(at, _equations(problem, at, fresh)[0], fresh, converged)
+
     for _ in range(_ITERATIONS):
         fresh = sensitivities is None
         if sensitivities is None:
-            sensitivities = _sensitivities(problem, at, tasks, exact, steps)
+            sensitivities, computed = _sensitivities(problem, at, tasks, exact, steps), at
         normal, slope, back = _equations(problem, at, sensitivities)
         # A parameter at the end of its range moves only inwards.
         moving = ~((at.x <= low) & (slope < 0.0)) & ~((at.x >= high) & (slope > 0.0))
@@ -177,7 +203,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point,
         _, newton = _solve(normal, slope, 0.0, moving)
         expected = float(newton @ slope) + sum(float(b[2] @ b[0] @ b[2]) for b in back if b is not None)
         if expected < _STANDSTILL * noise:
-            return at, normal, True
+            return stand(True)
         accepted: Point | None = None
         for _ in range(8):
             step, _ = _solve(normal, slope, damping, moving)
@@ -200,7 +226,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point,
         if accepted is None:
             still = expected < CLOSE * noise
             if still or exact or strength < FAINT:
-                return at, normal, still
+                return stand(still)
             exact, damping, sensitivities = True, 0.0, None
             continue
         fall = at.chi2 - accepted.chi2
@@ -210,10 +236,10 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> tuple[Point,
         poor = expected > noise and fall < 0.5 * expected
         was_exact, exact = exact, exact or strength > STRONG or (poor and strength > FAINT)
         if fall < _STANDSTILL * noise and exact == was_exact:
-            return at, normal, True
+            return stand(True)
         if poor or expected > _SMALL_STEP * noise or exact != was_exact:
             sensitivities = None
-    return at, normal, False
+    return stand(False)
 
 
 def covariance_of(normal: FloatArray) -> tuple[FloatArray, bool]:

@@ -26,7 +26,7 @@ from ..device.plant import C12
 from ..errors import ConfigError, MeasurementError
 from ..experiment.noise_level import NoiseLevel
 from ..experiment.record import Campaign, Role
-from .campaign_descend import CLOSE, FAINT, covariance_of, descend, point_at
+from .campaign_descend import CLOSE, FAINT, Sensitivity, covariance_of, descend, point_at
 from .campaign_free import free_shapes
 from .campaign_problem import Problem, Task, Tasks
 from .campaign_scan import scan
@@ -197,7 +197,21 @@ def fit_campaign(
     likely: Mapping[str, tuple[float, ...]] | None = None,
     threads: int = 1,
 ) -> CampaignFit:
+    """``fit_with_columns`` without the columns."""
+    return fit_with_columns(model, campaign, noise, start, likely, threads)[0]
+
+
+def fit_with_columns(
+    model: Model,
+    campaign: Campaign,
+    noise: NoiseLevel,
+    start: Mapping[str, float] | None = None,
+    likely: Mapping[str, tuple[float, ...]] | None = None,
+    threads: int = 1,
+) -> tuple[CampaignFit, list[Sensitivity]]:
     """Fit ``model`` to the records with role "fit" and judge it on those and the held-out ones.
+
+    With the fit come the columns, in sigmas, that smooth coordinates and initial states move in each fit record.
 
     Parameters
     ----------
@@ -248,7 +262,8 @@ def fit_campaign(
             "the fit cannot start here: no such device", value=values, next_step="give other start values"
         )
     dof = sum(r.size for r in at.residuals) - at.x.size
-    at, normal, converged = descend(problem, at, tasks, dof)
+    stand = descend(problem, at, tasks, dof)
+    at, normal, converged = stand.at, stand.normal, stand.converged
     x_covariance, determined = covariance_of(normal)
     values = model.to_values(at.x)
     covariance = model.covariance_of_values(at.x, x_covariance)
@@ -284,7 +299,7 @@ def fit_campaign(
             if k >= 0:
                 turn[k] = sign
         split = (values["f2_hz"] - values["f1_hz"], float(np.sqrt(max(float(turn @ covariance @ turn), 0.0))))
-    return CampaignFit(
+    found = CampaignFit(
         model,
         {name: (value, sd.get(name, 0.0)) for name, value in values.items()},
         model.free,
@@ -303,3 +318,4 @@ def fit_campaign(
         theta,
         split,
     )
+    return found, stand.sensitivities

@@ -23,6 +23,7 @@ from ..experiment.record import Campaign, Record
 from ..experiment.response import Starts, converted, linear_volts, remainder_volts, volts
 from ..experiment.sensitivity import channels_checked, play_jacobian, tuned_steps
 from ..experiment.system import System, assemble, conditions_of
+from ..threads import mapped
 
 
 def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, instrument: Instrument) -> FloatArray:
@@ -161,8 +162,12 @@ class Problem:
         for places, play in tasks.plays:
             own = [starts[i] for i in places]
             found = play_jacobian(self.model, values, play, self.instrument, steps, starts=own, exact=exact)
-            for k, place in enumerate(places):
-                out[place] = self.whiten(found[:, k], tasks.each[place]).reshape(found.shape[0], -1).T
+
+            def white(k: int, found: FloatArray = found, places: Sequence[int] = places) -> FloatArray:
+                return self.whiten(found[:, k], tasks.each[places[k]]).reshape(found.shape[0], -1).T
+
+            for place, columns in zip(places, mapped(white, range(len(places)), self.threads)):
+                out[place] = columns
         return out
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
