@@ -50,7 +50,7 @@ def rivals(fit: FitResult, term: str, signatures: Signatures) -> tuple[Rival, ..
     own = list(fit.columns[term])
     k = len(own)
     winner = tuple(jac[:, own] for jac in fit.jacobian)
-    projected = project(baseline(fit, without=own), signatures.blocks, signatures.grams, winner)
+    projected = project(baseline(fit, tuple(own)), signatures.blocks, signatures.grams, winner)
     size = _sizes(fit, term, projected.norms[:k])
     score = projected.score + projected.gram[:, :k] @ size
     whole = float(score[:k] @ _pinv(projected.gram[:k, :k]) @ score[:k])

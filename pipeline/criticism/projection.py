@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -54,11 +55,12 @@ class Projected:
     dof: int
 
 
-def baseline(fit: FitResult, without: Sequence[int] = ()) -> Baseline:
+@lru_cache(maxsize=2)
+def baseline(fit: FitResult, without: tuple[int, ...] = ()) -> Baseline:
     """Orthonormalise the jacobian of a fit, leaving out the columns ``without``.
 
     Two passes (the second takes out what rounding left of the first), so that a signature of which one part in a
-    million survives is still right.
+    million survives is still right.  The last two are kept: a look asks for one of them several times.
     """
     keep = [column for column in range(fit.jacobian[0].shape[1]) if column not in set(without)]
     blocks = tuple(block[:, keep] for block in fit.jacobian)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ..arrays import FloatArray, IntArray
 from .problem import Block, Candidate, FitResult, Region, Signatures, TermParameter
@@ -75,6 +74,9 @@ class Regression:
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
         """Least squares from the given fit, from the null, and from every scanned value."""
+        # Loading scipy.optimize takes a fifth of a second.
+        from scipy.optimize import least_squares
+
         chosen = [term for term in self.terms if term.name in terms]
         names = [*self.baseline, *(name for term in chosen for name in _all_names(term))]
         lower, upper = self._bounds(chosen, names)

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ..arrays import ComplexArray, FloatArray
 from ..axial import wrap
@@ -54,6 +53,9 @@ def fit_modal(route: RouteResult, antialias: AntiAlias | None) -> ModalFit:
     route : what :func:`pipeline.identification.route.identify_modal` made of the record.
     antialias : the filter that the record includes.
     """
+    # Loading scipy.optimize takes a fifth of a second.
+    from scipy.optimize import least_squares
+
     measured = residues_at_resonance(route.poles, route.residues_filtered)
     norms = np.linalg.norm(measured, axis=(1, 2))[:, None, None]
     physical = np.zeros(12)

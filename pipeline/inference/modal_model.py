@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from ..arrays import BoolArray, ComplexArray
 from ..device.mechanics import modes_of
@@ -86,6 +85,9 @@ def modelled_modes(
     ------
     ConfigError : parameters that no device can have.
     """
+    # Loading scipy.optimize takes a fifth of a second.
+    from scipy.optimize import linear_sum_assignment
+
     instrument = Instrument(antialias=record.antialias)
     own, residues = linear_modes(assemble(model, values, instrument, conditions(record)))
     here, there = linear_sum_assignment(np.abs(poles[:, None] - own[None, :]))

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from .table import Columns, allow
 
@@ -22,7 +25,14 @@ def read(path: Path) -> Columns:
         allow(file.metadata.num_rows * max(len(numeric), 1), 2**62)
         table = file.read(columns=numeric, use_threads=False)
     table.validate(full=True)
-    return {name: table.column(name).to_numpy() for name in numeric}
+    return {name: _values(table.column(name)) for name in numeric}
+
+
+def _values(column: pa.ChunkedArray) -> NDArray[Any]:
+    if column.null_count or pa.types.is_boolean(column.type):
+        return np.asarray(column.to_numpy())
+    # The same, without loading pandas, which takes a quarter of a second.
+    return np.array(np.from_dlpack(column.combine_chunks()))
 
 
 def write(path: Path, columns: Columns) -> None:
