@@ -22,11 +22,11 @@ _ITERATIONS = 24
 _STANDSTILL = 1e-4
 #: The same where a trial does not fall any more: rounding and inexact columns, a tenth of a sd.
 CLOSE = 1e-2
-#: Expected fall of chi2 below which the columns of the step before, updated, still serve.
-_SMALL_STEP = 3e3
+#: Once the records have moved by this share of themselves columns are computed anew; before, updated, they serve.
+_FAR = 5e-3
 #: Columns computed where the records were by at most this share of them elsewhere are those of the end.
 _STALE = 1e-3
-#: And below which they always suffice without.
+#: Relative strength of nonlinear effects below which columns always suffice without them.
 FAINT = 1e-3
 
 #: Inverse normal matrix of an initial state, its cross terms with x, its slope.
@@ -237,7 +237,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
         was_exact, exact = exact, exact or strength > STRONG or (poor and strength > FAINT)
         if fall < _STANDSTILL * noise and exact == was_exact:
             return stand(True)
-        if poor or expected > _SMALL_STEP * noise or exact != was_exact:
+        if poor or exact != was_exact or _moved(computed, at) > _FAR:
             sensitivities = None
     return stand(False)
 

@@ -25,7 +25,8 @@ from ..device.model import Model
 from ..device.plant import C12
 from ..errors import ConfigError, MeasurementError
 from ..experiment.noise_level import NoiseLevel
-from ..experiment.record import Campaign, Role
+from ..experiment.record import Campaign, Record, Role
+from ..threads import mapped
 from .campaign_descend import CLOSE, FAINT, Sensitivity, covariance_of, descend, point_at
 from .campaign_free import free_shapes
 from .campaign_problem import Problem, Task, Tasks
@@ -274,11 +275,12 @@ def fit_with_columns(
         id(task.record): _judge(problem, task, s, predicted)
         for task, s, predicted in zip(tasks.each, at.starts, at.predicted)
     }
-    records = tuple(
-        judged.get(id(record)) or _held_out(problem, values, problem.task(record, values))
-        for record in campaign.records
-        if record.role in ("fit", "validate")
-    )
+    alone = Problem(model, campaign, sigma_v)
+
+    def seen(record: Record) -> RecordFit:
+        return judged.get(id(record)) or _held_out(alone, values, alone.task(record, values))
+
+    records = tuple(mapped(seen, (r for r in campaign.records if r.role in ("fit", "validate")), threads))
     error: dict[str, float | None] = {}
     relative: dict[str, float | None] = {}
     misfit: dict[str, float | None] = {}
