@@ -14,16 +14,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import rfft
+from numba import njit
+from scipy.fft import fft, rfft
 
-from pipeline.arrays import ComplexArray, FloatArray
+from pipeline.arrays import ComplexArray, FloatArray, real_parts
 from pipeline.criticism.problem import FitResult, LocalCandidate
 from pipeline.criticism.projection import Baseline, baseline
 from pipeline.device.readout import plain_readout
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.instrument import Instrument
-from pipeline.experiment.linear import pole_states
 from pipeline.experiment.play import Play
+from pipeline.experiment.simulate import hold_gains
 
 NAME = "parasitic_mode"
 #: zeta, step of the grid as a share of the frequency, margins around the driven band (share of its edges).
@@ -34,7 +35,6 @@ _LOW_HZ = 300.0
 _DRIVEN = 0.05
 #: A mode is followed to where it has this share of its peak.
 _SEEN = 2e-2
-_CHUNK = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,22 +94,81 @@ def scan_of(
         seen = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
     seen = seen * np.sqrt(2.0 / samples)
     points: list[Point] = []
-    for start in range(0, len(grid), _CHUNK):
-        part = grid[start : start + _CHUNK]
-        w, zeta = 2.0 * np.pi * np.array([f for f, _ in part]), np.array([z for _, z in part])
-        poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
-        residues = (w if displacement else poles) / (2j * poles.imag)
-        answers = np.zeros((len(part), play.waveforms.shape[0], bins), dtype=np.complex128)
-        for k, waveform in enumerate(play.waveforms):
-            states = pole_states(poles, waveform, play.clock)[:: play.clock.stride].T
-            y = 2.0 * (residues.real[:, None] * states[: w.size] - residues.imag[:, None] * states[w.size :])
-            answers[:, k] = rfft(y, axis=-1)[:, 1 : bins + 1] * seen
-        for (f, z), answer in zip(part, answers):
-            size = np.max(np.abs(answer), axis=0, initial=0.0)
-            strong = np.flatnonzero(size > _SEEN * size.max())
-            first, last = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
-            points.append(Point(f, z, first, np.ascontiguousarray(answer[:, first:last])))
+    w, zeta = 2.0 * np.pi * np.array([f for f, _ in grid]), np.array([z for _, z in grid])
+    poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+    residues = (w if displacement else poles) / (2j * poles.imag)
+    z, now, following = hold_gains(poles, play.clock.step_s, play.clock.hold)
+    answers = np.zeros((w.size, play.waveforms.shape[0], bins), dtype=np.complex128)
+    # Samples are taken at every ``stride``-th step: their spectrum is the mean of its images.
+    images = np.arange(play.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
+    turn = np.exp(2j * np.pi * images / play.waveforms.shape[1])
+    for k, waveform in enumerate(play.waveforms):
+        re, im = _ends(real_parts(z), real_parts(now), real_parts(following), waveform)
+        drive = fft(waveform)[images]
+        _answered(z, now, following, re + 1j * im, residues, turn, drive, waveform[0], seen, answers[:, k])
+    for (f, damping), answer in zip(grid, answers):
+        size = np.max(np.abs(answer), axis=0, initial=0.0)
+        strong = np.flatnonzero(size > _SEEN * size.max())
+        first, last = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
+        points.append(Point(f, damping, first, np.ascontiguousarray(answer[:, first:last])))
     return Scan(places, play.gains, tuple(points))
+
+
+_FAST = {"contract", "reassoc", "nsz"}
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _ends(z: FloatArray, now: FloatArray, following: FloatArray, waveform: FloatArray) -> FloatArray:
+    """State (2, P) one step after x[n + 1] = z x[n] + now v[n] + following v[n + 1] has played a waveform from rest.
+
+    Real parts come before imaginary ones; v = 0 after the end.
+    """
+    x = np.zeros((2, z.shape[1]))
+    for n in range(waveform.size):
+        v, ahead = waveform[n], waveform[n + 1] if n + 1 < waveform.size else 0.0
+        for p in range(z.shape[1]):
+            re, im = x[0, p], x[1, p]
+            x[0, p] = z[0, p] * re - z[1, p] * im + now[0, p] * v + following[0, p] * ahead
+            x[1, p] = z[0, p] * im + z[1, p] * re + now[1, p] * v + following[1, p] * ahead
+    return x
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _answered(
+    z: ComplexArray,
+    now: ComplexArray,
+    following: ComplexArray,
+    ends: ComplexArray,
+    residues: ComplexArray,
+    turn: ComplexArray,
+    drive: ComplexArray,
+    first_v: float,
+    seen: ComplexArray,
+    out: ComplexArray,
+) -> None:
+    """Spectrum (P, F) of 2 Re(residue x), for x of ``_ends``.
+
+        X (e^iw - z) = now V + e^iw (following (V - v[0]) - x[N])
+
+    turn, drive: e^iw and V at the images (m, F) of the bins; ``seen`` (F,) multiplies.
+    """
+    images, bins = turn.shape
+    for p in range(z.size):
+        # Both poles of the pair over one real denominator.
+        a, b, c = residues[p] * now[p], residues[p] * following[p], residues[p] * ends[p]
+        back = np.conj(z[p])
+        a1, b1, c1 = 2.0 * a.real, 2.0 * b.real, 2.0 * c.real
+        a0, b0, c0 = 2.0 * (a * back).real, 2.0 * (b * back).real, 2.0 * (c * back).real
+        d1, d0 = 2.0 * z[p].real, (z[p] * back).real
+        for f in range(bins):
+            total = 0.0 + 0.0j
+            for m in range(images):
+                e, v = turn[m, f], drive[m, f]
+                rise = e * (v - first_v)
+                above = (a1 * e - a0) * v + (b1 * e - b0) * rise - (c1 * e - c0) * e
+                below = e * e - d1 * e + d0
+                total += above * np.conj(below) / (below.real * below.real + below.imag * below.imag)
+            out[p, f] = total * seen[f] / images
 
 
 def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: FloatArray) -> LocalCandidate:

@@ -347,9 +347,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Before numpy is loaded: small matrices are slower on many threads, and workers share the cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    # Looking for garbage among what was just loaded takes a fifth of the start.
+    # Looking for garbage among what was just loaded takes a fifth of the start, and once more at the end.
     gc.set_threshold(50_000)
-    sys.exit(call(arguments))
+    code = call(arguments)
+    gc.freeze()
+    sys.exit(code)
 
 
 def call(arguments: Sequence[str] | None = None) -> int:

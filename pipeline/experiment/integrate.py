@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit, types
 from scipy.linalg import expm
 
-from ..arrays import ComplexArray, FloatArray
+from ..arrays import ComplexArray, FloatArray, real_parts
 from ..device.effect import FORCE_TYPE, LAWS_TYPE, Laws, compiled_force
 from ..device.mechanics import Mechanics, state_matrix
 from ..errors import ConfigError
@@ -362,10 +362,6 @@ def _filter(
                     x[0, j, b], x[1, j, b] = next_re, next_im
 
 
-def _parts(z: ComplexArray) -> FloatArray:
-    return np.stack([z.real, z.imag])
-
-
 def filtered(
     poles: ComplexArray,
     residues: ComplexArray,
@@ -401,12 +397,12 @@ def filtered(
     if poles.size:
         late = late_s > 0.0
         _filter(
-            _parts(np.exp(poles * step_s)),
-            _parts(_weights(poles, nodes, step_s)),
-            _parts(np.exp(poles * late_s)),
-            _parts(_weights(poles, nodes, late_s)) if late else np.zeros((2, poles.size, nodes.size)),
+            real_parts(np.exp(poles * step_s)),
+            real_parts(_weights(poles, nodes, step_s)),
+            real_parts(np.exp(poles * late_s)),
+            real_parts(_weights(poles, nodes, late_s)) if late else np.zeros((2, poles.size, nodes.size)),
             late,
-            _parts(residues),
+            real_parts(residues),
             np.ascontiguousarray(remainder),
             out,
         )

@@ -97,15 +97,6 @@ def _states(
             out[n + 1, poles + j] = z_re[j] * im + z_im[j] * re + a_im[j] * now + b_im[j] * following
 
 
-def pole_states(poles: ComplexArray, waveform: FloatArray, clock: Clock) -> FloatArray:
-    """Answer of each pole 1/(s - p) to a held waveform (N,) from rest: real parts, then imaginary ones, (N, 2P)."""
-    z, g0, g1 = hold_gains(poles, clock.step_s, clock.hold)
-    parts = [np.ascontiguousarray(part) for g in (z, g0, g1) for part in (g.real, g.imag)]
-    states = np.empty((waveform.size, 2 * poles.size))
-    _states(parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], waveform, states)
-    return states
-
-
 def _answers(
     poles: ComplexArray,
     residues: ComplexArray,
