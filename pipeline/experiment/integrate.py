@@ -30,6 +30,7 @@ from .instrument import Hold
 
 SUBSTEPS = 4
 MOST_FORCES = 8
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
@@ -307,8 +308,7 @@ def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArr
     span = nodes[-1]
     basis = np.linalg.inv(np.vander(nodes / span, increasing=True))
     out = np.empty((poles.size, size), dtype=np.complex128)
-    unit, weight = np.polynomial.legendre.leggauss(48)
-    s, w = 0.5 * until * (unit + 1.0), 0.5 * until * weight
+    s, w = 0.5 * until * (_GAUSS_NODES + 1.0), 0.5 * until * _GAUSS_WEIGHTS
     for j, q in enumerate(poles):
         if abs(q) * until < 40.0:
             moments = np.array([np.sum(w * np.exp(q * (until - s)) * (s / span) ** k) for k in range(size)])

@@ -18,16 +18,21 @@ from ..experiment.sensitivity import STRONG
 from .campaign_problem import Problem, Tasks
 
 _ITERATIONS = 24
-#: Expected fall of chi2 (in units of chi2/dof, at least 1) at which the fit stands still: a hundredth of a sd.
-_STANDSTILL = 1e-4
+#: Expected fall of chi2 (in units of chi2/dof, at least 1) at which the fit stands still: 3 % of a sd.
+_STANDSTILL = 1e-3
 #: The same where a trial does not fall any more: rounding and inexact columns, a tenth of a sd.
 CLOSE = 1e-2
+_LEAST_DAMPING = 1e-2
+#: After so many steps a fall by this share of the misfit is none.
+_PATIENCE, _CREEP = 8, 1e-4
 #: Once the records have moved by this share of themselves columns are computed anew; before, updated, they serve.
 _FAR = 5e-3
 #: Columns computed where the records were by at most this share of them elsewhere are those of the end.
 _STALE = 1e-3
 #: Relative strength of nonlinear effects below which columns always suffice without them.
 FAINT = 1e-3
+#: Above this their absence may be why a step falls short.
+_NOTABLE = 1e-2
 
 #: Inverse normal matrix of an initial state, its cross terms with x, its slope.
 _Back = tuple[FloatArray, FloatArray, FloatArray]
@@ -192,7 +197,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
         fresh = _sensitivities(problem, at, tasks, exact, steps)
         return Stand(at, _equations(problem, at, fresh)[0], fresh, converged)
 
-    for _ in range(_ITERATIONS):
+    for passes in range(_ITERATIONS):
         fresh = sensitivities is None
         if sensitivities is None:
             sensitivities, computed = _sensitivities(problem, at, tasks, exact, steps), at
@@ -218,7 +223,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
                 break
             if trial is not None and expected < CLOSE * noise:
                 break
-            damping = max(30.0 * damping, 1e-4)
+            damping = max(30.0 * damping, _LEAST_DAMPING)
         strength = problem.strength(problem.model.to_values((accepted or at).x), task)
         if accepted is None and not fresh and expected >= CLOSE * noise:
             sensitivities, damping = None, 0.0
@@ -232,10 +237,12 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
         fall = at.chi2 - accepted.chi2
         sensitivities = _updated(sensitivities, at, accepted, np.diagonal(normal))
         at = accepted
-        damping = 0.0 if damping <= 1e-4 else damping * 0.1
+        damping = 0.0 if damping <= _LEAST_DAMPING else damping * 0.1
         poor = expected > noise and fall < 0.5 * expected
-        was_exact, exact = exact, exact or strength > STRONG or (poor and strength > FAINT)
-        if fall < _STANDSTILL * noise and exact == was_exact:
+        was_exact, exact = exact, exact or strength > STRONG or (poor and fresh and strength > _NOTABLE)
+        # A model that is wrong may creep along a valley for ever, by nothing beside the misfit that stays.
+        creep = _CREEP * max(at.chi2 - dof, 0.0) if passes >= _PATIENCE else 0.0
+        if fall < max(_STANDSTILL * noise, creep) and exact == was_exact:
             return stand(True)
         if poor or exact != was_exact or _moved(computed, at) > _FAR:
             sensitivities = None
