@@ -10,7 +10,7 @@ Shapes: R records, N samples, S senses, P free parameters, k parameters of an ef
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -65,7 +65,7 @@ def _slope(f: Callable[[float], FloatArray], at: float, step: float, low: float,
     return (3.0 * f(at) - 4.0 * f(at - step) + f(at - 2.0 * step)) / (2.0 * step)
 
 
-def _is_gridded(model: Model, name: str) -> bool:
+def is_gridded(model: Model, name: str) -> bool:
     """Whether a parameter is that of a force or a pick-off law."""
     effect = name.partition(".")[0]
     return effect in model.effects and bool(_GRIDDED_STAGES & set(model.effect(effect).stages))
@@ -108,7 +108,7 @@ def tuned_steps(
         return float(np.sqrt(np.mean((r - r0) ** 2))) / max(level, 1e-300)
 
     for i, name in enumerate(model.free):
-        if _is_gridded(model, name):
+        if is_gridded(model, name):
             steps[i] = _tuned(
                 partial(share, i), float(steps[i]), 0.25 * (model.bounds(name)[1] - model.bounds(name)[0])
             )
@@ -156,6 +156,42 @@ def jacobian(
     return np.moveaxis(columns[:, 0], 0, -1)
 
 
+#: dy/dx (R, N, S) of parameters of forces and pick-off laws, by their place among the free ones.
+Bent = Mapping[int, FloatArray]
+
+
+def bent_columns(
+    model: Model,
+    parameters: Mapping[str, float],
+    play: Play,
+    instrument: Instrument,
+    steps: FloatArray,
+    places: Sequence[int],
+    starts: Starts | None = None,
+) -> Bent:
+    """What free parameters at ``places`` move in the remainder; arguments as in ``play_jacobian``."""
+    if not places:
+        return {}
+    x0 = model.to_internal(model.complete(parameters))
+    base = assemble(model, model.to_values(x0), instrument, play.conditions)
+    remainder = remainder_volts(base, play, starts, SLOPE_SUBSTEPS)
+    serial = replace(play, threads=1)
+
+    def column(i: int) -> FloatArray:
+        # Deviations are free of cancellation: one side is enough, inside the range.
+        name, step = model.free[i], float(steps[i])
+        step = step if "." not in name or x0[i] + step <= model.bounds(name)[1] else -step
+        x = x0.copy()
+        x[i] += step
+        system = assemble(model, model.to_values(x), instrument, play.conditions)
+        change = remainder_volts(system, serial, starts, SLOPE_SUBSTEPS)
+        change -= remainder
+        return np.divide(change, step, out=change)
+
+    # Parameters are shared out among the threads; within one of them records follow each other.
+    return dict(zip(places, mapped(column, places, play.threads)))
+
+
 def play_jacobian(
     model: Model,
     parameters: Mapping[str, float],
@@ -165,8 +201,11 @@ def play_jacobian(
     *,
     starts: Starts | None = None,
     exact: bool = False,
+    bent: Bent | None = None,
 ) -> FloatArray:
     """dy/dx (P, R, N, S) of the records of a play; arguments as in ``jacobian``, one start a record.
+
+    ``bent`` gives the columns of forces and pick-off laws where they are known.
 
     Raises
     ------
@@ -174,12 +213,14 @@ def play_jacobian(
     """
     x0 = model.to_internal(model.complete(parameters))
     base = assemble(model, model.to_values(x0), instrument, play.conditions)
-    gridded = [_is_gridded(model, name) for name in model.free]
-    curved = any(gridded) or (exact and bool(base.forces or base.senses))
-    # Parameters are shared out among the threads; within one of them records follow each other.
+    if bent is None:
+        curved = exact and bool(base.forces or base.senses)
+        own = [i for i, name in enumerate(model.free) if is_gridded(model, name)]
+        asked = [i for i, name in enumerate(model.free) if curved and not _is_adc(model, name)]
+        bent = bent_columns(model, parameters, play, instrument, steps, asked or own, starts)
+    known = bent
     serial = replace(play, threads=1)
     clipped = volts(base, play, starts) if base.adcs else None
-    remainder = remainder_volts(base, play, starts, SLOPE_SUBSTEPS) if curved else None
     columns = np.zeros((x0.size, len(play.drives), play.drives[0].shape[0], base.sense_motion.shape[0]))
 
     def system(i: int, value: float) -> System:
@@ -200,14 +241,10 @@ def play_jacobian(
         if _is_adc(model, name):
             columns[i] = _slope(partial(behind, i), x0[i], step, *own)
             return
-        if not gridded[i]:
+        if not is_gridded(model, name):
             columns[i] = _slope(partial(linear, i), x0[i], step, *(own if "." in name else (-np.inf, np.inf)))
-        if remainder is not None and (gridded[i] or exact):
-            # Deviations are free of cancellation: one side is enough, inside the range.
-            step = step if "." not in name or x0[i] + step <= own[1] else -step
-            change = remainder_volts(system(i, x0[i] + step), serial, starts, SLOPE_SUBSTEPS)
-            change -= remainder
-            columns[i] += np.divide(change, step, out=change)
+        if i in known:
+            columns[i] += known[i]
 
     mapped(column, range(x0.size), play.threads)
     if clipped is not None:

@@ -14,7 +14,8 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..device.model import Model
 from ..errors import ConfigError
-from ..experiment.sensitivity import STRONG
+from ..experiment.sensitivity import STRONG, is_gridded
+from .campaign_frozen import Frozen
 from .campaign_problem import Problem, Tasks
 
 _ITERATIONS = 24
@@ -179,15 +180,38 @@ def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: BoolAr
 
 
 def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
-    """From ``at`` down to where the fit stands still."""
+    """From ``at`` down to where the fit stands still; with weak forces and pick-off laws most of the way without them."""
+    values, loudest = problem.model.to_values(at.x), _loudest(tasks)
+    steps = problem.steps(values, tasks.each[loudest], at.starts[loudest])
+    if not any(is_gridded(problem.model, name) for name in problem.model.free):
+        return _descend(problem, at, tasks, dof, steps)
+    if problem.strength(values, tasks.each[loudest]) > STRONG:
+        return _descend(problem, at, tasks, dof, steps)
+    frozen = Frozen(problem, values, tasks, at.starts, steps)
+    there = _descend(frozen, at, tasks, dof, steps)
+    nearer = point_at(problem, there.at.x, tasks, there.at.starts, at.chi2)
+    if nearer is None:
+        return _descend(problem, at, tasks, dof, steps)
+    return _descend(problem, nearer, tasks, dof, steps, there.sensitivities)
+
+
+def _loudest(tasks: Tasks) -> int:
+    """The record that sets the steps of the differences for all, and tells how strong nonlinear effects are."""
+    return max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
+
+
+def _descend(
+    problem: Problem,
+    at: Point,
+    tasks: Tasks,
+    dof: int,
+    steps: FloatArray,
+    sensitivities: list[Sensitivity] | None = None,
+) -> Stand:
     low, high = _inside(problem.model, at.x)
-    # The loudest record sets the steps of the differences for all, and tells how strong nonlinear effects are.
-    loudest = max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
-    task = tasks.each[loudest]
-    steps = problem.steps(problem.model.to_values(at.x), task, at.starts[loudest])
+    task = tasks.each[_loudest(tasks)]
     exact = problem.strength(problem.model.to_values(at.x), task) > STRONG
     damping = 0.0
-    sensitivities: list[Sensitivity] | None = None
     computed = at
     normal = np.zeros((at.x.size, at.x.size))
 

@@ -21,7 +21,7 @@ from ..experiment.linear import free_response
 from ..experiment.play import Play, play_of, plays_of
 from ..experiment.record import Campaign, Record
 from ..experiment.response import Starts, converted, linear_volts, remainder_volts, volts
-from ..experiment.sensitivity import channels_checked, play_jacobian, tuned_steps
+from ..experiment.sensitivity import Bent, channels_checked, play_jacobian, tuned_steps
 from ..experiment.system import System, assemble, conditions_of
 from ..threads import mapped
 
@@ -155,13 +155,19 @@ class Problem:
         return tuned_steps(self.model, values, task.record, self.instrument, angular_gain=gain, start=start)
 
     def columns(
-        self, values: Mapping[str, float], tasks: Tasks, starts: Starts, exact: bool, steps: FloatArray
+        self,
+        values: Mapping[str, float],
+        tasks: Tasks,
+        starts: Starts,
+        exact: bool,
+        steps: FloatArray,
+        bent: Sequence[Bent] | None = None,
     ) -> list[FloatArray]:
-        """(N S, P) of each record: what the free parameters move, in sigmas."""
+        """(N S, P) of each record: what the free parameters move, in sigmas; ``bent`` of each play where it is known."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
-        for places, play in tasks.plays:
-            own = [starts[i] for i in places]
-            found = play_jacobian(self.model, values, play, self.instrument, steps, starts=own, exact=exact)
+        for number, (places, play) in enumerate(tasks.plays):
+            own, known = [starts[i] for i in places], None if bent is None else bent[number]
+            found = play_jacobian(self.model, values, play, self.instrument, steps, starts=own, exact=exact, bent=known)
 
             def white(k: int, found: FloatArray = found, places: Sequence[int] = places) -> FloatArray:
                 return self.whiten(found[:, k], tasks.each[places[k]]).reshape(found.shape[0], -1).T
