@@ -19,7 +19,7 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.play import Play
 from pipeline.experiment.response import Starts
-from pipeline.experiment.sensitivity import Signature, signatures
+from pipeline.experiment.signatures import Signature, signatures
 
 #: Clip levels that are scanned, as shares of the largest sample.
 _LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)

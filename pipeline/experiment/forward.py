@@ -20,7 +20,8 @@ from .instrument import Instrument
 from .play import play_of
 from .record import Record
 from .response import converted, volts
-from .sensitivity import Signature, channels_checked, jacobian, signatures
+from .sensitivity import channels_checked, jacobian
+from .signatures import Signature, signatures
 from .system import assemble
 
 __all__ = ["Signature", "forward", "jacobian", "signatures"]

@@ -7,8 +7,8 @@ The linear trajectory x_l under the held drive is exact (matrix exponential); wh
     d' = A d + (0, a(t, x_l + d, u))
 
 by Lawson-RK4 with the exact exponential of A, ``SUBSTEPS`` steps a sample: no cancellation, and the kinks of the held
-drive stay in the exact part.  Its remainder in volts, r = (V, D) d + (sense laws), is smooth between samples, so the
-read-out's poles see it exactly as the polynomial through the ``SUBSTEPS`` + 1 values of each sample interval.
+drive stay in the exact part.  Its remainder in volts, r = (V, D) d + (sense laws), is smooth between samples: the read-out
+(``readout_filter``) sees it as the polynomial through the ``SUBSTEPS`` + 1 values of each sample interval.
 
 Shapes: N samples, M = (N - 1) SUBSTEPS + 1 grid points, n coordinates, D drives, S senses.  State (2n,): (q, q').
 """
@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit, types
 from scipy.linalg import expm
 
-from ..arrays import ComplexArray, FloatArray, real_parts
+from ..arrays import FloatArray
 from ..device.effect import FORCE_TYPE, LAWS_TYPE, Laws, compiled_force
 from ..device.mechanics import Mechanics, state_matrix
 from ..errors import ConfigError
@@ -30,7 +30,6 @@ from .instrument import Hold
 
 SUBSTEPS = 4
 MOST_FORCES = 8
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
@@ -44,7 +43,7 @@ def _no_force(
 
 @njit(inline="always")
 def _summed(size: int, transposed: FloatArray, offset: int, rows: int, x: FloatArray, out: FloatArray) -> None:
-    """out = x[:rows] @ transposed[offset : offset + rows], four sums at a time: they stay in registers."""
+    """out = x[:rows] @ transposed[offset : offset + rows], two sums at a time: they stay in registers."""
     for i in range(0, size, 2):
         s0, s1 = 0.0, 0.0
         for j in range(rows):
@@ -299,111 +298,3 @@ def trajectory(
     if not np.isfinite(deviation[-1]).all():
         raise ConfigError("the motion diverges", next_step="check size and sign of the nonlinear effects")
     return linear, deviation
-
-
-def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArray:
-    """int_0^until exp(q (until - s)) L_i(s) ds, (J, nodes): L_i the Lagrange polynomials on ``nodes`` [s]."""
-    size = nodes.size
-    # Monomial coefficients of L_i in s/T.
-    span = nodes[-1]
-    basis = np.linalg.inv(np.vander(nodes / span, increasing=True))
-    out = np.empty((poles.size, size), dtype=np.complex128)
-    s, w = 0.5 * until * (_GAUSS_NODES + 1.0), 0.5 * until * _GAUSS_WEIGHTS
-    for j, q in enumerate(poles):
-        if abs(q) * until < 40.0:
-            moments = np.array([np.sum(w * np.exp(q * (until - s)) * (s / span) ** k) for k in range(size)])
-        else:
-            moments = np.empty(size, dtype=np.complex128)
-            moments[0] = np.expm1(q * until) / q
-            for k in range(1, size):
-                moments[k] = (k * moments[k - 1] / span - (until / span) ** k) / q
-        out[j] = moments @ basis
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
-def _filter(
-    z: FloatArray,
-    w: FloatArray,
-    z_out: FloatArray,
-    w_out: FloatArray,
-    late: bool,
-    residues: FloatArray,
-    r: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Remainders r (M, S) behind poles -> out (N, S), read off after z_out, w_out if late.
-
-    Real parts come before imaginary ones: z (2, J), w (2, J, m + 1), residues (2, J, S, S).
-    """
-    _, poles, width = w.shape
-    samples, senses = out.shape
-    x = np.zeros((2, poles, senses))
-    for sample in range(samples):
-        first = sample * (width - 1)
-        last = sample + 1 == samples
-        for j in range(poles):
-            for b in range(senses):
-                re, im = x[0, j, b], x[1, j, b]
-                seen_re, seen_im = re, im
-                if late:
-                    seen_re, seen_im = z_out[0, j] * re - z_out[1, j] * im, z_out[0, j] * im + z_out[1, j] * re
-                    if not last:
-                        for i in range(width):
-                            seen_re += w_out[0, j, i] * r[first + i, b]
-                            seen_im += w_out[1, j, i] * r[first + i, b]
-                for a in range(senses):
-                    out[sample, a] += 2.0 * (residues[0, j, a, b] * seen_re - residues[1, j, a, b] * seen_im)
-                if not last:
-                    next_re, next_im = z[0, j] * re - z[1, j] * im, z[0, j] * im + z[1, j] * re
-                    for i in range(width):
-                        next_re += w[0, j, i] * r[first + i, b]
-                        next_im += w[1, j, i] * r[first + i, b]
-                    x[0, j, b], x[1, j, b] = next_re, next_im
-
-
-def filtered(
-    poles: ComplexArray,
-    residues: ComplexArray,
-    static: FloatArray,
-    remainder: FloatArray,
-    step_s: float,
-    late_s: float = 0.0,
-    substeps: int = SUBSTEPS,
-) -> FloatArray:
-    """A remainder (M, S) behind the read-out, at ``late_s`` after each sample, (N, S).
-
-    Parameters
-    ----------
-    poles, residues : of the read-out, (J,) and (J, S, S): one of each conjugate pair, real ones with half their
-        residue.
-    static : (S, S).
-    remainder : volts on the fine grid.
-    step_s : time between samples [s].
-    late_s : in [0, step_s); the last sample is read as if the remainder ended there.
-    """
-    samples = (remainder.shape[0] - 1) // substeps + 1
-    nodes = np.arange(substeps + 1, dtype=np.float64) * (step_s / substeps)
-    interpolate: FloatArray = np.zeros(substeps + 1)
-    interpolate[0] = 1.0
-    if late_s > 0.0:
-        fit: FloatArray = np.linalg.inv(np.vander(nodes / step_s, increasing=True)).astype(np.float64)
-        interpolate[:] = (late_s / step_s) ** np.arange(substeps + 1) @ fit
-    out = np.zeros((samples, remainder.shape[1]))
-    windows = np.lib.stride_tricks.sliding_window_view(remainder, substeps + 1, axis=0)[::substeps]
-    if np.any(static):
-        out[:-1] = (windows @ interpolate) @ static.T
-        out[-1] = remainder[-1] @ static.T
-    if poles.size:
-        late = late_s > 0.0
-        _filter(
-            real_parts(np.exp(poles * step_s)),
-            real_parts(_weights(poles, nodes, step_s)),
-            real_parts(np.exp(poles * late_s)),
-            real_parts(_weights(poles, nodes, late_s)) if late else np.zeros((2, poles.size, nodes.size)),
-            late,
-            real_parts(residues),
-            np.ascontiguousarray(remainder),
-            out,
-        )
-    return out

@@ -15,9 +15,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..threads import mapped
-from .integrate import SUBSTEPS, filtered, trajectory
+from .integrate import SUBSTEPS, trajectory
 from .linear import Clock, delay_steps, fed_through, free_response, interpolated, linear_response, shifted, upper_poles
 from .play import Play, waveforms_of
+from .readout_filter import filtered
 from .system import System
 
 Starts = Sequence[FloatArray | None]

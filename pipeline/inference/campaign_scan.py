@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from ..arrays import FloatArray
 from ..device.model import Model
 from ..experiment.instrument import Instrument
-from ..experiment.sensitivity import Signature, signatures
+from ..experiment.signatures import Signature, signatures
 from .campaign_problem import Tasks
 
 _PEAKS = 6

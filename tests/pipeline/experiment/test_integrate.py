@@ -17,8 +17,9 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.instrument import AntiAlias
-from pipeline.experiment.integrate import filtered, trajectory
+from pipeline.experiment.integrate import SUBSTEPS, trajectory
 from pipeline.experiment.linear import Clock, linear_response, upper_poles
+from pipeline.experiment.readout_filter import filtered
 
 RATE = 10_000.0
 PLANT = Model(PlantSpec("modal", 3, "velocity", 1, 2)).built
@@ -71,7 +72,7 @@ def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
     clock = Clock(1.0 / RATE, hold, 1)
     _, deviation = trajectory(m, [(law, np.array([p]))], _laws(m), DRIVE, clock.step_s, hold, None)
     q, g = upper_poles(readout)
-    found = filtered(q, g, readout.static, deviation[:, 3:] @ m.velocity_sense[0].T, clock.step_s, late_s)
+    found = filtered(q, g, readout.static, deviation[:, 3:] @ m.velocity_sense[0].T, clock.step_s, late_s, SUBSTEPS)
     # Reading late is reading a record with a negative delay: the shift is undone here.
     early = replace(readout, delay_s=clock.step_s - late_s if late_s else 0.0)
     # Each drive plays a waveform of its own.
