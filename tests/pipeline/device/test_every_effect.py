@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plants import PAPER_LIKE as PLANT
 
 from pipeline.device import effects as library
 from pipeline.device.effect import Context, Effect, find_effects, load_effect
@@ -35,19 +36,6 @@ loop_delay gain_drift adc_saturation mains_hum
 """.split()  # noqa: SIM905 -- as the contract lists them
 LINEAR = [name for name in CONTRACT if find_effects()[name].mechanics is not None]
 SLOPED = [n for n in CONTRACT if find_effects()[n].disturbance is None and find_effects()[n].adc is None]
-PLANT = {
-    "f1_hz": 534.5,
-    "f2_hz": 536.4,
-    "f3_hz": 590.3,
-    "zeta1": 3.167e-4,
-    "zeta2": 1.586e-4,
-    "zeta3": 1.17e-3,
-    "theta_deg": -32.0,
-    "rocking_gain": 7.0,
-    "updown_gain": 5.0,
-    "sense_imbalance": 0.07,
-    "drive_imbalance": 0.01,
-}
 INSTRUMENT = Instrument(antialias=AntiAlias())
 _DRIVE = drive_samples(Chirp((500.0, 620.0), (620.0, 500.0), (2.0, 2.0), 0.1), 10_000.0)
 RECORD = Record("chirp", 10_000.0, _DRIVE, np.zeros_like(_DRIVE))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plants import PAPER_LIKE as PLANT
 from scipy.integrate import DOP853
 from scipy.signal import butter
 
@@ -19,19 +20,6 @@ from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.play import play_of
 from pipeline.experiment.record import Record
 
-PLANT = {
-    "f1_hz": 534.5,
-    "f2_hz": 536.4,
-    "f3_hz": 590.3,
-    "zeta1": 3.167e-4,
-    "zeta2": 1.586e-4,
-    "zeta3": 1.17e-3,
-    "theta_deg": -32.0,
-    "rocking_gain": 7.0,
-    "updown_gain": 5.0,
-    "sense_imbalance": 0.07,
-    "drive_imbalance": 0.01,
-}
 INSTRUMENT = Instrument(antialias=AntiAlias())
 RATE = 10_000.0
 BIAS = 5.0

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plants import PAPER_LIKE as PLANT
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.errors import MeasurementError
@@ -16,19 +17,6 @@ from pipeline.experiment.measure import Hum, measured
 from pipeline.experiment.noise_level import noise_level
 from pipeline.experiment.record import Campaign, Record
 
-PLANT = {
-    "f1_hz": 534.5,
-    "f2_hz": 536.4,
-    "f3_hz": 590.3,
-    "zeta1": 3.167e-4,
-    "zeta2": 1.586e-4,
-    "zeta3": 1.17e-3,
-    "theta_deg": -32.0,
-    "rocking_gain": 7.0,
-    "updown_gain": 5.0,
-    "sense_imbalance": 0.07,
-    "drive_imbalance": 0.01,
-}
 RATE = 10_000.0
 
 

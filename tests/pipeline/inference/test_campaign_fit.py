@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plants import PAPER_LIKE as PLANT
 from scipy.io import loadmat
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, SCREENING_MODEL, Model, PlantSpec
@@ -19,19 +20,6 @@ from pipeline.experiment.noise_level import NoiseLevel, noise_level
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.campaign_fit import fit_campaign
 
-PLANT = {
-    "f1_hz": 534.5,
-    "f2_hz": 536.4,
-    "f3_hz": 590.3,
-    "zeta1": 3.167e-4,
-    "zeta2": 1.586e-4,
-    "zeta3": 1.17e-3,
-    "theta_deg": -32.0,
-    "rocking_gain": 7.0,
-    "updown_gain": 5.0,
-    "sense_imbalance": 0.07,
-    "drive_imbalance": 0.01,
-}
 C12 = {"c12_per_s": 0.3}
 PARASITIC = {
     "parasitic_mode.f": 452.0,
