@@ -14,8 +14,19 @@ MAY_IMPORT = {
     "workflows": {"pipeline", "populations", "reports"},
 }
 #: Inside pipeline, each part may import those to its left; store and criticism only what all may.
-ORDER = ("errors", "arrays", "axial", "toml_files", "quantities", "device", "experiment", "identification", "inference")
-SHARED = {"errors", "arrays", "axial", "toml_files", "quantities"}
+ORDER = (
+    "errors",
+    "arrays",
+    "axial",
+    "toml_files",
+    "quantities",
+    "threads",
+    "device",
+    "experiment",
+    "identification",
+    "inference",
+)
+SHARED = {"errors", "arrays", "axial", "toml_files", "quantities", "threads"}
 ONLY_IN_WORKFLOWS = {"dask", "distributed", "typer", "click"}
 TOP = {
     "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "docs", "tests", *PACKAGES,
