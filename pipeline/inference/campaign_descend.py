@@ -32,7 +32,7 @@ _FAR = 5e-3
 _STALE = 1e-3
 #: Relative strength of nonlinear effects below which columns always suffice without them.
 FAINT = 1e-3
-#: Above this their absence may be why a step falls short.
+#: Above this their absence may be why a step falls short, and their slopes at their null are no longer those of the end.
 _NOTABLE = 1e-2
 
 #: Inverse normal matrix of an initial state, its cross terms with x, its slope.
@@ -192,7 +192,8 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
     nearer = point_at(problem, there.at.x, tasks, there.at.starts, at.chi2)
     if nearer is None:
         return _descend(problem, at, tasks, dof, steps)
-    return _descend(problem, nearer, tasks, dof, steps, there.sensitivities)
+    weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[loudest]) <= _NOTABLE
+    return _descend(problem, nearer, tasks, dof, steps, there.sensitivities if weak else None)
 
 
 def _loudest(tasks: Tasks) -> int:

@@ -220,8 +220,7 @@ def fit_with_columns(
     campaign : at least one driven record with role "fit".
     noise : sigma of each channel.
     start : parameter values to start from (other names are ignored); what is missing is found from the records
-        (plant) or
-        starts at its null (effects), or where a scan finds it best (parameters that do not exist at the null).
+        (plant) or starts at its null (effects), or where a scan finds it best (parameters that do not exist there).
     likely : parameter -> values that such a scan tries.
     threads : how many records are integrated at once.
 
