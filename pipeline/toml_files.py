@@ -60,16 +60,19 @@ def converted(tree: Any, kind: type[T], where: str) -> T:
 
 
 def _value_at(tree: Any, path: str) -> Any:
-    """The value at a msgspec path, or ``None`` where the path runs through a list."""
-    for part in re.findall(r"\.([A-Za-z0-9_]+)|(\[)", path):
-        if part[1] or not isinstance(tree, dict):
+    """The value at a msgspec path, or ``None`` where the path does not say which one of a list."""
+    for name, index in re.findall(r"\.([A-Za-z0-9_]+)|\[(\d*)", path):
+        if name and isinstance(tree, dict):
+            tree = tree.get(name)
+        elif index and isinstance(tree, list) and int(index) < len(tree):
+            tree = tree[int(index)]
+        else:
             return None
-        tree = tree.get(part[0])
     return tree
 
 
-def _fields(kind: Any, path: str) -> list[str]:
-    """Names of the keys allowed at a msgspec path such as ``$.instrument`` or ``$.record[...]``."""
+def _types_at(kind: Any, path: str) -> list[Any]:
+    """The types allowed at a msgspec path such as ``$.instrument`` or ``$.record[...]``."""
     info = msgspec.inspect.type_info(kind)
     for part in re.findall(r"\.([A-Za-z0-9_]+)|(\[)", path):
         options = list(info.types) if isinstance(info, msgspec.inspect.UnionType) else [info]
@@ -81,8 +84,19 @@ def _fields(kind: Any, path: str) -> list[str]:
             if not match:
                 return []
             info = match[0]
-    options = list(info.types) if isinstance(info, msgspec.inspect.UnionType) else [info]
-    return [f.encode_name for o in options if isinstance(o, msgspec.inspect.StructType) for f in o.fields]
+    return list(info.types) if isinstance(info, msgspec.inspect.UnionType) else [info]
+
+
+def _fields(kind: Any, path: str) -> list[str]:
+    """Names of the keys allowed at a msgspec path."""
+    structs = [o for o in _types_at(kind, path) if isinstance(o, msgspec.inspect.StructType)]
+    return [field.encode_name for struct in structs for field in struct.fields]
+
+
+def _choices(kind: Any, path: str) -> list[str]:
+    """The strings allowed at a msgspec path, where they are listed."""
+    literals = [o for o in _types_at(kind, path) if isinstance(o, msgspec.inspect.LiteralType)]
+    return [str(value) for literal in literals for value in literal.values]
 
 
 def _explained(message: str, tree: Any, kind: type, where: str) -> ConfigError:
@@ -105,13 +119,12 @@ def _explained(message: str, tree: Any, kind: type, where: str) -> ConfigError:
             allowed=", ".join(_fields(kind, path)),
             next_step=f"write {missing[1]}" if missing[1] != "record" else 'write [[record]] and file = ".."',
         )
-    found = _value_at(tree, path)
+    found, choices = _value_at(tree, path), _choices(kind, path)
+    plain = "plain numbers in the unit of the key's name, strings from the documented choices"
     return ConfigError(
         f"{where}: wrong value at {place}",
         value=clause if found is None else found,
-        allowed="plain numbers in the unit of the key's name, strings from the documented choices"
-        if found is None
-        else clause,
+        allowed=", ".join(choices) or (plain if found is None else clause),
         next_step=f"correct {place}",
     )
 

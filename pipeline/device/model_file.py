@@ -83,8 +83,21 @@ def load_model(path: str | Path, effect_folders: Iterable[str | Path] = ()) -> M
     path = Path(path)
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError("model file cannot be read", value=str(path), next_step=str(error)) from error
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ConfigError(
+            f"model file cannot be read: {reason}",
+            value=str(path),
+            allowed="a TOML file: plant, effects, fixed, prior",
+            next_step=f"check the path, or write one: gyroscreen model add EFFECT {path.name}",
+        ) from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(
+            f"model file cannot be read: {error}",
+            value=str(path),
+            allowed="plant, effects, fixed, prior",
+            next_step="correct the file",
+        ) from error
     # Folders must be known before the effects are looked up.
     extra = [str(Path(folder).resolve()) for folder in effect_folders]
     if extra and isinstance(data.get("effect_folders", []), list):

@@ -56,6 +56,16 @@ CASES = {
         2,
         ("identification.order", "400", "80"),
     ),
+    "not a choice": (
+        lambda tmp: config(tmp, '[instrument]\nhold = "zoo"\n'),
+        2,
+        ("instrument.hold", "zoo", "zoh", "bandlimited"),
+    ),
+    "no model file": (
+        lambda tmp: ["model", "show", str(tmp / "none.toml")],
+        2,
+        ("none.toml", "no such file", "model add"),
+    ),
     "nan in a record": (with_nan, 5, ("sense1_V", "777")),
     "wrong column": (lambda tmp: record(tmp, drop=0.0), 5, ("senze2_V", "sense")),
     "limits crossed": (lambda tmp: config(tmp, "[limits.split_hz]\nmin = 3.0\nmax = 1.0\n"), 2, ("split_hz", "3.0")),
