@@ -32,7 +32,7 @@ from pipeline.errors import GyroscreenError
 from pipeline.experiment.noise_level import NoiseLevel
 from pipeline.experiment.play import plays_of
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.campaign_descend import Sensitivity
+from pipeline.inference.campaign_descend import Sensitivity, moved_share
 from pipeline.inference.campaign_fit import CampaignFit, RecordFit, fit_with_columns
 from pipeline.inference.campaign_free import free_shapes
 from pipeline.inference.campaign_problem import Problem
@@ -68,12 +68,8 @@ class _Taken:
 
     def moved(self, fitted: CampaignFit) -> float:
         """How far the fitted records have moved since, as a share of themselves."""
-        change = level = 0.0
-        for record in fitted.of_role("fit"):
-            before = self.predicted[record.name]
-            change += float(np.sum((record.predicted_v - before) ** 2))
-            level += float(np.sum(before**2))
-        return float(np.sqrt(change / max(level, 1e-300)))
+        now = fitted.of_role("fit")
+        return moved_share([self.predicted[record.name] for record in now], [record.predicted_v for record in now])
 
 
 class CampaignView:

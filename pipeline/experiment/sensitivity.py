@@ -212,9 +212,9 @@ def play_jacobian(
     base = assemble(model, model.to_values(x0), instrument, play.conditions)
     if bent is None:
         curved = exact and bool(base.forces or base.senses)
-        own = [i for i, name in enumerate(model.free) if is_gridded(model, name)]
-        asked = [i for i, name in enumerate(model.free) if curved and not _is_adc(model, name)]
-        bent = bent_columns(model, parameters, play, instrument, steps, asked or own, starts)
+        free = enumerate(model.free)
+        asked = [i for i, name in free if is_gridded(model, name) or (curved and not _is_adc(model, name))]
+        bent = bent_columns(model, parameters, play, instrument, steps, asked, starts)
     known = bent
     serial = replace(play, threads=1)
     clipped = volts(base, play, starts) if base.adcs else None

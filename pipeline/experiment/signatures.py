@@ -92,29 +92,29 @@ def signatures(
     bends = found.force is not None or found.sense is not None
     moving = partial(_moving, model, larger, found, values, instrument)
     y0, moved = moving(play, starts, substeps)
-    loudest = max(range(len(play.drives)), key=lambda r: float(np.mean(play.drives[r] ** 2)))
-    # One substep on the loudest record tells how far a step goes.
-    rough = moving(alone(play, loudest), None if starts is None else [starts[loudest]], 1) if bends else None
     t = np.arange(y0.shape[1]) / play.sample_rate_hz
-    context = assemble(model, values, instrument, play.conditions).context
 
     steps = dict(step_hints or {})
-    level = float(np.sqrt(np.mean(y0**2)))
+    level = _rms(y0)
+    unknown = [m for m in followed if bends and m.name not in steps]
     for at in product(*grids):
         point = {m.name: value for m, value in zip(scanned, at)}
         basis = np.zeros((y0.shape[1], 0))
         names: tuple[str, ...] = ()
         if found.disturbance is not None:
+            context = assemble(model, values, instrument, play.conditions).context
             basis = found.disturbance(t, np.array([point.get(m.name, m.null) for m in members]), context)
             columns = np.zeros((0, *y0.shape))
         elif not followed:
             columns = moved(point, scanned[0].name, point[scanned[0].name])[None]
             names = tuple(m.name for m in scanned)
         else:
-            for m in followed:
-                if rough is not None and m.name not in steps:
-                    step, _ = _stepped(m, point, rough[1], float(np.sqrt(np.mean(rough[0] ** 2))), 0.0, False)
-                    steps[m.name] = step
+            if unknown:
+                # One substep on the loudest record tells how far a step goes.
+                loudest = max(range(len(play.drives)), key=lambda r: float(np.mean(play.drives[r] ** 2)))
+                rough0, rough = moving(alone(play, loudest), None if starts is None else [starts[loudest]], 1)
+                steps |= {m.name: _stepped(m, point, rough, _rms(rough0), 0.0, False)[0] for m in unknown}
+                unknown = []
             slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), not bends) for m in followed]
             columns = np.stack([slope for slope, _ in slopes])
             names = tuple(m.name for m in followed)
@@ -123,6 +123,10 @@ def signatures(
 
 
 _Moved = Callable[[Mapping[str, float], str, float], FloatArray]
+
+
+def _rms(y: FloatArray) -> float:
+    return float(np.sqrt(np.mean(y**2)))
 
 
 def _moving(
@@ -204,7 +208,7 @@ def _stepped(
     for _ in range(12):
         try:
             first = moved(point, member.name, member.null + step)
-            found = float(np.sqrt(np.mean(first**2))) / max(level, 1e-300)
+            found = _rms(first) / max(level, 1e-300)
         except ConfigError:
             found = np.inf
         if found == 0.0 or shortest * SHARE <= found <= longest * SHARE:

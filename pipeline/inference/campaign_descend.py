@@ -6,7 +6,7 @@ is always exact.  Initial states of records that do not start at rest are elimin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,10 +149,10 @@ def _updated(sensitivities: list[Sensitivity], before: Point, after: Point, weig
     return out
 
 
-def _moved(before: Point, after: Point) -> float:
-    """How far the records moved, as a share of themselves."""
-    change = sum(float(np.sum((b - a) ** 2)) for a, b in zip(before.predicted, after.predicted))
-    return float(np.sqrt(change / max(sum(float(np.sum(a**2)) for a in before.predicted), 1e-300)))
+def moved_share(before: Sequence[FloatArray], after: Sequence[FloatArray]) -> float:
+    """How far records moved, as a share of themselves."""
+    change = sum(float(np.sum((b - a) ** 2)) for a, b in zip(before, after))
+    return float(np.sqrt(change / max(sum(float(np.sum(a**2)) for a in before), 1e-300)))
 
 
 def _inside(model: Model, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -183,9 +183,8 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
     """From ``at`` down to where the fit stands still; with weak forces and pick-off laws most of the way without them."""
     values, loudest = problem.model.to_values(at.x), _loudest(tasks)
     steps = problem.steps(values, tasks.each[loudest], at.starts[loudest])
-    if not any(is_gridded(problem.model, name) for name in problem.model.free):
-        return _descend(problem, at, tasks, dof, steps)
-    if problem.strength(values, tasks.each[loudest]) > STRONG:
+    bends = any(is_gridded(problem.model, name) for name in problem.model.free)
+    if not bends or problem.strength(values, tasks.each[loudest]) > STRONG:
         return _descend(problem, at, tasks, dof, steps)
     frozen = Frozen(problem, values, tasks, at.starts, steps)
     there = _descend(frozen, at, tasks, dof, steps)
@@ -217,7 +216,7 @@ def _descend(
     normal = np.zeros((at.x.size, at.x.size))
 
     def stand(converged: bool) -> Stand:
-        if sensitivities is not None and _moved(computed, at) <= _STALE:
+        if sensitivities is not None and moved_share(computed.predicted, at.predicted) <= _STALE:
             return Stand(at, normal, sensitivities, converged)
         fresh = _sensitivities(problem, at, tasks, exact, steps)
         return Stand(at, _equations(problem, at, fresh)[0], fresh, converged)
@@ -269,7 +268,7 @@ def _descend(
         creep = _CREEP * max(at.chi2 - dof, 0.0) if passes >= _PATIENCE else 0.0
         if fall < max(_STANDSTILL * noise, creep) and exact == was_exact:
             return stand(True)
-        if poor or exact != was_exact or _moved(computed, at) > _FAR:
+        if poor or exact != was_exact or moved_share(computed.predicted, at.predicted) > _FAR:
             sensitivities = None
     return stand(False)
 

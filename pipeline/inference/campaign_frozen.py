@@ -9,13 +9,13 @@ Shapes: R records, N samples, S senses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
-import numpy as np
+from collections.abc import Mapping
 
 from ..arrays import FloatArray
-from ..experiment.response import Starts, converted, linear_volts, remainder_volts
+from ..experiment.play import Play
+from ..experiment.response import Starts, linear_volts, remainder_volts
 from ..experiment.sensitivity import Bent, bent_columns, is_gridded
+from ..experiment.system import System
 from .campaign_problem import Problem, Task, Tasks
 
 
@@ -27,43 +27,26 @@ class Frozen(Problem):
     ) -> None:
         self.threads, self.model, self.sigma_v = whole.threads, whole.model, whole.sigma_v
         self.instrument, self.angular_gain = whole.instrument, whole.angular_gain
-        self._x0, self._steps = self.model.to_internal(values), steps
-        places_of = [i for i, name in enumerate(self.model.free) if is_gridded(self.model, name)]
-        remainders, bent = [], []
+        self._x0 = self.model.to_internal(values)
+        own = [i for i, name in enumerate(self.model.free) if is_gridded(self.model, name)]
+        self._remainders: list[FloatArray] = []
+        self._slopes: list[Bent] = []
         for places, play in tasks.plays:
-            own = [starts[i] for i in places]
-            remainders.append(remainder_volts(self.system(values, play), play, own))
-            bent.append(bent_columns(self.model, values, play, self.instrument, steps, places_of, own))
-        self._remainders, self._bent = remainders, bent
+            begun = [starts[i] for i in places]
+            self._remainders.append(remainder_volts(self.system(values, play), play, begun))
+            self._slopes.append(bent_columns(self.model, values, play, self.instrument, steps, own, begun))
 
-    def predictions(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
-        """See ``Problem``."""
+    def _volts(
+        self, number: int, values: Mapping[str, float], system: System, play: Play, starts: Starts
+    ) -> FloatArray:
         moved = self.model.to_internal(values) - self._x0
-        out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
-        for (places, play), remainder, bent in zip(tasks.plays, self._remainders, self._bent):
-            system = self.system(values, play)
-            y = linear_volts(system, play, [starts[i] for i in places]) + remainder
-            for i, column in bent.items():
-                y += moved[i] * column
-            for place, record in zip(places, converted(system, y)):
-                out[place] = record
-        return out
+        y = linear_volts(system, play, starts) + self._remainders[number]
+        for i, column in self._slopes[number].items():
+            y += moved[i] * column
+        return y
 
-    def columns(
-        self,
-        values: Mapping[str, float],
-        tasks: Tasks,
-        starts: Starts,
-        exact: bool,
-        steps: FloatArray,
-        bent: Sequence[Bent] | None = None,
-    ) -> list[FloatArray]:
-        """See ``Problem``."""
-        return super().columns(values, tasks, starts, False, steps, self._bent if bent is None else bent)
-
-    def steps(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:
-        """See ``Problem``."""
-        return self._steps
+    def _bent(self, number: int) -> Bent:
+        return self._slopes[number]
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
         """None that a descent could follow."""

@@ -113,11 +113,22 @@ class Problem:
     def predictions(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
         """Volts (N, S) of each record, without nuisances."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
-        for places, play in tasks.plays:
+        for number, (places, play) in enumerate(tasks.plays):
             system = self.system(values, play)
-            for place, y in zip(places, converted(system, volts(system, play, [starts[i] for i in places]))):
+            found = self._volts(number, values, system, play, [starts[i] for i in places])
+            for place, y in zip(places, converted(system, found)):
                 out[place] = y
         return out
+
+    def _volts(
+        self, number: int, values: Mapping[str, float], system: System, play: Play, starts: Starts
+    ) -> FloatArray:
+        """Volts (R, N, S) of the play with this number, before the converter."""
+        return volts(system, play, starts)
+
+    def _bent(self, number: int) -> Bent | None:
+        """Columns of forces and pick-off laws in the play with this number, where they are known."""
+        return None
 
     def rests(self, predicted: Sequence[FloatArray], tasks: Tasks) -> list[FloatArray]:
         """What predictions leave of each record (N, S), in sigmas."""
@@ -155,18 +166,12 @@ class Problem:
         return tuned_steps(self.model, values, task.record, self.instrument, angular_gain=gain, start=start)
 
     def columns(
-        self,
-        values: Mapping[str, float],
-        tasks: Tasks,
-        starts: Starts,
-        exact: bool,
-        steps: FloatArray,
-        bent: Sequence[Bent] | None = None,
+        self, values: Mapping[str, float], tasks: Tasks, starts: Starts, exact: bool, steps: FloatArray
     ) -> list[FloatArray]:
-        """(N S, P) of each record: what the free parameters move, in sigmas; ``bent`` of each play where it is known."""
+        """(N S, P) of each record: what the free parameters move, in sigmas."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
         for number, (places, play) in enumerate(tasks.plays):
-            own, known = [starts[i] for i in places], None if bent is None else bent[number]
+            own, known = [starts[i] for i in places], self._bent(number)
             found = play_jacobian(self.model, values, play, self.instrument, steps, starts=own, exact=exact, bent=known)
 
             def white(k: int, found: FloatArray = found, places: Sequence[int] = places) -> FloatArray:
