@@ -35,6 +35,8 @@ _LOW_HZ = 300.0
 _DRIVEN = 0.05
 #: A mode is followed to where it has this share of its peak.
 _SEEN = 2e-2
+#: Neighbours of the grid that are scored at once: they share most of their bins.
+_TOGETHER = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,45 +179,62 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
     ready = [_by_bin(base, scan.places, senses) for scan in scans]
     drives, p = scans[0].gains.shape[1], base.upper.shape[0]
 
-    def at(k: int) -> tuple[float, float]:
-        """Fall and noise level."""
-        score, overlap = np.zeros((drives, senses)), np.zeros((drives, senses, p))
-        gram, level, weight = np.zeros((drives, drives)), np.zeros(senses), 0.0
-        for scan, (residual, basis, gamma) in zip(scans, ready):
-            own = scan.points[k]
-            part = slice(own.first, own.first + own.answer.shape[1])
-            mixed = (own.answer.T @ scan.mixed).reshape(own.answer.shape[1], drives, -1)
-            z = np.ascontiguousarray(np.moveaxis(mixed, 1, 0)).view(np.float64).reshape(drives, -1)
-            energy = np.sum(z**2, axis=0)
-            score += z @ residual[part].reshape(-1, senses)
-            overlap += (z @ basis[part].reshape(z.shape[1], -1)).reshape(overlap.shape)
-            gram += z @ z.T
-            level += energy @ gamma[part].reshape(-1, senses)
-            weight += float(energy.sum())
-        return _fall(score, overlap, gram, sigma_v), max(float(np.max(level)) / max(weight, 1e-300), 1.0)
-
     points = scans[0].points
-    found = [at(k) for k in range(len(points))]
+
+    def at(first: int) -> tuple[FloatArray, FloatArray]:
+        """Fall and noise level of the points of a group."""
+        group = slice(first, first + _TOGETHER)
+        size = len(points[group])
+        score, overlap = np.zeros((size, drives, senses)), np.zeros((size, drives, senses, p))
+        gram, level, weight = np.zeros((size, drives, drives)), np.zeros((size, senses)), np.zeros((size, 1))
+        for scan, (residual, basis, gamma) in zip(scans, ready):
+            begin, answer = _side_by_side(scan.points[group])
+            part = slice(begin, begin + answer.shape[1])
+            mixed = (answer @ scan.mixed).reshape(size, answer.shape[1], drives, -1)
+            z = np.ascontiguousarray(np.moveaxis(mixed, 2, 1)).view(np.float64).reshape(size, drives, -1)
+            flat, energy = z.reshape(size * drives, -1), np.sum(z**2, axis=1)
+            score += (flat @ residual[part].reshape(-1, senses)).reshape(score.shape)
+            overlap += (flat @ basis[part].reshape(flat.shape[1], -1)).reshape(overlap.shape)
+            gram += z @ np.swapaxes(z, 1, 2)
+            level += energy @ gamma[part].reshape(-1, senses)
+            weight += energy.sum(axis=1, keepdims=True)
+        levels = np.max(level / np.maximum(weight, 1e-300), axis=1)
+        return _falls(score, overlap, gram, sigma_v), np.maximum(levels, 1.0)
+
+    found = [at(first) for first in range(0, len(points), _TOGETHER)]
+    falls, levels = (np.concatenate(part).tolist() for part in zip(*found))
     return LocalCandidate(
         NAME,
-        tuple(fall for fall, _ in found),
+        tuple(falls),
         (drives * senses,) * len(points),
         tuple({f"{NAME}.f": point.f_hz, f"{NAME}.zeta": point.zeta} for point in points),
-        levels=tuple(level for _, level in found),
+        levels=tuple(levels),
     )
 
 
-def _fall(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> float:
-    """s^T (Z~^T Z~)^-1 s over drives and senses, the columns of sense k in units of 1/sigma_k."""
-    drives, senses = score.shape
-    o = (overlap / sigma_v[:, None]).reshape(drives * senses, -1)
-    full = np.einsum("de,st->dset", gram, np.diag(1.0 / sigma_v**2)).reshape(drives * senses, -1) - o @ o.T
-    s = (score / sigma_v).reshape(-1)
-    scale = np.sqrt(np.maximum(np.diagonal(full), 1e-300))
-    size, vector = np.linalg.eigh(full / np.outer(scale, scale))
-    along = vector.T @ (s / scale)
-    good = size > 1e-6 * max(float(size[-1]), 1e-300)
-    return float(np.sum(along[good] ** 2 / size[good]))
+def _side_by_side(points: Sequence[Point]) -> tuple[int, ComplexArray]:
+    """First bin and answers (K, F, W) of neighbours in the bins of any of them."""
+    first = min(point.first for point in points)
+    last = max(point.first + point.answer.shape[1] for point in points)
+    out = np.zeros((len(points), last - first, points[0].answer.shape[0]), dtype=np.complex128)
+    for own, point in zip(out, points):
+        own[point.first - first : point.first - first + point.answer.shape[1]] = point.answer.T
+    return first, out
+
+
+def _falls(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> FloatArray:
+    """s^T (Z~^T Z~)^-1 s over drives and senses of K points, (K,); the columns of sense k in units of 1/sigma_k."""
+    count, drives, senses = score.shape
+    width = drives * senses
+    o = (overlap / sigma_v[:, None]).reshape(count, width, -1)
+    full = np.einsum("kde,st->kdset", gram, np.diag(1.0 / sigma_v**2)).reshape(count, width, width)
+    full = full - o @ np.swapaxes(o, 1, 2)
+    s = (score / sigma_v).reshape(count, width)
+    scale = np.sqrt(np.maximum(np.diagonal(full, axis1=1, axis2=2), 1e-300))
+    size, vector = np.linalg.eigh(full / (scale[:, :, None] * scale[:, None, :]))
+    along = np.einsum("kij,ki->kj", vector, s / scale)
+    good = size > 1e-6 * np.maximum(size[:, -1:], 1e-300)
+    return np.asarray(np.sum(np.where(good, along**2 / np.where(good, size, 1.0), 0.0), axis=1))
 
 
 def _by_bin(base: Baseline, places: Sequence[int], senses: int) -> tuple[FloatArray, FloatArray, FloatArray]:

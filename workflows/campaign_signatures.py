@@ -5,7 +5,7 @@ Shapes: N samples, S senses, F bins, K columns; rows of a record 2 F S.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +17,11 @@ from pipeline.device.model import Model
 from pipeline.device.parameters import Parameter
 from pipeline.errors import ConfigError
 from pipeline.experiment.instrument import Instrument
-from pipeline.experiment.play import Play
+from pipeline.experiment.record import Record
 from pipeline.experiment.response import Starts
-from pipeline.experiment.signatures import Signature, signatures
+from pipeline.experiment.signatures import Base, Signature, base_of, signatures
+from pipeline.inference.campaign_fit import CampaignFit
+from pipeline.inference.campaign_problem import Tasks
 
 #: Clip levels that are scanned, as shares of the largest sample.
 _LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
@@ -29,18 +31,35 @@ _AXES_DEG = (0.0, 90.0)
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """A fitted model from which signatures are taken: its plays with the places of their records, and their states.
+    """A fitted model from which signatures are taken: the places of its records, play by play, and those records.
 
-    ``rows`` takes volts (k, N, S) of the record at a place to its rows (k, 2 F S); ``peak_v`` is the largest sample.
+    ``starts`` by place; ``rows`` takes volts (k, N, S) of the record at a place to its rows (k, 2 F S); ``peak_v`` is the
+    largest sample.
     """
 
     model: Model
-    values: Mapping[str, float]
-    instrument: Instrument
-    plays: tuple[tuple[tuple[int, ...], Play], ...]
+    plays: tuple[tuple[tuple[int, ...], Base], ...]
     starts: Starts
     rows: Callable[[int, FloatArray], FloatArray]
     peak_v: float
+
+
+def tangent_of(
+    fitted: CampaignFit,
+    tasks: Tasks,
+    instrument: Instrument,
+    records: Sequence[Record],
+    rows: Callable[[int, FloatArray], FloatArray],
+) -> Tangent:
+    """The tangent at a fit; ``tasks`` of its fit ``records`` at its values."""
+    known = {r.name: r.start for r in fitted.records}
+    starts = [known[record.name] for record in records]
+    plays = tuple(
+        (places, base_of(fitted.model, fitted.values, play, instrument, [starts[place] for place in places]))
+        for places, play in tasks.plays
+    )
+    peak_v = max(float(np.max(np.abs(record.sense_v))) for record in records)
+    return Tangent(fitted.model, plays, starts, rows, peak_v)
 
 
 def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArray]]] | None:
@@ -58,39 +77,19 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
     found: list[Signature] = []
     hints: dict[str, float] = {}
     try:
-        for number, (places, play) in enumerate(at.plays):
-            for signature in _played(at, places, play, name, grid, hints):
+        for number, (places, base) in enumerate(at.plays):
+            for signature in signatures(base, name, grid=grid or None, step_hints=hints):
                 hints = signature.steps
                 if number == 0:
                     found.append(replace(signature, columns=np.zeros(0)))
                 for k, place in enumerate(places):
-                    first = places[play.twins[k]]
+                    first = places[base.play.twins[k]]
                     same = first != place and at.starts[place] is None and at.starts[first] is None
                     own = columns[first][-1] if same else at.rows(place, signature.columns[:, k])
                     columns[place].append(own)
     except ConfigError:
         return None
     return _candidate(effect, members, found, turned), columns
-
-
-def _played(
-    at: Tangent,
-    places: Sequence[int],
-    play: Play,
-    name: str,
-    grid: Mapping[str, tuple[float, ...]],
-    hints: Mapping[str, float],
-) -> Iterator[Signature]:
-    return signatures(
-        at.model,
-        at.values,
-        play,
-        at.instrument,
-        name,
-        starts=[at.starts[place] for place in places],
-        grid=grid or None,
-        step_hints=hints,
-    )
 
 
 def _candidate(

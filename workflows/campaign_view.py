@@ -42,7 +42,7 @@ from .campaign_modes import Scan, grid_of, mode_candidate, scan_of
 from .campaign_plane import Plane, planes_of, resonances_of
 from .campaign_regions import regions_of
 from .campaign_rows import TOP_HZ, Spectra, block_diagonal, labels_of, same_drive, spectra_of, strata_of
-from .campaign_signatures import Tangent, signature_of
+from .campaign_signatures import signature_of, tangent_of
 
 #: Room for the columns of signatures, enlarged where users bring more effects.
 _COLUMNS = 100
@@ -179,11 +179,6 @@ class CampaignView:
         start = 0 if mine.start is None else mine.start.size
         return samples * senses - mine.dof - senses - start
 
-    def _starts(self, fitted: CampaignFit) -> list[FloatArray | None]:
-        """Fitted initial states of the fit records; ``None`` for those that start at rest."""
-        known = {r.name: r.start for r in fitted.records}
-        return [known[record.name] for record in self.records]
-
     def _block(self, record: Record, fitted: CampaignFit) -> Block:
         mine = next(r for r in fitted.records if r.name == record.name)
         twins = [r.name for r in self.campaign.records if r.role == record.role and same_drive(r, record)]
@@ -243,15 +238,7 @@ class CampaignView:
             white = problem.whiten(y, tasks.each[place]) if free else y / self.noise.sigma_v
             return self.spectra[place](white).reshape(y.shape[0], -1)
 
-        tangent = Tangent(
-            fitted.model,
-            fitted.values,
-            self.campaign.instrument,
-            tasks.plays,
-            self._starts(fitted),
-            rows,
-            max(float(np.max(np.abs(record.sense_v))) for record in self.records),
-        )
+        tangent = tangent_of(fitted, tasks, self.campaign.instrument, self.records, rows)
         candidates: list[Candidate] = []
         sizes = [2 * s.bins.size * record.sense_v.shape[1] for s, record in zip(self.spectra, self.records)]
         # By rows of memory: a column of a block is one run of it.  What is not written to takes no memory.

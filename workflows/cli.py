@@ -19,6 +19,8 @@ from typer.exceptions import TyperException
 
 from pipeline.errors import GyroscreenError
 
+from .machine import keep_memory
+
 app = typer.Typer(
     name="gyroscreen",
     help="Monte Carlo fabrication screening of MEMS gyroscopes, and a bench on which a model meets measurements.",
@@ -349,6 +351,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.environ.setdefault(name, "1")
     # Looking for garbage among what was just loaded takes a fifth of the start, and once more at the end.
     gc.set_threshold(50_000)
+    # A thread that comes back from a compiled loop waits for the others' Python no longer than this.
+    sys.setswitchinterval(1e-3)
+    keep_memory()
     code = call(arguments)
     gc.freeze()
     sys.exit(code)

@@ -36,7 +36,7 @@ from reports.decision import decide
 
 from .block import population, rate_of, shared_record, virtual_records
 from .campaign_rows import spectra_of
-from .campaign_signatures import Tangent, signature_of
+from .campaign_signatures import signature_of, tangent_of
 from .campaign_view import CampaignView
 from .config import RunConfig
 
@@ -187,20 +187,11 @@ def _scores(
     """Score (K,), information and covariance (K, K) of the columns of ``terms`` in their own units."""
     problem = Problem(fitted.model, view.campaign, view.noise.sigma_v)
     tasks = problem.tasks(view.records, fitted.values)
-    known = {record.name: record.start for record in fitted.records}
 
     def rows(place: int, y: FloatArray) -> FloatArray:
         return view.spectra[place](problem.whiten(y, tasks.each[place])).reshape(y.shape[0], -1)
 
-    tangent = Tangent(
-        fitted.model,
-        fitted.values,
-        view.campaign.instrument,
-        tasks.plays,
-        [known[record.name] for record in view.records],
-        rows,
-        max(float(np.max(np.abs(record.sense_v))) for record in view.records),
-    )
+    tangent = tangent_of(fitted, tasks, view.campaign.instrument, view.records, rows)
     width = sum(len(term.columns) for term in terms)
     blocks = [np.zeros((width, part.rows.size)) for part in fit.blocks]
     for term in terms:

@@ -37,6 +37,7 @@ from numba.core.errors import NumbaExperimentalFeatureWarning
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
+from ..threads import once
 from . import effects as library
 from .mechanics import Mechanics
 from .parameters import Parameter, Shape
@@ -167,7 +168,7 @@ class Effect:
         return all(value == member.null for value, member in zip(p, members) if not member.grid)
 
 
-@lru_cache(maxsize=64)
+@once
 def compiled_force(force: Callable[..., None]) -> Any:
     """``force`` compiled to the one signature that the integrator calls.
 

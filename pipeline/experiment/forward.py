@@ -21,10 +21,10 @@ from .play import play_of
 from .record import Record
 from .response import converted, volts
 from .sensitivity import channels_checked, jacobian
-from .signatures import Signature, signatures
+from .signatures import Signature, base_of, signatures
 from .system import assemble
 
-__all__ = ["Signature", "forward", "jacobian", "signatures"]
+__all__ = ["Signature", "base_of", "forward", "jacobian", "signatures"]
 
 
 def forward(

@@ -5,10 +5,13 @@ Shapes: N samples, m substeps, M = (N - 1) m + 1 grid points, J poles (one of ea
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 from ..arrays import ComplexArray, FloatArray, real_parts
+from ..threads import once
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
@@ -33,8 +36,10 @@ def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArr
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+# As in ``kernels``, a tuple's length is a constant to the compiler.
 def _filter(
+    lanes: tuple[int, ...],
+    substeps: int,
     z: FloatArray,
     w: FloatArray,
     z_out: FloatArray,
@@ -46,32 +51,54 @@ def _filter(
 ) -> None:
     """Remainders r (M, S) behind poles -> out (N, S), read off after z_out, w_out if late.
 
-    Real parts come before imaginary ones: z (2, J), w (2, J, m + 1), residues (2, J, S, S).
+    J is the length of ``lanes``.  Real parts come before imaginary ones: z (2, J), w (2, m + 1, J), residues (2, S, S,
+    J).
     """
-    _, poles, width = w.shape
     samples, senses = out.shape
-    x = np.zeros((2, poles, senses))
+    x = np.zeros((senses, 2, len(lanes)))
+    seen = np.zeros((2, len(lanes)))
     for sample in range(samples):
-        first = sample * (width - 1)
+        first = sample * substeps
         last = sample + 1 == samples
-        for j in range(poles):
-            for b in range(senses):
-                re, im = x[0, j, b], x[1, j, b]
-                seen_re, seen_im = re, im
-                if late:
-                    seen_re, seen_im = z_out[0, j] * re - z_out[1, j] * im, z_out[0, j] * im + z_out[1, j] * re
-                    if not last:
-                        for i in range(width):
-                            seen_re += w_out[0, j, i] * r[first + i, b]
-                            seen_im += w_out[1, j, i] * r[first + i, b]
-                for a in range(senses):
-                    out[sample, a] += 2.0 * (residues[0, j, a, b] * seen_re - residues[1, j, a, b] * seen_im)
-                if not last:
-                    next_re, next_im = z[0, j] * re - z[1, j] * im, z[0, j] * im + z[1, j] * re
-                    for i in range(width):
-                        next_re += w[0, j, i] * r[first + i, b]
-                        next_im += w[1, j, i] * r[first + i, b]
-                    x[0, j, b], x[1, j, b] = next_re, next_im
+        for b in range(senses):
+            for j in range(len(lanes)):
+                seen[0, j], seen[1, j] = x[b, 0, j], x[b, 1, j]
+            if late:
+                for j in range(len(lanes)):
+                    re, im = x[b, 0, j], x[b, 1, j]
+                    seen[0, j], seen[1, j] = z_out[0, j] * re - z_out[1, j] * im, z_out[0, j] * im + z_out[1, j] * re
+                for i in range(0 if last else substeps + 1):
+                    for j in range(len(lanes)):
+                        seen[0, j] += w_out[0, i, j] * r[first + i, b]
+                        seen[1, j] += w_out[1, i, j] * r[first + i, b]
+            for a in range(senses):
+                total = 0.0
+                for j in range(len(lanes)):
+                    total += residues[0, a, b, j] * seen[0, j] - residues[1, a, b, j] * seen[1, j]
+                out[sample, a] += 2.0 * total
+            if not last:
+                for j in range(len(lanes)):
+                    re, im = x[b, 0, j], x[b, 1, j]
+                    x[b, 0, j], x[b, 1, j] = z[0, j] * re - z[1, j] * im, z[0, j] * im + z[1, j] * re
+                for i in range(substeps + 1):
+                    for j in range(len(lanes)):
+                        x[b, 0, j] += w[0, i, j] * r[first + i, b]
+                        x[b, 1, j] += w[1, i, j] * r[first + i, b]
+
+
+@once
+def _filter_of(lanes: int) -> Any:
+    """``_filter`` compiled for that many poles."""
+    vector, matrix, cube = (types.Array(types.float64, k, "C") for k in (2, 3, 4))
+    shape = types.UniTuple(types.int64, lanes)
+    arrays = (vector, matrix, vector, matrix, types.boolean, cube, vector, vector)
+    return njit(
+        types.void(shape, types.int64, *arrays),
+        cache=True,
+        nogil=True,
+        error_model="numpy",
+        fastmath={"contract", "reassoc", "nsz"},
+    )(_filter)
 
 
 def filtered(
@@ -108,13 +135,25 @@ def filtered(
         out[-1] = remainder[-1] @ static.T
     if poles.size:
         late = late_s > 0.0
-        _filter(
-            real_parts(np.exp(poles * step_s)),
-            real_parts(_weights(poles, nodes, step_s)),
-            real_parts(np.exp(poles * late_s)),
-            real_parts(_weights(poles, nodes, late_s)) if late else np.zeros((2, poles.size, nodes.size)),
+        lanes = 1 << (poles.size - 1).bit_length()
+        padded = np.concatenate([poles, np.zeros(lanes - poles.size)])
+        weighed = np.zeros((lanes - poles.size, nodes.size))
+
+        def weights(until: float) -> FloatArray:
+            own = np.concatenate([_weights(poles, nodes, until), weighed])
+            return np.ascontiguousarray(np.swapaxes(real_parts(own), 1, 2))
+
+        seen = np.zeros((lanes, *residues.shape[1:]), dtype=np.complex128)
+        seen[: poles.size] = residues
+        _filter_of(lanes)(
+            (0,) * lanes,
+            substeps,
+            real_parts(np.exp(padded * step_s)),
+            weights(step_s),
+            real_parts(np.exp(padded * late_s)),
+            weights(late_s) if late else np.zeros((2, nodes.size, lanes)),
             late,
-            real_parts(residues),
+            np.ascontiguousarray(np.moveaxis(real_parts(seen), 1, 3)),
             np.ascontiguousarray(remainder),
             out,
         )

@@ -8,20 +8,22 @@ Shapes: R records, N samples, D drives, S senses, n coordinates.  Units: volts, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..threads import mapped
-from .integrate import SUBSTEPS, trajectory
+from .integrate import SUBSTEPS, Motion, linear_motion, pushed, trajectory
 from .linear import Clock, delay_steps, fed_through, free_response, interpolated, linear_response, shifted, upper_poles
 from .play import Play, waveforms_of
 from .readout_filter import filtered
 from .system import System
 
 Starts = Sequence[FloatArray | None]
+Out = TypeVar("Out")
 
 #: An interpolated drive steps finely already: two substeps leave 1e-6 of the record where the read-out has a pole.
 _INTERPOLATED_SUBSTEPS = 2
@@ -71,48 +73,100 @@ def linear_volts(system: System, play: Play, starts: Starts | None = None) -> Fl
 
 def remainder_volts(system: System, play: Play, starts: Starts | None = None, substeps: int = SUBSTEPS) -> FloatArray:
     """What forces and pick-off laws add to the linear part, (R, N, S) [V]; zero where there are none."""
-    out = np.zeros((len(play.drives), play.drives[0].shape[0], system.sense_motion.shape[0]))
     if not (system.forces or system.senses):
-        return out
+        return np.zeros((len(play.drives), play.drives[0].shape[0], system.sense_motion.shape[0]))
     known = starts or (None,) * len(play.drives)
-    source = [
-        first if start is None and known[first] is None else record
-        for record, (first, start) in enumerate(zip(play.twins, known))
-    ]
-    own = [record for record, first in enumerate(source) if first == record]
+    fine = _fine(play.clock, substeps)
 
     def one(record: int) -> FloatArray:
-        return _remainder(system, play.drives[record], play.clock, known[record], substeps)
+        u = interpolated(force_volts(system, play.drives[record]), play.clock)
+        return _remainder(system, u, play.clock, known[record], fine)
 
-    found = mapped(one, own, play.threads)
-    for record, first in enumerate(source):
-        out[record] = found[own.index(first)]
-    return out
+    return np.stack(_shared(one, _sources(play, known), play.threads))
 
 
-def _remainder(
-    system: System, drive_v: FloatArray, clock: Clock, start: FloatArray | None, substeps: int
-) -> FloatArray:
-    m = system.mechanics
-    u = interpolated(force_volts(system, drive_v), clock)
+def linear_motions(system: System, play: Play, starts: Starts | None, substeps: int) -> list[Motion]:
+    """Linear trajectories of the records, those of twins once; arguments as in ``remainder_volts``."""
+    known = starts or (None,) * len(play.drives)
+    clock, fine = play.clock, _fine(play.clock, substeps)
+
+    def one(record: int) -> Motion:
+        u = interpolated(force_volts(system, play.drives[record]), clock)
+        start = known[record]
+        begun = None if start is None else full_start(system, start)
+        return linear_motion(system.mechanics, u, clock.step_s, clock.hold, begun, fine)
+
+    return _shared(one, _sources(play, known), play.threads)
+
+
+def slight_volts(system: System, play: Play, motions: Sequence[Motion]) -> FloatArray:
+    """As ``remainder_volts``, to first order in forces and pick-off laws, along the linear trajectories ``motions``."""
+
+    def one(record: int) -> FloatArray:
+        motion = motions[record]
+        reads = _reads(system)
+        r = np.zeros((motion.states.shape[0] // 2 + 1, reads.shape[0]))
+        if system.forces:
+            r += pushed(motion, [(effect.force, p) for effect, p in system.forces], system.laws, reads)
+        if system.senses:
+            r += _bent(system, motion.state, play.clock.step_s / motion.steps.substeps)
+        return _seen(system, r, play.clock, motion.steps.substeps)
+
+    source = [next(k for k, other in enumerate(motions) if other is motion) for motion in motions]
+    return np.stack(_shared(one, source, play.threads))
+
+
+def _sources(play: Play, starts: Starts) -> list[int]:
+    """For each record the one whose answer it shares."""
+    return [
+        first if start is None and starts[first] is None else record
+        for record, (first, start) in enumerate(zip(play.twins, starts))
+    ]
+
+
+def _shared(one: Callable[[int], Out], source: Sequence[int], threads: int) -> list[Out]:
+    own = [record for record, first in enumerate(source) if first == record]
+    found = mapped(one, own, threads)
+    return [found[own.index(first)] for first in source]
+
+
+def _fine(clock: Clock, substeps: int) -> int:
+    return min(substeps, _INTERPOLATED_SUBSTEPS) if clock.stride > 1 else substeps
+
+
+def _reads(system: System) -> FloatArray:
+    """(S, 2n): pick-off volts from a state."""
+    return np.concatenate([system.mechanics.position_sense[0], system.mechanics.velocity_sense[0]], axis=1)
+
+
+def _remainder(system: System, u: FloatArray, clock: Clock, start: FloatArray | None, fine: int) -> FloatArray:
+    """(N, S) of a record under ``u`` (N', D)."""
     forces = [(effect.force, p) for effect, p in system.forces]
     begun = None if start is None else full_start(system, start)
-    fine = min(substeps, _INTERPOLATED_SUBSTEPS) if clock.stride > 1 else substeps
-    reads = np.concatenate([m.position_sense[0], m.velocity_sense[0]], axis=1)
-    march = partial(trajectory, m, forces, system.laws, u, clock.step_s, clock.hold, begun, fine)
+    reads = _reads(system)
+    march = partial(trajectory, system.mechanics, forces, system.laws, u, clock.step_s, clock.hold, begun, fine)
     if system.senses:
         linear, deviation = march()
-        n = m.stiffness.shape[1]
-        state = linear + deviation
-        x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ reads.T
-        t = np.arange(state.shape[0], dtype=np.float64) * (clock.step_s / fine)
-        seen = s
-        for effect, p in system.senses:
-            assert effect.sense is not None
-            seen = effect.sense(x, xd, seen, t, p, system.context)
-        r = deviation @ reads.T + (seen - s)
+        r = deviation @ reads.T + _bent(system, linear + deviation, clock.step_s / fine)
     else:
         _, r = march(reads=reads)
+    return _seen(system, r, clock, fine)
+
+
+def _bent(system: System, state: FloatArray, step_s: float) -> FloatArray:
+    """What pick-off laws add along a ``state`` (M, 2n), (M, S) [V]."""
+    n = system.mechanics.stiffness.shape[1]
+    x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ _reads(system).T
+    t = np.arange(state.shape[0], dtype=np.float64) * step_s
+    seen = s
+    for effect, p in system.senses:
+        assert effect.sense is not None
+        seen = effect.sense(x, xd, seen, t, p, system.context)
+    return np.asarray(seen - s)
+
+
+def _seen(system: System, r: FloatArray, clock: Clock, fine: int) -> FloatArray:
+    """A remainder (M, S) behind the read-out, (N, S)."""
     q, g = upper_poles(system.readout)
     shift, late_s = delay_steps(system.readout.delay_s, clock.step_s)
     y = filtered(q, g, system.readout.static, r, clock.step_s, late_s, fine)

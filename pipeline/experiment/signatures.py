@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -21,10 +21,14 @@ from ..device.model import Model
 from ..device.parameters import Parameter
 from ..errors import ConfigError
 from .instrument import Instrument
+from .integrate import Motion
 from .play import Play, alone
-from .response import Starts, converted, linear_volts, remainder_volts
+from .response import Starts, converted, linear_motions, linear_volts, remainder_volts, slight_volts
 from .sensitivity import SHARE, SLOPE_SUBSTEPS, STRONG
-from .system import assemble
+from .system import System, assemble
+
+#: Numbers that the trajectories of a base may take.
+_ROOM = 2e7
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,36 +54,103 @@ class Signature:
     steps: dict[str, float]
 
 
-def signatures(
+@dataclass(frozen=True, eq=False)
+class Base:
+    """The records of a play without any absent effect: what signatures are differences to.
+
+    Parameters
+    ----------
+    model, values, play, instrument : what is played on what, at complete parameters.
+    starts : the state of each record at its first sample where it does not start at rest.
+    substeps : of the integrator.
+    system : assembled.
+    linear : (R, N, S) [V].
+    remainder : (R, N, S) [V], ``None`` where the model has no forces and no pick-off laws.
+    """
+
+    model: Model
+    values: Mapping[str, float]
+    play: Play
+    instrument: Instrument
+    starts: Starts | None
+    substeps: int
+    system: System
+    linear: FloatArray
+    remainder: FloatArray | None
+
+    @cached_property
+    def y(self) -> FloatArray:
+        """(R, N, S) [V]."""
+        return self.linear if self.remainder is None else self.linear + self.remainder
+
+    @cached_property
+    def strong(self) -> bool:
+        """Whether the remainder changes what a linear effect does; a weak one does so in second order only."""
+        if self.remainder is None:
+            return False
+        return bool(np.linalg.norm(self.remainder) > STRONG * np.linalg.norm(self.linear))
+
+    @cached_property
+    def motions(self) -> list[Motion] | None:
+        """Linear trajectories; ``None`` where the model is not linear, or they would take too much memory."""
+        states = 2 * self.system.mechanics.stiffness.shape[1] * 2 * self.substeps
+        if self.remainder is not None or states * self.play.waveforms.shape[1] * len(self.play.drives) > _ROOM:
+            return None
+        return linear_motions(self.system, self.play, self.starts, self.substeps)
+
+    @cached_property
+    def rough(self) -> Base:
+        """The loudest record, one substep a sample: it tells how far a step goes."""
+        loudest = max(range(len(self.play.drives)), key=lambda r: float(np.mean(self.play.drives[r] ** 2)))
+        starts = None if self.starts is None else [self.starts[loudest]]
+        return base_of(self.model, self.values, alone(self.play, loudest), self.instrument, starts, 1)
+
+
+def base_of(
     model: Model,
     parameters: Mapping[str, float],
     play: Play,
     instrument: Instrument,
+    starts: Starts | None = None,
+    substeps: int = SLOPE_SUBSTEPS,
+) -> Base:
+    """The records of ``play`` at ``parameters`` of ``model``; arguments as in ``Base`` and ``forward``.
+
+    Raises
+    ------
+    ConfigError : as in ``forward``.
+    """
+    values = model.complete(parameters)
+    system = assemble(model, values, instrument, play.conditions)
+    linear = linear_volts(system, play, starts)
+    remainder = remainder_volts(system, play, starts, substeps) if system.forces or system.senses else None
+    return Base(model, values, play, instrument, starts, substeps, system, linear, remainder)
+
+
+def signatures(
+    base: Base,
     effect: str,
     *,
-    starts: Starts | None = None,
     grid: Mapping[str, tuple[float, ...]] | None = None,
     step_hints: Mapping[str, float] | None = None,
-    substeps: int = SLOPE_SUBSTEPS,
 ) -> Iterator[Signature]:
-    """Signatures of the absent ``effect`` in the records of a play, at ``parameters`` of ``model``.
+    """Signatures of the absent ``effect`` in the records of ``base``.
 
     One where all its parameters exist at the null; else one a point of the grid of those that do not (the product
     over them).
 
     Parameters
     ----------
-    model, parameters, instrument : as in ``forward``.
-    play, starts : the records, and the state of each at its first sample where it does not start at rest.
+    base : the records without it.
     effect : name of an effect that is not in the model.
     grid : parameter -> values to scan instead of the declared grid.
     step_hints : parameter -> a step to begin with, such as ``Signature.steps`` of a like play.
-    substeps : of the integrator.
 
     Raises
     ------
     ConfigError : the effect is unknown, makes no sense for the plant, or is in the model already.
     """
+    model = base.model
     if effect in model.effects:
         raise ConfigError("effect is in the model already", value=effect, allowed=", ".join(model.candidates()))
     larger = model.with_effect(effect)
@@ -88,32 +159,29 @@ def signatures(
     scanned = [m for m in members if m.grid]
     followed = [m for m in members if not m.grid]
     grids = [(grid or {}).get(m.name, m.grid) for m in scanned]
-    values = model.complete(parameters)
     bends = found.force is not None or found.sense is not None
-    moving = partial(_moving, model, larger, found, values, instrument)
-    y0, moved = moving(play, starts, substeps)
-    t = np.arange(y0.shape[1]) / play.sample_rate_hz
+    moved = partial(_moved, base, larger, found)
+    level = _rms(base.y)
+    t = np.arange(base.y.shape[1]) / base.play.sample_rate_hz
 
     steps = dict(step_hints or {})
-    level = _rms(y0)
     unknown = [m for m in followed if bends and m.name not in steps]
     for at in product(*grids):
         point = {m.name: value for m, value in zip(scanned, at)}
-        basis = np.zeros((y0.shape[1], 0))
+        basis = np.zeros((base.y.shape[1], 0))
         names: tuple[str, ...] = ()
         if found.disturbance is not None:
-            context = assemble(model, values, instrument, play.conditions).context
-            basis = found.disturbance(t, np.array([point.get(m.name, m.null) for m in members]), context)
-            columns = np.zeros((0, *y0.shape))
+            p = np.array([point.get(m.name, m.null) for m in members])
+            basis = found.disturbance(t, p, base.system.context)
+            columns = np.zeros((0, *base.y.shape))
         elif not followed:
             columns = moved(point, scanned[0].name, point[scanned[0].name])[None]
             names = tuple(m.name for m in scanned)
         else:
             if unknown:
-                # One substep on the loudest record tells how far a step goes.
-                loudest = max(range(len(play.drives)), key=lambda r: float(np.mean(play.drives[r] ** 2)))
-                rough0, rough = moving(alone(play, loudest), None if starts is None else [starts[loudest]], 1)
-                steps |= {m.name: _stepped(m, point, rough, _rms(rough0), 0.0, False)[0] for m in unknown}
+                rough = partial(_moved, base.rough, larger, found)
+                loud = _rms(base.rough.y)
+                steps |= {m.name: _stepped(m, point, rough, loud, 0.0, False)[0] for m in unknown}
                 unknown = []
             slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), not bends) for m in followed]
             columns = np.stack([slope for slope, _ in slopes])
@@ -126,52 +194,39 @@ _Moved = Callable[[Mapping[str, float], str, float], FloatArray]
 
 
 def _rms(y: FloatArray) -> float:
-    return float(np.sqrt(np.mean(y**2)))
+    return float(np.linalg.norm(y) / np.sqrt(y.size))
 
 
-def _moving(
-    model: Model,
-    larger: Model,
-    found: Effect,
-    values: Mapping[str, float],
-    instrument: Instrument,
-    play: Play,
-    starts: Starts | None,
-    substeps: int,
-) -> tuple[FloatArray, _Moved]:
-    """Records (R, N, S) without the effect, and what moves in them: (point, parameter, value) -> (R, N, S)."""
+def _moved(base: Base, larger: Model, found: Effect, point: Mapping[str, float], name: str, value: float) -> FloatArray:
+    """How the records (R, N, S) move when parameter ``name`` of the effect takes ``value`` at a ``point`` of its grid."""
+    play, instrument = base.play, base.instrument
     members = found.members(larger.built.shape)
-    before = assemble(model, values, instrument, play.conditions)
-    linear0 = linear_volts(before, play, starts)
-    curved = bool(before.forces or before.senses)
-    remainder0 = remainder_volts(before, play, starts, substeps) if curved else None
-    y0 = linear0 if remainder0 is None else linear0 + remainder0
+    if found.adc is not None and found.stages == ("adc",):
+        p = np.array([value if m.name == name else point.get(m.name, m.null) for m in members])
+        return found.adc(base.y, p, base.system.context) - base.y
+    own = next(m for m in members if m.name == name)
+    trial = {**base.values, **{found.full_name(m): point[m.name] for m in members if m.grid}}
+    trial[found.full_name(own)] = value
+    system = assemble(larger, larger.complete(trial), instrument, play.conditions)
     bends = found.force is not None or found.sense is not None
-    # A weak nonlinear effect changes what a linear one does in second order only.
-    strong = remainder0 is not None and np.linalg.norm(remainder0) > STRONG * np.linalg.norm(linear0)
-
-    def moved(point: Mapping[str, float], name: str, value: float) -> FloatArray:
-        if found.adc is not None and found.stages == ("adc",):
-            p = np.array([value if m.name == name else point.get(m.name, m.null) for m in members])
-            return found.adc(y0, p, before.context) - y0
-        trial = {**values, **{found.full_name(m): point[m.name] for m in members if m.grid}}
-        trial[found.full_name(next(m for m in members if m.name == name))] = value
-        system = assemble(larger, larger.complete(trial), instrument, play.conditions)
-        if bends or strong:
-            # Deviations free of cancellation: the linear part is the same unless the effect touches it.
-            change = remainder_volts(system, play, starts, substeps)
-            if remainder0 is not None:
-                change -= remainder0
-            if set(found.stages) & {"drive", "mechanics", "readout"}:
-                change += linear_volts(system, play, starts)
-                change -= linear0
+    if bends or base.strong:
+        # Deviations free of cancellation: the linear part is the same unless the effect touches it.
+        appends = system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape
+        # Near the null only the first order of a force counts; from no effect to a point of a grid is far.
+        if base.motions is not None and not own.grid and not appends:
+            change = slight_volts(system, play, base.motions)
         else:
-            change = linear_volts(system, play, starts) - linear0
-        if system.adcs:
-            change = converted(system, y0 + change) - converted(before, y0)
-        return change
-
-    return y0, moved
+            change = remainder_volts(system, play, base.starts, base.substeps)
+        if base.remainder is not None:
+            change -= base.remainder
+        if set(found.stages) & {"drive", "mechanics", "readout"}:
+            change += linear_volts(system, play, base.starts)
+            change -= base.linear
+    else:
+        change = linear_volts(system, play, base.starts) - base.linear
+    if system.adcs:
+        change = converted(system, base.y + change) - converted(base.system, base.y)
+    return change
 
 
 def _derivative(

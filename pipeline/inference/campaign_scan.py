@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from ..arrays import FloatArray
 from ..device.model import Model
 from ..experiment.instrument import Instrument
-from ..experiment.signatures import Signature, signatures
+from ..experiment.signatures import Signature, base_of, signatures
 from .campaign_problem import Tasks
 
 _PEAKS = 6
@@ -87,7 +87,8 @@ def scan(
     sums: dict[int, list[FloatArray]] = {}
     at: list[Signature] = []
     for places, play in tasks.plays:
-        for k, signature in enumerate(signatures(model, values, play, instrument, effect, grid=grid)):
+        base = base_of(model, values, play, instrument)
+        for k, signature in enumerate(signatures(base, effect, grid=grid)):
             if k == len(at):
                 at.append(replace(signature, columns=np.zeros(0)))
             for own, place in enumerate(places):

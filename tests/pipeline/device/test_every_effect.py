@@ -20,7 +20,7 @@ from pipeline.device.mechanics import Mechanics
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, PlantSpec
 from pipeline.errors import ConfigError
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward import forward, signatures
+from pipeline.experiment.forward import base_of, forward, signatures
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.integrate import trajectory
 from pipeline.experiment.play import play_of
@@ -108,7 +108,7 @@ def test_it_grows_smoothly_from_the_null_with_its_signature_as_slope(effect: Eff
     grid = {m.name: (at[effect.full_name(m)],) for m in effect.members(larger.built.shape) if m.grid}
     smaller = larger.without_effect(effect.name)
     play = play_of([RECORD], INSTRUMENT, None)
-    (found,) = signatures(smaller, PLANT, play, INSTRUMENT, effect.name, grid=grid)
+    (found,) = signatures(base_of(smaller, PLANT, play, INSTRUMENT), effect.name, grid=grid)
     steps = {m.name: at[effect.full_name(m)] - m.null for m in effect.members(larger.built.shape) if not m.grid}
     expected = np.tensordot([steps[name] for name in found.names], found.columns[:, 0], axes=1)
     change = forward(larger, {**PLANT, **at}, RECORD, INSTRUMENT) - forward(smaller, PLANT, RECORD, INSTRUMENT)

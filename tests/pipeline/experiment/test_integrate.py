@@ -17,7 +17,7 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.instrument import AntiAlias
-from pipeline.experiment.integrate import SUBSTEPS, trajectory
+from pipeline.experiment.integrate import SUBSTEPS, linear_motion, pushed, trajectory
 from pipeline.experiment.linear import Clock, linear_response, upper_poles
 from pipeline.experiment.readout_filter import filtered
 
@@ -45,6 +45,11 @@ def pull(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, 
     for i in range(q.size):
         for k in range(u.size):
             out[i] += p[0] * laws.drive[i, k] * u[k]
+
+
+def curved(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    for i in range(q.size):
+        out[i] -= p[0] * (1e13 * q[i] ** 3 + 1e6 * q[i] * u[0] * np.cos(3.0 * t) + 10.0 * qd[i])
 
 
 def _laws(m: Mechanics) -> Laws:
@@ -82,6 +87,24 @@ def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
     if late_s:
         found, expected = found[:-1], expected[1:]
     assert np.max(np.abs(found - expected)) < 1e-6 * np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("start", [None, np.array([1e-4, -2e-4, 0.0, 0.1, 0.2, -0.3])])
+def test_along_the_linear_trajectory_a_force_counts_to_first_order(hold: Any, start: FloatArray | None) -> None:
+    m = PLANT.mechanics(VALUES)
+    reads = np.concatenate([np.zeros((1, 3)), m.velocity_sense[0]], axis=1)
+    motion = linear_motion(m, DRIVE, 1.0 / RATE, hold, start, SUBSTEPS)
+    linear, _ = trajectory(m, [], _laws(m), DRIVE, 1.0 / RATE, hold, start)
+    assert np.max(np.abs(motion.state - linear)) < 1e-12 * np.max(np.abs(linear))
+    missed = []
+    for p in (1e-4, 1e-5):
+        force = [(curved, np.array([p]))]
+        whole = trajectory(m, force, _laws(m), DRIVE, 1.0 / RATE, hold, start, reads=reads)[1]
+        missed.append(np.linalg.norm(pushed(motion, force, _laws(m), reads) - whole) / np.linalg.norm(whole))
+    assert missed[0] < 1e-1
+    # What is missed is of the next order.
+    assert missed[1] == pytest.approx(0.1 * missed[0], rel=0.05)
 
 
 def test_halving_the_step_changes_nothing_that_matters() -> None:
