@@ -37,6 +37,8 @@ _DRIVEN = 0.05
 _SEEN = 2e-2
 #: Neighbours of the grid that are scored at once: they share most of their bins.
 _TOGETHER = 4
+#: Points of the grid that are followed at once.
+_AT_ONCE = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +102,25 @@ def scan_of(
     poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
     residues = (w if displacement else poles) / (2j * poles.imag)
     z, now, following = hold_gains(poles, play.clock.step_s, play.clock.hold)
-    answers = np.zeros((w.size, play.waveforms.shape[0], bins), dtype=np.complex128)
     # Samples are taken at every ``stride``-th step: their spectrum is the mean of its images.
     images = np.arange(play.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
     turn = np.exp(2j * np.pi * images / play.waveforms.shape[1])
-    for k, waveform in enumerate(play.waveforms):
-        re, im = _ends(real_parts(z), real_parts(now), real_parts(following), waveform)
-        drive = fft(waveform)[images]
-        _answered(z, now, following, re + 1j * im, residues, turn, drive, waveform[0], seen, answers[:, k])
-    for (f, damping), answer in zip(grid, answers):
-        size = np.max(np.abs(answer), axis=0, initial=0.0)
-        strong = np.flatnonzero(size > _SEEN * size.max())
-        first, last = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
-        points.append(Point(f, damping, first, np.ascontiguousarray(answer[:, first:last])))
+    drives = [fft(waveform)[images] for waveform in play.waveforms]
+    held = real_parts(z), real_parts(now), real_parts(following)
+    ends = [re + 1j * im for re, im in (_ends(*held, waveform) for waveform in play.waveforms)]
+    # A few at a time: most of an answer is below what is kept.
+    answers = np.empty((_AT_ONCE, len(ends), bins), dtype=np.complex128)
+    for first in range(0, w.size, _AT_ONCE):
+        of = slice(first, first + _AT_ONCE)
+        for k, (end, drive) in enumerate(zip(ends, drives)):
+            v0 = play.waveforms[k][0]
+            out = answers[: z[of].size, k]
+            _answered(z[of], now[of], following[of], end[of], residues[of], turn, drive, v0, seen, out)
+        for (f, damping), answer in zip(grid[of], answers):
+            size = np.max(np.abs(answer), axis=0, initial=0.0)
+            strong = np.flatnonzero(size > _SEEN * size.max())
+            begin, end_bin = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
+            points.append(Point(f, damping, begin, np.ascontiguousarray(answer[:, begin:end_bin])))
     return Scan(places, play.gains, tuple(points))
 
 

@@ -349,6 +349,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Before numpy is loaded: small matrices are slower on many threads, and workers share the cores.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    # Huge pages take longer to come than records take to be worked through.
+    os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
     # Looking for garbage among what was just loaded takes a fifth of the start, and once more at the end.
     gc.set_threshold(50_000)
     # A thread that comes back from a compiled loop waits for the others' Python no longer than this.

@@ -2,8 +2,8 @@
 
     fall / level = sum over records, channels and columns of (q^T r)^2 / gamma,        dof = as many terms
 
-q are the columns of the disturbance, orthonormal; gamma, at least 1, is the level of the residual around the column's frequency:
-where the whole neighbourhood is too loud, the neighbourhood is what is wrong, not the line.
+q are the columns of the disturbance, made orthonormal; gamma, at least 1, is the level of the residual around the frequency
+of each: where the whole neighbourhood is too loud, the neighbourhood is what is wrong, not the line.
 Shapes: N samples, S senses, L columns; residuals in sigmas.
 """
 
@@ -46,24 +46,24 @@ class Free:
 @lru_cache(maxsize=32)
 def _columns(
     effect: Effect, point: tuple[float, ...], samples: int, sample_rate_hz: float
-) -> tuple[FloatArray, IntArray]:
-    """Orthonormal columns (N, L) without offset, and the bin where each is strongest."""
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Columns c (N, L) without offset, T (L, L) so that c T is orthonormal, and the bin where each is strongest."""
     assert effect.disturbance is not None
     t = np.arange(samples) / sample_rate_hz
     columns = effect.disturbance(t, np.array(point), Context(0.0, 0.0, {}))
-    q = _orthonormal(columns - columns.mean(axis=0))
-    bins = np.array([int(np.argmax(np.abs(rfft(column)))) for column in q.T], dtype=np.int64)
-    q.setflags(write=False)
-    return q, bins
-
-
-def _orthonormal(columns: FloatArray) -> FloatArray:
-    """Gram and Schmidt's columns of tall ones (N, L); by Cholesky where these are far from dependent, which is faster."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    gram = scaled.T @ scaled
-    if np.linalg.eigvalsh(gram)[0] < _INDEPENDENT:
-        return np.asarray(np.linalg.qr(scaled)[0])
-    return np.asarray(scaled @ np.linalg.inv(np.linalg.cholesky(gram)).T)
+    columns = columns - columns.mean(axis=0)
+    gram = columns.T @ columns
+    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    unit = gram / np.outer(scale, scale)
+    if np.linalg.eigvalsh(unit)[0] < _INDEPENDENT:
+        columns, turn = np.asarray(np.linalg.qr(columns / scale)[0]), np.eye(scale.size)
+    else:
+        # Cholesky is faster and, far from dependence, as good.
+        turn = np.linalg.inv(np.linalg.cholesky(unit)).T / scale[:, None]
+    bins = np.array([int(np.argmax(np.abs(rfft(column)))) for column in columns.T], dtype=np.int64)
+    for kept in (columns, turn, bins):
+        kept.setflags(write=False)
+    return columns, turn, bins
 
 
 def free_shapes(
@@ -78,15 +78,15 @@ def free_shapes(
     for at in product(*(member.grid or (member.null,) for member in members)):
         fall, dof, quiet = 0.0, 0, 0.0
         for r, power, total, rate in zip(residuals, spectra, sums, sample_rates_hz):
-            q, bins = _columns(effect, at, r.shape[0], rate)
+            columns, turn, bins = _columns(effect, at, r.shape[0], rate)
             low, high = np.maximum(bins - _AROUND, 1), np.minimum(bins + _AROUND + 1, power.shape[0])
             first, last = np.maximum(bins - _OWN, low), np.minimum(bins + _OWN + 1, high)
             around = total[high] - total[low] - (total[last] - total[first])
             count = 2.0 * ((high - low) - (last - first))
             level = np.maximum(around / count[:, None], 1.0)
-            own = (q.T @ r) ** 2
+            own = (turn.T @ (columns.T @ r)) ** 2
             fall += float(np.sum(own))
             quiet += float(np.sum(own / level))
-            dof += q.shape[1] * r.shape[1]
+            dof += turn.shape[1] * r.shape[1]
         found.append(Free({m.name: float(v) for m, v in zip(members, at)}, fall, dof, fall / max(quiet, 1e-300)))
     return tuple(found)
