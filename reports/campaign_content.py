@@ -6,7 +6,7 @@ Keys that are absent give "not known", keys that are unknown are ignored: the pa
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .campaign_rows import (
     CandidateRow,
@@ -100,6 +100,8 @@ def campaign_content(
     shown = fall if (fall.before if fall.before is not None else fall.after) is not None else fitted
     if (shown.before if shown.before is not None else shown.after) is None:
         shown = _relative(compare, rungs, last)
+    added = [one.delta_chi2 for one in rungs if one.delta_chi2 is not None and one.status != "refused"]
+    shown = replace(shown, chi2=sum(added) if added else None)
     asked = next((one for one in (told, found) if "separating_record" in one), None)
     separating = None if asked is None else str(asked["separating_record"] or "")
     climbed = [one.effect for one in rungs if one.effect and one.status != "refused"]

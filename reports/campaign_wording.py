@@ -33,12 +33,14 @@ class Fall:
     before, after : ``None`` where not known.
     held_out : on records that the fit had not seen.
     relative : rms(measured - model) / rms(measured), where the noise is not known.
+    chi2 : by how much that of the fitted records fell with what was added.
     """
 
     before: float | None
     after: float | None
     held_out: bool
     relative: bool = False
+    chi2: float | None = None
 
     @property
     def where(self) -> str:
@@ -128,6 +130,9 @@ def fall_sentence(fall: Fall, verdict: str) -> str:
     """How far the error fell, or where it stands; empty where it is not known."""
     before, after = error_words(fall.before, fall.relative), error_words(fall.after, fall.relative)
     if fall.before is not None and fall.after is not None:
+        if before == after and fall.chi2 is not None and fall.chi2 > 0.0:
+            weak = f"chi2 of the fitted records fell by {fall.chi2:,.0f}".replace(",", "\u202f")
+            return f"The {fall.what} stays at {after} {fall.where}: beside the noise this is weak; {weak}."
         if before == after:
             return f"The {fall.what} stays at {after} {fall.where}."
         if fall.after > fall.before:

@@ -258,6 +258,16 @@ def test_an_error_that_rises_is_not_said_to_fall() -> None:
     assert "went from 12.3 to 13" in head
 
 
+def test_an_effect_too_weak_for_the_error_is_told_by_chi2() -> None:
+    refine = copy.deepcopy(REFINE)
+    for rung in refine["ladder"]:
+        rung |= {"error_validate": 1.001, "delta_chi2": 137.2 if rung["effect"] else None}
+    head = _head(render_campaign_report("A17", COMPARE, None, refine, [], None))
+    fell = 137.2 * sum(1 for rung in refine["ladder"] if rung["effect"] and rung["status"] != "refused")
+    assert "stays at 1.00 on records the fit had not seen: beside the noise this is weak" in head
+    assert f"chi2 of the fitted records fell by {fell:.0f}." in head
+
+
 def test_a_wrong_form_and_a_partial_rung_are_said_in_the_head() -> None:
     refine = copy.deepcopy(REFINE) | {"wrong_form": {"cubic_stiffness": {"by": "level", "log_p": -20.0}}}
     assert "the size of cubic stiffness disagrees between drive levels" in _head(
