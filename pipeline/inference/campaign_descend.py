@@ -28,6 +28,10 @@ _LEAST_DAMPING = 1e-2
 _PATIENCE, _CREEP = 8, 1e-4
 #: Once the records have moved by this share of themselves columns are computed anew; before, updated, they serve.
 _FAR = 5e-3
+#: The same for the parameters of forces and pick-off laws, as a share of each: what is weak hardly moves the records.
+_RESIZED = 0.1
+#: Share of a fall of chi2 that a frozen problem may miss and still have the right slopes.
+_FORETOLD = 0.02
 #: Columns computed where the records were by at most this share of them elsewhere are those of the end.
 _STALE = 1e-3
 #: Relative strength of nonlinear effects below which columns always suffice without them.
@@ -192,7 +196,10 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
     if nearer is None:
         return _descend(problem, at, tasks, dof, steps)
     weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[loudest]) <= _NOTABLE
-    return _descend(problem, nearer, tasks, dof, steps, there.sensitivities if weak else None)
+    # Slopes that foretold what came are those of the end: an inverse gap may have doubled, and its slope with it.
+    missed, fall = abs(nearer.chi2 - there.at.chi2), at.chi2 - nearer.chi2
+    foretold = missed <= max(1.0, nearer.chi2 / dof, _FORETOLD * fall)
+    return _descend(problem, nearer, tasks, dof, steps, there.sensitivities if weak and foretold else None)
 
 
 def _loudest(tasks: Tasks) -> int:
@@ -215,8 +222,12 @@ def _descend(
     computed = at
     normal = np.zeros((at.x.size, at.x.size))
 
+    def serve(most: float) -> bool:
+        near = moved_share(computed.predicted, at.predicted) <= most
+        return near and problem.resized(computed.x, at.x) <= _RESIZED
+
     def stand(converged: bool) -> Stand:
-        if sensitivities is not None and moved_share(computed.predicted, at.predicted) <= _STALE:
+        if sensitivities is not None and serve(_STALE):
             return Stand(at, normal, sensitivities, converged)
         fresh = _sensitivities(problem, at, tasks, exact, steps)
         return Stand(at, _equations(problem, at, fresh)[0], fresh, converged)
@@ -267,8 +278,11 @@ def _descend(
         # A model that is wrong may creep along a valley for ever, by nothing beside the misfit that stays.
         creep = _CREEP * max(at.chi2 - dof, 0.0) if passes >= _PATIENCE else 0.0
         if fall < max(_STANDSTILL * noise, creep) and exact == was_exact:
-            return stand(True)
-        if poor or exact != was_exact or moved_share(computed.predicted, at.predicted) > _FAR:
+            if fresh or expected < CLOSE * noise or creep > _STANDSTILL * noise:
+                return stand(True)
+            # Much was expected: not the fit stands still, its old columns do.
+            sensitivities, damping = None, 0.0
+        elif poor or exact != was_exact or not serve(_FAR):
             sensitivities = None
     return stand(False)
 

@@ -51,3 +51,7 @@ class Frozen(Problem):
     def strength(self, values: Mapping[str, float], task: Task) -> float:
         """None that a descent could follow."""
         return 0.0
+
+    def resized(self, before: FloatArray, after: FloatArray) -> float:
+        """Its slopes stay as they are."""
+        return 0.0

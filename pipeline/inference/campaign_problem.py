@@ -21,7 +21,7 @@ from ..experiment.linear import free_response
 from ..experiment.play import Play, play_of, plays_of
 from ..experiment.record import Campaign, Record
 from ..experiment.response import Starts, converted, linear_volts, remainder_volts, volts
-from ..experiment.sensitivity import Bent, channels_checked, play_jacobian, tuned_steps
+from ..experiment.sensitivity import Bent, channels_checked, is_gridded, play_jacobian, tuned_steps
 from ..experiment.system import System, assemble, conditions_of
 from ..threads import mapped
 
@@ -188,3 +188,9 @@ class Problem:
             return 0.0
         linear, rest = linear_volts(system, task.play), remainder_volts(system, task.play, substeps=1)
         return float(np.linalg.norm(rest)) / max(float(np.linalg.norm(linear)), 1e-300)
+
+    def resized(self, before: FloatArray, after: FloatArray) -> float:
+        """By what share of themselves parameters of forces and pick-off laws differ at most between two x (P,)."""
+        own = [i for i, name in enumerate(self.model.free) if is_gridded(self.model, name)]
+        change, size = np.abs(after - before)[own], np.maximum(np.abs(before), np.abs(after))[own]
+        return float(np.max(change / np.maximum(size, 1e-300), initial=0.0))

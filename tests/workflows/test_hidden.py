@@ -11,11 +11,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pipeline.arrays import FloatArray
-from pipeline.device.model import Model
+from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import ConfigError, UsageError
 from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward import forward
 from pipeline.experiment.record import Record
+from pipeline.inference.campaign_fit import fit_campaign
 from workflows.commands.hidden import lines
 from workflows.coverage import Share
 from workflows.hidden import draw, study
@@ -25,6 +26,7 @@ from workflows.hidden.effects import LIBRARY, draw_effect
 from workflows.hidden.integrator import STATES, integrate, lagged, slope
 from workflows.hidden.strengths import baseline, sized
 from workflows.hidden.truth import OUTSIDE, physics, response
+from workflows.learning import view_of
 from workflows.simulate import device_parameters, standard_excitations
 
 _RATE = INSTRUMENT.sample_rate_hz
@@ -329,3 +331,18 @@ def test_adding_what_is_hidden_explains_the_held_out_records() -> None:
     assert row["refine"]["ladder"][0]["error_validate"] > 1.01
     # 1.3 % is two sd of the noise level that one second of silence gives.
     assert row["refine"]["ladder"][-1]["error_validate"] < 1.013
+
+
+def test_a_law_that_is_not_in_proportion_to_its_size_is_fitted_to_its_end() -> None:
+    # An inverse gap that is small beside its estimate at the null: the first columns are no longer those of the end.
+    hidden = hide("one", 52, 4)
+    assert hidden.effects == ("electrostatic_softening",)
+    view = view_of(hidden.campaign)
+    view.fit(())
+    view.fit(hidden.effects)
+    found = view.campaign_fit(hidden.effects)
+    model = DEFAULT_COMPARE_MODEL.with_effect(*hidden.effects)
+    truth = {name: hidden.values[name] for name in model.free if name in hidden.values}
+    begun_there = fit_campaign(model, hidden.campaign, view.noise, truth)
+    assert found.converged
+    assert found.chi2 < begun_there.chi2 + 0.1
