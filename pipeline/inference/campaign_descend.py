@@ -219,7 +219,7 @@ def _descend(
     task = tasks.each[_loudest(tasks)]
     exact = problem.strength(problem.model.to_values(at.x), task) > STRONG
     damping = 0.0
-    computed = at
+    computed, paused = at, False
     normal = np.zeros((at.x.size, at.x.size))
 
     def serve(most: float) -> bool:
@@ -264,7 +264,8 @@ def _descend(
             sensitivities, damping = None, 0.0
             continue
         if accepted is None:
-            still = expected < CLOSE * noise
+            # Where samples clip and unclip chi2 has kinks: it stood still before columns were made anew, and does so now.
+            still = paused or expected < CLOSE * noise
             if still or exact or strength < FAINT:
                 return stand(still)
             exact, damping, sensitivities = True, 0.0, None
@@ -277,9 +278,10 @@ def _descend(
         was_exact, exact = exact, exact or strength > STRONG or (poor and fresh and strength > _NOTABLE)
         # A model that is wrong may creep along a valley for ever, by nothing beside the misfit that stays.
         creep = _CREEP * max(at.chi2 - dof, 0.0) if passes >= _PATIENCE else 0.0
-        if fall < max(_STANDSTILL * noise, creep) and exact == was_exact:
-            if fresh or expected < CLOSE * noise or creep > _STANDSTILL * noise:
-                return stand(True)
+        paused = fall < max(_STANDSTILL * noise, creep) and exact == was_exact
+        if paused and (fresh or expected < CLOSE * noise or creep > _STANDSTILL * noise):
+            return stand(True)
+        if paused:
             # Much was expected: not the fit stands still, its old columns do.
             sensitivities, damping = None, 0.0
         elif poor or exact != was_exact or not serve(_FAR):
