@@ -21,12 +21,16 @@ Row = Mapping[str, Any]
 
 #: Sets of library effects that may fairly stand for one that was taken out.  A mode far above the driven band and a
 #: capacitance are one thing there.  Drive electrodes turned one way are sense electrodes turned the other, and theta with them;
-#: turned sense electrodes are crosstalk with a = -b, and up-down, which does not turn, takes a mismatch.
+#: turned sense electrodes are crosstalk with a = -b, and up-down, which does not turn, takes a mismatch; so a mismatch is a turn,
+#: crosstalk that undoes it, and the tilt that is the rest.
 LOOK_ALIKES: dict[str, tuple[frozenset[str], ...]] = {
     "pickoff_pole": (frozenset({"loop_delay"}),),
     "loop_delay": (frozenset({"pickoff_pole"}),),
     "updown_tilt": (frozenset({"electrode_mismatch"}),),
-    "electrode_mismatch": (frozenset({"updown_tilt"}),),
+    "electrode_mismatch": (
+        frozenset({"updown_tilt"}),
+        frozenset({"updown_tilt", "pickoff_crosstalk", "electrode_misalignment"}),
+    ),
     "parasitic_mode": (frozenset({"capacitive_feedthrough"}),),
     "capacitive_feedthrough": (frozenset({"parasitic_mode"}),),
     "electrode_misalignment": (frozenset({"pickoff_crosstalk", "electrode_mismatch"}),),
