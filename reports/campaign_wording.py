@@ -131,7 +131,7 @@ def fall_sentence(fall: Fall, verdict: str) -> str:
     before, after = error_words(fall.before, fall.relative), error_words(fall.after, fall.relative)
     if fall.before is not None and fall.after is not None:
         if before == after and fall.chi2 is not None and fall.chi2 > 0.0:
-            weak = f"chi2 of the fitted records fell by {fall.chi2:,.0f}".replace(",", "\u202f")
+            weak = f"χ² of the fitted records fell by {fall.chi2:,.0f}".replace(",", "\u202f")
             return f"The {fall.what} stays at {after} {fall.where}: beside the noise this is weak; {weak}."
         if before == after:
             return f"The {fall.what} stays at {after} {fall.where}."

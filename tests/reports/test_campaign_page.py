@@ -265,7 +265,7 @@ def test_an_effect_too_weak_for_the_error_is_told_by_chi2() -> None:
     head = _head(render_campaign_report("A17", COMPARE, None, refine, [], None))
     fell = 137.2 * sum(1 for rung in refine["ladder"] if rung["effect"] and rung["status"] != "refused")
     assert "stays at 1.00 on records the fit had not seen: beside the noise this is weak" in head
-    assert f"chi2 of the fitted records fell by {fell:.0f}." in head
+    assert f"χ² of the fitted records fell by {fell:.0f}." in head
 
 
 def test_a_wrong_form_and_a_partial_rung_are_said_in_the_head() -> None:
