@@ -18,7 +18,7 @@ from pipeline.device.parameters import Parameter
 from pipeline.errors import ConfigError
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Record
-from pipeline.experiment.response import Starts
+from pipeline.experiment.response import sources
 from pipeline.experiment.signatures import Base, Signature, base_of, signatures
 from pipeline.inference.campaign_fit import CampaignFit
 from pipeline.inference.campaign_problem import Tasks
@@ -33,13 +33,11 @@ _AXES_DEG = (0.0, 90.0)
 class Tangent:
     """A fitted model from which signatures are taken: the places of its records, play by play, and those records.
 
-    ``starts`` by place; ``rows`` takes volts (k, N, S) of the record at a place to its rows (k, 2 F S); ``peak_v`` is the
-    largest sample.
+    ``rows`` takes volts (k, N, S) of the record at a place to its rows (k, 2 F S); ``peak_v`` is the largest sample.
     """
 
     model: Model
     plays: tuple[tuple[tuple[int, ...], Base], ...]
-    starts: Starts
     rows: Callable[[int, FloatArray], FloatArray]
     peak_v: float
 
@@ -59,7 +57,7 @@ def tangent_of(
         for places, play in tasks.plays
     )
     peak_v = max(float(np.max(np.abs(record.sense_v))) for record in records)
-    return Tangent(fitted.model, plays, starts, rows, peak_v)
+    return Tangent(fitted.model, plays, rows, peak_v)
 
 
 def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArray]]] | None:
@@ -82,10 +80,8 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
                 hints = signature.steps
                 if number == 0:
                     found.append(replace(signature, columns=np.zeros(0)))
-                for k, place in enumerate(places):
-                    first = places[base.play.twins[k]]
-                    same = first != place and at.starts[place] is None and at.starts[first] is None
-                    own = columns[first][-1] if same else at.rows(place, signature.columns[:, k])
+                for k, (place, source) in enumerate(zip(places, sources(base.play, base.starts))):
+                    own = at.rows(place, signature.columns[:, k]) if source == k else columns[places[source]][-1]
                     columns[place].append(own)
     except ConfigError:
         return None

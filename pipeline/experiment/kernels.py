@@ -274,7 +274,8 @@ def _along(
                 deviation[point + 1, tap] = _dot(shape, taps, tap, d)
 
 
-_OPTIONS: dict[str, Any] = {
+#: How loops over samples are compiled.
+OPTIONS: dict[str, Any] = {
     "cache": True,
     "nogil": True,
     "error_model": "numpy",
@@ -292,14 +293,14 @@ def march_of(half_size: int) -> Any:
     matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
     reads = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
     signature = types.void(shape, *_FORCES, *matrices, *_CLOCK, types.int64, *_DRIVE, *reads)
-    return njit(signature, **_OPTIONS)(_march)
+    return njit(signature, **OPTIONS)(_march)
 
 
 @once
 def states_of(half_size: int) -> Any:
     """``_states`` compiled for at most ``half_size`` coordinates."""
     shape = types.UniTuple(types.int64, half_size)
-    return njit(types.void(shape, _MATRIX, _MATRIX, _MATRIX, *_CLOCK, *_DRIVE, _VECTOR, _MATRIX), **_OPTIONS)(_states)
+    return njit(types.void(shape, _MATRIX, _MATRIX, _MATRIX, *_CLOCK, *_DRIVE, _VECTOR, _MATRIX), **OPTIONS)(_states)
 
 
 @once
@@ -308,4 +309,4 @@ def along_of(half_size: int) -> Any:
     shape = types.UniTuple(types.int64, half_size)
     matrices = (_MATRIX, _MATRIX, types.float64)
     reads = (_MATRIX, _MATRIX, _MATRIX)
-    return njit(types.void(shape, *_FORCES, *matrices, *_CLOCK, types.int64, *_DRIVE, *reads), **_OPTIONS)(_along)
+    return njit(types.void(shape, *_FORCES, *matrices, *_CLOCK, types.int64, *_DRIVE, *reads), **OPTIONS)(_along)

@@ -52,6 +52,11 @@ class Play:
         return 1.0 / (self.clock.step_s * self.clock.stride)
 
 
+def loudest(drives: Sequence[FloatArray]) -> int:
+    """The record with the most drive energy a sample: it tells how strong nonlinear effects are."""
+    return max(range(len(drives)), key=lambda r: float(np.mean(drives[r] ** 2)))
+
+
 def waveforms_of(drives: Sequence[FloatArray], clock: Clock) -> tuple[FloatArray, FloatArray]:
     """Waveforms (W, N') at the clock's steps and gains (R, D, W) of drive samples, R times (N, D)."""
     found: list[FloatArray] = []

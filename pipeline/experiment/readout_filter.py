@@ -12,6 +12,7 @@ from numba import njit, types
 
 from ..arrays import ComplexArray, FloatArray, real_parts
 from ..threads import once
+from .kernels import OPTIONS
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
@@ -89,16 +90,10 @@ def _filter(
 @once
 def _filter_of(lanes: int) -> Any:
     """``_filter`` compiled for that many poles."""
-    vector, matrix, cube = (types.Array(types.float64, k, "C") for k in (2, 3, 4))
+    two, three, four = (types.Array(types.float64, k, "C") for k in (2, 3, 4))
     shape = types.UniTuple(types.int64, lanes)
-    arrays = (vector, matrix, vector, matrix, types.boolean, cube, vector, vector)
-    return njit(
-        types.void(shape, types.int64, *arrays),
-        cache=True,
-        nogil=True,
-        error_model="numpy",
-        fastmath={"contract", "reassoc", "nsz"},
-    )(_filter)
+    signature = types.void(shape, types.int64, two, three, two, three, types.boolean, four, two, two)
+    return njit(signature, **OPTIONS)(_filter)
 
 
 def filtered(

@@ -82,7 +82,7 @@ def remainder_volts(system: System, play: Play, starts: Starts | None = None, su
         u = interpolated(force_volts(system, play.drives[record]), play.clock)
         return _remainder(system, u, play.clock, known[record], fine)
 
-    return np.stack(_shared(one, _sources(play, known), play.threads))
+    return np.stack(_shared(one, sources(play, starts), play.threads))
 
 
 def linear_motions(system: System, play: Play, starts: Starts | None, substeps: int) -> list[Motion]:
@@ -96,7 +96,7 @@ def linear_motions(system: System, play: Play, starts: Starts | None, substeps: 
         begun = None if start is None else full_start(system, start)
         return linear_motion(system.mechanics, u, clock.step_s, clock.hold, begun, fine)
 
-    return _shared(one, _sources(play, known), play.threads)
+    return _shared(one, sources(play, starts), play.threads)
 
 
 def slight_volts(system: System, play: Play, motions: Sequence[Motion]) -> FloatArray:
@@ -116,11 +116,12 @@ def slight_volts(system: System, play: Play, motions: Sequence[Motion]) -> Float
     return np.stack(_shared(one, source, play.threads))
 
 
-def _sources(play: Play, starts: Starts) -> list[int]:
-    """For each record the one whose answer it shares."""
+def sources(play: Play, starts: Starts | None) -> list[int]:
+    """For each record the one whose answer it shares: its twin, where both start at rest."""
+    known = starts or (None,) * len(play.drives)
     return [
-        first if start is None and starts[first] is None else record
-        for record, (first, start) in enumerate(zip(play.twins, starts))
+        first if start is None and known[first] is None else record
+        for record, (first, start) in enumerate(zip(play.twins, known))
     ]
 
 

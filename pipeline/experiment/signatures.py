@@ -22,7 +22,7 @@ from ..device.parameters import Parameter
 from ..errors import ConfigError
 from .instrument import Instrument
 from .integrate import Motion
-from .play import Play, alone
+from .play import Play, alone, loudest
 from .response import Starts, converted, linear_motions, linear_volts, remainder_volts, slight_volts
 from .sensitivity import SHARE, SLOPE_SUBSTEPS, STRONG
 from .system import System, assemble
@@ -84,6 +84,11 @@ class Base:
         return self.linear if self.remainder is None else self.linear + self.remainder
 
     @cached_property
+    def level(self) -> float:
+        """rms of the records [V]."""
+        return _rms(self.y)
+
+    @cached_property
     def strong(self) -> bool:
         """Whether the remainder changes what a linear effect does; a weak one does so in second order only."""
         if self.remainder is None:
@@ -101,9 +106,9 @@ class Base:
     @cached_property
     def rough(self) -> Base:
         """The loudest record, one substep a sample: it tells how far a step goes."""
-        loudest = max(range(len(self.play.drives)), key=lambda r: float(np.mean(self.play.drives[r] ** 2)))
-        starts = None if self.starts is None else [self.starts[loudest]]
-        return base_of(self.model, self.values, alone(self.play, loudest), self.instrument, starts, 1)
+        record = loudest(self.play.drives)
+        starts = None if self.starts is None else [self.starts[record]]
+        return base_of(self.model, self.values, alone(self.play, record), self.instrument, starts, 1)
 
 
 def base_of(
@@ -161,9 +166,6 @@ def signatures(
     grids = [(grid or {}).get(m.name, m.grid) for m in scanned]
     bends = found.force is not None or found.sense is not None
     moved = partial(_moved, base, larger, found)
-    level = _rms(base.y)
-    t = np.arange(base.y.shape[1]) / base.play.sample_rate_hz
-
     steps = dict(step_hints or {})
     unknown = [m for m in followed if bends and m.name not in steps]
     for at in product(*grids):
@@ -171,6 +173,7 @@ def signatures(
         basis = np.zeros((base.y.shape[1], 0))
         names: tuple[str, ...] = ()
         if found.disturbance is not None:
+            t = np.arange(base.y.shape[1]) / base.play.sample_rate_hz
             p = np.array([point.get(m.name, m.null) for m in members])
             basis = found.disturbance(t, p, base.system.context)
             columns = np.zeros((0, *base.y.shape))
@@ -180,10 +183,9 @@ def signatures(
         else:
             if unknown:
                 rough = partial(_moved, base.rough, larger, found)
-                loud = _rms(base.rough.y)
-                steps |= {m.name: _stepped(m, point, rough, loud, 0.0, False)[0] for m in unknown}
+                steps |= {m.name: _stepped(m, point, rough, base.rough.level, 0.0, False)[0] for m in unknown}
                 unknown = []
-            slopes = [_derivative(m, point, moved, level, steps.get(m.name, 0.0), not bends) for m in followed]
+            slopes = [_derivative(m, point, moved, base.level, steps.get(m.name, 0.0), not bends) for m in followed]
             columns = np.stack([slope for slope, _ in slopes])
             names = tuple(m.name for m in followed)
             steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}

@@ -14,6 +14,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..device.model import Model
 from ..errors import ConfigError
+from ..experiment.play import loudest
 from ..experiment.sensitivity import STRONG, is_gridded
 from .campaign_frozen import Frozen
 from .campaign_problem import Problem, Tasks
@@ -185,17 +186,17 @@ def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: BoolAr
 
 def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
     """From ``at`` down to where the fit stands still; with weak forces and pick-off laws most of the way without them."""
-    values, loudest = problem.model.to_values(at.x), _loudest(tasks)
-    steps = problem.steps(values, tasks.each[loudest], at.starts[loudest])
+    values, loud = problem.model.to_values(at.x), _loudest(tasks)
+    steps = problem.steps(values, tasks.each[loud], at.starts[loud])
     bends = any(is_gridded(problem.model, name) for name in problem.model.free)
-    if not bends or problem.strength(values, tasks.each[loudest]) > STRONG:
+    if not bends or problem.strength(values, tasks.each[loud]) > STRONG:
         return _descend(problem, at, tasks, dof, steps)
     frozen = Frozen(problem, values, tasks, at.starts, steps)
     there = _descend(frozen, at, tasks, dof, steps)
     nearer = point_at(problem, there.at.x, tasks, there.at.starts, at.chi2)
     if nearer is None:
         return _descend(problem, at, tasks, dof, steps)
-    weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[loudest]) <= _NOTABLE
+    weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[loud]) <= _NOTABLE
     # Slopes that foretold what came are those of the end: an inverse gap may have doubled, and its slope with it.
     missed, fall = abs(nearer.chi2 - there.at.chi2), at.chi2 - nearer.chi2
     foretold = missed <= max(1.0, nearer.chi2 / dof, _FORETOLD * fall)
@@ -204,7 +205,7 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
 
 def _loudest(tasks: Tasks) -> int:
     """The record that sets the steps of the differences for all, and tells how strong nonlinear effects are."""
-    return max(range(len(tasks.each)), key=lambda k: float(np.mean(tasks.each[k].record.drive_v ** 2)))
+    return loudest([task.record.drive_v for task in tasks.each])
 
 
 def _descend(

@@ -52,7 +52,9 @@ def ladder_plot(
         if relative:
             figure, grid = panels(1, 1, 2.6, left=0.95, bottom=0.6, top=0.1)
         else:
-            figure, grid = panels(2, 1, 2.0, left=0.9, bottom=0.6, top=0.1, between=0.16, sharex=True, height_ratios=(1.5, 1.0))
+            figure, grid = panels(
+                2, 1, 2.0, left=0.9, bottom=0.6, top=0.1, between=0.16, sharex=True, height_ratios=(1.5, 1.0)
+            )
         top, bottom = grid[0][0], None if relative else grid[1][0]
         _errors(top, points, relative)
         if bottom is not None:
