@@ -1,7 +1,7 @@
 """Single frequencies that stand out of a whole record: hum, and any other line that nobody drove.
 
-A line is a bin of the record's Fourier transform (all channels together) that is improbable as noise among all bins and
-rises out of its neighbourhood, away from the drive, from the resonances and their sums, where a narrow peak is an answer.
+A line is a bin of the Fourier transforms of records (all channels together) that is improbable as noise of its neighbourhood's
+level, away from the drive, from the resonances and their sums, where a narrow peak is an answer.
 
 Shapes: N samples, S senses.
 """
@@ -12,40 +12,51 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.fft import rfft
-from scipy.ndimage import median_filter
 
 from pipeline.arrays import FloatArray
+from pipeline.criticism.lines import beyond_neighbours
+from pipeline.criticism.problem import Spectrum
+from pipeline.criticism.tails import log_tail
 
-#: chi2 of a bin, per degree of freedom, below which it is no line, and how far it rises out of its neighbourhood.
-_LEAST, _RISE = 16.0, 30.0
-_NEIGHBOURS = 101
+#: Bins at zero and at Nyquist that the window spreads over.
+_ENDS = 3
+#: A peak is a line where noise makes as high a one in this share of the bins.
+_IMPROBABLE = 1e-12
 _MOST = 40
 _MAINS = (50.0, 60.0)
 
 
-def lines_in(residual: FloatArray, sample_rate_hz: float, avoided_hz: Sequence[tuple[float, float]]) -> list[float]:
-    """Frequencies [Hz], rising, of the lines in a whitened residual (N, S), outside the bands ``avoided_hz``."""
-    samples = residual.shape[0]
+def spectrum_of(residuals: Sequence[FloatArray], sample_rate_hz: float) -> Spectrum:
+    """Energy by frequency of whitened residuals (N, S) of equal shape, summed over them and their channels."""
+    samples, senses = residuals[0].shape
     window = np.hanning(samples)
     # Windowed, so that a line between two bins is three bins wide and not all of them.
-    power = np.mean(np.abs(rfft(residual.T * window, axis=-1)) ** 2, axis=0) / (0.5 * np.sum(window**2)) / 2.0
-    level = median_filter(power, size=min(_NEIGHBOURS, power.size), mode="nearest")
-    frequency = np.arange(power.size) * sample_rate_hz / samples
-    peak = (power > _LEAST) & (power > _RISE * level)
-    peak[1:-1] &= (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
-    peak[:2] = peak[-2:] = False
+    energy = sum(np.sum(np.abs(rfft(y.T * window, axis=-1)) ** 2, axis=0) for y in residuals)
+    chi2 = np.asarray(energy / (0.5 * np.sum(window**2)))
+    # Of both ends but one or two degrees of freedom are left.
+    inside = slice(_ENDS, chi2.size - _ENDS)
+    return Spectrum(np.arange(chi2.size)[inside] * sample_rate_hz / samples, chi2[inside], 2 * len(residuals) * senses)
+
+
+def lines_in(spectrum: Spectrum, avoided_hz: Sequence[tuple[float, float]]) -> list[float]:
+    """Frequencies [Hz], rising, of the lines in a spectrum, outside the bands ``avoided_hz``."""
+    chi2, frequency = spectrum.chi2, spectrum.frequency_hz
+    peak = log_tail(beyond_neighbours(spectrum), spectrum.dof) < np.log(_IMPROBABLE)
+    peak[1:-1] &= (chi2[1:-1] >= chi2[:-2]) & (chi2[1:-1] >= chi2[2:])
+    peak[0] = peak[-1] = False
     for low, high in avoided_hz:
         peak &= (frequency < low) | (frequency > high)
     found = np.flatnonzero(peak)
-    found = found[np.argsort(-power[found])][:_MOST]
-    return sorted(_refined(power, int(k)) * sample_rate_hz / samples for k in found)
+    found = found[np.argsort(-chi2[found])][:_MOST]
+    width = float(frequency[1] - frequency[0])
+    return sorted(float(frequency[k]) + _refined(chi2, int(k)) * width for k in found)
 
 
 def _refined(power: FloatArray, k: int) -> float:
-    """Vertex [bins] of the parabola through the logarithms of a peak and its neighbours."""
+    """Vertex [bins from k] of the parabola through the logarithms of a peak and its neighbours."""
     a, b, c = np.log(power[k - 1 : k + 2] + 1e-300)
     bend = a - 2.0 * b + c
-    return k + (float(np.clip(0.5 * (a - c) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0)
+    return float(np.clip(0.5 * (a - c) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
 
 
 def merged(frequencies_hz: Sequence[float], resolution_hz: float) -> list[float]:

@@ -17,11 +17,11 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.arrays import FloatArray, IntArray
-from pipeline.criticism.problem import Region
+from pipeline.criticism.problem import Region, Spectrum
 from pipeline.experiment.lapped import lapped
 from pipeline.inference.campaign_fit import CampaignFit, RecordFit
 
-from .campaign_lines import lines_in, merged, without_these
+from .campaign_lines import lines_in, merged, spectrum_of, without_these
 from .campaign_plane import LEVELS, Place, Plane, short_blocks
 
 #: Kinds that cut by frequency: their shares add up to one together.
@@ -42,14 +42,25 @@ class Layout:
 
 
 def layout_of(fit: CampaignFit, planes: Mapping[str, Plane]) -> Layout:
-    """``planes`` and the lines that the residual of ``fit`` shows in its fitted records."""
+    """``planes`` and the lines that the residual of ``fit`` shows in its fitted records, in one of them or in all together."""
     found: list[float] = []
     resolution = 0.0
     for mine in fit.of_role("fit"):
         plane = planes[mine.name]
         resolution = max(resolution, 1.5 * plane.sample_rate_hz / mine.residual.shape[0])
-        found += lines_in(mine.residual, plane.sample_rate_hz, plane.answers_hz)
+        found += lines_in(spectrum_of([mine.residual], plane.sample_rate_hz), plane.answers_hz)
+    answers = [band for mine in fit.of_role("fit") for band in planes[mine.name].answers_hz]
+    for spectrum in pooled_spectra(fit, planes):
+        found += lines_in(spectrum, answers)
     return Layout(planes, tuple(merged(found, resolution)))
+
+
+def pooled_spectra(fit: CampaignFit, planes: Mapping[str, Plane]) -> list[Spectrum]:
+    """The residual of the fitted records by frequency, summed over those of one length and sample rate."""
+    alike: dict[tuple[int, float], list[FloatArray]] = {}
+    for mine in fit.of_role("fit"):
+        alike.setdefault((mine.residual.shape[0], planes[mine.name].sample_rate_hz), []).append(mine.residual)
+    return [spectrum_of(residuals, rate) for (_, rate), residuals in alike.items()]
 
 
 def regions_of(fit: CampaignFit, planes: Mapping[str, Plane]) -> list[Region]:

@@ -24,6 +24,7 @@ from pipeline.criticism.problem import (
     LocalCandidate,
     Region,
     Signatures,
+    Spectrum,
     TermParameter,
 )
 from pipeline.criticism.projection import stratum_grams
@@ -40,7 +41,7 @@ from pipeline.inference.campaign_problem import Problem
 from .campaign_modes import NAME as MODE
 from .campaign_modes import Scan, grid_of, mode_candidate, scan_of
 from .campaign_plane import Plane, planes_of, resonances_of
-from .campaign_regions import regions_of
+from .campaign_regions import pooled_spectra, regions_of
 from .campaign_rows import TOP_HZ, Spectra, block_diagonal, labels_of, same_drive, spectra_of, strata_of
 from .campaign_signatures import signature_of, tangent_of
 
@@ -306,6 +307,10 @@ class CampaignView:
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """Residual energy of each record and channel by time, resonance, harmonic of the drive and band, up to Nyquist."""
         return regions_of(self.campaign_fit(fit.terms), self.planes)
+
+    def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
+        """Residual energy of all records by frequency, up to Nyquist."""
+        return pooled_spectra(self.campaign_fit(fit.terms), self.planes)
 
 
 def _ended(fitted: CampaignFit, name: str) -> bool:

@@ -26,7 +26,7 @@ import numpy as np
 
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.axial import wrap
-from pipeline.criticism.problem import Block, Candidate, FitResult, Region, Signatures, TermParameter
+from pipeline.criticism.problem import Block, Candidate, FitResult, Region, Signatures, Spectrum, TermParameter
 from pipeline.criticism.regression import Regression, Term
 from pipeline.device.effect import Effect
 from pipeline.device.model import Model
@@ -351,6 +351,10 @@ class ModalView:
             Region("resonance", self._labels(place), float(energy[place]), 2.0 * shrink)
             for place in np.ndindex(energy.shape)
         ]
+
+    def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
+        """None: the modes are all the frequencies there are."""
+        return ()
 
     def _labels(self, place: tuple[int, ...]) -> dict[str, object]:
         mode, sense, drive = place

@@ -19,7 +19,7 @@ class Rules:
     Parameters
     ----------
     alpha : family-wise probability of naming a term where there is none.
-    alpha_left : probability of calling a residual structured where it is noise.
+    alpha_left : probability of calling a residual structured where it is noise: "unknown", a milder fault than a wrong name.
     rungs : how many terms may be added.
     least : a term must take this share of the misfit, or what is missing is something else.
     promise : a score must promise this share of it to be worth a refit.
@@ -32,7 +32,7 @@ class Rules:
     """
 
     alpha: float = 0.003
-    alpha_left: float = 0.003
+    alpha_left: float = 0.01
     rungs: int = 6
     least: float = 0.15
     promise: float = 0.01
@@ -88,4 +88,4 @@ def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
 
 def _left(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], Goodness]:
     regions = tuple(problem.regions(fit))
-    return regions, goodness(fit, base, problem.probes(fit), regions)
+    return regions, goodness(fit, base, problem.probes(fit), regions, problem.spectrum(fit))

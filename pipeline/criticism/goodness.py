@@ -5,6 +5,7 @@ chi2 alone is blind: over n rows its sd is sqrt(2 n), 850 for 360,000.  Structur
     probe       along generic shapes that the problem supplies                        chi2_k
     agreement   as parameters on which the blocks, or the blocks of a label, differ    Cochran's Q
     region      as residual energy in one region beyond the common level              chi2_d
+    line        as energy at one frequency beyond its neighbourhood, summed over the data   chi2_d
     repeat      as correlation between residuals of repeats, over dyadic windows       z = sum(a b) / sqrt(sum b^2)
 
 and judged together, each family and the families among each other by Bonferroni's bound.  A common excess of the noise level
@@ -20,7 +21,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from .agreement import agreement, partitions
-from .problem import FitResult, Region, Signatures
+from .lines import beyond_neighbours
+from .problem import FitResult, Region, Signatures, Spectrum
 from .projection import Baseline, project
 from .regions import place
 from .scores import cells_of, falls
@@ -55,13 +57,15 @@ class Goodness:
         return min(self.structures, key=lambda structure: structure.log_p, default=None)
 
 
-def goodness(fit: FitResult, base: Baseline, probes: Signatures, regions: Sequence[Region]) -> Goodness:
+def goodness(
+    fit: FitResult, base: Baseline, probes: Signatures, regions: Sequence[Region], spectra: Sequence[Spectrum] = ()
+) -> Goodness:
     """Look for structure in the residual of a fit with known noise level.
 
     Parameters
     ----------
     fit, base : the fit and its orthonormal baseline (all columns in).
-    probes, regions : what the problem supplies; may be empty.
+    probes, regions, spectra : what the problem supplies; may be empty.
     """
     chi2 = sum(float(np.vdot(r, r)) for r in base.residual)
     level = float(np.sqrt(chi2 / max(base.dof, 1)))
@@ -71,6 +75,7 @@ def goodness(fit: FitResult, base: Baseline, probes: Signatures, regions: Sequen
         _probes(base, probes),
         _agreements(fit, base),
         _regions(regions),
+        _lines(spectra),
         _repeats(fit, base),
     ]
     structures = tuple(structure for structure in found if structure is not None)
@@ -149,6 +154,16 @@ def _regions(regions: Sequence[Region]) -> Structure | None:
             log_p.append(float(log_tail(value / spread**2, max(round(count / spread**2), 1))))
             where.append(place(region))
     return _strongest("region", log_p, where)
+
+
+def _lines(spectra: Sequence[Spectrum]) -> Structure | None:
+    log_p, where = [], []
+    for spectrum in spectra:
+        beyond = beyond_neighbours(spectrum)
+        top = int(np.argmax(beyond))
+        log_p.append(float(log_any(log_tail(beyond[top], spectrum.dof), beyond.size)))
+        where.append(f"line at {spectrum.frequency_hz[top]:.5g} Hz")
+    return _strongest("line", log_p, where)
 
 
 def _repeats(fit: FitResult, base: Baseline) -> Structure | None:

@@ -137,7 +137,7 @@ def _judge(
     """Classes, verdict and wrong forms; a model that leaves a misfit has no classes worth a refit."""
     said = verdict(climbed, (), rules)
     found = classes(problem, climbed, rules) if said == "adequate" and climbed.steps else ()
-    return found, verdict(climbed, found, rules), wrong_forms(climbed.last.fit, rules.alpha_left)
+    return found, verdict(climbed, found, rules), wrong_forms(climbed.last.fit, rules.alpha)
 
 
 def wrong_forms(fit: FitResult, alpha: float) -> dict[str, Agreement]:

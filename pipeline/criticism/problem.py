@@ -204,6 +204,21 @@ class Region:
     robust: float | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Residual energy by frequency, summed over all data that share the grid, where a single frequency may stand out.
+
+    Parameters
+    ----------
+    frequency_hz, chi2 : (M,); neighbours may share energy.
+    dof : degrees of freedom of each.
+    """
+
+    frequency_hz: FloatArray
+    chi2: FloatArray
+    dof: int
+
+
 class Problem(Protocol):
     """A model and its data, as the loop sees them."""
 
@@ -221,4 +236,8 @@ class Problem(Protocol):
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """The residual energy, region by region.  May be empty."""
+        ...
+
+    def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
+        """The residual energy of whole blocks by frequency, one for each grid.  May be empty."""
         ...

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from .problem import Block, Candidate, FitResult, Region, Signatures, TermParameter
+from .problem import Block, Candidate, FitResult, Region, Signatures, Spectrum, TermParameter
 
 _STARTS = 3
 _STEPS = 300
@@ -148,6 +148,10 @@ class Regression:
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """One region a fitted block."""
         return [Region("block", {"block": b.name}, b.chi2, float(b.residual.size)) for b in fit.blocks]
+
+    def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
+        """None: rows are in no order of frequency."""
+        return ()
 
     def _result(
         self, terms: tuple[str, ...], chosen: Sequence[Term], names: list[str], values: dict[str, float], ok: bool

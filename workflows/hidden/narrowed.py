@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pipeline.criticism.problem import FitResult, Problem, Region, Signatures
+from pipeline.criticism.problem import FitResult, Problem, Region, Signatures, Spectrum
 
 
 class Narrowed:
@@ -33,3 +33,7 @@ class Narrowed:
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """As in the whole problem."""
         return self.whole.regions(fit)
+
+    def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
+        """As in the whole problem."""
+        return self.whole.spectrum(fit)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.arrays import FloatArray, IntArray
-from pipeline.criticism.problem import Block, Candidate, FitResult, Region, Signatures, TermParameter
+from pipeline.criticism.problem import Block, Candidate, FitResult, Region, Signatures, Spectrum, TermParameter
 
 ROWS = 400
 #: Scale of the abscissa in each block; the last block is held out.
@@ -124,6 +124,9 @@ class Lines:
         blocks = tuple(np.exp(-800.0 * (scale * X[:, None] - centres) ** 2) + 0.0 for scale in SCALES[:-1])
         parameters = tuple(TermParameter(f"at{i}") for i in range(centres.size))
         return Signatures((Candidate("bumps", parameters, (slice(0, centres.size),)),), blocks)
+
+    def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
+        return ()
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
         parts = [(b, i) for b in range(len(fit.blocks)) for i in range(0, ROWS, 80)]

@@ -10,7 +10,7 @@ from scipy import stats
 
 from pipeline.criticism.agreement import agreement, partitions
 from pipeline.criticism.goodness import goodness
-from pipeline.criticism.problem import Block, FitResult, Region, Signatures
+from pipeline.criticism.problem import Block, FitResult, Region, Signatures, Spectrum
 from pipeline.criticism.projection import baseline
 from pipeline.criticism.regions import explained, where
 
@@ -92,3 +92,21 @@ def test_a_region_is_named_with_its_share_and_what_a_new_model_took_away() -> No
     assert found[0].error == pytest.approx(2.0)
     assert [gone for _, gone in explained(before, after)] == pytest.approx([0.9, 1.0])
     assert where(after) == ()
+
+
+def _spectrum(rng: np.random.Generator, colour: np.ndarray, line: float = 0.0) -> Spectrum:
+    chi2 = rng.chisquare(20, 10_000) * colour
+    chi2[6000] += line
+    return Spectrum(np.arange(10_000.0), chi2, 20)
+
+
+def test_a_line_too_weak_for_each_record_is_structure_in_all_of_them_together_and_coloured_noise_is_none() -> None:
+    rng = np.random.default_rng(5)
+    fit = _fit(rng, [rng.standard_normal(ROWS) for _ in range(2)])
+    coloured = 1.0 + 3.0 / (1.0 + (np.arange(10_000) / 1000.0) ** 2)
+    p = [goodness(fit, baseline(fit), NO_PROBES, (), [_spectrum(rng, coloured)]).p_value for _ in range(200)]
+    assert sum(value < 0.05 for value in p) <= stats.binom.ppf(0.999, 200, 0.05)
+    found = goodness(fit, baseline(fit), NO_PROBES, (), [_spectrum(rng, np.ones(10_000), line=80.0)])
+    assert found.worst is not None
+    assert (found.worst.test, found.worst.where) == ("line", "line at 6000 Hz")
+    assert found.p_value < 1e-6
