@@ -8,7 +8,7 @@ refine(campaign, model)      add, refit, until nothing more is warranted: the la
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 from threadpoolctl import threadpool_limits
 
@@ -25,7 +25,9 @@ from pipeline.experiment.record import Campaign
 from .campaign_answers import Comparison, Diagnosed, Refined
 from .campaign_view import CampaignView
 from .machine import worker_count
-from .modal_learning import ModalComparison, ModalDiagnosed, ModalRefined, compare_modal, diagnose_modal, refine_modal
+
+if TYPE_CHECKING:
+    from .modal_learning import ModalComparison, ModalDiagnosed, ModalRefined
 
 __all__ = ["Comparison", "Diagnosed", "Refined", "compare", "diagnose", "refine", "view_of"]
 
@@ -52,6 +54,8 @@ def compare(campaign: ModalRecord, model: Model = ...) -> ModalComparison: ...
 def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Comparison | ModalComparison:
     """Fit ``model`` to the fit records and judge it on all."""
     if isinstance(campaign, ModalRecord):
+        from .modal_learning import compare_modal
+
         return compare_modal(campaign, model)
     found = Comparison(view_of(campaign, model))
     found.view.fit(())
@@ -66,6 +70,8 @@ def diagnose(campaign: ModalRecord, model: Model = ...) -> ModalDiagnosed: ...
 def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Diagnosed | ModalDiagnosed:
     """Say what ``model`` lacks."""
     if isinstance(campaign, ModalRecord):
+        from .modal_learning import diagnose_modal
+
         return diagnose_modal(campaign, model)
     view = view_of(campaign, model)
     rules = Rules()
@@ -83,6 +89,8 @@ def refine(campaign: ModalRecord, model: Model = ...) -> ModalRefined: ...
 def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Refined | ModalRefined:
     """Climb from ``model`` until nothing more is warranted."""
     if isinstance(campaign, ModalRecord):
+        from .modal_learning import refine_modal
+
         return refine_modal(campaign, model)
     view = view_of(campaign, model)
     climbed = climb(view)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json as json_
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from threadpoolctl import threadpool_limits
 
@@ -19,17 +18,7 @@ from pipeline.experiment.record import Campaign
 from pipeline.plain import plain
 
 from .. import learning
-from ..learning_text import verdict_sentence
-from ..modal_learning import (
-    ModalComparison,
-    ModalDiagnosed,
-    ModalRefined,
-    compare_modal,
-    diagnose_modal,
-    refine_modal,
-)
 from ..separating import Proposal
-from .modal_text import modal_text
 
 
 def _fitted(found: Campaign) -> Campaign:
@@ -57,7 +46,9 @@ def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[
     """See ``gyroscreen compare --help``."""
     measured, base = read_measurement(path), _model(model, folders)
     if isinstance(measured, ModalRecord):
-        _modal("compare", measured, base, out, folders, json)
+        from .learn_modal import answer_modal
+
+        answer_modal("compare", measured, base, out, folders, json)
         return
     campaign = _fitted(measured)
     found = learning.compare(campaign, base)
@@ -80,7 +71,9 @@ def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence
     """See ``gyroscreen diagnose --help``."""
     measured, base = read_measurement(path), _model(model, folders)
     if isinstance(measured, ModalRecord):
-        _modal("diagnose", measured, base, out, folders, json)
+        from .learn_modal import answer_modal
+
+        answer_modal("diagnose", measured, base, out, folders, json)
         return
     campaign = _fitted(measured)
     found = replace(learning.diagnose(campaign, base), drive_files=out is not None)
@@ -96,43 +89,14 @@ def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence
     print(found)
 
 
-def _modal(
-    question: Literal["compare", "diagnose", "refine"],
-    record: ModalRecord,
-    model: Model,
-    out: Path | None,
-    folders: Sequence[Path],
-    json: bool,
-) -> None:
-    """The same three questions to poles and residues."""
-    answers: dict[str, Callable[[ModalRecord, Model], ModalComparison | ModalDiagnosed | ModalRefined]] = {
-        "compare": compare_modal,
-        "diagnose": diagnose_modal,
-        "refine": refine_modal,
-    }
-    found = answers[question](record, model)
-    said = plain(found.to_dict())
-    page = None
-    if out is not None and said.get("verdict") != "fit_failed" and said.get("fit_ok", True):
-        from .learn_pages import modal_page
-
-        page = modal_page(question, record, found.view, said, out, folders)
-    if json:
-        print(json_.dumps(said))
-        return
-    print("\n".join(modal_text(question, said)))
-    if question != "compare":
-        print(verdict_sentence(said["verdict"], said["effects"], said["classes"]))
-    if page is not None:
-        print(page)
-
-
 @threadpool_limits.wrap(limits=1)
 def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
     """See ``gyroscreen refine --help``."""
     measured, base = read_measurement(path), _model(model, folders)
     if isinstance(measured, ModalRecord):
-        _modal("refine", measured, base, out, folders, json)
+        from .learn_modal import answer_modal
+
+        answer_modal("refine", measured, base, out, folders, json)
         return
     campaign = _fitted(measured)
     found = replace(learning.refine(campaign, base), drive_files=out is not None)
