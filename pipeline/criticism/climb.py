@@ -53,7 +53,7 @@ class Climb:
     looks : at the start and after every pass of the loop; the last is the end.
     steps : the terms added, in order.
     refused : term -> why it was not added although its score was significant.
-    failed : the reason when a fit that was needed failed.
+    failed : the reason when the first fit failed, or those of every term that was wanted first.
     fits : every fit made, by its terms.
     """
 
@@ -84,7 +84,8 @@ def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = N
         step, reasons, failures = _next(problem, looks[-1], fits, ended, rules)
         refused.update(reasons | dict.fromkeys(failures, "its fit failed, or raised chi2"))
         if not step:
-            failed = "" if not failures or reasons else f"no fit with {', '.join(failures)} succeeded"
+            # Later, the rungs that stand and the misfit that they leave speak for themselves.
+            failed = "" if not failures or reasons or steps else f"no fit with {', '.join(failures)} succeeded"
             break
         current, dropped = _prune(problem, step[-1].fit, fits, rules)
         step = (*step[:-1], replace(step[-1], fit=current, dropped=dropped))

@@ -1,6 +1,6 @@
 """The verdict: what is left decides, not what fell.
 
-fit_failed  a fit that was needed failed; never evidence
+fit_failed  the given model, or every term that its misfit calls for, could not be fitted; never evidence
 unknown     a significant misfit is left that nothing explains, or only several terms that hardly stand by themselves
 adequate    nothing is missing
 effect      the added terms explain everything, and no other term could stand for one of them

@@ -148,6 +148,14 @@ def test_a_failed_fit_is_no_evidence(toy: Any) -> None:
     assert "cube" in found.why
 
 
+def test_a_fit_that_fails_after_a_rung_leaves_the_misfit_unknown_and_says_why(toy: Any) -> None:
+    hidden = {"bump": 200.0, "cube": 50.0}
+    found = refine(toy.problem(7, hidden, fails=("cube",), library=("bump", "cube")), rules=RULES)
+    assert found.terms == ("bump",)
+    assert (found.verdict, found.rungs[-1].status) == ("unknown", "partial")
+    assert "failed" in found.refused["cube"]
+
+
 def test_the_sd_of_the_paired_difference_is_what_repetition_shows() -> None:
     rng = np.random.default_rng(9)
     change = 0.1 * np.sin(np.arange(5000) / 40.0)[:, None]
