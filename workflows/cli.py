@@ -39,7 +39,13 @@ DEFAULT_RESULTS = Path("results")
 def _options(
     context: typer.Context,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
 ) -> None:
+    if version:
+        from importlib import metadata
+
+        print(f"gyroscreen {metadata.version('gyroscreen')}")
+        raise typer.Exit
     if debug:
         os.environ["GYROSCREEN_DEBUG"] = "1"
     if context.invoked_subcommand is None:

@@ -1,5 +1,6 @@
 """Wrong input of every kind: one typed message, the right exit code, no traceback, nothing lost."""
 
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +119,11 @@ def test_bad_sql_gets_one_message(sql, words, tmp_path, capfd):
     assert captured.err.startswith("error: ")
     for word in words:
         assert word in captured.err
+
+
+def test_the_version_is_that_of_the_distribution(capfd):
+    assert call(["--version"]) == 0
+    assert capfd.readouterr().out == f"gyroscreen {metadata.version('gyroscreen')}\n"
 
 
 def test_help_names_every_command(capfd):
