@@ -11,7 +11,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from .campaign_rows import parameter_label, short_name
+from .campaign_rows import parameter_label, parameters_of, short_name
 from .campaign_wording import effect_words, error_words, listed, missing_sentence, p_words, typeset
 from .figures.ladder import LadderPoint, ladder_plot
 from .figures.modal import AxesPoint, Entry, axes_by_rung, residues
@@ -55,6 +55,7 @@ def render_modal_report(
         refine=refine,
         rungs=rungs,
         last=last,
+        parameters=parameters_of(compare, refine or {}, library or {}),
         classes=[members for members in classes if len(members) > 1],
         laws=_laws(told, library or {}),
         figures={
