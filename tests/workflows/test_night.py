@@ -96,6 +96,12 @@ def test_results_query_report_and_verify(night: Path, tmp_path: Path, capfd: pyt
     assert call(["verify", "--results", str(night)]) == 0
 
 
+def test_a_query_from_the_shell_says_nothing_but_its_answer(night: Path) -> None:
+    asked = command("query", "SELECT count(*) AS n FROM devices", "--results", str(night), "--format", "json")
+    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert (done.returncode, json.loads(done.stdout), done.stderr) == (0, [{"n": 8}], "")
+
+
 def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> None:
     config = load_config(None, {"seed": 7})
     whole = virtual_block(config, Block(0, 0, 3)).devices
