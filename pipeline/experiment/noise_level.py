@@ -3,9 +3,8 @@
     silent    rms of the silent records less offset, trend and lines; LSB^2/12 added where silence does not exercise
     the ADC; pooled with the repeats where there are some and both agree
     repeats   rms of the difference of records with the same drive, over sqrt 2
-    local     what a local polynomial in frequency (response and transient, second order) leaves of each record,
-    median over
-              windows
+    local     what a local polynomial in frequency (response and transient, second order) leaves of each record, median
+              over windows
 
 Shapes: N samples, S senses.  sigma (S,) [V], the standard deviation of a sample.
 """
@@ -56,7 +55,8 @@ def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | No
     power = np.abs(rfft(rest * np.hanning(samples)[:, None], axis=0)[1:]) ** 2
     reach = min(_NEIGHBOURS, power.shape[0] | 1)
     # A Hann window spreads a line over three bins whatever its frequency.
-    level = median_filter(power, size=(reach, 1), mode="nearest") / np.log(2.0)
+    # Channel by channel: a filter of one axis is ten times faster than the same over two.
+    level = np.stack([median_filter(own, size=reach, mode="nearest") for own in power.T], axis=1) / np.log(2.0)
     line = maximum_filter1d(power > _LINE * level, size=5, axis=0)
     free = samples - basis.shape[1]
     plain = np.sum(rest**2, axis=0) / max(free, 1)
