@@ -49,11 +49,13 @@ class Rules:
 class Look:
     """What one fit shows.
 
-    ``scores`` most significant first; ``null`` they were judged by; ``projected`` the scores' covariance; ``goodness`` of what
-    is left; ``regions`` its energy; ``invisible`` the candidates that these data could not have shown.
+    ``base`` its columns, orthonormal; ``scores`` most significant first; ``null`` they were judged by; ``projected`` the scores'
+    covariance; ``goodness`` of what is left; ``regions`` its energy; ``invisible`` the candidates that these data could not have
+    shown.
     """
 
     fit: FitResult
+    base: Baseline
     signatures: Signatures
     projected: Projected
     scores: tuple[Score, ...]
@@ -83,7 +85,7 @@ def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
             projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
         )
         regions, left = rest.result()
-    return Look(fit, signatures, projected, scores, null, left, regions)
+    return Look(fit, base, signatures, projected, scores, null, left, regions)
 
 
 def _left(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], Goodness]:

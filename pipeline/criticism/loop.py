@@ -14,11 +14,10 @@ import numpy as np
 
 from .agreement import Agreement, agreement, partitions
 from .climb import Climb, climb
-from .examine import Rules
+from .examine import Look, Rules
 from .goodness import Goodness
 from .ladder import Ladder, build
 from .problem import FitResult, Problem
-from .projection import baseline
 from .scores import Score
 from .verdict import TermClass, Verdict, classes, verdict
 
@@ -137,12 +136,12 @@ def _judge(
     """Classes, verdict and wrong forms; a model that leaves a misfit has no classes worth a refit."""
     said = verdict(climbed, (), rules)
     found = classes(problem, climbed, rules) if said == "adequate" and climbed.steps else ()
-    return found, verdict(climbed, found, rules), wrong_forms(climbed.last.fit, rules.alpha)
+    return found, verdict(climbed, found, rules), wrong_forms(climbed.last, rules.alpha)
 
 
-def wrong_forms(fit: FitResult, alpha: float) -> dict[str, Agreement]:
+def wrong_forms(here: Look, alpha: float) -> dict[str, Agreement]:
     """Terms of a fit whose size disagrees between blocks, or between the values of a label."""
-    base = baseline(fit)
+    fit = here.fit
     asked = [
         (term, columns, name, parts)
         for term, columns in fit.columns.items()
@@ -151,7 +150,7 @@ def wrong_forms(fit: FitResult, alpha: float) -> dict[str, Agreement]:
     ]
     found: dict[str, Agreement] = {}
     for term, columns, name, parts in asked:
-        seen = agreement(base, name, parts, columns)
+        seen = agreement(here.base, name, parts, columns)
         if seen.log_p < np.log(alpha / len(asked)) and (term not in found or seen.log_p < found[term].log_p):
             found[term] = seen
     return found
