@@ -7,6 +7,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,6 +36,20 @@ def read_text(path: Path) -> bytes:
             value=f"{path}: {error.strerror}",
             next_step="check the path and permissions",
         ) from error
+
+
+def read_table(path: Path, what: str, allowed: str, otherwise: str) -> dict[str, Any]:
+    """The top table of the TOML file that is called ``what``; whatever hinders is one :class:`ConfigError`.
+
+    ``allowed`` tables and keys; ``otherwise`` says what to do where there is no such file.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        reason, next_step = (error.strerror or str(error)).lower(), f"check the path, or {otherwise}"
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason, next_step = f"not TOML in UTF-8: {error}", "correct the line that is named"
+    raise ConfigError(f"{what} cannot be read: {reason}", value=str(path), allowed=allowed, next_step=next_step)
 
 
 def decode(text: bytes, kind: type[T], where: str) -> T:

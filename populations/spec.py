@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from typing import Any
 import msgspec
 
 from pipeline.errors import ConfigError
+from pipeline.toml_files import read_table
 
 from .irregularity import Irregularity, Parameter, find
 from .layout import die_centres
@@ -102,14 +102,8 @@ def load_spec(path: Path | None = None) -> PopulationSpec:
     range.
     """
     source = DEFAULT if path is None else path
-    try:
-        data = tomllib.loads(source.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(
-            f"population {source} cannot be read ({error})",
-            allowed="a TOML file in UTF-8",
-            next_step=f"start from a copy of {DEFAULT.name} in populations/specs",
-        ) from error
+    otherwise = f"start from a copy of {DEFAULT.name} in populations/specs"
+    data = read_table(source, "population", ", ".join(PopulationSpec.__struct_fields__), otherwise)
     return _checked(data, source.resolve().parent)
 
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from pipeline.arrays import BoolArray, FloatArray
 from pipeline.axial import PERIOD_DEG, in_arc
 from pipeline.errors import ConfigError
 from pipeline.quantities import AXES, NAMES
+from pipeline.toml_files import read_table
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,8 @@ def load_limits(table: Mapping[str, Any] | Path) -> Limits:
         pass_at <= 1.
     """
     if isinstance(table, Path):
-        table = _read(table)
+        otherwise = "start from a copy of limits_default.toml in reports"
+        table = read_table(table, "limits file", "[rule] and [limits.<quantity>] tables", otherwise)
     _known("limits table", table, ("rule", "limits"))
     limits = _table("[limits]", table.get("limits", {}))
     if not limits:
@@ -127,26 +128,6 @@ def load_limits(table: Mapping[str, Any] | Path) -> Limits:
         _rule(_table("[rule]", table.get("rule", {}))),
         tuple(_limit(name, _table(f"[limits.{name}]", bounds)) for name, bounds in limits.items()),
     )
-
-
-def _read(path: Path) -> Mapping[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = error.strerror or "cannot be read"
-        raise ConfigError(
-            f"limits file: {reason}",
-            value=str(path),
-            allowed="a readable TOML file",
-            next_step="correct the path",
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"limits file is not TOML ({error})",
-            value=str(path),
-            allowed="[rule] and [limits.<quantity>] tables",
-            next_step="correct the line that is named",
-        ) from None
 
 
 def _table(name: str, value: Any) -> Mapping[str, Any]:

@@ -26,6 +26,7 @@ from pipeline.experiment.modal_record import ModalRecord
 from pipeline.inference.modal_axes import NAMES
 
 from .modal_view import ModalView
+from .modal_where import entries_by_misfit
 
 ALPHA_UNKNOWN_NOISE = 0.05
 _PAIRS = 6
@@ -66,7 +67,7 @@ class ModalComparison:
                 "from": "declared" if self.view.noise_known else "residual",
                 "unit": "norm of each mode",
             },
-            "where": self.view.where(fit),
+            "where": entries_by_misfit(self.view, fit),
             "parameters": {name: list(value) for name, value in fit.parameters.items()},
             "dof": fit.dof,
             **_axes(self.view, fit),
@@ -157,7 +158,7 @@ class ModalRefined:
                     out[f"{stem}_{key}{unit}"] = list(fit.derived[name])
         out["parameters"] = {name: list(value) for name, value in last.parameters.items()}
         out["relative_error"] = {"before": first.relative_error["fit"], "after": last.relative_error["fit"]}
-        out["where"] = self.view.where(last)
+        out["where"] = entries_by_misfit(self.view, last)
         out["candidates_left"] = _candidates(look(self.view, last, rules_for(self.view.record)))
         out["invisible"], out["declared"] = list(self.view.unseen), list(self.view.declared)
         return out

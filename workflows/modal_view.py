@@ -367,27 +367,6 @@ class ModalView:
             "band_hz": [f * (1.0 - zeta), f * (1.0 + zeta)],
         }
 
-    def where(self, fit: FitResult) -> list[dict[str, object]]:
-        """Every entry with its share of the squared misfit, the largest first."""
-        rest, model = self.residuals(fit), self.modes(_values(fit)).c
-        squared = np.abs(rest) ** 2
-        regions = dict(zip(np.ndindex(squared.shape), self.regions(fit)))
-        told: list[dict[str, object]] = []
-        for place in sorted(regions, key=lambda place: float(-squared[place])):
-            c, norm, region = self.measured.c[place], self.norms[place[0]], regions[place]
-            told.append(
-                {
-                    **region.labels,
-                    "kind": "resonance",
-                    "share": float(squared[place] / max(float(squared.sum()), 1e-300)),
-                    "error": float(np.sqrt(region.chi2 / region.dof)) if self.noise_known else None,
-                    "relative_error": float(np.abs(rest[place])),
-                    "measured": [float((c / norm).real), float((c / norm).imag)],
-                    "model": [float((model[place] / norm).real), float((model[place] / norm).imag)],
-                }
-            )
-        return told
-
 
 def _values(fit: FitResult) -> dict[str, float]:
     return {name: value for name, (value, _) in fit.parameters.items()}

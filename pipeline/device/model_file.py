@@ -9,12 +9,12 @@ effect_folders = ["my-effects"]  # optional: users' own effects, relative to thi
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
+from ..toml_files import read_table
 from .model import Model, PlantSpec
 
 
@@ -81,23 +81,8 @@ def load_model(path: str | Path, effect_folders: Iterable[str | Path] = ()) -> M
     ConfigError : the file cannot be read or does not say a model.
     """
     path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise ConfigError(
-            f"model file cannot be read: {reason}",
-            value=str(path),
-            allowed="a TOML file: plant, effects, fixed, prior",
-            next_step=f"check the path, or write one: gyroscreen model add EFFECT {path.name}",
-        ) from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(
-            f"model file cannot be read: {error}",
-            value=str(path),
-            allowed="plant, effects, fixed, prior",
-            next_step="correct the file",
-        ) from error
+    otherwise = f"write one: gyroscreen model add EFFECT {path.name}"
+    data = read_table(path, "model file", "plant, effects, effect_folders, fixed, prior", otherwise)
     # Folders must be known before the effects are looked up.
     extra = [str(Path(folder).resolve()) for folder in effect_folders]
     if extra and isinstance(data.get("effect_folders", []), list):
