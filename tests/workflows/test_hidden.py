@@ -22,7 +22,7 @@ from workflows.coverage import Share
 from workflows.hidden import draw, study
 from workflows.hidden.confusion import answer, confusion, figures, main_parameter, power
 from workflows.hidden.draw import INSTRUMENT, KINDS, SIGMA_V, device, effects_of, hide, noise, stream
-from workflows.hidden.effects import LIBRARY, draw_effect
+from workflows.hidden.effects import LIBRARY, Peak, draw_effect
 from workflows.hidden.integrator import STATES, integrate, lagged, slope
 from workflows.hidden.strengths import baseline, sized
 from workflows.hidden.truth import OUTSIDE, physics, response
@@ -40,7 +40,7 @@ def _rms(y: FloatArray) -> float:
 
 
 def _drawn(effect: str, size: float, seed: int = 0) -> dict[str, float]:
-    drawn = draw_effect(effect, _DEVICE, 2.0, np.random.default_rng(seed))
+    drawn = draw_effect(effect, _DEVICE, Peak(2.0, 2.0), np.random.default_rng(seed))
     return drawn.at(min(size, drawn.most))
 
 
@@ -181,6 +181,10 @@ def test_noise_that_a_converter_clips_stays_below_its_level() -> None:
     lsb = 20.0 / 2**16
     assert found[1.0] <= 0.5 * lsb
     assert found[0.0] > lsb
+
+
+def test_a_stop_is_met_where_the_up_down_motion_is_the_larger_one() -> None:
+    assert 10.0 < hide("outside", 38, 5).snr[0] < 1000.0
 
 
 def test_each_in_turn_and_pairs_that_can_be_told_apart() -> None:

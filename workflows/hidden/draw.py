@@ -21,7 +21,7 @@ from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Record
 
 from ..simulate import device_parameters, standard_excitations
-from .effects import LIBRARY, Drawn, draw_effect
+from .effects import LIBRARY, Drawn, draw_effect, peak_of
 from .strengths import Baseline, baseline, modelled, sized
 from .truth import OUTSIDE, clipped, hum, response
 
@@ -140,7 +140,7 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
         changed = dict(values)
         for i, effect in enumerate(effects):
             target = float(np.exp(random.uniform(*np.log(KINDS[kind].snr))))
-            drawn = draw_effect(effect, values, max(float(np.abs(y).max()) for y in before), random)
+            drawn = draw_effect(effect, values, peak_of(before), random)
             found = _strength(
                 effect, drawn, values, fitted, before, base, target, stream(seed, kind, number, f"hum{i}")
             )

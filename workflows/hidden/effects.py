@@ -5,15 +5,31 @@ The direction at size 1 is roughly an SNR of 100 on the standard campaign; sizes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from pipeline.arrays import FloatArray
 
 from .truth import HARMONICS, OUTSIDE
 
 #: |c12| stays below this share of sqrt(c11 c22); a converter keeps this inverse level at least [1/V].
 _PASSIVE, _LONGEST = 0.9, 1e9
+
+
+@dataclass(frozen=True)
+class Peak:
+    """Largest samples [V]: of the outputs, and of the rocking motion, which is that at least."""
+
+    output_v: float
+    rocking_v: float
+
+
+def peak_of(records: Sequence[FloatArray]) -> Peak:
+    """Of records (N, 2):  |psi| >= |psi_x - psi_y| / sqrt 2,  and the up-down motion is the same in both outputs."""
+    output = max(float(np.abs(y).max()) for y in records)
+    return Peak(output, max(float(np.abs(y[:, 0] - y[:, 1]).max()) for y in records) / float(np.sqrt(2.0)))
 
 
 @dataclass(frozen=True)
@@ -62,13 +78,13 @@ def _plain(effect: str, random: np.random.Generator) -> Drawn:
     return Drawn(direction, most=largest / max(abs(v) for v in direction.values()))
 
 
-def _damping(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
+def _damping(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     c11, c22 = (4.0 * np.pi * values[f"f{i}_hz"] * values[f"zeta{i}"] for i in (1, 2))
     size = 0.02 * float(random.choice([-1.0, 1.0]))
     return Drawn({"c12_per_s": size}, most=float(_PASSIVE * np.sqrt(c11 * c22)) / abs(size))
 
 
-def _parasitic(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
+def _parasitic(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     angle, towards = random.uniform(-90.0, 90.0), random.uniform(0.0, 2.0 * np.pi)
     fixed = {
         "parasitic_mode.f": float(300.0 * (2500.0 / 300.0) ** random.uniform()),
@@ -79,50 +95,50 @@ def _parasitic(values: Mapping[str, float], peak_v: float, random: np.random.Gen
     return Drawn(b, fixed, most=900.0)
 
 
-def _saturation(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
+def _saturation(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     # Size 1 clips nothing yet.  Noise enters behind the stage that clips, or in front of it.
     before = float(random.integers(2))
-    return Drawn({"adc_saturation.1/level": 1.0 / peak_v}, {"adc_saturation.clips_noise": before}, most=20.0)
+    return Drawn({"adc_saturation.1/level": 1.0 / peak.output_v}, {"adc_saturation.clips_noise": before}, most=20.0)
 
 
-def _hum(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
+def _hum(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     amplitude = 3e-4 * random.uniform(0.2, 1.0, HARMONICS) / np.arange(1, HARMONICS + 1)
     direction = {f"mains_hum.a{h + 1}": float(a) for h, a in enumerate(amplitude)}
     return Drawn(direction, {"mains_hum.f": float(random.choice([50.0, 60.0]))})
 
 
-def _friction(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
-    return Drawn({"coulomb_friction.F": 0.01}, {"coulomb_friction.s": peak_v * 0.005 * 4.0 ** random.uniform()})
+def _friction(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    return Drawn({"coulomb_friction.F": 0.01}, {"coulomb_friction.s": peak.output_v * 0.005 * 4.0 ** random.uniform()})
 
 
 def _motion(values: Mapping[str, float], peak_v: float) -> float:
     return peak_v / (2.0 * np.pi * values["f1_hz"])
 
 
-def _hysteresis(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
-    reach = _motion(values, peak_v) * 0.05 * 6.0 ** random.uniform()
+def _hysteresis(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    reach = _motion(values, peak.output_v) * 0.05 * 6.0 ** random.uniform()
     return Drawn({"hysteresis.k": 10.0}, {"hysteresis.r": float(reach)})
 
 
-def _stop(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
-    return Drawn({"stop.k": 100.0}, {"stop.g": float(_motion(values, peak_v) * random.uniform(0.25, 0.5))})
+def _stop(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    return Drawn({"stop.k": 100.0}, {"stop.g": float(_motion(values, peak.rocking_v) * random.uniform(0.4, 0.8))})
 
 
-def _coupling(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
+def _coupling(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     return Drawn({"mode_coupling.c": 3e7 * float(random.choice([-1.0, 1.0]))})
 
 
-def _pumping(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
+def _pumping(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     f = values["f1_hz"] + values["f2_hz"] + random.uniform(-3.0, 3.0)
     return Drawn({"parametric_pumping.h": 3e-6}, {"parametric_pumping.f": float(f)}, most=300.0)
 
 
-def _heating(values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
+def _heating(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     direction = {"self_heating.b": 1e-5 * float(random.choice([-1.0, 1.0]))}
     return Drawn(direction, {"self_heating.tau": float(0.02 * 15.0 ** random.uniform())})
 
 
-_OWN: dict[str, Callable[[Mapping[str, float], float, np.random.Generator], Drawn]] = {
+_OWN: dict[str, Callable[[Mapping[str, float], Peak, np.random.Generator], Drawn]] = {
     "offdiagonal_damping": _damping,
     "parasitic_mode": _parasitic,
     "adc_saturation": _saturation,
@@ -139,6 +155,6 @@ _OWN: dict[str, Callable[[Mapping[str, float], float, np.random.Generator], Draw
 LIBRARY: tuple[str, ...] = tuple(sorted({*_PLAIN, *_OWN} - set(OUTSIDE)))
 
 
-def draw_effect(effect: str, values: Mapping[str, float], peak_v: float, random: np.random.Generator) -> Drawn:
-    """``effect`` on the device with ``values``, whose records peak at ``peak_v`` [V] without it."""
-    return _OWN[effect](values, peak_v, random) if effect in _OWN else _plain(effect, random)
+def draw_effect(effect: str, values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    """``effect`` on the device with ``values``, whose records have this ``peak`` without it."""
+    return _OWN[effect](values, peak, random) if effect in _OWN else _plain(effect, random)
