@@ -20,16 +20,16 @@ _PASSIVE, _LONGEST = 0.9, 1e9
 
 @dataclass(frozen=True)
 class Peak:
-    """Largest samples [V]: of the outputs, and of the rocking motion, which is that at least."""
+    """Largest samples [V]: of the outputs, and of the rocking velocity |psi'|, which is that at least."""
 
     output_v: float
     rocking_v: float
 
 
 def peak_of(records: Sequence[FloatArray]) -> Peak:
-    """Of records (N, 2):  |psi| >= |psi_x - psi_y| / sqrt 2,  and the up-down motion is the same in both outputs."""
+    """Of records (N, 2):  y_2 - y_1 = 2 psi_x',  and |psi'| >= |psi_x'|; the up-down motion is the same in both outputs."""
     output = max(float(np.abs(y).max()) for y in records)
-    return Peak(output, max(float(np.abs(y[:, 0] - y[:, 1]).max()) for y in records) / float(np.sqrt(2.0)))
+    return Peak(output, 0.5 * max(float(np.abs(y[:, 1] - y[:, 0]).max()) for y in records))
 
 
 @dataclass(frozen=True)
