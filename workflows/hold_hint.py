@@ -56,10 +56,9 @@ def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -
     """
     stand_ins = stand_ins_of(fit, given)
     asked = replace(campaign, records=tuple(_beginning(record) for record in campaign.with_role("fit")))
-    plain = fit.model
-    for name in stand_ins:
-        plain = plain.without_effect(name)
-    declared = _error(fit.model, asked, fit)
+    model = _without(fit.model, _forces_of(fit, given))
+    plain = _without(model, stand_ins)
+    declared = _error(model, asked, fit)
     others = {hold: _error(plain, _held(asked, hold), fit) for hold in HOLDS if hold != campaign.instrument.hold}
     likely = min(others, key=lambda hold: others[hold])
     if not others[likely] < _PLAINLY * declared:
@@ -70,6 +69,19 @@ def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -
 def stand_ins_of(fit: CampaignFit, given: Sequence[str] = ()) -> tuple[str, ...]:
     """Effects of a fit that a wrong hold looks like and that the user did not put there."""
     return tuple(name for name in STAND_INS if name in fit.model.effects and name not in given)
+
+
+def _forces_of(fit: CampaignFit, given: Sequence[str]) -> tuple[str, ...]:
+    """Force laws of a gyro that the climb put into the model: its hold shows without them, and they take a minute to refit."""
+    if fit.model.plant.kind != "gyro":
+        return ()
+    return tuple(e.name for e in fit.model.ordered_effects() if e.force is not None and e.name not in given)
+
+
+def _without(model: Model, names: Sequence[str]) -> Model:
+    for name in names:
+        model = model.without_effect(name)
+    return model
 
 
 def _beginning(record: Record) -> Record:
