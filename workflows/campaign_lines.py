@@ -26,16 +26,26 @@ _MOST = 40
 _MAINS = (50.0, 60.0)
 
 
-def spectrum_of(residuals: Sequence[FloatArray], sample_rate_hz: float) -> Spectrum:
-    """Energy by frequency of whitened residuals (N, S) of equal shape, summed over them and their channels."""
-    samples, senses = residuals[0].shape
+def spectrum_of(residual: FloatArray, sample_rate_hz: float) -> Spectrum:
+    """Energy by frequency of a whitened residual (N, S), summed over its channels."""
+    samples, senses = residual.shape
     window = np.hanning(samples)
     # Windowed, so that a line between two bins is three bins wide and not all of them.
-    energy = sum(np.sum(np.abs(rfft(y.T * window, axis=-1)) ** 2, axis=0) for y in residuals)
-    chi2 = np.asarray(energy / (0.5 * np.sum(window**2)))
+    chi2 = np.sum(np.abs(rfft(residual.T * window, axis=-1)) ** 2, axis=0) / (0.5 * np.sum(window**2))
     # Of both ends but one or two degrees of freedom are left.
     inside = slice(_ENDS, chi2.size - _ENDS)
-    return Spectrum(np.arange(chi2.size)[inside] * sample_rate_hz / samples, chi2[inside], 2 * len(residuals) * senses)
+    return Spectrum(np.arange(chi2.size)[inside] * sample_rate_hz / samples, chi2[inside], 2 * senses)
+
+
+def pooled(spectra: Sequence[Spectrum]) -> list[Spectrum]:
+    """The sums of those that share a grid of frequencies."""
+    alike: dict[bytes, list[Spectrum]] = {}
+    for one in spectra:
+        alike.setdefault(one.frequency_hz.tobytes(), []).append(one)
+    return [
+        Spectrum(own[0].frequency_hz, np.sum([one.chi2 for one in own], axis=0), sum(one.dof for one in own))
+        for own in alike.values()
+    ]
 
 
 def lines_in(spectrum: Spectrum, avoided_hz: Sequence[tuple[float, float]]) -> list[float]:

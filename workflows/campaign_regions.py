@@ -21,7 +21,7 @@ from pipeline.criticism.problem import Region, Spectrum
 from pipeline.experiment.lapped import lapped
 from pipeline.inference.campaign_fit import CampaignFit, RecordFit
 
-from .campaign_lines import lines_in, merged, spectrum_of, without_these
+from .campaign_lines import lines_in, merged, pooled, spectrum_of, without_these
 from .campaign_plane import LEVELS, Place, Plane, short_blocks
 
 #: Kinds that cut by frequency: their shares add up to one together.
@@ -43,24 +43,21 @@ class Layout:
 
 def layout_of(fit: CampaignFit, planes: Mapping[str, Plane]) -> Layout:
     """``planes`` and the lines that the residual of ``fit`` shows in its fitted records, in one of them or in all together."""
+    fitted = fit.of_role("fit")
+    spectra = residual_spectra(fit, planes)
     found: list[float] = []
-    resolution = 0.0
-    for mine in fit.of_role("fit"):
-        plane = planes[mine.name]
-        resolution = max(resolution, 1.5 * plane.sample_rate_hz / mine.residual.shape[0])
-        found += lines_in(spectrum_of([mine.residual], plane.sample_rate_hz), plane.answers_hz)
-    answers = [band for mine in fit.of_role("fit") for band in planes[mine.name].answers_hz]
-    for spectrum in pooled_spectra(fit, planes):
+    for mine, spectrum in zip(fitted, spectra):
+        found += lines_in(spectrum, planes[mine.name].answers_hz)
+    answers = [band for mine in fitted for band in planes[mine.name].answers_hz]
+    for spectrum in pooled(spectra):
         found += lines_in(spectrum, answers)
-    return Layout(planes, tuple(merged(found, resolution)))
+    widths = (planes[mine.name].sample_rate_hz / mine.residual.shape[0] for mine in fitted)
+    return Layout(planes, tuple(merged(found, 1.5 * max(widths, default=0.0))))
 
 
-def pooled_spectra(fit: CampaignFit, planes: Mapping[str, Plane]) -> list[Spectrum]:
-    """The residual of the fitted records by frequency, summed over those of one length and sample rate."""
-    alike: dict[tuple[int, float], list[FloatArray]] = {}
-    for mine in fit.of_role("fit"):
-        alike.setdefault((mine.residual.shape[0], planes[mine.name].sample_rate_hz), []).append(mine.residual)
-    return [spectrum_of(residuals, rate) for (_, rate), residuals in alike.items()]
+def residual_spectra(fit: CampaignFit, planes: Mapping[str, Plane]) -> list[Spectrum]:
+    """The residual of each fitted record by frequency."""
+    return [spectrum_of(mine.residual, planes[mine.name].sample_rate_hz) for mine in fit.of_role("fit")]
 
 
 def regions_of(fit: CampaignFit, planes: Mapping[str, Plane]) -> list[Region]:

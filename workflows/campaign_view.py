@@ -38,10 +38,11 @@ from pipeline.inference.campaign_fit import CampaignFit, RecordFit, fit_with_col
 from pipeline.inference.campaign_free import free_shapes
 from pipeline.inference.campaign_problem import Problem
 
+from .campaign_lines import pooled
 from .campaign_modes import NAME as MODE
 from .campaign_modes import Scan, grid_of, mode_candidate, scan_of
 from .campaign_plane import Plane, planes_of, resonances_of
-from .campaign_regions import pooled_spectra, regions_of
+from .campaign_regions import regions_of, residual_spectra
 from .campaign_rows import TOP_HZ, Spectra, block_diagonal, labels_of, same_drive, spectra_of, strata_of
 from .campaign_signatures import signature_of, tangent_of
 
@@ -310,7 +311,7 @@ class CampaignView:
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
         """Residual energy of all records by frequency, up to Nyquist."""
-        return pooled_spectra(self.campaign_fit(fit.terms), self.planes)
+        return pooled(residual_spectra(self.campaign_fit(fit.terms), self.planes))
 
 
 def _ended(fitted: CampaignFit, name: str) -> bool:
