@@ -11,14 +11,14 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from pipeline.device.trim import Target
-from pipeline.device.trim_electrodes import Electrodes, standard_electrodes
+from pipeline.device.operation.trim import Target
+from pipeline.device.operation.trim_electrodes import Electrodes, standard_electrodes
 from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, Excitation, Multisine
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
-from pipeline.experiment.measure import Hum
+from pipeline.experiment.noise.measure import Hum
 from pipeline.inference.gate import Gate
-from pipeline.inference.sample import SamplerSettings
+from pipeline.inference.screening.sample import SamplerSettings
 from pipeline.toml_files import converted, decode, read_text
 from reports.limits import DEFAULT_LIMITS, Limits, load_limits
 

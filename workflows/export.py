@@ -10,10 +10,10 @@ import numpy as np
 from scipy.io import savemat
 
 from pipeline.device.gyro import PHYSICAL, gyro_mechanics, to_physical
-from pipeline.device.state_space import state_space
+from pipeline.device.operation.state_space import state_space
 from pipeline.errors import MeasurementError, UsageError
 from pipeline.experiment.record import Campaign
-from pipeline.inference.device import DeviceResult
+from pipeline.inference.screening.device import DeviceResult
 
 FORMATS = (".json", ".mat")
 

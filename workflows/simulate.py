@@ -17,9 +17,9 @@ from pipeline.device.gyro import PHYSICAL, to_cartesian, to_physical
 from pipeline.device.model import Model
 from pipeline.errors import ConfigError
 from pipeline.experiment.excitation import Chirp, Excitation, Multisine, Silence, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import Instrument
-from pipeline.experiment.measure import Hum, measured
+from pipeline.experiment.noise.measure import Hum, measured
 from pipeline.experiment.record import Campaign, Record, Role
 from populations.draw import draw
 from populations.spec import load_spec

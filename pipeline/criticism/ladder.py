@@ -13,9 +13,9 @@ from typing import Any, Literal
 import numpy as np
 
 from .agreement import Agreement
-from .climb import Climb
 from .problem import FitResult
 from .regions import Where, explained
+from .selection import Climb
 from .verdict import TermClass, Verdict, misfit
 
 Status = Literal["confirmed", "partial"]

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from .agreement import Agreement, agreement, partitions
-from .climb import Climb, climb
-from .examine import Look, Rules
+from .fit_tests import Look, Rules
 from .goodness import Goodness
 from .ladder import Ladder, build
 from .problem import FitResult, Problem
 from .scores import Score
+from .selection import Climb, climb
 from .verdict import TermClass, Verdict, classes, verdict
 
 

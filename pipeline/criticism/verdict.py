@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from .classes import Rival, rivals
-from .climb import SURE, Climb, tail_of_rise, wald
-from .examine import Rules
+from .fit_tests import Rules
 from .problem import Problem
+from .selection import SURE, Climb, tail_of_rise, wald
 
 Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
 #: Times the largest noise level there may be, above which what is left is plainly no noise.

@@ -31,12 +31,12 @@ from msgspec import Meta
 from .. import toml_files as toml
 from ..arrays import FloatArray
 from ..errors import MeasurementError, UsageError
-from .columns import MIN_SAMPLES, assemble
-from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
+from .files.channels import mend
+from .files.columns import MIN_SAMPLES, assemble
+from .files.common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
+from .files.modal_record import ModalRecord, decode_modal_record
+from .files.readers import existing, read_columns, read_record, write_columns
 from .instrument import Adc, Hold, Instrument
-from .mend import mend
-from .modal_record import ModalRecord, decode_modal_record
-from .readers import existing, read_columns, read_record, write_columns
 from .record import Campaign, Channels, Record, Role
 
 Sign = Literal[-1, 1]

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import ComplexArray, FloatArray
+from ..experiment.files.modal_record import ModalRecord
 from ..experiment.instrument import AntiAlias, Instrument
-from ..experiment.modal_record import ModalRecord
 from ..experiment.record import Record
 from .arx import fit_arx
 from .axes import Axes, Gains, axes, gains_from_updown

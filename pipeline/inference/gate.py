@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..experiment.lines import lines_removed, without_lines
+from ..experiment.noise.lines import lines_removed, without_lines
 
 SURVIVING_SHARE = 0.16
 

@@ -2,7 +2,7 @@
 
     rate_bias = Omega_Q tan(phi) + inphase_bias,      Omega_Q = (w1^2 - w2^2) sin 2theta / (4 kappa omega0)
 
-(``pipeline.device.bias``).  Frequencies, axes and damping come with the draws; kappa and the demodulation phase phi are
+(``pipeline.device.operation.bias``).  Frequencies, axes and damping come with the draws; kappa and the demodulation phase phi are
 known to a standard deviation each and drawn along.  Shapes: n draws.
 """
 
@@ -13,13 +13,13 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
-from ..device.bias import quantities_of, rate_biases_dps
 from ..device.gyro import split_hz, to_cartesian
-from ..device.rebalance import self_oscillation_hz
-from ..device.trim import TrimResult
+from ..device.operation.bias import quantities_of, rate_biases_dps
+from ..device.operation.rebalance import self_oscillation_hz
+from ..device.operation.trim import TrimResult
 from ..errors import ConfigError
-from .device import RateSettings
-from .summary import summarise
+from .screening.device import RateSettings
+from .screening.summary import summarise
 
 
 def bias_draws(
@@ -28,7 +28,7 @@ def bias_draws(
     phase_error_deg: float | FloatArray,
     drive: Literal["f1", "f2", "locked"] = "locked",
 ) -> dict[str, FloatArray]:
-    """The rate biases of ``pipeline.device.bias`` [deg/s], each (n,), of physical draws (n, 12).
+    """The rate biases of ``pipeline.device.operation.bias`` [deg/s], each (n,), of physical draws (n, 12).
 
     angular_gain and phase_error_deg may differ from draw to draw; a "locked" drive runs at its own frequency.
     Raises ConfigError for an angular gain that is not positive, or |phi| >= 90 deg.

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reports.campaign_page import RecordView, effect_texts, render_campaign_report
-from reports.campaign_wording import p_words, typeset
-from reports.record_view import by_level, drive_band, drive_frequency, sigma_v, spectra, time_frequency
+from reports.learning.page import RecordView, effect_texts, render_campaign_report
+from reports.learning.record_view import by_level, drive_band, drive_frequency, sigma_v, spectra, time_frequency
+from reports.words.campaign import p_words, typeset
 
 RATE, N, SIGMA = 4000.0, 6000, 1e-3
 T = np.arange(N) / RATE

@@ -12,13 +12,13 @@ import pytest
 
 from pipeline.errors import ConfigError
 from pipeline.store.schema import devices_table
-from reports.calibration import check_verdicts, coverages
-from reports.causes import pareto, stage_losses
-from reports.content import facts, run_content
 from reports.devices import Devices
-from reports.health import route_differences, status_counts
 from reports.limits import DEFAULT_LIMITS, load_limits
-from reports.worst import margins, worst_devices
+from reports.run.calibration import check_verdicts, coverages
+from reports.run.causes import pareto, stage_losses
+from reports.run.content import facts, run_content
+from reports.run.health import route_differences, status_counts
+from reports.run.worst import margins, worst_devices
 
 LIMITS = load_limits(
     {"limits": {"split_hz": {"max": 3.0}, "quality1": {"min": 1200}, "theta_deg": {"min": 80, "max": 100}}}

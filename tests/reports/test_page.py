@@ -16,12 +16,12 @@ import pyarrow as pa
 import pytest
 
 from pipeline.store.schema import devices_table
-from reports.figures.causes import CauseBar, pareto_bars
-from reports.figures.style import style
+from reports.html.rendering import interval, measured, number
+from reports.html.style import style
 from reports.limits import DEFAULT_LIMITS, load_limits
-from reports.page import render_run_report
-from reports.rendering import interval, measured, number
-from reports.wording import percent
+from reports.run.figures.causes import CauseBar, pareto_bars
+from reports.run.page import render_run_report
+from reports.words.quantities import percent
 
 Build = Callable[..., Any]
 ARC = load_limits({"limits": {"theta_deg": {"min": 60, "max": 140}, "split_hz": {"max": 3.0}}})

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from workflows.hidden import draw
 from workflows.simulate import standard_excitations
+from workflows.studies.hidden import draw
 
 
 @pytest.fixture

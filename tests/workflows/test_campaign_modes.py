@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.criticism.climb import climb
-from pipeline.experiment.forward import forward
-from workflows.campaign_modes import NAME, mode_candidate
-from workflows.hidden.draw import hide
-from workflows.hidden.effects import LIBRARY
-from workflows.hidden.narrowed import Narrowed
+from pipeline.criticism.selection import climb
+from pipeline.experiment.forward.record import forward
+from pipeline.learning.campaign.modes import NAME, mode_candidate
 from workflows.learning import view_of
+from workflows.studies.hidden.draw import hide
+from workflows.studies.hidden.effects import LIBRARY
+from workflows.studies.hidden.narrowed import Narrowed
 
 
 @pytest.mark.usefixtures("brief_records")

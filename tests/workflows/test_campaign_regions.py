@@ -9,11 +9,11 @@ from scipy.signal import hilbert, lfilter
 from pipeline.criticism.regions import where
 from pipeline.experiment.excitation import Chirp, Multisine, drive_samples
 from pipeline.experiment.instrument import Instrument
-from pipeline.experiment.lapped import block_size, cell_variances, lapped
+from pipeline.experiment.noise.time_frequency import block_size, cell_variances, lapped
 from pipeline.experiment.record import Campaign, Record
-from workflows.campaign_plane import planes_of
-from workflows.campaign_regions import FAMILIES, decomposed, layout_of, regions_of
-from workflows.campaign_where import by_kind, explained_share, where_rest, where_rows, with_after
+from pipeline.learning.where.plane import planes_of
+from pipeline.learning.where.regions import FAMILIES, decomposed, layout_of, regions_of
+from pipeline.learning.where.rows import by_kind, explained_share, where_rest, where_rows, with_after
 
 RATE, SIGMA, SILENT_DOF = 10_000.0, 1e-3, 20_000
 VALUES = {"f1_hz": 534.5, "f2_hz": 536.4, "f3_hz": 590.3, "zeta1": 3.2e-4, "zeta2": 1.6e-4, "zeta3": 1.2e-3}

@@ -14,20 +14,20 @@ from pipeline.arrays import FloatArray
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import ConfigError, UsageError
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.record import Record
-from pipeline.inference.campaign_fit import fit_campaign
+from pipeline.inference.general.fit import fit_campaign
 from workflows.commands.hidden import lines
-from workflows.coverage import Share
-from workflows.hidden import draw, study
-from workflows.hidden.confusion import answer, confusion, figures, main_parameter, power
-from workflows.hidden.draw import INSTRUMENT, KINDS, SIGMA_V, device, effects_of, hide, noise, stream
-from workflows.hidden.effects import LIBRARY, Peak, draw_effect
-from workflows.hidden.integrator import STATES, integrate, lagged, slope
-from workflows.hidden.strengths import baseline, sized
-from workflows.hidden.truth import OUTSIDE, physics, response
 from workflows.learning import view_of
 from workflows.simulate import device_parameters, standard_excitations
+from workflows.studies.coverage import Share
+from workflows.studies.hidden import draw, study
+from workflows.studies.hidden.confusion import answer, confusion, figures, main_parameter, power
+from workflows.studies.hidden.draw import INSTRUMENT, KINDS, SIGMA_V, device, effects_of, hide, noise, stream
+from workflows.studies.hidden.effects import LIBRARY, Peak, draw_effect
+from workflows.studies.hidden.integrator import STATES, integrate, lagged, slope
+from workflows.studies.hidden.strengths import baseline, sized
+from workflows.studies.hidden.truth import OUTSIDE, physics, response
 
 _RATE = INSTRUMENT.sample_rate_hz
 _DEVICE = device_parameters({}, 3)

@@ -10,13 +10,13 @@ from plants import PAPER_LIKE as PLANT
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.noise_level import NoiseLevel
+from pipeline.experiment.noise.level import NoiseLevel
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.campaign_fit import fit_campaign
-from workflows.hidden.confusion import LOOK_ALIKES
-from workflows.hidden.truth import OUTSIDE
+from pipeline.inference.general.fit import fit_campaign
+from workflows.studies.hidden.confusion import LOOK_ALIKES
+from workflows.studies.hidden.truth import OUTSIDE
 
 #: What is hidden and what stands for it.
 CASES = [

@@ -11,15 +11,15 @@ from pipeline.errors import ConfigError
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
 from pipeline.store.run import open_run
-from reports.lot_effects import LotEffects
-from reports.page import render_run_report
-from workflows.block import Block, virtual_block
+from reports.run.lot_effects import LotEffects
+from reports.run.page import render_run_report
 from workflows.cli import call
 from workflows.config import load_config
-from workflows.lot_effects import examine
-from workflows.lot_look import look_at
-from workflows.lot_scope import devices_of
-from workflows.night import plan, start
+from workflows.screening.batch import plan, start
+from workflows.screening.block import Block, virtual_block
+from workflows.screening.lot.device import look_at
+from workflows.screening.lot.effects import examine
+from workflows.screening.lot.scope import devices_of
 
 # Chirps of one second: three times cheaper than the paper's, and a cubic stiffness of 8e9 is then a misfit.
 NIGHT = """

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, kstest
 
-from pipeline.criticism.examine import look
+from pipeline.criticism.fit_tests import look
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, PlantSpec
 from pipeline.errors import MeasurementError
+from pipeline.experiment.files.modal_record import ModalRecord, read_modal_record, write_modal_record
+from pipeline.experiment.forward.system import Conditions, assemble
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.modal_record import ModalRecord, read_modal_record, write_modal_record
-from pipeline.experiment.system import Conditions, assemble
-from pipeline.inference.modal_model import at_resonance, linear_modes
+from pipeline.inference.modal.model import at_resonance, linear_modes
+from pipeline.learning.modal.problem import ModalView
 from workflows.cli import call
 from workflows.learning import compare, diagnose, refine
-from workflows.modal_learning import rules_for
-from workflows.modal_study import rungs_by_chance
-from workflows.modal_view import ModalView
+from workflows.learning.modal_answers import rules_for
+from workflows.studies.modal import rungs_by_chance
 
 ROOT = Path(__file__).parents[2]
 EQ14 = ROOT.parent / "shared" / "paper" / "eq14.toml"

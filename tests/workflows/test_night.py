@@ -15,9 +15,9 @@ from pipeline.experiment.campaign import write_campaign
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
 from pipeline.store.run import open_run
-from workflows.block import Block, virtual_block
 from workflows.cli import call
 from workflows.config import load_config
+from workflows.screening.block import Block, virtual_block
 from workflows.simulate import campaign_config, simulate
 
 CONFIG = """

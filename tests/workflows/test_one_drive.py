@@ -9,7 +9,7 @@ from scipy.signal import resample_poly
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, PlantSpec
 from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, Multisine, Silence, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Record
 from workflows import learning

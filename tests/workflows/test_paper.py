@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reports.paper_content import PaperContent, PrintedNumber
-from reports.paper_page import deviation, ours, printed, render_paper
-from workflows.paper import write_paper
-from workflows.paper_study import Sizes
+from reports.paper.content import PaperContent, PrintedNumber
+from reports.paper.page import deviation, ours, printed, render_paper
+from workflows.studies.paper.devices import Sizes
+from workflows.studies.paper.page import write_paper
 
 SMALL = Sizes(orders=(20, 40), splits_hz=(0.1, 1.9), shares=(0.0, 0.5), noises=4)
 

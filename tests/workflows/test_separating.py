@@ -9,14 +9,14 @@ import pytest
 
 from pipeline.criticism.verdict import TermClass
 from pipeline.experiment.campaign import write_campaign
-from pipeline.experiment.forward import forward
-from pipeline.experiment.measure import Hum, measured
-from pipeline.experiment.readers import read_columns, write_columns
-from pipeline.inference.campaign_fit import fit_campaign
+from pipeline.experiment.files.readers import read_columns, write_columns
+from pipeline.experiment.forward.record import forward
+from pipeline.experiment.noise.measure import Hum, measured
+from pipeline.inference.general.fit import fit_campaign
+from pipeline.learning.next_experiment.experiments import Experiment, experiments
+from pipeline.learning.next_experiment.separating import LEAST, separating_record, separating_text
 from workflows.cli import call
 from workflows.learning import view_of
-from workflows.separating import LEAST, separating_record, separating_text
-from workflows.separating_experiments import Experiment, experiments
 from workflows.simulate import campaign_config, simulate
 
 

@@ -4,7 +4,7 @@ import math
 
 from reports.limits import DEFAULT_LIMITS
 from workflows.config import load_config
-from workflows.sequential import LOOKS, Looks, as_good_as, figures, fixed_test, sequential_test, study_block
+from workflows.studies.sequential import LOOKS, Looks, as_good_as, figures, fixed_test, sequential_test, study_block
 
 NAN = math.nan
 

@@ -9,7 +9,7 @@ import pytest
 
 from workflows import learning
 from workflows.cli import call
-from workflows.silverbox import FILE, MODEL, PARTS, RATE_HZ, campaign_of, table
+from workflows.studies.silverbox import FILE, MODEL, PARTS, RATE_HZ, campaign_of, table
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "silverbox"
 pytestmark = [

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
 from workflows.simulate import sized

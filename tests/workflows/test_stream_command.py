@@ -13,10 +13,10 @@ from pipeline.device.gyro import gyro_modes
 from pipeline.errors import MeasurementError, UsageError
 from pipeline.experiment.antialias import behind_filter
 from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.instrument import Instrument
-from pipeline.experiment.simulate import respond
 from workflows.commands.stream import stream
-from workflows.growing import record_blocks
+from workflows.streaming.growing import record_blocks
 
 RATE = 10_000.0
 THETA = -33.2

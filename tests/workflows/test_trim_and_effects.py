@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from pipeline.errors import ConfigError
-from workflows.block import Block, virtual_block
 from workflows.config import load_config
-from workflows.night import plan
+from workflows.screening.batch import plan
+from workflows.screening.block import Block, virtual_block
 
 
 def rows(tmp_path, text, count=6):

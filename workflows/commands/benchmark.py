@@ -11,9 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from populations.draw import draw
 
-from ..block import Block, identify_virtual, population, virtual_block
 from ..config import load_config
-from ..coverage import Share, figures, run_study
+from ..screening.block import Block, identify_virtual, population, virtual_block
+from ..studies.coverage import Share, figures, run_study
 
 
 def coverage(devices: int, splits: str, seed: int, workers: int, json: bool) -> None:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..coverage import Share
-from ..hidden.confusion import answer, confusion, figures, found_as, odd, power
-from ..hidden.draw import hide
-from ..hidden.study import examine, order_of, rows_in, run_study
+from ..studies.coverage import Share
+from ..studies.hidden.confusion import answer, confusion, figures, found_as, odd, power
+from ..studies.hidden.draw import hide
+from ..studies.hidden.study import examine, order_of, rows_in, run_study
 
 
 def hidden_effects(

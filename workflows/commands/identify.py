@@ -12,15 +12,15 @@ import numpy as np
 
 from pipeline.errors import UsageError
 from pipeline.experiment.campaign import read_campaign, read_measurement
-from pipeline.experiment.check import CheckReport
-from pipeline.experiment.modal_record import ModalRecord
+from pipeline.experiment.checks.check import CheckReport
+from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.identification.route import RouteResult, identify_modal
-from pipeline.inference.campaign import identify_campaign, is_inband, reference_comparison
-from pipeline.inference.device import IdentificationSettings
 from pipeline.inference.gate import Gate
-from pipeline.inference.modal_fit import ModalFit, fit_modal
-from pipeline.inference.sample import SamplerSettings
+from pipeline.inference.modal.fit import ModalFit, fit_modal
+from pipeline.inference.screening.campaign import identify_campaign, is_inband, reference_comparison
+from pipeline.inference.screening.device import IdentificationSettings
+from pipeline.inference.screening.sample import SamplerSettings
 from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
 
@@ -93,7 +93,7 @@ def identified(campaign: Campaign, model: Path | None) -> tuple[dict[str, Any], 
         columns: dict[str, Any] = {"device_id": campaign.device_id, **result.columns}
         reference = reference_comparison(campaign, result.columns)
     else:
-        from ..general import identify_general
+        from ..learning.general import identify_general
 
         columns, reference = identify_general(campaign, model)
     if campaign.reference:
@@ -131,7 +131,7 @@ def _text(columns: dict[str, Any], reference: dict[str, dict[str, float]]) -> li
 
 def check(campaign: Path, json: bool) -> None:
     """See ``gyroscreen check --help``."""
-    from pipeline.experiment.check import check as look
+    from pipeline.experiment.checks.check import check as look
 
     found = read_measurement(campaign)
     if isinstance(found, ModalRecord):

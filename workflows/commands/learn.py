@@ -13,12 +13,12 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
 from pipeline.experiment.campaign import read_measurement
-from pipeline.experiment.modal_record import ModalRecord
+from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
+from pipeline.learning.next_experiment.separating import Proposal
 from pipeline.plain import plain
 
 from .. import learning
-from ..separating import Proposal
 
 
 def _fitted(found: Campaign) -> Campaign:
@@ -118,7 +118,7 @@ def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[P
 @threadpool_limits.wrap(limits=1)
 def demo(out: Path, seed: int | None) -> None:
     """See ``gyroscreen demo --help``."""
-    from ..demo import hidden_device
+    from ..learning.demo import hidden_device
     from .learn_pages import ladder_page
 
     began = time.monotonic()

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.device.model import Model
-from pipeline.experiment.modal_record import ModalRecord
+from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.plain import plain
 
-from ..learning_text import verdict_sentence
-from ..modal_learning import (
+from ..learning.modal_answers import (
     ModalComparison,
     ModalDiagnosed,
     ModalRefined,
@@ -20,6 +19,7 @@ from ..modal_learning import (
     diagnose_modal,
     refine_modal,
 )
+from ..learning.text import verdict_sentence
 from .modal_text import modal_text
 
 

@@ -8,16 +8,16 @@ from typing import Any, Literal
 
 from pipeline.device.effect import find_effects
 from pipeline.errors import UsageError
-from pipeline.experiment.modal_record import ModalRecord
+from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
-from pipeline.inference.campaign_fit import CampaignFit
+from pipeline.inference.general.fit import CampaignFit
+from pipeline.learning.modal.problem import ModalView
 from pipeline.plain import plain
-from reports.campaign_page import RecordView, effect_texts, render_campaign_report
-from reports.modal_page import render_modal_report
+from reports.learning.modal_page import render_modal_report
+from reports.learning.page import RecordView, effect_texts, render_campaign_report
 
 from .. import learning
-from ..modal_learning import ModalComparison
-from ..modal_view import ModalView
+from ..learning.modal_answers import ModalComparison
 
 Library = dict[str, dict[str, str]]
 

@@ -13,11 +13,11 @@ from pipeline.device.effect import Effect, find_effects
 from pipeline.device.model import Model, load_model
 from pipeline.errors import ConfigError, UsageError
 from pipeline.experiment.campaign import read_measurement, write_campaign
-from pipeline.experiment.modal_record import ModalRecord
-from pipeline.inference.campaign import identify_campaign
-from pipeline.inference.device import IdentificationSettings
+from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.inference.gate import Gate
-from pipeline.inference.sample import SamplerSettings
+from pipeline.inference.screening.campaign import identify_campaign
+from pipeline.inference.screening.device import IdentificationSettings
+from pipeline.inference.screening.sample import SamplerSettings
 
 from ..export import exported, write_model
 from ..simulate import campaign_config, parse_values

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.plain import plain
 
-from ..paper import write_paper
+from ..studies.paper.page import write_paper
 
 
 def paper(out: Path, json: bool) -> None:

@@ -28,7 +28,7 @@ def query(sql: str, results: Path, format: str) -> None:
 
 def report(run: str | None, results: Path, out: Path | None) -> None:
     """See ``gyroscreen report --help``."""
-    from ..night import write_report
+    from ..screening.batch import write_report
 
     runs = list_runs(results)
     if not runs:

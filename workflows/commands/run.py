@@ -12,7 +12,7 @@ import tomli_w
 from pipeline.errors import UsageError
 
 from ..config import load_config, to_toml_table
-from ..night import Night, NightResult, check_targets, plan, resume, run_night, start, without_none
+from ..screening.batch import Night, NightResult, check_targets, plan, resume, run_night, start, without_none
 
 
 def run(

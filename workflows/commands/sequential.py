@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.identification.lattice import advance, arx_of, start_lattice
 from reports.limits import DEFAULT_LIMITS
 
-from ..sequential import figures, run_sequential_study
+from ..studies.sequential import figures, run_sequential_study
 from .benchmark import show
 
 _RATE_HZ = 10_000.0

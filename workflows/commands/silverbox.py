@@ -9,7 +9,7 @@ from pipeline.errors import UsageError
 from pipeline.experiment.instrument import HOLDS
 from pipeline.plain import plain
 
-from ..silverbox import climb, table
+from ..studies.silverbox import climb, table
 
 
 def silverbox(data: Path, hold: str, json: bool) -> None:

@@ -10,12 +10,12 @@ from typing import Any
 from pipeline.errors import MeasurementError, UsageError
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.record import Campaign
-from pipeline.inference.stream import StreamSettings
+from pipeline.inference.screening.stream import StreamSettings
 from pipeline.plain import plain
 from reports.limits import DEFAULT_LIMITS, load_limits
 
-from ..growing import record_blocks
-from ..stream import Step, bench_of, follow
+from ..streaming.growing import record_blocks
+from ..streaming.stream import Step, bench_of, follow
 from .identify import rounded
 
 _HEAD = "  time s   theta deg            split Hz                 P(conform)  verdict    lattice: theta, split"

@@ -24,8 +24,8 @@ import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ..antialias import filter_response
+from ..forward.modal_bank import hold_gains
 from ..instrument import Hold, Instrument
-from ..simulate import hold_gains
 from .response import Response
 
 #: Rocking modes lie closer to each other than this share of their distance to the up-down mode.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.arrays import FloatArray
-from pipeline.criticism.examine import Rules
+from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.heldout import paired
 from pipeline.criticism.loop import diagnose, refine
 from pipeline.criticism.problem import Block

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.criticism.carriers import carried
+from pipeline.criticism.prevalence import carried
 from pipeline.criticism.shared import Evidence, SharedTerm, shared, still_needed
 
 ALPHA = 0.003

@@ -20,12 +20,12 @@ from pipeline.device.mechanics import Mechanics
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, PlantSpec
 from pipeline.errors import ConfigError
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward import base_of, forward, signatures
+from pipeline.experiment.forward.drive_groups import play_of
+from pipeline.experiment.forward.integrate import trajectory
+from pipeline.experiment.forward.record import base_of, forward, signatures
+from pipeline.experiment.forward.system import assemble, conditions_of
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.integrate import trajectory
-from pipeline.experiment.play import play_of
 from pipeline.experiment.record import Record
-from pipeline.experiment.system import assemble, conditions_of
 
 ROOT = Path(__file__).resolve().parents[3]
 CONTRACT = """

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.device.bias import rate_biases_dps
 from pipeline.device.gyro import cartesian_modes, gyro_mechanics, gyro_modes, split_hz, to_cartesian, to_physical
+from pipeline.device.operation.bias import rate_biases_dps
 
 PAPER = np.array([534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.0, 13.33, 28.6, 0.0386, 0.0007])
 

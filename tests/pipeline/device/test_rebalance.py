@@ -5,11 +5,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from pipeline.device.bias import rate_biases_dps
-from pipeline.device.control.loops import Forced, Loops
-from pipeline.device.control.propagator import propagators
 from pipeline.device.gyro import gyro_mechanics
-from pipeline.device.rebalance import (
+from pipeline.device.operation.bias import rate_biases_dps
+from pipeline.device.operation.loops import Forced, Loops
+from pipeline.device.operation.propagator import propagators
+from pipeline.device.operation.rebalance import (
     indicated_rate_dps,
     measured_biases_dps,
     operate,

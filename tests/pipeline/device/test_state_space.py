@@ -3,9 +3,9 @@
 import numpy as np
 
 from pipeline.device.gyro import gyro_mechanics, gyro_modes
-from pipeline.device.state_space import state_space
+from pipeline.device.operation.state_space import state_space
 from pipeline.experiment.antialias import behind_filter
-from pipeline.experiment.simulate import respond
+from pipeline.experiment.forward.modal_bank import respond
 
 DEVICE = np.array([[534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007]])
 

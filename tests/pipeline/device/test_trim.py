@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.device.bias import rate_biases_dps
 from pipeline.device.gyro import gyro_mechanics, split_hz, to_cartesian
-from pipeline.device.trim import Target, trim, trim_batch, trimmed_physical
-from pipeline.device.trim_electrodes import Electrodes, gain_per_v2, standard_electrodes
+from pipeline.device.operation.bias import rate_biases_dps
+from pipeline.device.operation.trim import Target, trim, trim_batch, trimmed_physical
+from pipeline.device.operation.trim_electrodes import Electrodes, gain_per_v2, standard_electrodes
 from pipeline.errors import ConfigError
 
 PAPER = np.array([534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007])

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from pipeline.errors import ConfigError, GyroscreenError, MeasurementError, UsageError
 from pipeline.experiment.campaign import read_campaign, read_measurement, write_campaign
 from pipeline.experiment.checks.finding import composed
+from pipeline.experiment.files.channels import mend
+from pipeline.experiment.files.readers import WRITTEN, write_columns
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
-from pipeline.experiment.mend import mend
-from pipeline.experiment.readers import WRITTEN, write_columns
 from pipeline.experiment.record import Campaign, Channels, Record
 
 FS = 10_000.0

@@ -15,7 +15,7 @@ from scipy import signal
 from threadpoolctl import threadpool_limits
 
 from pipeline.experiment.campaign import read_campaign, write_campaign
-from pipeline.experiment.check import CheckReport, check
+from pipeline.experiment.checks.check import CheckReport, check
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Record
 

@@ -15,9 +15,9 @@ from pipeline.arrays import FloatArray
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, SCREENING_MODEL, Model, PlantSpec
 from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward import base_of, forward, jacobian, signatures
+from pipeline.experiment.forward.drive_groups import play_of
+from pipeline.experiment.forward.record import base_of, forward, jacobian, signatures
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.play import play_of
 from pipeline.experiment.record import Record
 
 INSTRUMENT = Instrument(antialias=AntiAlias())

@@ -16,10 +16,10 @@ from pipeline.device.readout import plain_readout
 from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, pushed, trajectory
+from pipeline.experiment.forward.linear import Clock, linear_response, upper_poles
+from pipeline.experiment.forward.readout_filter import filtered
 from pipeline.experiment.instrument import AntiAlias
-from pipeline.experiment.integrate import SUBSTEPS, linear_motion, pushed, trajectory
-from pipeline.experiment.linear import Clock, linear_response, upper_poles
-from pipeline.experiment.readout_filter import filtered
 
 RATE = 10_000.0
 PLANT = Model(PlantSpec("modal", 3, "velocity", 1, 2)).built

@@ -8,8 +8,8 @@ import pytest
 from pipeline.errors import ConfigError, GyroscreenError, MeasurementError, UsageError
 from pipeline.experiment.antialias import filter_response
 from pipeline.experiment.campaign import read_measurement
+from pipeline.experiment.files.modal_record import ModalRecord, read_modal_record, write_modal_record
 from pipeline.experiment.instrument import AntiAlias
-from pipeline.experiment.modal_record import ModalRecord, read_modal_record, write_modal_record
 
 EQ14 = Path(__file__).resolve().parents[4] / "shared" / "paper" / "eq14.toml"
 

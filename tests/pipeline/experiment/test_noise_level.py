@@ -11,10 +11,10 @@ from plants import PAPER_LIKE as PLANT
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.errors import MeasurementError
 from pipeline.experiment.excitation import Chirp, Multisine, Silence, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
-from pipeline.experiment.measure import Hum, measured
-from pipeline.experiment.noise_level import noise_level
+from pipeline.experiment.noise.level import noise_level
+from pipeline.experiment.noise.measure import Hum, measured
 from pipeline.experiment.record import Campaign, Record
 
 RATE = 10_000.0

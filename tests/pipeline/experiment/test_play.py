@@ -7,12 +7,12 @@ import pytest
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.drive_groups import plays_of
+from pipeline.experiment.forward.record import forward
+from pipeline.experiment.forward.response import converted, volts
+from pipeline.experiment.forward.system import assemble
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.play import plays_of
 from pipeline.experiment.record import Record
-from pipeline.experiment.response import converted, volts
-from pipeline.experiment.system import assemble
 
 RATE = 10_000.0
 PLANT = {

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from pipeline.errors import MeasurementError
-from pipeline.experiment.readers import WRITTEN, read_columns, read_record, table, write_columns
+from pipeline.experiment.files.readers import WRITTEN, read_columns, read_record, table, write_columns
 from pipeline.experiment.record import Record
 
 FS = 10_000.0
@@ -237,7 +237,7 @@ import sys, warnings
 from pathlib import Path
 import numpy as np
 from pipeline.errors import MeasurementError
-from pipeline.experiment.readers import read_record
+from pipeline.experiment.files.readers import read_record
 from pipeline.experiment.record import Record
 
 warnings.simplefilter("error")

@@ -8,9 +8,9 @@ from scipy.signal import butter, freqs
 from pipeline.device.gyro import gyro_mechanics, gyro_modes
 from pipeline.experiment.antialias import behind_filter, filter_poles, filter_response
 from pipeline.experiment.excitation import Chirp, Multisine, drive_samples
+from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.instrument import Adc, AntiAlias
-from pipeline.experiment.measure import Hum, convert, measured
-from pipeline.experiment.simulate import respond
+from pipeline.experiment.noise.measure import Hum, convert, measured
 
 DEVICE = np.array([[534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007]])
 RATE = 10_000.0

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from pipeline.device.mechanics import Modes
 from pipeline.experiment.antialias import behind_filter
+from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.instrument import Hold
 from pipeline.experiment.record import Record
-from pipeline.experiment.simulate import respond
 from pipeline.identification.arx import ArxModel, fit_arx
 from pipeline.identification.bandpass import bandpass, window_slice
 from pipeline.identification.failure import IdentificationError

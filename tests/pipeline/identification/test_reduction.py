@@ -12,13 +12,7 @@ from pipeline.experiment.record import Record
 from pipeline.identification.arx import ArxModel, fit_arx
 from pipeline.identification.bandpass import bandpass, window_slice
 from pipeline.identification.failure import IdentificationError
-from pipeline.identification.hankel import (
-    balance,
-    frequency_response,
-    modes_of_states,
-    state_space_of,
-    truncate,
-)
+from pipeline.identification.hankel import balance, frequency_response, modes_of_states, state_space_of, truncate
 from pipeline.identification.lattice import fit_arx_lattice
 from pipeline.identification.modes import modes_of
 from pipeline.identification.reduction import order_study, reduce_model

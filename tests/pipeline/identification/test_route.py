@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pipeline.axial import difference
+from pipeline.experiment.files.modal_record import ModalRecord, read_modal_record
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.modal_record import ModalRecord, read_modal_record
 from pipeline.experiment.record import Record
 from pipeline.identification.axes import axes, gains_from_updown
 from pipeline.identification.bandpass import bandpass, window_slice

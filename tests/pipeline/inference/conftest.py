@@ -8,13 +8,19 @@ import pytest
 from pipeline.device.gyro import gyro_modes
 from pipeline.experiment.antialias import behind_filter
 from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
-from pipeline.experiment.measure import Hum, measured
+from pipeline.experiment.noise.measure import Hum, measured
 from pipeline.experiment.record import Record
-from pipeline.experiment.simulate import respond
-from pipeline.inference.device import FitRecord, IdentificationSettings, RateSettings, identify_device, prepare
 from pipeline.inference.gate import Gate
-from pipeline.inference.sample import SamplerSettings
+from pipeline.inference.screening.device import (
+    FitRecord,
+    IdentificationSettings,
+    RateSettings,
+    identify_device,
+    prepare,
+)
+from pipeline.inference.screening.sample import SamplerSettings
 
 RATE = 10_000.0
 

@@ -14,11 +14,11 @@ from scipy.io import loadmat
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, SCREENING_MODEL, Model, PlantSpec
 from pipeline.errors import MeasurementError
 from pipeline.experiment.excitation import Chirp, Multisine, drive_samples
-from pipeline.experiment.forward import forward
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.noise_level import NoiseLevel, noise_level
+from pipeline.experiment.noise.level import NoiseLevel, noise_level
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.campaign_fit import fit_campaign
+from pipeline.inference.general.fit import fit_campaign
 
 C12 = {"c12_per_s": 0.3}
 PARASITIC = {

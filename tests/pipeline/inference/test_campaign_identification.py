@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.campaign import identify_campaign, reference_comparison
-from pipeline.inference.device import IdentificationSettings
 from pipeline.inference.gate import Gate
-from pipeline.inference.sample import SamplerSettings
+from pipeline.inference.screening.campaign import identify_campaign, reference_comparison
+from pipeline.inference.screening.device import IdentificationSettings
+from pipeline.inference.screening.sample import SamplerSettings
 
 
 def campaign_of(bench, device, silent):

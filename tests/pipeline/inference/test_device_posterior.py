@@ -7,8 +7,8 @@ from scipy.stats import binom
 from pipeline.device.gyro import PHYSICAL, to_physical
 from pipeline.experiment.record import Record
 from pipeline.identification.route import identify_record
-from pipeline.inference.compressed import BandData, nuisance_basis
-from pipeline.inference.fit import maximise, start_from_modes
+from pipeline.inference.screening.compressed import BandData, nuisance_basis
+from pipeline.inference.screening.fit import maximise, start_from_modes
 
 
 def axial(difference_deg):

@@ -9,9 +9,9 @@ from pipeline.device.gyro import gyro_modes
 from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import behind_filter
 from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.instrument import AntiAlias, Instrument
-from pipeline.experiment.simulate import respond
-from pipeline.inference.inband import features, make_band
+from pipeline.inference.screening.inband import features, make_band
 
 DEVICE = np.array([[534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007]])
 DRIVE = drive_samples(Chirp(), 10_000.0)

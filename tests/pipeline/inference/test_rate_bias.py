@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from pipeline.device.bias import rate_biases_dps
-from pipeline.device.rebalance import measured_biases_dps, operate, settled
-from pipeline.device.trim import Target, trim
-from pipeline.device.trim_electrodes import standard_electrodes
+from pipeline.device.operation.bias import rate_biases_dps
+from pipeline.device.operation.rebalance import measured_biases_dps, operate, settled
+from pipeline.device.operation.trim import Target, trim
+from pipeline.device.operation.trim_electrodes import standard_electrodes
 from pipeline.errors import ConfigError
-from pipeline.inference.device import RateSettings
 from pipeline.inference.rate_bias import bias_draws, bias_from_posterior, trimmed_summary
+from pipeline.inference.screening.device import RateSettings
 
 PAPER = np.array([534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007])
 KAPPA, PHI = 0.7, 1.0

@@ -7,11 +7,11 @@ from pipeline.device.gyro import split_hz, to_cartesian
 from pipeline.errors import MeasurementError
 from pipeline.identification.bandpass import bandpass
 from pipeline.identification.lattice import advance, arx_of, start_lattice
-from pipeline.inference.compressed import BandData
-from pipeline.inference.device import RateSettings
-from pipeline.inference.fit import maximise
 from pipeline.inference.gate import Gate
-from pipeline.inference.stream import StreamSettings, estimate, feed, noise_of, start_stream, steps
+from pipeline.inference.screening.compressed import BandData
+from pipeline.inference.screening.device import RateSettings
+from pipeline.inference.screening.fit import maximise
+from pipeline.inference.screening.stream import StreamSettings, estimate, feed, noise_of, start_stream, steps
 
 RATE = 10_000.0
 QUIET = 2_000

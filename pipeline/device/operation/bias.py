@@ -1,0 +1,78 @@
+"""Rate biases of a force-rebalanced gyro (the paper, eq. 3 to 6, as put right: see below).
+
+With psi_y' = A cos(omega0 t) held by the drive loop and psi_x held at zero, the rebalance torque over the inertia is
+
+    tau_rb / I = 1/2 (w1^2 - w2^2) sin 2theta psi_y + [1/2 (c11 - c22) sin 2theta + c12 cos 2theta - 2 kappa Omega] psi_y'
+
+Demodulated with cos(omega0 t + phi) and divided by its own response to rate, -kappa cos(phi) A, it indicates at Omega = 0
+
+    quadrature_bias = Omega_Q tan phi,      Omega_Q = (w1^2 - w2^2) sin 2theta / (4 kappa omega0)
+    inphase_bias    = -[1/2 (c11 - c22) sin 2theta + c12 cos 2theta] / (2 kappa)
+
+The print has 1/2 c12 cos 2theta in (4) to (6), A/2 for A^2/2 in (6), and drops the 2 before kappa Omega in (5); deriving
+(3) and (4) from (2) gives the above.  kappa = I_p / I_0p is the angular gain.  Shapes: any, broadcast.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...errors import ConfigError
+from ..gyro import PHYSICAL
+
+
+def rate_biases_dps(
+    physical: FloatArray, angular_gain: float | FloatArray, phase_error_deg: float, drive: Literal["f1", "f2"]
+) -> dict[str, FloatArray]:
+    """quadrature_rate_dps, quadrature_bias_dps, inphase_bias_dps and rate_bias_dps of physical parameters (..., 12).
+
+    Parameters
+    ----------
+    physical : the columns of ``pipeline.device.gyro.PHYSICAL``.
+    angular_gain : kappa.
+    phase_error_deg : phi [deg].
+    drive : which mode sets omega0.
+
+    Raises
+    ------
+    ConfigError : an angular gain that is not positive, or |phi| >= 90 deg.
+    """
+    if np.any(np.asarray(angular_gain) <= 0.0):
+        raise ConfigError("angular gain must be positive", value=angular_gain, allowed="I_p / I_0p in (0, 1]")
+    if abs(phase_error_deg) >= 90.0:
+        raise ConfigError("demodulation phase error too large", value=phase_error_deg, allowed="(-90, 90) deg")
+    f1, f2, _, zeta1, zeta2, _, theta_deg, c12 = np.moveaxis(physical, -1, 0)[:8]
+    omega1, omega2 = 2.0 * np.pi * f1, 2.0 * np.pi * f2
+    omega0 = omega1 if drive == "f1" else omega2
+    double = np.deg2rad(2.0 * theta_deg)
+    quadrature = (omega1 - omega2) * (omega1 + omega2) * np.sin(double) / (4.0 * angular_gain * omega0)
+    delta = zeta1 * omega1 - zeta2 * omega2
+    inphase = -(delta * np.sin(double) + c12 * np.cos(double)) / (2.0 * angular_gain)
+    leaked = quadrature * np.tan(np.deg2rad(phase_error_deg))
+    return {
+        "quadrature_rate_dps": np.rad2deg(quadrature),
+        "quadrature_bias_dps": np.rad2deg(leaked),
+        "inphase_bias_dps": np.rad2deg(inphase),
+        "rate_bias_dps": np.rad2deg(leaked + inphase),
+    }
+
+
+def quantities_of(
+    physical: FloatArray, angular_gain: float | FloatArray | None, phase_error_deg: float, drive: Literal["f1", "f2"]
+) -> dict[str, FloatArray]:
+    """All result quantities of physical parameters (..., 12) by name; rate biases are nan without an angular gain."""
+    named = dict(zip(PHYSICAL, np.moveaxis(physical, -1, 0)))
+    named["split_hz"] = named["f2_hz"] - named["f1_hz"]
+    for i in (1, 2, 3):
+        named[f"quality{i}"] = 0.5 / named[f"zeta{i}"]
+    if angular_gain is None:
+        unknown = np.full(physical.shape[:-1], np.nan)
+        biases = dict.fromkeys(
+            ("quadrature_rate_dps", "quadrature_bias_dps", "inphase_bias_dps", "rate_bias_dps"), unknown
+        )
+    else:
+        biases = rate_biases_dps(physical, angular_gain, phase_error_deg, drive)
+    return named | biases

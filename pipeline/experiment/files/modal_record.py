@@ -1,0 +1,207 @@
+"""The modal record: poles and residues where somebody else identified them.
+
+    H(s) = sum_m (s R1_m + R0_m) / (s^2 + 2 zeta_m w_m s + w_m^2),   w_m = 2 pi f_m
+
+Shapes: M modes, S senses (rows), D drives (columns).  R1 [1/s], R0 [1/s^2] for volts over volts; sense
+channels as seen behind the anti-alias filter.  ``sd`` holds the standard deviations of R1 and of R0 / w, both
+in 1/s.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from ... import toml_files as toml
+from ...arrays import FloatArray
+from ...errors import ConfigError, MeasurementError, UsageError
+from ..instrument import AntiAlias
+from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
+from .readers import existing
+
+Matrix = list[list[float]]
+
+
+@dataclass(frozen=True, eq=False)
+class ModalRecord:
+    """Identified modes of one device.
+
+    Parameters
+    ----------
+    name : device id, or the name of the file.
+    frequency_hz, zeta : (M,) undamped frequency [Hz] and damping ratio.
+    R1, R0 : (M, S, D) [1/s], [1/s^2].
+    sd : (M, 2, S, D) sd of R1 and R0 / w [1/s]; ``None`` where nothing was stated.
+    antialias : the filter that the residues contain; ``None`` is no filter.
+    rate_dps : declared angular rate [deg/s]; ``None`` is unknown.
+    angular_gain, phase_error_deg, drive, reference : as in a campaign.
+    """
+
+    name: str
+    frequency_hz: FloatArray
+    zeta: FloatArray
+    R1: FloatArray
+    R0: FloatArray
+    sd: FloatArray | None = None
+    antialias: AntiAlias | None = None
+    rate_dps: float | None = None
+    angular_gain: float | None = None
+    phase_error_deg: float = 0.0
+    drive: Literal["f1", "f2"] = "f1"
+    reference: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+
+class ModeTable(msgspec.Struct, forbid_unknown_fields=True):
+    frequency_hz: Positive
+    zeta: Annotated[float, Meta(gt=0.0, lt=1.0)]
+    R1: Matrix
+    R0: Matrix
+    sd: Annotated[list[Matrix], Meta(min_length=2, max_length=2)] | None = None
+
+
+class ModalTable(msgspec.Struct, forbid_unknown_fields=True):
+    kind: Literal["modal"]
+    mode: Annotated[list[ModeTable], Meta(min_length=1)]
+    name: str | None = None
+    rate_dps: float | None = None
+    antialias: AntiAliasTable | None = None
+    device: DeviceTable = msgspec.field(default_factory=DeviceTable)
+    demodulation: DemodulationTable = msgspec.field(default_factory=DemodulationTable)
+    reference: dict[str, tuple[float, float]] = {}
+
+
+class _Kind(msgspec.Struct):
+    kind: Any = None
+
+
+def _matrix(rows: Matrix, shape: tuple[int, int] | None, what: str, where: str) -> FloatArray:
+    widths = {len(row) for row in rows}
+    if len(widths) != 1 or 0 in widths or (shape is not None and (len(rows), *widths) != shape):
+        wanted = f"{shape[0]} rows of {shape[1]}" if shape else "rows S1, S2, .. of equal length, one value a drive"
+        raise MeasurementError(
+            f"{where}: {what} has another shape", value=rows, allowed=wanted, next_step=f"correct {what}"
+        )
+    matrix = np.array(rows, dtype=np.float64)
+    if not np.all(np.isfinite(matrix)):
+        raise MeasurementError(
+            f"{where}: {what} is not finite",
+            value=rows,
+            allowed="finite numbers",
+            next_step=f"correct {what}",
+        )
+    return matrix
+
+
+def _deviations(modes: list[ModeTable], shape: tuple[int, int], where: str) -> FloatArray | None:
+    stated = [mode.sd for mode in modes]
+    if all(sd is None for sd in stated):
+        return None
+    if any(sd is None for sd in stated):
+        raise MeasurementError(
+            f"{where}: some modes state their sd and some do not",
+            value=[sd is not None for sd in stated],
+            allowed="sd for all modes or for none",
+            next_step="state the missing ones",
+        )
+    sd = np.array([[_matrix(part, shape, "sd", where) for part in pair] for pair in stated if pair is not None])
+    if np.any(sd <= 0.0):
+        raise MeasurementError(
+            f"{where}: an sd is not positive",
+            value=float(sd.min()),
+            allowed="positive numbers [1/s]",
+            next_step="correct sd",
+        )
+    return sd
+
+
+def decode_modal_record(text: bytes, path: Path) -> ModalRecord | None:
+    """The modal record in ``text``; ``None`` if the TOML does not say ``kind = "modal"``.
+
+    Raises :class:`ConfigError` for wrong TOML or keys, :class:`MeasurementError` for matrices that make no
+    modal record.
+    """
+    if toml.decode(text, _Kind, path.name).kind != "modal":
+        return None
+    document = toml.decode(text, ModalTable, path.name)
+    modes, where = document.mode, path.name
+    toml.finite(document.rate_dps, "rate_dps", where)
+    toml.finite(document.demodulation.phase_error_deg, "demodulation.phase_error_deg", where)
+    toml.finite(document.device.angular_gain, "device.angular_gain", where)
+    toml.finite(None if document.antialias is None else document.antialias.corner_hz, "antialias.corner_hz", where)
+    for mode in modes:
+        toml.finite(mode.frequency_hz, "frequency_hz", where)
+    first = _matrix(modes[0].R1, None, "R1 of mode 1", where)
+    shape = (first.shape[0], first.shape[1])
+    name = document.name or document.device.id or path.stem
+    return ModalRecord(
+        name=name,
+        frequency_hz=np.array([mode.frequency_hz for mode in modes]),
+        zeta=np.array([mode.zeta for mode in modes]),
+        R1=np.array([_matrix(mode.R1, shape, f"R1 of mode {k}", where) for k, mode in enumerate(modes, 1)]),
+        R0=np.array([_matrix(mode.R0, shape, f"R0 of mode {k}", where) for k, mode in enumerate(modes, 1)]),
+        sd=_deviations(modes, shape, where),
+        antialias=None if document.antialias is None else document.antialias.built(),
+        rate_dps=document.rate_dps,
+        angular_gain=document.device.angular_gain,
+        phase_error_deg=document.demodulation.phase_error_deg,
+        drive=document.demodulation.drive,
+        reference=references(document.reference, where),
+    )
+
+
+def read_modal_record(path: Path) -> ModalRecord:
+    """The modal record in the TOML file ``path``.
+
+    Raises :class:`ConfigError` for wrong TOML, keys or kind, :class:`MeasurementError` for what is missing or
+    inconsistent.
+    """
+    record = decode_modal_record(toml.read_text(existing(path)), path)
+    if record is None:
+        raise ConfigError(
+            f"{path.name} is no modal record",
+            allowed='kind = "modal" and [[mode]] tables',
+            next_step='add kind = "modal"',
+        )
+    return record
+
+
+def write_modal_record(record: ModalRecord, path: Path) -> None:
+    """Write ``record`` so that :func:`read_modal_record` gives it back, every number exact.
+
+    Raises :class:`UsageError` if the file cannot be written.
+    """
+    parts = [
+        toml.table(
+            "",
+            {
+                "kind": "modal",
+                "name": record.name,
+                "rate_dps": record.rate_dps,
+                "antialias": None if record.antialias is None else dataclasses.asdict(record.antialias),
+            },
+        ),
+        toml.table("[device]", {"angular_gain": record.angular_gain}),
+        toml.table("[demodulation]", {"phase_error_deg": record.phase_error_deg, "drive": record.drive}),
+        toml.table("[reference]", {name: list(pair) for name, pair in record.reference.items()}),
+    ]
+    for m in range(record.frequency_hz.size):
+        mode = {
+            "frequency_hz": float(record.frequency_hz[m]),
+            "zeta": float(record.zeta[m]),
+            "R1": record.R1[m].tolist(),
+            "R0": record.R0[m].tolist(),
+            "sd": None if record.sd is None else record.sd[m].tolist(),
+        }
+        parts.append(toml.table("[[mode]]", mode))
+    try:
+        path.write_text("\n".join(part for part in parts if part), encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            "the modal record cannot be written", value=f"{path}: {error}", next_step="choose another path"
+        ) from error

@@ -1,0 +1,61 @@
+"""CSV with one header line; comma, semicolon or tab between fields, and a decimal comma where semicolons or
+tabs part them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+
+from ....errors import MeasurementError
+from .table import MAX_VALUES, Columns, allow
+
+#: Longest text of one value.
+_BYTES_A_VALUE = 32
+_MAX_HEADER_BYTES = 65_536
+
+
+def _dialect(path: Path) -> tuple[str, str]:
+    """Delimiter and decimal point, from the first two lines."""
+    with path.open("rb") as file:
+        header = file.readline(_MAX_HEADER_BYTES).decode("utf-8-sig")
+        first = file.readline(_MAX_HEADER_BYTES).decode("utf-8")
+    delimiter = max(",;\t", key=header.count)
+    if header.count(delimiter) == 0:
+        raise MeasurementError(
+            "the first line is not a header of several columns",
+            value=header[:80],
+            allowed="names such as time_s,drive1_V,sense1_V",
+            next_step="write the column names on the first line",
+        )
+    return delimiter, "," if delimiter != "," and "," in first else "."
+
+
+def read(path: Path) -> Columns:
+    """All columns; one that does not hold numbers throughout is named."""
+    size = path.stat().st_size
+    allow(size // _BYTES_A_VALUE, 2**62)
+    delimiter, decimal = _dialect(path)
+    table = pa_csv.read_csv(
+        path,
+        read_options=pa_csv.ReadOptions(use_threads=False),
+        parse_options=pa_csv.ParseOptions(delimiter=delimiter),
+        convert_options=pa_csv.ConvertOptions(decimal_point=decimal, strings_can_be_null=False),
+    )
+    if table.num_rows * table.num_columns > MAX_VALUES:
+        allow(table.num_rows * table.num_columns, size)
+    if len(set(table.column_names)) != table.num_columns:
+        raise MeasurementError(
+            "a column name occurs twice",
+            value=table.column_names,
+            allowed="one column a name",
+            next_step="rename or remove one of them",
+        )
+    return {name.strip(): table.column(name).to_numpy() for name in table.column_names}
+
+
+def write(path: Path, columns: Columns) -> None:
+    """Shortest text that reads back as the same number."""
+    pa_csv.write_csv(pa.table(dict(columns)), path)

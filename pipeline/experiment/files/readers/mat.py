@@ -1,0 +1,145 @@
+"""MATLAB files: v5 read here, v7.3 as the HDF5 file that it is.
+
+A v5 file is a row of elements, each a tag (type, bytes) and its data; type 15 is a deflated element, type 14 a
+matrix: flags, dimensions and name, then for numbers their data and for a struct its field names and matrices.
+
+scipy.io.loadmat is not used: it believes types and sizes, and a single wrong byte can end the interpreter
+(1 of some 1000 mutated files, scipy 1.17).  scipy writes.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import savemat
+
+from ....errors import MeasurementError
+from . import hdf5
+from .table import MAX_VALUES, Columns, allow, vector
+
+_HEADER = 128
+_COMPRESSED, _MATRIX = 15, 14
+_STRUCT = 2
+#: Classes of real numbers in full storage.
+_NUMBERS = range(6, 16)
+_COMPLEX_FLAG = 0x0800
+_DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+#: No number of a MAT file has more bytes than this; names and dimensions come on top.
+_MAX_BYTES = 8 * MAX_VALUES + 2**20
+
+Value = NDArray[Any] | dict[str, NDArray[Any]] | None
+
+
+def _damaged(where: str) -> MeasurementError:
+    return MeasurementError(
+        "not a sound MAT file of version 5",
+        value=where,
+        allowed="elements of known types that lie inside the file",
+        next_step="the file is damaged: copy it again from its source",
+    )
+
+
+def _elements(data: bytes, order: str) -> list[tuple[int, bytes]]:
+    """Type and data of the elements in ``data``, each checked to lie inside it."""
+    found, at = [], 0
+    while at + 8 <= len(data):
+        kind, count = struct.unpack_from(order + "II", data, at)
+        if kind >> 16:  # small element: number of bytes in the upper half, data in the tag
+            kind, count, at, room = kind & 0xFFFF, kind >> 16, at + 4, 4
+            following = at + 4
+        else:
+            at, room = at + 8, len(data) - at - 8
+            # Deflated elements are not padded to eight bytes.
+            following = at + count + (0 if kind == _COMPRESSED else -count % 8)
+        if count > room:
+            raise _damaged(f"element of type {kind} with {count} bytes")
+        found.append((kind, data[at : at + count]))
+        at = following
+    if at < len(data):
+        raise _damaged(f"{len(data) - at} bytes after the last element")
+    return found
+
+
+def _inflated(body: bytes) -> bytes:
+    stream = zlib.decompressobj()
+    data = stream.decompress(body, _MAX_BYTES)
+    if stream.unconsumed_tail:
+        allow(MAX_VALUES + 1, len(body))
+    if not stream.eof:
+        raise _damaged("deflated element that does not end")
+    return data
+
+
+def _fields(rest: list[tuple[int, bytes]], order: str) -> dict[str, NDArray[Any]]:
+    """Vectors of a 1 x 1 struct: length of a name, names, one matrix a field."""
+    if len(rest) < 2 or len(rest[0][1]) != 4:
+        raise _damaged("struct without names")
+    length, names = struct.unpack(order + "i", rest[0][1])[0], rest[1][1]
+    if length < 1 or len(names) != length * (len(rest) - 2):
+        raise _damaged("struct whose fields do not fit its names")
+    fields = {}
+    for k, (kind, body) in enumerate(rest[2:]):
+        value = _matrix(body, order)[1] if kind == _MATRIX else None
+        if isinstance(value, np.ndarray):
+            fields[names[k * length : (k + 1) * length].split(b"\0")[0].decode("ascii")] = value
+    return fields
+
+
+def _matrix(body: bytes, order: str) -> tuple[str, Value]:
+    """Name and value of a matrix; ``None`` for what cannot be a vector of real numbers or a struct of them."""
+    parts = _elements(body, order)
+    if [kind for kind, _ in parts[:3]] != [6, 5, 1] or len(parts[0][1]) != 8 or len(parts[1][1]) % 4:
+        raise _damaged("matrix without flags, dimensions and name")
+    flags = struct.unpack_from(order + "I", parts[0][1])[0]
+    shape = tuple(int(n) for n in np.frombuffer(parts[1][1], dtype=order + "i4"))
+    name, rest, array_class = parts[2][1].decode("ascii"), parts[3:], flags & 0xFF
+    if array_class == _STRUCT and shape == (1, 1):
+        return name, _fields(rest, order)
+    if array_class not in _NUMBERS or flags & _COMPLEX_FLAG:
+        return name, None
+    if len(rest) != 1 or rest[0][0] not in _DTYPES:
+        raise _damaged(f"{name} holds no numbers")
+    numbers = np.frombuffer(rest[0][1], dtype=order + _DTYPES[rest[0][0]])
+    return name, vector(numbers.reshape(shape, order="F"))
+
+
+def _variables(data: bytes, order: str) -> dict[str, Value]:
+    found = {}
+    for kind, body in _elements(data, order):
+        inner = _elements(_inflated(body), order) if kind == _COMPRESSED else [(kind, body)]
+        for inner_kind, matrix in inner:
+            if inner_kind != _MATRIX:
+                raise _damaged(f"variable of type {inner_kind}")
+            name, value = _matrix(matrix, order)
+            found[name] = value
+    return found
+
+
+def read(path: Path) -> Columns:
+    """All real vectors, as variables or inside the one struct that the file holds."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        start = file.read(1024)
+    # MATLAB puts 512 bytes of its own in front of the HDF5 file; other writers put none.
+    if start[:8] == _HDF5_MAGIC or start[512:520] == _HDF5_MAGIC:
+        return hdf5.read(path)
+    if size > _MAX_BYTES:
+        allow(MAX_VALUES + 1, size)
+    orders = {b"IM": "<", b"MI": ">"}
+    if start[126:128] not in orders or start[:4] == b"\0\0\0\0":
+        raise _damaged("header of another version")
+    found = _variables(path.read_bytes()[_HEADER:], orders[start[126:128]])
+    structs = [value for value in found.values() if isinstance(value, dict) and value]
+    columns = dict(structs[0]) if len(structs) == 1 else {}
+    return columns | {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+
+
+def write(path: Path, columns: Columns) -> None:
+    """Version 5, column vectors, deflated (which carries a checksum)."""
+    savemat(path, dict(columns), do_compression=True, oned_as="column")

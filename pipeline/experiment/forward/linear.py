@@ -1,0 +1,214 @@
+"""Linear part of a record: mechanics and read-out as one bank of poles, exact at the sample times.
+
+    y = G(s) exp(-s tau) [H(s) u + (R + s C) v]
+
+G H in partial fractions: G(p_k) R_k at the mechanics' poles p_k, Q_j H(q_j) at the read-out's q_j.  The feedthrough
+behind a filter is Q_j (R + q_j C) at q_j and (sum_j Q_j) C at once; without a filter R v and C times the slope of v
+that arrives at the sample.  A delay reads each state before its sample: with m + 1 = ceil(tau f_s) and t = (m +
+1)/f_s - tau,
+
+    x((n f_s) - tau) = e^{p t} x[n - m - 1] + (response to the held drive over t)
+
+The records of a campaign are few waveforms through several drives; a pole answers a waveform once, whatever the drive,
+
+    y_r = sum_w sum_d gain[r, d, w] (response of drive d to waveform w)
+
+Shapes: N samples, D drives, S senses, P poles, J read-out poles, W waveforms, R records.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor
+
+import numpy as np
+from numba import njit
+
+from ...arrays import ComplexArray, FloatArray
+from ...device.mechanics import Mechanics, modes_of, state_matrix
+from ...device.readout import Readout
+from ..instrument import Hold
+from .modal_bank import hold_gains
+
+_OVERSAMPLING = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Held samples as the engine steps them: "bandlimited" is first-order hold on drives interpolated eightfold."""
+
+    step_s: float
+    hold: Hold
+    stride: int
+
+
+def clock_of(sample_rate_hz: float, hold: Hold) -> Clock:
+    """The clock of a record."""
+    if hold == "bandlimited":
+        return Clock(1.0 / (sample_rate_hz * _OVERSAMPLING), "foh", _OVERSAMPLING)
+    return Clock(1.0 / sample_rate_hz, hold, 1)
+
+
+def interpolated(drive_v: FloatArray, clock: Clock) -> FloatArray:
+    """Drive samples (N, D) at the clock's steps."""
+    if clock.stride == 1:
+        return np.ascontiguousarray(drive_v)
+    # Loading scipy.signal takes a third of a second.
+    from scipy.signal import resample_poly
+
+    return np.ascontiguousarray(resample_poly(drive_v, clock.stride, 1, axis=0))
+
+
+def upper_poles(readout: Readout) -> tuple[ComplexArray, ComplexArray]:
+    """Poles with Im >= 0 and their residues; a real pole with half its residue, since its conjugate is added."""
+    real = np.abs(readout.poles.imag) < 1e-9 * np.abs(readout.poles)
+    keep = (readout.poles.imag > 0.0) | real
+    weight = np.where(real, 0.5, 1.0)[keep]
+    return readout.poles[keep], readout.residues[keep] * weight[:, None, None]
+
+
+def delay_steps(delay_s: float, step_s: float) -> tuple[int, float]:
+    """Whole steps to shift by, and the time after each step [s] at which to read."""
+    whole = floor(delay_s / step_s + 1e-12)
+    rest = max(delay_s - whole * step_s, 0.0)
+    return (whole, 0.0) if rest < 1e-12 * step_s else (whole + 1, step_s - rest)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+def _states(
+    z_re: FloatArray,
+    z_im: FloatArray,
+    a_re: FloatArray,
+    a_im: FloatArray,
+    b_re: FloatArray,
+    b_im: FloatArray,
+    drive: FloatArray,
+    out: FloatArray,
+) -> None:
+    """States x[n+1] = z x[n] + a v[n] + b v[n+1] of P poles from rest: real parts, then imaginary ones, (N, 2P)."""
+    poles = z_re.size
+    for j in range(2 * poles):
+        out[0, j] = 0.0
+    for n in range(drive.size - 1):
+        now, following = drive[n], drive[n + 1]
+        for j in range(poles):
+            re, im = out[n, j], out[n, poles + j]
+            out[n + 1, j] = z_re[j] * re - z_im[j] * im + a_re[j] * now + b_re[j] * following
+            out[n + 1, poles + j] = z_re[j] * im + z_im[j] * re + a_im[j] * now + b_im[j] * following
+
+
+def _answers(
+    poles: ComplexArray,
+    residues: ComplexArray,
+    waveforms: FloatArray,
+    gains: FloatArray,
+    clock: Clock,
+    late_s: float,
+) -> FloatArray:
+    """Bank response (N, R, S) of all records, read ``late_s`` after each step."""
+    turned = residues if late_s == 0.0 else residues * np.exp(poles * late_s)[:, None, None]
+    z, g0, g1 = hold_gains(poles, clock.step_s, clock.hold)
+    parts = [np.ascontiguousarray(part) for g in (z, g0, g1) for part in (g.real, g.imag)]
+    samples = waveforms.shape[1]
+    y = np.zeros((samples, gains.shape[0] * residues.shape[1]))
+    states, own = np.empty((samples, 2 * poles.size)), np.empty_like(y)
+    for w, waveform in enumerate(waveforms):
+        mixed = np.einsum("psd,rd->prs", turned, gains[:, :, w]).reshape(poles.size, -1)
+        _states(parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], waveform, states)
+        # 2 Re R x = 2 Re R Re x - 2 Im R Im x
+        y += np.matmul(states, np.concatenate([2.0 * mixed.real, -2.0 * mixed.imag]), out=own)
+    if late_s > 0.0:
+        whole = np.expm1(poles * late_s) / poles
+        y += waveforms.T @ _spread(2.0 * np.sum(residues * whole[:, None, None], axis=0).real, gains)
+        if clock.hold != "zoh":
+            rise = (np.expm1(poles * late_s) - poles * late_s) / (poles**2 * clock.step_s)
+            ramp = 2.0 * np.sum(residues * rise[:, None, None], axis=0).real
+            y[:-1] += np.diff(waveforms, axis=1).T @ _spread(ramp, gains)
+    return y.reshape(samples, gains.shape[0], residues.shape[1])
+
+
+def _spread(matrix: FloatArray, gains: FloatArray) -> FloatArray:
+    """A static matrix (S, D) as (W, R S): what it makes of each waveform in each record."""
+    return np.asarray(np.einsum("sd,rdw->wrs", matrix, gains).reshape(gains.shape[2], gains.shape[0] * matrix.shape[0]))
+
+
+def linear_response(
+    mechanics: Mechanics, readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: Clock, feeds: bool = True
+) -> FloatArray:
+    """y (R, N, S) at the clock's steps, from rest.
+
+    Parameters
+    ----------
+    mechanics : a batch of one.
+    readout : read-out with feedthrough and delay.
+    waveforms, gains : (W, N) volts, and (R, D, W) how much of each goes through each drive in each record.
+    clock : step and hold.
+    feeds : with the feedthrough.
+    """
+    modes = modes_of(mechanics)
+    p, r = modes.poles[0], modes.residues[0]
+    q, g = upper_poles(readout)
+    shift, late_s = delay_steps(readout.delay_s, clock.step_s)
+    poles, residues = p, readout.response(p) @ r
+    fed = feeds and bool(np.any(readout.resistive) or np.any(readout.capacitive))
+    if q.size:
+        behind = g @ np.moveaxis(modes.response(q)[0], -1, 0)
+        if fed:
+            # Feedthrough and filter: sum_j Q_j (R + s C)/(s - q_j).
+            behind = behind + g @ (readout.resistive + q[:, None, None] * readout.capacitive)
+        poles, residues = np.concatenate([p, q]), np.concatenate([residues, behind])
+    y = _answers(poles, residues, waveforms, gains, clock, late_s)
+    if fed:
+        y += _fed_at_once(readout, g, waveforms, gains, clock, late_s)
+    return np.moveaxis(shifted(y, shift), 1, 0)
+
+
+def fed_through(readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: Clock) -> FloatArray:
+    """The feedthrough alone, (R, N, S)."""
+    q, g = upper_poles(readout)
+    shift, late_s = delay_steps(readout.delay_s, clock.step_s)
+    y = _fed_at_once(readout, g, waveforms, gains, clock, late_s)
+    if q.size:
+        residues = g @ (readout.resistive + q[:, None, None] * readout.capacitive)
+        y += _answers(q, residues, waveforms, gains, clock, late_s)
+    return np.moveaxis(shifted(y, shift), 1, 0)
+
+
+def _fed_at_once(
+    readout: Readout, g: ComplexArray, waveforms: FloatArray, gains: FloatArray, clock: Clock, late_s: float
+) -> FloatArray:
+    """The part of the feedthrough that no filter delays, (N, R, S): the held drive and its slope."""
+    at_once = readout.static @ readout.resistive
+    slope = readout.static @ readout.capacitive
+    if g.size:
+        at_once = at_once + 2.0 * g.sum(axis=0).real @ readout.capacitive
+    now = waveforms
+    if late_s > 0.0 and clock.hold != "zoh":
+        now = waveforms.copy()
+        now[:, :-1] += np.diff(waveforms, axis=1) * (late_s / clock.step_s)
+    y = now.T @ _spread(at_once, gains)
+    if np.any(slope):
+        arriving = np.diff(waveforms, axis=1, prepend=waveforms[:, :1]) / clock.step_s
+        y += arriving.T @ _spread(slope, gains)
+    return np.asarray(y.reshape(waveforms.shape[1], gains.shape[0], -1))
+
+
+def shifted(y: FloatArray, steps: int) -> FloatArray:
+    """y (N, ..) that many samples later, zero before."""
+    if steps == 0:
+        return y
+    out = np.zeros_like(y)
+    out[steps:] = y[: max(y.shape[0] - steps, 0)]
+    return out
+
+
+def free_response(mechanics: Mechanics, readout: Readout, samples: int, clock: Clock) -> FloatArray:
+    """(N, S, 2n): what a unit of each initial position and velocity leaves in the record, filter settled."""
+    n = mechanics.stiffness.shape[-1]
+    poles, right = np.linalg.eig(state_matrix(mechanics)[0])
+    left = np.linalg.inv(right)
+    seen = np.concatenate([mechanics.position_sense[0], mechanics.velocity_sense[0]], axis=1) @ right
+    gain = np.einsum("ksj,jk->ks", readout.response(poles), seen) * np.exp(-poles * readout.delay_s)[:, None]
+    decay = np.exp(np.arange(samples)[:, None] * (poles * clock.step_s))
+    parts = (gain[:, :, None] * left[:, None, :]).reshape(2 * n, -1)
+    return np.asarray((decay @ parts).real.reshape(samples, -1, 2 * n))

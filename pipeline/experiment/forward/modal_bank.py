@@ -1,0 +1,126 @@
+"""Exact response of linear modes to held drive samples.
+
+    x_k[n+1] = z_k x_k[n] + g0_k v[n] + g1_k v[n+1],   z_k = exp(p_k T),   S[n] = 2 Re sum_k R_k x_k[n]
+
+    zoh          g0 = (z - 1)/p,                g1 = 0
+    foh          g1 = (z - 1 - p T)/(p^2 T),    g0 = (z - 1)/p - g1
+    bandlimited  foh on drive samples interpolated sixteenfold (3e-5 of the signal at a twentieth of the sample rate)
+
+Shapes: N samples, B devices, P poles, S senses, D drives.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ...arrays import ComplexArray, FloatArray
+from ..antialias import Bank
+from ..instrument import Hold
+
+_OVERSAMPLING = 16
+#: Half-length of the interpolating filter, in drive samples: its ripple stays below 1e-6.
+_REACH = 64
+
+
+def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """z, g0, g1 of each pole for one step of ``step_s`` seconds; "bandlimited" steps as "foh"."""
+    z = np.exp(poles * step_s)
+    # expm1 keeps z - 1 exact for slow poles.
+    whole = np.expm1(poles * step_s) / poles
+    if hold == "zoh":
+        return z, whole, np.zeros_like(z)
+    g1 = (np.expm1(poles * step_s) - poles * step_s) / (poles**2 * step_s)
+    return z, whole - g1, g1
+
+
+@lru_cache(maxsize=1)
+def _interpolator() -> FloatArray:
+    # Loading scipy.signal takes a third of a second.
+    from scipy.signal import firwin
+
+    taps = 2 * _REACH * _OVERSAMPLING + 1
+    return np.asarray(firwin(taps, 1.0 / _OVERSAMPLING, window=("kaiser", 14.0)))
+
+
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
+def _run_bank(
+    z_re: FloatArray,
+    z_im: FloatArray,
+    a_re: FloatArray,
+    a_im: FloatArray,
+    b_re: FloatArray,
+    b_im: FloatArray,
+    drive: FloatArray,
+    out: FloatArray,
+) -> None:
+    """z (J,), a and b (D, J) with J = S * P states in the order (sense, pole); drive (N, D) -> out (N, S)."""
+    states = z_re.size
+    samples, drives = drive.shape
+    senses = out.shape[1]
+    per_sense = states // senses
+    x_re = np.zeros(states)
+    x_im = np.zeros(states)
+    f_re = np.empty(states)
+    f_im = np.empty(states)
+    for n in range(samples):
+        for i in range(senses):
+            total = 0.0
+            for j in range(i * per_sense, (i + 1) * per_sense):
+                total += x_re[j]
+            out[n, i] = 2.0 * total
+        if n + 1 == samples:
+            break
+        for j in range(states):
+            f_re[j] = z_re[j] * x_re[j] - z_im[j] * x_im[j]
+            f_im[j] = z_re[j] * x_im[j] + z_im[j] * x_re[j]
+        for d in range(drives):
+            now, following = drive[n, d], drive[n + 1, d]
+            for j in range(states):
+                f_re[j] += a_re[d, j] * now + b_re[d, j] * following
+                f_im[j] += a_im[d, j] * now + b_im[d, j] * following
+        for j in range(states):
+            x_re[j] = f_re[j]
+            x_im[j] = f_im[j]
+
+
+def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) -> FloatArray:
+    """Pick-off volts (B, N, S) of a batch from rest, exact at the sample times.
+
+    Parameters
+    ----------
+    bank : poles and residues, the anti-alias filter included.
+    drive_v : (N, D) drive samples [V].
+    sample_rate_hz : f_s [Hz].
+    hold : how drive samples become volts.
+    """
+    step_s = 1.0 / sample_rate_hz
+    drive = np.ascontiguousarray(drive_v)
+    if hold == "bandlimited":
+        from scipy.signal import resample_poly
+
+        window: Any = _interpolator()
+        drive = np.ascontiguousarray(resample_poly(drive, _OVERSAMPLING, 1, axis=0, window=window))
+        step_s /= _OVERSAMPLING
+    z, g0, g1 = hold_gains(bank.poles, step_s, hold)
+    batch, poles, senses, drives = bank.residues.shape
+    out = np.empty((batch, drive.shape[0], senses))
+    for i in range(batch):
+        zz = np.tile(z[i], senses)
+        order = np.transpose(bank.residues[i], (2, 1, 0))
+        a = (order * g0[i]).reshape(drives, senses * poles)
+        b = (order * g1[i]).reshape(drives, senses * poles)
+        _run_bank(
+            np.ascontiguousarray(zz.real),
+            np.ascontiguousarray(zz.imag),
+            np.ascontiguousarray(a.real),
+            np.ascontiguousarray(a.imag),
+            np.ascontiguousarray(b.real),
+            np.ascontiguousarray(b.imag),
+            drive,
+            out[i],
+        )
+    return out[:, ::_OVERSAMPLING] if hold == "bandlimited" else out

@@ -1,0 +1,132 @@
+"""A model at given parameters, met by one record: everything the forward model needs, assembled once.
+
+Effects act stage by stage in the order of the signal; inside a stage in the order of their names, and at its null an
+effect does not act at all.  A declared angular rate acts whether or not the model has ``angular_rate``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...arrays import ComplexArray, FloatArray
+from ...device.effect import Context, Effect, Laws
+from ...device.mechanics import Mechanics
+from ...device.model import Model
+from ...device.readout import Readout, plain_readout
+from ...errors import ConfigError
+from ..antialias import filter_poles
+from ..instrument import Instrument
+from ..record import Record
+
+_NO_POLES: ComplexArray = np.zeros(0, dtype=np.complex128)
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a record declares: biases [V] and the angular rate Omega I_p/I_0p [rad/s], ``None`` where unknown."""
+
+    bias_v: float
+    operating_bias_v: float
+    rate: float | None
+
+
+def conditions_of(record: Record, instrument: Instrument, angular_gain: float | None) -> Conditions:
+    """Conditions of a record; a rate other than zero is unknown without the angular gain."""
+    rate: float | None = None
+    if record.rate_dps is not None and (record.rate_dps == 0.0 or angular_gain is not None):
+        rate = float(np.deg2rad(record.rate_dps)) * (angular_gain or 0.0)
+    bias = instrument.bias_v if record.bias_v is None else record.bias_v
+    return Conditions(bias, instrument.bias_v, rate)
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Mechanics (a batch of one), read-out and what else acts, in the order of the signal.
+
+    ``sense_motion`` (S, n) and ``drive_motion`` (D, n) as in ``device.plant``, zero for appended coordinates.
+    """
+
+    mechanics: Mechanics
+    readout: Readout
+    context: Context
+    sense_motion: FloatArray
+    drive_motion: FloatArray
+    axes: int
+    drives: tuple[tuple[Effect, FloatArray], ...]
+    forces: tuple[tuple[Effect, FloatArray], ...]
+    senses: tuple[tuple[Effect, FloatArray], ...]
+    adcs: tuple[tuple[Effect, FloatArray], ...]
+
+    @property
+    def laws(self) -> Laws:
+        """What force laws may use."""
+        m = self.mechanics
+        return Laws(
+            np.ascontiguousarray(m.damping[0]),
+            np.ascontiguousarray(m.stiffness[0]),
+            np.ascontiguousarray(m.drive[0]),
+            np.ascontiguousarray(self.drive_motion),
+            float(self.context.bias_v),
+            float(self.context.operating_bias_v),
+            self.axes,
+        )
+
+
+def acting(model: Model, values: Mapping[str, float], conditions: Conditions) -> list[tuple[Effect, FloatArray]]:
+    """The effects that are not at their null, with their parameters (k,), sorted by name."""
+    shape = model.built.shape
+    found: dict[str, tuple[Effect, FloatArray]] = {}
+    for effect in model.ordered_effects():
+        found[effect.name] = (effect, np.array([values[effect.full_name(m)] for m in effect.members(shape)]))
+    if conditions.rate is not None:
+        for effect in model.library.values():
+            if effect.condition == "rate" and model.built.kinds & set(effect.plants):
+                found[effect.name] = (effect, np.array([conditions.rate]))
+    return [(effect, p) for _, (effect, p) in sorted(found.items()) if not effect.is_null(p, shape)]
+
+
+def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, conditions: Conditions) -> System:
+    """The system of complete parameter ``values``.
+
+    Raises
+    ------
+    ConfigError : damping is not positive semidefinite, or stiffness not positive.
+    """
+    plant = model.built
+    context = Context(conditions.bias_v, conditions.operating_bias_v, values)
+    effects = acting(model, values, conditions)
+    mechanics = plant.mechanics(values)
+    poles, residues = (_NO_POLES, _NO_POLES) if instrument.antialias is None else filter_poles(instrument.antialias)
+    readout = plain_readout(poles, residues, plant.shape.senses, plant.shape.drives)
+    for effect, p in effects:
+        if effect.mechanics is not None:
+            mechanics = effect.mechanics(mechanics, p, context)
+        if effect.readout is not None:
+            readout = effect.readout(readout, p, context)
+    for what, matrix in (("damping", mechanics.damping[0]), ("stiffness", mechanics.stiffness[0])):
+        lowest = np.linalg.eigvalsh(matrix)[0]
+        if lowest < (-1e-9 * np.trace(matrix) if what == "damping" else 0.0):
+            raise ConfigError(f"{what} is not positive", value=float(lowest), allowed="|c12| <= sqrt(c11 c22)")
+
+    def appended(motion: FloatArray) -> FloatArray:
+        return np.pad(motion, ((0, 0), (0, mechanics.stiffness.shape[1] - motion.shape[1])))
+
+    def of(stage: str) -> tuple[tuple[Any, FloatArray], ...]:
+        return tuple((effect, p) for effect, p in effects if getattr(effect, stage) is not None)
+
+    return System(
+        mechanics,
+        readout,
+        context,
+        appended(plant.sense_motion()),
+        appended(plant.drive_motion()),
+        len(plant.shape.axes),
+        of("drive"),
+        of("force"),
+        of("sense"),
+        of("adc"),
+    )

@@ -1,0 +1,66 @@
+"""What the instrument adds to the pick-off volts: hum, noise, conversion.
+
+    y = Q(S + sum_h a_h cos(2 pi h f t + phi_h) + sigma n),   Q rounds to the LSB and clips at full scale
+
+Shapes: S (N, senses) volts.  Noise is white and Gaussian; hum phases are random, one a channel and harmonic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..instrument import Adc
+
+
+@dataclass(frozen=True)
+class Hum:
+    """Mains hum: ``amplitude_v[h-1]`` volts at the harmonic h of ``frequency_hz``."""
+
+    frequency_hz: float = 60.0
+    amplitude_v: tuple[float, ...] = ()
+
+
+@lru_cache(maxsize=8)
+def _waves(samples: int, sample_rate_hz: float, frequency_hz: float, harmonics: int) -> FloatArray:
+    """cos and sin (N, 2 harmonics) of the harmonics, read-only."""
+    t = np.arange(samples) / sample_rate_hz
+    angle = 2.0 * np.pi * frequency_hz * t[:, None] * np.arange(1, harmonics + 1)
+    waves = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+    waves.setflags(write=False)
+    return waves
+
+
+def hum_volts(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random: np.random.Generator) -> FloatArray:
+    """Hum (samples, senses) [V] from t = 0."""
+    amplitude = np.array(hum.amplitude_v)[:, None]
+    phases = random.uniform(0.0, 2.0 * np.pi, (amplitude.size, senses))
+    weights = np.concatenate([amplitude * np.cos(phases), -amplitude * np.sin(phases)])
+    return _waves(samples, sample_rate_hz, hum.frequency_hz, amplitude.size) @ weights
+
+
+def convert(volts: FloatArray, adc: Adc | None) -> FloatArray:
+    """Q(v): the nearest code of a mid-tread converter, in volts; unchanged without a converter."""
+    if adc is None:
+        return volts
+    half = 2.0 ** (adc.bits - 1)
+    return np.clip(np.rint(volts / adc.lsb_v), -half, half - 1.0) * adc.lsb_v
+
+
+def measured(
+    volts: FloatArray,
+    sample_rate_hz: float,
+    sigma_v: float,
+    hum: Hum,
+    adc: Adc | None,
+    random: np.random.Generator,
+) -> FloatArray:
+    """The record of pick-off ``volts`` (N, senses): hum and noise added, converted."""
+    samples, senses = volts.shape
+    total = volts + sigma_v * random.standard_normal(volts.shape)
+    if hum.amplitude_v:
+        total = total + hum_volts(hum, samples, sample_rate_hz, senses, random)
+    return convert(total, adc)

@@ -1,0 +1,195 @@
+"""Where a fit of a campaign starts: modes from the records' spectra, with transients, for any drives and senses.
+
+In the driven band, with x in [-1, 1] for frequency, every record obeys
+
+    A(x) Y_a(x) = sum_d B_ad(x) U_d(x) + T_a(x),        A, B, T complex polynomials; A and B common to the records
+
+A of the degree of the number of modes.  B and T are projected out, A is the smallest singular vector, and the rows
+are reweighted by 1/|A| until the roots stand still (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56).
+Residues follow from the poles by linear least squares with exact transients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy.fft import rfft
+
+from ...arrays import ComplexArray, FloatArray
+from ...device.gyro import to_physical
+from ...device.model import Model
+from ...device.plant import C12, GyroPlant, ModalPlant
+from ...errors import MeasurementError
+from ...experiment.instrument import Instrument
+from ...experiment.record import Record
+from ..screening.compressed import BandData, nuisance_basis
+from ..screening.fit import maximise, start_from_modes
+from ..screening.inband import features, make_band
+
+_ROUNDS = 20
+#: Degrees of B and T beyond that of A: the tails of what resonates outside the band.
+_MORE = 1
+
+
+def driven_band(records: Sequence[Record]) -> tuple[float, float]:
+    """The band [low, high] Hz that holds the drives' energy: all bins above 1 % of the strongest.
+
+    Raises
+    ------
+    MeasurementError : no record is driven.
+    """
+    low, high = np.inf, 0.0
+    for record in records:
+        power = np.sum(np.abs(rfft(record.drive_v, axis=0)) ** 2, axis=1)
+        power[0] = 0.0
+        if power.max() > 0.0:
+            hot = np.flatnonzero(power > 1e-2 * power.max())
+            unit = record.sample_rate_hz / record.drive_v.shape[0]
+            low, high = min(low, hot[0] * unit), max(high, hot[-1] * unit)
+    if high <= low:
+        raise MeasurementError("no record to fit is driven", next_step='give a driven record role = "fit"')
+    return low, high
+
+
+def modes_from_spectra(
+    records: Sequence[Record], modes: int, low_hz: float, high_hz: float, sigma_v: FloatArray
+) -> ComplexArray:
+    """Poles (modes,) [rad/s] in the band, sorted by frequency, all stable.
+
+    Parameters
+    ----------
+    records : fit records.
+    modes : how many.
+    low_hz, high_hz : the band.
+    sigma_v : (S,) weights of the senses.
+    """
+    centre, span = (low_hz + high_hz) / 2.0, (high_hz - low_hz) / 2.0
+    blocks = []
+    for record in records:
+        samples = record.drive_v.shape[0]
+        unit = record.sample_rate_hz / samples
+        bins = np.arange(max(1, int(np.ceil(low_hz / unit))), int(np.floor(high_hz / unit)) + 1)
+        y = rfft(record.sense_v / sigma_v, axis=0)[bins] / np.sqrt(samples)
+        u = rfft(record.drive_v, axis=0)[bins] / np.sqrt(samples)
+        blocks.append((chebyshev.chebvander((bins * unit - centre) / span, modes + _MORE), y, u))
+    # Where all rows are used, seconds go by; a few thousand of the most telling suffice for a start.
+    roots = np.zeros(modes, dtype=np.complex128)
+    weight_roots: ComplexArray | None = None
+    for _ in range(_ROUNDS):
+        rows: list[ComplexArray] = []
+        inputs: list[ComplexArray] = []
+        for t, y, u in blocks:
+            weight = np.ones(t.shape[0])
+            if weight_roots is not None:
+                distance = np.abs(t[:, 1][:, None] - weight_roots)
+                weight = 1.0 / np.maximum(np.prod(distance, axis=1), 1e-12)
+            transient, _ = np.linalg.qr(t * weight[:, None])
+            a = np.concatenate([t[:, : modes + 1] * (y[:, s] * weight)[:, None] for s in range(y.shape[1])], axis=1)
+            b = np.concatenate([t * (u[:, d] * weight)[:, None] for d in range(u.shape[1])], axis=1)
+            rows.append(a - transient @ (transient.T @ a))
+            inputs.append(b - transient @ (transient.T @ b))
+        stacked, driven = np.concatenate(rows), np.concatenate(inputs)
+        norms = np.linalg.norm(driven, axis=0)
+        basis, size, _ = np.linalg.svd(driven / np.where(norms > 0.0, norms, 1.0), full_matrices=False)
+        basis = basis[:, size > 1e-10 * size[0]]
+        stacked = stacked - basis @ (basis.conj().T @ stacked)
+        senses = stacked.shape[1] // (modes + 1)
+        tall = np.concatenate([stacked[:, s * (modes + 1) : (s + 1) * (modes + 1)] for s in range(senses)])
+        coefficients = np.linalg.svd(tall, full_matrices=False)[2][-1].conj()
+        moved = chebyshev.chebroots(coefficients)
+        if moved.size < modes:
+            moved = np.concatenate([moved, np.full(modes - moved.size, 0.5j)])
+        moved = moved[np.argsort(moved.real)]
+        # Poles of a stable plant lie above the real x axis.
+        weight_roots = moved.real + 1j * np.maximum(np.abs(moved.imag), 1e-9)
+        if np.max(np.abs(moved - roots)) < 1e-9:
+            break
+        roots = moved
+    x = np.asarray(weight_roots)
+    p = 2j * np.pi * (centre + span * np.clip(x.real, -3.0, 3.0)) - 2.0 * np.pi * span * np.minimum(x.imag, 0.5)
+    return np.asarray(p[np.argsort(p.imag)])
+
+
+def residues_of(
+    records: Sequence[Record], poles: ComplexArray, instrument: Instrument, low_hz: float, high_hz: float
+) -> ComplexArray:
+    """Residues (K, S, D) of ``poles`` (K,) by least squares in the band, with exact transients."""
+    rows, targets = [], []
+    for record in records:
+        band = make_band(record.drive_v, replace(instrument, sample_rate_hz=record.sample_rate_hz), low_hz, high_hz)
+        plus = np.stack([features(band, complex(p), 0)[0] for p in poles])
+        minus = np.stack([features(band, complex(np.conj(p)), 0)[0] for p in poles])
+        flat = (plus + minus).reshape(-1, band.bins.size), (1j * (plus - minus)).reshape(-1, band.bins.size)
+        columns = np.concatenate(flat).T / np.sqrt(band.samples)
+        rows.append(np.concatenate([columns.real, columns.imag]))
+        y = band.transform(record.sense_v - record.sense_v.mean(axis=0)).T / np.sqrt(band.samples)
+        targets.append(np.concatenate([y.real, y.imag]))
+    found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
+    half = found.shape[0] // 2
+    complex_found = found[:half] + 1j * found[half:]
+    return np.asarray(np.moveaxis(complex_found.reshape(poles.size, -1, found.shape[1]), 2, 1))
+
+
+def gyro_start(
+    records: Sequence[Record], instrument: Instrument, sigma_v: FloatArray, low_hz: float, high_hz: float
+) -> FloatArray:
+    """Cartesian parameters (12,) of plant "gyro" from the spectra of ``records`` in the band; hold "zoh" or "foh"."""
+    poles = modes_from_spectra(records, 3, low_hz, high_hz, sigma_v)
+    residues = residues_of(records, poles, instrument, low_hz, high_hz)
+    # Up-down moves all electrodes alike; rocking has the opposite sign, and cancels across the axes.
+    alike = residues.real.sum(axis=(1, 2)) / np.linalg.norm(residues.real, axis=(1, 2))
+    third = int(np.argmax(alike))
+    order = [k for k in range(3) if k != third] + [third]
+    return start_from_modes(poles[order], residues[order])
+
+
+def find_start(
+    model: Model, records: Sequence[Record], instrument: Instrument, sigma_v: FloatArray
+) -> dict[str, float]:
+    """Values of the plant's parameters (and c12_per_s where free) to start a fit from.
+
+    Parameters
+    ----------
+    model : its plant says how many modes.
+    records : fit records.
+    instrument : hold and filter; "bandlimited" starts as "foh".
+    sigma_v : (S,) [V].
+
+    Raises
+    ------
+    MeasurementError : no record is driven.
+    """
+    records = [r for r in records if np.any(r.drive_v)]
+    low, high = driven_band(records)
+    held = instrument if instrument.hold != "bandlimited" else replace(instrument, hold="foh")
+    plant = model.built
+    if isinstance(plant, ModalPlant):
+        poles = modes_from_spectra(records, plant.modes, low, high, sigma_v)
+        residues = residues_of(records, poles, held, low, high)
+        out: dict[str, float] = {}
+        for k, p in enumerate(poles):
+            out[f"f{k + 1}_hz"], out[f"zeta{k + 1}"] = (
+                abs(p) / (2.0 * np.pi),
+                float(np.clip(-p.real / abs(p), 1e-6, 0.9)),
+            )
+            gain = (residues[k] * 2j * p.imag / (1.0 if plant.displacement else p)).real
+            for a in range(plant.senses):
+                for b in range(plant.drives):
+                    out[f"gain{k + 1}_s{a + 1}d{b + 1}"] = float(gain[a, b])
+        return out
+    assert isinstance(plant, GyroPlant)
+    x = gyro_start(records, held, sigma_v, low, high)
+    data = []
+    for record in records:
+        band = make_band(record.drive_v, replace(held, sample_rate_hz=record.sample_rate_hz), low, high)
+        data.append(BandData(band, band.transform(record.sense_v), nuisance_basis(band, None)))
+    fitted = maximise(data, sigma_v, x)
+    physical = to_physical((fitted.x if np.all(np.isfinite(fitted.x)) else x)[None])[0]
+    names = [*(p.name for p in plant.parameters[:7]), C12, *(p.name for p in plant.parameters[7:])]
+    found = dict(zip(names, physical.tolist()))
+    if C12 not in model.by_name:
+        found.pop(C12)
+    return found

@@ -1,0 +1,175 @@
+"""A model met by a modal record: the poles and residues of its assembled linear system, and where to start.
+
+    c_m = i R1_m + R0_m / w_m              what a mode does at its resonance (M, S, D) [1/s]
+    R_k -> G(p_k) exp(-p_k tau) R_k        mechanics' residues through the read-out, taken at the mechanics' poles
+    R1 = 2 Re R,   R0 = -2 Re(conj(p) R)
+
+Everything comes from the system that the model assembles for records, so an effect's law stands in its own file only.  A
+feedthrough has no part in residues.  Modes are matched by frequency; a recorded mode that the model lacks gets c = 0.
+
+Shapes: M recorded modes, S senses, D drives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ...arrays import BoolArray, ComplexArray
+from ...device.mechanics import modes_of
+from ...device.model import Model
+from ...device.plant import ModalPlant
+from ...errors import MeasurementError
+from ...experiment.antialias import filter_response
+from ...experiment.files.modal_record import ModalRecord
+from ...experiment.forward.system import Conditions, System, assemble
+from ...experiment.instrument import Instrument
+from ...identification.failure import IdentificationError
+from ...identification.route import RouteResult, identify_modal
+
+#: Relative distance of poles that are one.
+_SAME = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ResonantModes:
+    """poles (M,) [rad/s], Im > 0, and c (M, S, D) [1/s]; ``present`` (M,) is false where a model lacks the mode."""
+
+    poles: ComplexArray
+    c: ComplexArray
+    present: BoolArray
+
+
+def at_resonance(poles: ComplexArray, residues: ComplexArray) -> ComplexArray:
+    """c = i R1 + R0 / |p| of modes R / (s - p) + conj."""
+    r0 = -2.0 * np.real(residues * np.conj(poles)[:, None, None]) / np.abs(poles)[:, None, None]
+    return np.asarray(2.0j * residues.real + r0)
+
+
+def measured_modes(record: ModalRecord) -> ResonantModes:
+    """What the record states."""
+    omega = 2.0 * np.pi * record.frequency_hz
+    poles = np.asarray(omega * (-record.zeta + 1.0j * np.sqrt(1.0 - record.zeta**2)))
+    c = np.asarray(1.0j * record.R1 + record.R0 / omega[:, None, None])
+    return ResonantModes(poles, c, np.ones(omega.size, dtype=bool))
+
+
+def conditions(record: ModalRecord) -> Conditions:
+    """The declared rate as Omega I_p/I_0p; a rate other than zero is unknown without the angular gain."""
+    bias = Instrument().bias_v
+    known = record.rate_dps is not None and (record.rate_dps == 0.0 or record.angular_gain is not None)
+    rate = float(np.deg2rad(record.rate_dps or 0.0)) * (record.angular_gain or 0.0)
+    return Conditions(bias, bias, rate if known else None)
+
+
+def linear_modes(system: System) -> tuple[ComplexArray, ComplexArray]:
+    """Poles (n,) of the mechanics and residues (n, S, D) of what is seen behind the read-out; equal poles are one."""
+    modes = modes_of(system.mechanics)
+    poles, own = modes.poles[0], modes.residues[0]
+    first = np.array([int(np.argmax(np.abs(poles - p) < _SAME * np.abs(p))) for p in poles])
+    kept = np.unique(first)
+    poles, own = poles[kept], np.stack([own[first == k].sum(axis=0) for k in kept])
+    seen = system.readout.response(poles) * np.exp(-poles * system.readout.delay_s)[:, None, None]
+    return poles, np.asarray(seen @ own)
+
+
+def modelled_modes(
+    model: Model, values: Mapping[str, float], record: ModalRecord, poles: ComplexArray
+) -> ResonantModes:
+    """The modes of ``model`` at complete ``values``, matched to the recorded ``poles`` (M,).
+
+    Raises
+    ------
+    ConfigError : parameters that no device can have.
+    """
+    # Loading scipy.optimize takes a fifth of a second.
+    from scipy.optimize import linear_sum_assignment
+
+    instrument = Instrument(antialias=record.antialias)
+    own, residues = linear_modes(assemble(model, values, instrument, conditions(record)))
+    here, there = linear_sum_assignment(np.abs(poles[:, None] - own[None, :]))
+    found = at_resonance(own, residues)
+    c = np.zeros((poles.size, *found.shape[1:]), dtype=np.complex128)
+    matched, present = poles.copy(), np.zeros(poles.size, dtype=bool)
+    c[here], matched[here], present[here] = found[there], own[there], True
+    return ResonantModes(matched, c, present)
+
+
+def starting_values(model: Model, record: ModalRecord) -> dict[str, float]:
+    """Plant parameters to start a fit from: the paper's route for plant "gyro", the modes themselves for plant "modal".
+
+    Raises
+    ------
+    MeasurementError : fewer modes than the plant has, or (gyro) no two rocking modes and one up-down mode.
+    """
+    if isinstance(model.built, ModalPlant):
+        return _modal_start(model.built, record)
+    if record.frequency_hz.size < 3:
+        raise MeasurementError(
+            'plant "gyro" has three modes',
+            value=f"{record.name}: {record.frequency_hz.size} modes",
+            next_step='use plant = { kind = "modal" }',
+        )
+    route = gyro_route(record)
+    norms = np.linalg.norm(route.M, axis=(1, 2)) / 2.0
+    return {
+        **{f"f{i + 1}_hz": float(route.f_hz[i]) for i in range(3)},
+        **{f"zeta{i + 1}": float(route.zeta[i]) for i in range(3)},
+        "theta_deg": route.axes.mean_deg,
+        "rocking_gain": float(norms[:2].mean()),
+        "updown_gain": float(norms[2]),
+        "sense_imbalance": route.gains.sense_imbalance,
+        "drive_imbalance": route.gains.drive_imbalance,
+    }
+
+
+def gyro_route(record: ModalRecord) -> RouteResult:
+    """The paper's route on the strongest three modes that are two rocking modes and one up-down mode."""
+    failed: list[IdentificationError] = []
+    for three in _strongest_first(record, 3):
+        try:
+            return identify_modal(_chosen(record, three))
+        except IdentificationError as error:
+            failed.append(error)
+    raise failed[0]
+
+
+def _strongest_first(record: ModalRecord, count: int) -> list[tuple[int, ...]]:
+    """Choices of so many modes, those with the highest peaks first."""
+    modes = measured_modes(record)
+    peak = np.linalg.norm(modes.c, axis=(1, 2)) / -modes.poles.real
+    choices = combinations(range(peak.size), count)
+    return sorted(choices, key=lambda chosen: -float(np.sum(peak[list(chosen)])))
+
+
+def _chosen(record: ModalRecord, modes: tuple[int, ...]) -> ModalRecord:
+    own = list(modes)
+    return replace(
+        record, frequency_hz=record.frequency_hz[own], zeta=record.zeta[own], R1=record.R1[own], R0=record.R0[own]
+    )
+
+
+def _modal_start(plant: ModalPlant, record: ModalRecord) -> dict[str, float]:
+    """Real gains by projection on the filter at each resonance: c = i G B for velocities, G B / w for displacements."""
+    if record.frequency_hz.size < plant.modes:
+        raise MeasurementError(
+            "the plant has more modes than the record",
+            value=f"{record.name}: {record.frequency_hz.size} modes",
+            allowed=f"at least {plant.modes}",
+            next_step="correct modes in the model file",
+        )
+    modes = measured_modes(record)
+    values: dict[str, float] = {}
+    for k, m in enumerate(sorted(_strongest_first(record, plant.modes)[0]), 1):
+        omega = abs(modes.poles[m])
+        filtered = filter_response(record.antialias, np.array([1.0j * omega]))[0]
+        gain = (modes.c[m] / filtered * (omega if plant.displacement else -1.0j)).real
+        values[f"f{k}_hz"] = float(omega / (2.0 * np.pi))
+        values[f"zeta{k}"] = float(-modes.poles[m].real / omega)
+        for a in range(gain.shape[0]):
+            for b in range(gain.shape[1]):
+                values[f"gain{k}_s{a + 1}d{b + 1}"] = float(gain[a, b])
+    return values

@@ -1,0 +1,97 @@
+"""A measured campaign of a gyro, identified by the same likelihood as a virtual device.
+
+The in-band path wants two drives, two senses, records that start at rest, and a hold with a closed form; other campaigns
+go through the general fit of ``campaign_fit``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...axial import wrap
+from ...errors import MeasurementError
+from ...experiment.noise.level import NoiseLevel, noise_level
+from ...experiment.noise.lines import hum_line
+from ...experiment.record import Campaign
+from ...quantities import AXES
+from ..gate import Gate
+from .device import DeviceResult, IdentificationSettings, RateSettings, identify_device, prepare
+from .sample import SamplerSettings
+
+
+def is_inband(campaign: Campaign) -> bool:
+    """Whether the in-band likelihood applies to this campaign."""
+    return campaign.instrument.hold in ("zoh", "foh") and all(
+        record.drive_v.shape[1] == 2 and record.sense_v.shape[1] == 2 and record.at_rest
+        for record in campaign.with_role("fit")
+    )
+
+
+def campaign_noise(campaign: Campaign) -> tuple[NoiseLevel, float | None]:
+    """Noise level of each channel, and the mains frequency that silence shows, if any.
+
+    From the silent records; without one from repeats, else from a local fit (see ``noise_level``).
+    """
+    silent = campaign.with_role("noise")
+    line_hz = hum_line(silent[0].sense_v, campaign.instrument.sample_rate_hz) if silent else None
+    return noise_level(campaign, line_hz), line_hz
+
+
+def identify_campaign(
+    campaign: Campaign,
+    settings: IdentificationSettings,
+    sampler: SamplerSettings,
+    gate: Gate,
+    seed: np.random.SeedSequence,
+) -> DeviceResult:
+    """Identify the device of a campaign from its fit records.
+
+    Raises
+    ------
+    MeasurementError : no record to fit, or noise that is zero.
+    """
+    fit = campaign.with_role("fit")
+    if not fit:
+        raise MeasurementError("no record to fit", value=campaign.device_id, allowed='a record with role = "fit"')
+    noise, line_hz = campaign_noise(campaign)
+    sigma_v = noise.sigma_v
+    if not np.all(sigma_v > 0.0):
+        raise MeasurementError(
+            "the records show no noise at all",
+            value=[float(s) for s in sigma_v],
+            allowed="noise above zero in every channel",
+            next_step="check the silent record, or declare the converter (adc) so that its LSB counts",
+        )
+    with_hum = replace(settings, line_hz=line_hz)
+    rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
+    prepared = [prepare(record, campaign.instrument, with_hum) for record in fit]
+    result = identify_device(prepared, sigma_v, campaign.instrument, with_hum, sampler, gate, rate, seed)
+    if noise.source != "local":
+        return result
+    # A noise level read off the driven records themselves cannot say how well they are explained.
+    return replace(result, columns={**result.columns, "error": None, "chi2_per_dof": None})
+
+
+def reference_comparison(campaign: Campaign, columns: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Each [reference] value against <q>, <q>_sd of ``columns``: both with sd, and z = difference / combined sd."""
+    out: dict[str, dict[str, float]] = {}
+    for name, (value, sd) in campaign.reference.items():
+        found, found_sd = columns.get(name), columns.get(f"{name}_sd")
+        if not isinstance(found, float) or not isinstance(found_sd, float):
+            continue
+        difference = found - value
+        if name in AXES:
+            difference = float(wrap(difference))
+        combined = float(np.hypot(sd, found_sd))
+        out[name] = {
+            "reference": value,
+            "reference_sd": sd,
+            "posterior": found,
+            "posterior_sd": found_sd,
+            "z": difference / combined if combined > 0.0 else float("nan"),
+        }
+    return out

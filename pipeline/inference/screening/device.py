@@ -1,0 +1,264 @@
+"""One device: records in, estimates with their uncertainty, status and reason out.
+
+    silent record -> sigma;  fit record -> the paper's route -> start -> maximum likelihood -> posterior -> quantities
+
+Shapes: records (N, 2) volts; everything returned is in the units of ``pipeline.quantities``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...device.gyro import gyro_modes, split_hz, to_physical
+from ...device.operation.bias import quantities_of
+from ...experiment.antialias import behind_filter
+from ...experiment.forward.modal_bank import respond
+from ...experiment.instrument import Instrument
+from ...experiment.record import Record
+from ...identification.failure import IdentificationError
+from ...identification.route import RouteResult, identify_record
+from ..gate import Gate, Goodness, full_band_error, misfit_reason, theta_bias_bound_deg
+from ..general.starts import gyro_start
+from .compressed import BandData, nuisance_basis
+from .fit import Fit, maximise, start_from_modes
+from .inband import Band, make_band
+from .sample import Posterior, SamplerSettings, sample
+from .summary import summarise
+
+Status = Literal["ok", "not_converged", "fit_failed", "misfit"]
+Value = float | str | None
+
+
+@dataclass(frozen=True)
+class IdentificationSettings:
+    """Order and window of the paper's route; the band of the likelihood; the hum the model carries, if any."""
+
+    order: int = 40
+    window_s: float = 2.0
+    low_hz: float = 400.0
+    high_hz: float = 700.0
+    line_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class RateSettings:
+    """What turns parameters into rate biases; kappa unknown gives none."""
+
+    angular_gain: float | None = None
+    phase_error_deg: float = 0.0
+    drive: Literal["f1", "f2"] = "f1"
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceResult:
+    """Columns of the devices table, posterior draws by quantity (n,), status and its reason.
+
+    ``fit`` and ``draws`` are ``None`` / empty where the fit failed.
+    """
+
+    columns: dict[str, Value]
+    draws: dict[str, FloatArray]
+    status: Status
+    status_reason: str | None
+    fit: Fit | None
+
+
+@dataclass(frozen=True, eq=False)
+class FitRecord:
+    """A fit record with its band: the band may be shared by all devices that had the same drive."""
+
+    record: Record
+    band: Band
+    nuisance: FloatArray
+
+
+def prepare(record: Record, instrument: Instrument, settings: IdentificationSettings) -> FitRecord:
+    """The record with its band and nuisance basis."""
+    band = make_band(record.drive_v, instrument, settings.low_hz, settings.high_hz)
+    return FitRecord(record, band, nuisance_basis(band, settings.line_hz))
+
+
+def _route_columns(route: RouteResult) -> dict[str, Value]:
+    return {
+        "theta_u1_deg": route.axes.theta_u1_deg,
+        "theta_v1_deg": route.axes.theta_v1_deg,
+        "theta_u2_deg": route.axes.theta_u2_deg,
+        "theta_v2_deg": route.axes.theta_v2_deg,
+        "arx_split_hz": route.arx_split_hz,
+    }
+
+
+def _starts(routes: Sequence[RouteResult]) -> list[FloatArray]:
+    """Starting points: the route's modes, with and without its estimate of the damping anisotropy."""
+    out: list[FloatArray] = []
+    for route in routes:
+        start = start_from_modes(route.poles, route.residues)
+        out.append(start)
+        flat = start.copy()
+        flat[4:6] = 0.0
+        out.append(flat)
+    return [start for start in out if np.all(np.isfinite(start))]
+
+
+def _spectral_starts(
+    fit_records: Sequence[FitRecord], sigma_v: FloatArray, instrument: Instrument, settings: IdentificationSettings
+) -> list[FloatArray]:
+    """The start that the records' spectra give, without the ARX model; none where they hold no three modes."""
+    records = [item.record for item in fit_records]
+    try:
+        start = gyro_start(records, instrument, sigma_v, settings.low_hz, settings.high_hz)
+    except (np.linalg.LinAlgError, ValueError):
+        return []
+    return [start] if np.all(np.isfinite(start)) else []
+
+
+def _rank(fit: Fit) -> tuple[bool, float]:
+    return fit.converged, -fit.chi2
+
+
+def explains(fit: Fit) -> bool:
+    """Whether the fit converged to a chi2 that is not significantly above its degrees of freedom (6 sd)."""
+    return fit.converged and fit.chi2 < fit.dof + 6.0 * math.sqrt(2.0 * fit.dof)
+
+
+def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
+    """The best converged fit; later starts are tried only while none explains the band."""
+    best: Fit | None = None
+    for start in starts:
+        try:
+            fit = maximise(records, sigma_v, start)
+        except (np.linalg.LinAlgError, ArithmeticError, ValueError):
+            continue
+        if not np.all(np.isfinite(fit.x)) or not np.all(np.isfinite(fit.covariance)):
+            continue
+        if best is None or _rank(fit) > _rank(best):
+            best = fit
+        if explains(best):
+            break
+    return best
+
+
+def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> FloatArray:
+    """Pick-off volts (N, 2) of cartesian parameters x (12,) behind the anti-alias filter."""
+    bank = behind_filter(gyro_modes(to_physical(x[None])), instrument.antialias)
+    return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
+
+
+def _failed(columns: dict[str, Value], reason: str) -> DeviceResult:
+    return DeviceResult({**columns, "status": "fit_failed", "status_reason": reason}, {}, "fit_failed", reason, None)
+
+
+def identify_device(
+    fit_records: Sequence[FitRecord],
+    sigma_v: FloatArray,
+    instrument: Instrument,
+    settings: IdentificationSettings,
+    sampler: SamplerSettings,
+    gate: Gate,
+    rate: RateSettings,
+    seed: np.random.SeedSequence,
+) -> DeviceResult:
+    """Identify one device from its fit records.
+
+    Parameters
+    ----------
+    fit_records : at least one, at rest before the first sample, two drives and two senses.
+    sigma_v : noise (2,) [V].
+    instrument, settings, sampler, gate, rate : see their classes.
+    seed : random stream of this device.
+
+    Returns
+    -------
+    A result in every case: what goes wrong with a device is its status, not an exception.
+    """
+    columns: dict[str, Value] = {}
+    found: list[RouteResult] = []
+    reason = "no record drives both electrodes"
+    for item in fit_records:
+        if found or not np.all(np.any(item.record.drive_v != 0.0, axis=0)):
+            continue
+        try:
+            found.append(
+                identify_record(
+                    item.record, instrument, settings.order, (settings.low_hz, settings.high_hz), settings.window_s
+                )
+            )
+        except IdentificationError as error:
+            reason = error.what
+    if found:
+        columns |= _route_columns(found[0])
+    data = [BandData(i.band, i.band.transform(i.record.sense_v), i.nuisance) for i in fit_records]
+    fit = best_fit(data, sigma_v, _starts(found))
+    if fit is None or not explains(fit):
+        # A device of very low Q is lost to the ARX model but not to the spectra.
+        second = best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings))
+        fit = second if second is not None and (fit is None or _rank(second) > _rank(fit)) else fit
+    if fit is None or not fit.converged:
+        why = "the likelihood has no maximum near any start; check that hold and antialias are declared as they are"
+        return _failed(columns, why if found else f"{why}; the paper's route: {reason}")
+    try:
+        posterior = sample(fit, sampler, seed)
+    except np.linalg.LinAlgError:
+        return _failed(columns, "the parameters are not determined: the curvature of the likelihood is singular")
+    return _result(columns, fit_records, sigma_v, instrument, settings, sampler, gate, rate, fit, posterior)
+
+
+def _result(
+    columns: dict[str, Value],
+    fit_records: Sequence[FitRecord],
+    sigma_v: FloatArray,
+    instrument: Instrument,
+    settings: IdentificationSettings,
+    sampler: SamplerSettings,
+    gate: Gate,
+    rate: RateSettings,
+    fit: Fit,
+    posterior: Posterior,
+) -> DeviceResult:
+    flat = posterior.flat()
+    draws = quantities_of(to_physical(flat), rate.angular_gain, rate.phase_error_deg, rate.drive)
+    draws["split_hz"] = split_hz(flat)
+    summary = summarise({k: v for k, v in draws.items() if not np.all(np.isnan(v))})
+    errors = [
+        full_band_error(
+            i.record.sense_v,
+            model_volts(fit.x, i.record.drive_v, instrument),
+            sigma_v,
+            instrument.sample_rate_hz,
+            settings.line_hz,
+        )
+        for i in fit_records
+    ]
+    weight = np.array([i.record.sense_v.shape[0] for i in fit_records], dtype=float)
+    pooled = [math.sqrt(float(np.average([e[k] ** 2 for e in errors], weights=weight))) for k in (0, 1)]
+    goodness = Goodness(
+        pooled[0], pooled[1], fit.chi2 / fit.dof, theta_bias_bound_deg(summary["theta_deg_sd"], fit.chi2, fit.dof)
+    )
+    status: Status = "ok"
+    why = misfit_reason(goodness, gate)
+    if why is not None:
+        status = "misfit"
+    elif posterior.rhat > sampler.rhat_max or posterior.ess < sampler.ess_min:
+        status = "not_converged"
+        why = f"R-hat {posterior.rhat:.4g} (at most {sampler.rhat_max:g}), ESS {posterior.ess:.0f}"
+        why += f" (at least {sampler.ess_min:g})"
+    columns = {
+        **columns,
+        **summary,
+        "error": goodness.error,
+        "relative_error": goodness.relative_error,
+        "chi2_per_dof": goodness.chi2_per_dof,
+        "theta_bias_bound_deg": goodness.theta_bias_bound_deg,
+        "rhat": posterior.rhat,
+        "ess": posterior.ess,
+        "acceptance": posterior.acceptance,
+        "status": status,
+        "status_reason": why,
+    }
+    return DeviceResult(columns, draws, status, why, fit)

@@ -1,0 +1,160 @@
+"""Maximum likelihood of plant "gyro" with off-diagonal damping, in the band, with exact transients.
+
+    x^ = argmin chi2(x) by Levenberg-Marquardt on the compressed likelihood, re-expanded until the poles stay put
+    covariance = (J^T J)^-1 at x^
+
+x: cartesian parameters (12,) of ``pipeline.device.gyro``; sigma (S,) volts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import ComplexArray, FloatArray
+from ...device.gyro import M_D, M_S, cartesian_modes
+from .compressed import BandData, Compressed, allowed, compress, jacobian_rows, residual_rows
+
+#: |h| up to which the third-order expansion is exact to 2e-8 of the response [rad/s].
+_DISC = 0.03
+_EXPANSIONS = 12
+_ITERATIONS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The maximum-likelihood point of one device.
+
+    x (12,); covariance (12, 12); chi2 and its degrees of freedom in the band; the likelihood it was found with.
+    ``converged`` is false where the poles never settled or the iteration ran out.
+    """
+
+    x: FloatArray
+    covariance: FloatArray
+    chi2: float
+    dof: int
+    likelihood: Compressed
+    sigma_v: FloatArray
+    converged: bool
+
+
+def start_from_modes(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
+    """Cartesian parameters (12,) from three identified modes, the filter already taken out.
+
+    The rocking pair acts as one matrix pole  L = (p1 R1 + p2 R2)(R1 + R2)^-1, a solvent of  L^2 + C L + K = 0, so with
+    L = A + iB:  C = -(A B + B A) B^-1,  K = B^2 - A^2 - C A.  Unlike the modes it stays regular where they coalesce.
+
+    Parameters
+    ----------
+    poles : p1, p2 of the rocking pair and p3 of the up-down mode (3,) [rad/s].
+    residues : (3, 2, 2) of H from drive volts to pick-off volts.
+    """
+    u, size, vt = np.linalg.svd(2.0 * residues[2].real)
+    k_s, k_d = u[:, 0] / u[:, 0].mean(), vt[0] / vt[0].mean()
+    g_z = size[0] * u[:, 0].mean() * vt[0].mean()
+    s, d = (k_s[1] - k_s[0]) / 2.0, (k_d[1] - k_d[0]) / 2.0
+    left, right = np.linalg.inv(k_s[:, None] * M_S), np.linalg.inv(M_D * k_d)
+    r1, r2 = left @ residues[0] @ right, left @ residues[1] @ right
+    g_r = np.trace((r1 + r2).real)
+    solvent = (poles[0] * r1 + poles[1] * r2) @ np.linalg.inv(r1 + r2)
+    a, b = solvent.real, solvent.imag
+    damping = -(a @ b + b @ a) @ np.linalg.inv(b)
+    stiffness = b @ b - a @ a - damping @ a
+    stiffness, damping = (stiffness + stiffness.T) / 2.0, (damping + damping.T) / 2.0
+    omega0 = np.sqrt(np.trace(stiffness) / 2.0)
+    c0 = max(float(np.trace(damping)) / 2.0, 1e-3)
+    d_c, d_s = (damping[0, 0] - damping[1, 1]) / 2.0, damping[0, 1]
+    shrink = min(1.0, 0.95 * c0 / max(float(np.hypot(d_c, d_s)), 1e-12))
+    return np.array(
+        [
+            omega0,
+            (stiffness[0, 0] - stiffness[1, 1]) / (2.0 * omega0),
+            stiffness[0, 1] / omega0,
+            c0,
+            d_c * shrink,
+            d_s * shrink,
+            abs(poles[2]),
+            max(-2.0 * poles[2].real, 1e-3),
+            np.log(max(abs(g_r), 1e-12)),
+            np.log(max(abs(g_z), 1e-12)),
+            np.clip(s, -0.9, 0.9),
+            np.clip(d, -0.9, 0.9),
+        ]
+    )
+
+
+def _poles(x: FloatArray) -> ComplexArray:
+    poles, residues = np.empty(3, dtype=np.complex128), np.empty((3, 2, 2), dtype=np.complex128)
+    cartesian_modes(x, poles, residues)
+    return poles
+
+
+def _descend(
+    start: FloatArray, likelihood: Compressed, sigma: FloatArray, reach: float
+) -> tuple[FloatArray, bool, float]:
+    """Levenberg-Marquardt within ``reach`` [rad/s] of the expansion; returns x, converged, the largest |h|."""
+    x = start
+    p0, triangle, data = likelihood.expansion, likelihood.triangle, likelihood.data
+    r, shift = residual_rows(x, p0, triangle, data, sigma)
+    chi2, damping = float(r @ r), 1e-6
+    for _ in range(_ITERATIONS):
+        j = jacobian_rows(x, p0, triangle, sigma)
+        gram, slope = j.T @ j, j.T @ r
+        scale = np.sqrt(np.diag(gram)) + 1e-300
+        improved = False
+        for _ in range(12):
+            step = np.linalg.solve(gram / np.outer(scale, scale) + damping * np.eye(x.size), slope / scale) / scale
+            trial = x + step
+            if allowed(trial):
+                moved, shift_trial = residual_rows(trial, p0, triangle, data, sigma)
+                if shift_trial <= max(reach, shift) and float(moved @ moved) <= chi2:
+                    improved = True
+                    break
+            damping = max(damping * 10.0, 1e-8)
+        # A step of a thousandth of a standard deviation is a standstill.
+        small = float(step @ gram @ step) < 1e-6
+        if not improved:
+            return x, small, shift
+        fall = chi2 - float(moved @ moved)
+        x, r, chi2, shift = trial, moved, float(moved @ moved), shift_trial
+        damping = max(damping * 0.1, 1e-12)
+        if small or fall < 1e-9:
+            return x, True, shift
+    return x, False, shift
+
+
+def _covariance(j: FloatArray) -> FloatArray:
+    """(J^T J)^-1, orthogonalised in units of each parameter's own sensitivity: its eigenvalues span twelve decades."""
+    scale = np.linalg.norm(j, axis=0)
+    inverse = np.linalg.pinv(np.linalg.qr(j / scale, mode="r"))
+    return np.asarray((inverse @ inverse.T) / np.outer(scale, scale))
+
+
+def information_covariance(records: Sequence[BandData], sigma_v: FloatArray, x: FloatArray) -> FloatArray:
+    """Cramer-Rao bound (12, 12): the inverse Fisher information of ``records`` at the parameters ``x``."""
+    likelihood = compress(records, sigma_v, _poles(x))
+    return _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
+
+
+def maximise(records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray) -> Fit:
+    """The maximum of the likelihood from ``start`` (12,).
+
+    Parameters
+    ----------
+    records : fit records of one device in their band.
+    sigma_v : (S,) noise [V].
+    start : cartesian parameters.
+    """
+    x, settled = start, False
+    for _ in range(_EXPANSIONS):
+        likelihood = compress(records, sigma_v, _poles(x))
+        x, still, shift = _descend(x, likelihood, sigma_v, 10.0 * _DISC)
+        if still and shift < _DISC:
+            settled = True
+            break
+    r, _ = residual_rows(x, likelihood.expansion, likelihood.triangle, likelihood.data, sigma_v)
+    covariance = _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
+    chi2 = float(r @ r + likelihood.rest_chi2.sum())
+    return Fit(x, covariance, chi2, likelihood.rows - x.size, likelihood, sigma_v, settled)

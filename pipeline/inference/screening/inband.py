@@ -1,0 +1,260 @@
+"""A record in a band of frequencies, with exact transients.
+
+A pole p driven by held samples v from rest, x[n+1] = z x[n] + g v[n], has the discrete Fourier transform (bins w of N samples)
+
+    X(w) = (g(p) V(w) - e^{iw} x_N(p)) / (e^{iw} - z(p)),      x_N = g sum_n z^{N-1-n} v[n]
+
+The end state x_N depends on the pole: freezing it would cost a factor 39 in the split.  Behind the filter G = sum_j r_j/(s - q_j)
+
+    Phi(w; p) = G(p) X(w; p) + sum_j r_j / (q_j - p) X(w; q_j)
+
+so that a model H = sum_k R_k/(s - p_k) + conj is in the band  Y(w) = sum_k R_k Phi(w; p_k) + conj(R_k) Phi(w; conj p_k).
+``features`` gives Phi and its Taylor coefficients in p, Phi(p + h) = sum_m Phi_m h^m.
+
+With first-order hold, g v[n] becomes g0 v[n] + g1 v[n+1]; V is then that of g0 v[n] + g1 v[n+1], pole by pole.
+
+Shapes: W bins, D drives, M Taylor orders.  Units: rad/s, volts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.fft import rfft
+
+from ...arrays import ComplexArray, FloatArray, IntArray
+from ...errors import ConfigError
+from ...experiment.antialias import filter_poles, filter_response
+from ...experiment.instrument import AntiAlias, Instrument
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """The bins of a record between two frequencies, and what of the drive is the same for every device.
+
+    bins (W,); e_iw (W,); drive_v (N, D); now, following (D, W): transforms of v[n] and v[n+1];
+    filter_part (order, D, W): r_j X(w; q_j); q (order,).
+    """
+
+    sample_rate_hz: float
+    samples: int
+    bins: IntArray
+    e_iw: ComplexArray
+    drive_v: FloatArray
+    now: ComplexArray
+    following: ComplexArray
+    antialias: AntiAlias | None
+    first_order_hold: bool
+    q: ComplexArray
+    filter_part: ComplexArray
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """(W,) [Hz]."""
+        return self.bins * self.sample_rate_hz / self.samples
+
+    def transform(self, y: FloatArray) -> ComplexArray:
+        """Fourier transform (C, W) of a record (N, C) at the bins of the band."""
+        return np.ascontiguousarray(rfft(y.T, axis=-1)[:, self.bins])
+
+
+def make_band(drive_v: FloatArray, instrument: Instrument, low_hz: float, high_hz: float) -> Band:
+    """The band [low, high] Hz of records driven by ``drive_v`` (N, D).
+
+    Raises
+    ------
+    ConfigError : a hold without closed form ("bandlimited"), or a band with no bins.
+    """
+    if instrument.hold == "bandlimited":
+        raise ConfigError(
+            "the in-band likelihood has no closed form for this hold",
+            value=instrument.hold,
+            allowed="zoh, foh",
+            next_step="interpolate the drive samples to a higher rate and declare foh",
+        )
+    samples = drive_v.shape[0]
+    resolution = instrument.sample_rate_hz / samples
+    bins = np.arange(int(np.ceil(low_hz / resolution - 1e-9)), int(np.floor(high_hz / resolution + 1e-9)) + 1)
+    bins = bins[(bins > 0) & (bins <= samples // 2)]
+    if bins.size == 0:
+        raise ConfigError("no frequency bin in the band", value=[low_hz, high_hz], allowed=f"above {resolution:.3g} Hz")
+    e_iw = np.exp(2j * np.pi * bins / samples)
+    now = np.ascontiguousarray(rfft(drive_v.T, axis=-1)[:, bins])
+    ahead = np.concatenate([drive_v[1:], drive_v[-1:]])
+    following = np.ascontiguousarray(rfft(ahead.T, axis=-1)[:, bins])
+    bare = Band(
+        instrument.sample_rate_hz,
+        samples,
+        bins,
+        e_iw,
+        np.ascontiguousarray(drive_v),
+        now,
+        following,
+        None,
+        instrument.hold == "foh",
+        np.zeros(0, dtype=np.complex128),
+        np.zeros((0, drive_v.shape[1], bins.size), dtype=np.complex128),
+    )
+    if instrument.antialias is None:
+        return bare
+    q, r = filter_poles(instrument.antialias)
+    part = np.stack([r[j] * features(bare, q[j], 0)[0] for j in range(q.size)])
+    return Band(
+        bare.sample_rate_hz,
+        samples,
+        bins,
+        e_iw,
+        bare.drive_v,
+        now,
+        following,
+        instrument.antialias,
+        bare.first_order_hold,
+        q,
+        part,
+    )
+
+
+@njit(cache=True)
+def _end_sums(drive: FloatArray, log_z: complex, orders: int) -> ComplexArray:
+    """sum_n ((N-1-n))^m / m! z^{N-1-n} v[n], (M, D): Taylor coefficients of the end sum in log z."""
+    samples, drives = drive.shape
+    block = 256
+    table = np.empty(block, dtype=np.complex128)
+    for k in range(block):
+        table[k] = np.exp(log_z * k)
+    sums = np.zeros((orders, drives), dtype=np.complex128)
+    re = np.empty((orders, drives))
+    im = np.empty((orders, drives))
+    blocks = (samples + block - 1) // block
+    for i in range(blocks):
+        shift = i * block
+        if log_z.real * shift < -60.0:
+            break
+        re[:] = 0.0
+        im[:] = 0.0
+        for k in range(min(block, samples - shift)):
+            n = samples - 1 - shift - k
+            w = table[k]
+            for d in range(drives):
+                t_re, t_im = w.real * drive[n, d], w.imag * drive[n, d]
+                for m in range(orders):
+                    re[m, d] += t_re
+                    im[m, d] += t_im
+                    t_re *= k
+                    t_im *= k
+        # (shift + k)^m = sum_l C(m, l) shift^(m-l) k^l
+        scale = np.exp(log_z * shift)
+        for d in range(drives):
+            for m in range(orders):
+                binomial = 1.0
+                total = 0j
+                for l in range(m, -1, -1):
+                    total += binomial * float(shift) ** (m - l) * complex(re[l, d], im[l, d])
+                    binomial = binomial * l / (m - l + 1)
+                sums[m, d] += scale * total
+    factorial = 1.0
+    for m in range(1, orders):
+        factorial *= m
+        for d in range(drives):
+            sums[m, d] /= factorial
+    return sums
+
+
+@njit(cache=True)
+def _quotient(
+    e_iw: ComplexArray, top: ComplexArray, z_series: ComplexArray, ends: ComplexArray, gain: ComplexArray
+) -> ComplexArray:
+    """Taylor coefficients (M, D, W) of gain(h) (V - e^{iw} s(h)) / (e^{iw} - z(h)); all series in h."""
+    orders, drives = ends.shape
+    width = e_iw.size
+    out = np.empty((orders, drives, width), dtype=np.complex128)
+    inverse = np.empty(orders, dtype=np.complex128)
+    for w in range(width):
+        e = e_iw[w]
+        inverse[0] = 1.0 / (e - z_series[0])
+        for m in range(1, orders):
+            total = 0j
+            for l in range(1, m + 1):
+                total += z_series[l] * inverse[m - l]
+            inverse[m] = total * inverse[0]
+        for d in range(drives):
+            for m in range(orders):
+                total = top[d, w] * inverse[m]
+                for l in range(m + 1):
+                    total -= e * ends[l, d] * inverse[m - l]
+                out[m, d, w] = total
+            for m in range(orders - 1, -1, -1):
+                total = 0j
+                for l in range(m + 1):
+                    total += gain[l] * out[m - l, d, w]
+                out[m, d, w] = total
+    return out
+
+
+def _exp_series(argument: complex, step: float, orders: int) -> ComplexArray:
+    """Taylor coefficients in h of exp(argument + step h)."""
+    m = np.arange(orders)
+    factorial = np.cumprod(np.maximum(m, 1))
+    return np.asarray(np.exp(argument) * step**m / factorial)
+
+
+def _divide(series: ComplexArray, pole: complex) -> ComplexArray:
+    """Taylor coefficients of series(h) / (pole + h)."""
+    out = np.empty_like(series)
+    previous = 0j
+    for m in range(series.size):
+        previous = (series[m] - previous) / pole
+        out[m] = previous
+    return out
+
+
+def _free_features(band: Band, pole: complex, orders: int) -> ComplexArray:
+    """X(w; p) and its Taylor coefficients, (M, D, W), without the filter."""
+    step = 1.0 / band.sample_rate_hz
+    z = _exp_series(pole * step, step, orders)
+    minus_one = z.copy()
+    minus_one[0] = np.expm1(pole * step)
+    whole = _divide(minus_one, pole)
+    scaling = step ** np.arange(orders)
+    ends = _end_sums(band.drive_v, complex(pole * step), orders) * scaling[:, None]
+    if not band.first_order_hold:
+        return _quotient(band.e_iw, band.now, z, ends, whole)
+    linear = minus_one.copy()
+    linear[0] -= pole * step
+    if orders > 1:
+        linear[1] -= step
+    g1 = _divide(_divide(linear, pole), pole) / step
+    ahead = np.ascontiguousarray(np.concatenate([band.drive_v[1:], band.drive_v[-1:]]))
+    ends_ahead = _end_sums(ahead, complex(pole * step), orders) * scaling[:, None]
+    first = _quotient(band.e_iw, band.now, z, ends, whole - g1)
+    return first + _quotient(band.e_iw, band.following, z, ends_ahead, g1)
+
+
+def features(band: Band, pole: complex, order: int) -> ComplexArray:
+    """Taylor coefficients Phi_m(w; p), m = 0..order, of the response to a pole of unit residue, (order + 1, D, W).
+
+    Parameters
+    ----------
+    band : bins and drive.
+    pole : p [rad/s].
+    order : highest power of the shift of the pole.
+    """
+    orders = order + 1
+    free = _free_features(band, pole, orders)
+    if band.antialias is None:
+        return free
+    # G(p + h) as a Taylor series: G = prod -q_j / (p - q_j), and r_j/(q_j - p - h) term by term.
+    gain = np.zeros(orders, dtype=np.complex128)
+    gain[0] = filter_response(band.antialias, np.array(pole))[()]
+    sums = [np.sum(-1.0 / (pole - band.q) ** (m + 1) * (-1.0) ** m) for m in range(orders)]
+    for m in range(1, orders):
+        gain[m] = sum(gain[m - 1 - l] * sums[l] for l in range(m)) / m
+    out = np.zeros_like(free)
+    for m in range(orders):
+        for l in range(m + 1):
+            out[m] += gain[l] * free[m - l]
+        weights = 1.0 / (band.q - pole) ** (m + 1)
+        out[m] += np.tensordot(weights, band.filter_part, axes=(0, 0))
+    return out

@@ -1,0 +1,156 @@
+"""Posterior samples with emcee: independent ensembles, and what they say of their own convergence.
+
+Prior: uniform in the cartesian parameters (logarithms for the gains) where damping is positive semidefinite.
+It is the same for all orientations of the axes, so theta is not drawn to the electrodes.
+
+Where the Laplace approximation N(x^, V) is close (importance ESS of its draws above half), the move is independence
+Metropolis-Hastings with a multivariate t around it; elsewhere (boundaries, banana shapes) a mixture of stretch and
+differential-evolution moves runs until it converges or ends.
+
+Shapes: E ensembles, n walkers, L kept steps, 12 parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import emcee
+import numpy as np
+from arviz_stats.base.array import array_stats
+
+from ...arrays import FloatArray
+from .compressed import Compressed, log_likelihood
+from .fit import Fit
+
+_FREEDOM = 20.0
+_PROBE = 256
+_MAX_STEPS = 6000
+
+
+@dataclass(frozen=True)
+class SamplerSettings:
+    """``ensembles`` independent ensembles of ``walkers`` walkers; ``steps`` kept in each; when they count as converged."""
+
+    ensembles: int = 4
+    walkers: int = 96
+    steps: int = 8
+    burn: int = 2
+    rhat_max: float = 1.01
+    ess_min: float = 1000.0
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Draws (E, n L, 12), cartesian; worst R-hat over parameters, least ESS, mean acceptance.
+
+    ``importance_ess`` is the relative ESS of the Laplace draws; ``move`` names the moves that ran.
+    """
+
+    draws: FloatArray
+    rhat: float
+    ess: float
+    acceptance: float
+    importance_ess: float
+    move: str
+
+    def flat(self) -> FloatArray:
+        """All draws, (E n L, 12)."""
+        return self.draws.reshape(-1, self.draws.shape[-1])
+
+
+def _log_t(unit: FloatArray) -> FloatArray:
+    """Log density, up to a constant, of the multivariate t at whitened points (n, 12)."""
+    size = unit.shape[1]
+    return -0.5 * (_FREEDOM + size) * np.log1p(np.sum(unit**2, axis=1) / _FREEDOM)
+
+
+def _t_draws(count: int, size: int, random: Any) -> FloatArray:
+    normal = random.normal(size=(count, size))
+    return np.asarray(normal * np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, size=(count, 1))))
+
+
+def diagnose(draws: FloatArray) -> tuple[float, float]:
+    """Worst split R-hat across ensembles and least ESS of the mean, over the parameters of draws (E, n, P)."""
+    series = np.moveaxis(draws, -1, 0)
+    rhat = array_stats.rhat(series, chain_axis=-2, draw_axis=-1, method="split")
+    ess = array_stats.ess(series, chain_axis=-2, draw_axis=-1, method="mean")
+    return float(np.max(rhat)), float(np.min(ess))
+
+
+def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) -> Posterior:
+    """Sample the posterior around ``fit``.
+
+    Parameters
+    ----------
+    fit : maximum-likelihood point, covariance and compressed likelihood.
+    settings : sizes and thresholds.
+    seed : stream of this device alone.
+    """
+    likelihood: Compressed = fit.likelihood
+    size = fit.x.size
+    scale = np.sqrt(np.diag(fit.covariance))
+    factor = np.linalg.cholesky(fit.covariance / np.outer(scale, scale)) * scale[:, None]
+
+    def log_posterior(unit: FloatArray) -> FloatArray:
+        # Walkers live in whitened coordinates: posteriors span twelve decades otherwise.
+        points = fit.x + unit @ factor.T
+        return log_likelihood(points, likelihood.expansion, likelihood.triangle, likelihood.data, fit.sigma_v)
+
+    streams = [np.random.RandomState(np.random.MT19937(child)) for child in seed.spawn(settings.ensembles + 1)]
+    probe = _t_draws(_PROBE, size, streams[-1])
+    log_weight = log_posterior(probe) - _log_t(probe)
+    weight = np.exp(log_weight - np.max(log_weight))
+    importance = float(weight.sum() ** 2 / np.sum(weight**2) / _PROBE)
+
+    if importance > 0.5:
+
+        def propose(unit: FloatArray, random: Any) -> tuple[FloatArray, FloatArray]:
+            trial = _t_draws(unit.shape[0], size, random)
+            return trial, _log_t(unit) - _log_t(trial)
+
+        moves: Any = emcee.moves.MHMove(propose)
+        return _run(log_posterior, moves, "laplace", settings, streams, fit, factor, importance, settings.steps, 1)
+    mixture = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
+    steps, posterior = 1000, None
+    while posterior is None or (steps <= _MAX_STEPS and not _converged(posterior, settings)):
+        posterior = _run(
+            log_posterior, mixture, "ensemble", settings, streams, fit, factor, importance, steps, steps // 50
+        )
+        steps *= 3
+    return posterior
+
+
+def _converged(posterior: Posterior, settings: SamplerSettings) -> bool:
+    return posterior.rhat <= settings.rhat_max and posterior.ess >= settings.ess_min
+
+
+def _run(
+    log_posterior: Any,
+    moves: Any,
+    name: str,
+    settings: SamplerSettings,
+    streams: list[Any],
+    fit: Fit,
+    factor: FloatArray,
+    importance: float,
+    steps: int,
+    thin: int,
+) -> Posterior:
+    size = fit.x.size
+    burn = settings.burn if thin == 1 else steps
+    chains, accepted = [], []
+    for stream in streams[: settings.ensembles]:
+        sampler = emcee.EnsembleSampler(settings.walkers, size, log_posterior, moves=moves, vectorize=True)
+        sampler.random_state = stream.get_state()
+        start = _t_draws(settings.walkers, size, stream)
+        inside = np.isfinite(log_posterior(start))
+        start = np.where(inside[:, None], start, 1e-3 * start)
+        sampler.run_mcmc(start, burn + steps, skip_initial_state_check=True)
+        # Walker by walker, so that the autocorrelation of a walker shows in the series.
+        chain = np.swapaxes(sampler.get_chain(discard=burn, thin=thin), 0, 1)
+        chains.append(chain.reshape(-1, size))
+        accepted.append(float(np.mean(sampler.acceptance_fraction)))
+    units = np.stack(chains)
+    rhat, ess = diagnose(units)
+    return Posterior(fit.x + units @ factor.T, rhat, ess, float(np.mean(accepted)), importance, name)

@@ -1,0 +1,256 @@
+"""The scan for one more mode: its frequency and damping do not exist at its null, and a narrow mode wants a fine grid.
+
+    H(s) = s / (s^2 + 2 zeta w s + w^2)            (w / (..) where the pick-off sees displacement)
+    Z_{r,d} = sum_w gain[r, d, w] G H b_w,   T = s^T (Z~^T Z~)^-1 s / gamma         free for every drive and sense
+
+in the bins around the mode, the baseline projected out: a fall of chi2 with S D degrees of freedom a point of the grid.
+Complex bins are held as pairs of real numbers, the real part of z^* x is then a product of real matrices.
+Shapes: R records, N samples, F bins, S senses, D drives, W waveforms, p columns of the baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.fft import fft, rfft
+
+from ...arrays import ComplexArray, FloatArray, real_parts
+from ...criticism.problem import FitResult, LocalCandidate
+from ...criticism.projection import Baseline, baseline
+from ...device.readout import plain_readout
+from ...experiment.antialias import filter_poles
+from ...experiment.forward.drive_groups import Play
+from ...experiment.forward.modal_bank import hold_gains
+from ...experiment.instrument import Instrument
+
+NAME = "parasitic_mode"
+#: zeta, step of the grid as a share of the frequency, margins around the driven band (share of its edges).
+_WIDE = (1e-2, 0.02, 1e9)
+_NARROW = (1.5e-3, 0.003, 0.05)
+_LOW_HZ = 300.0
+#: Bins in which a waveform has this share of its strongest are driven.
+_DRIVEN = 0.05
+#: A mode is followed to where it has this share of its peak.
+_SEEN = 2e-2
+#: Neighbours of the grid that are scored at once: they share most of their bins.
+_TOGETHER = 4
+#: Points of the grid that are followed at once.
+_AT_ONCE = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A mode of the grid: its first bin, and its answer (W, bins) there to each waveform, scaled like the rows."""
+
+    f_hz: float
+    zeta: float
+    first: int
+    answer: ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """The grid of one play and the places of its records."""
+
+    places: tuple[int, ...]
+    gains: FloatArray
+    points: tuple[Point, ...]
+
+    @property
+    def mixed(self) -> FloatArray:
+        """(W, D R): how much of each waveform a drive plays in each record."""
+        return np.asarray(self.gains.transpose(2, 1, 0).reshape(self.gains.shape[2], -1))
+
+
+def grid_of(plays: Sequence[Play], top_hz: float) -> list[tuple[float, float]]:
+    """(f, zeta) of the grid: wide modes up to ``top_hz``, narrow ones in the driven band."""
+    low, high = np.inf, 0.0
+    for play in plays:
+        frequency = np.fft.rfftfreq(play.waveforms.shape[1], play.clock.step_s)
+        for waveform in play.waveforms:
+            power = np.abs(rfft(waveform))
+            driven = frequency[power > _DRIVEN * power.max()]
+            low, high = min(low, float(driven[0])), max(high, float(driven[-1]))
+    found = []
+    for zeta, step, margin in (_WIDE, _NARROW):
+        first, last = max(_LOW_HZ, low / (1.0 + margin)), min(high * (1.0 + margin), top_hz)
+        count = int(np.log(last / first) / step) + 1 if last > first else 0
+        found += [(first * (1.0 + step) ** k, zeta) for k in range(count)]
+    return found
+
+
+def scan_of(
+    places: tuple[int, ...],
+    play: Play,
+    instrument: Instrument,
+    bins: int,
+    grid: Sequence[tuple[float, float]],
+    displacement: bool,
+) -> Scan:
+    """What the modes of ``grid`` answer in the first ``bins`` bins above zero of a play."""
+    samples = play.drives[0].shape[0]
+    omega = 2.0 * np.pi * np.arange(1, bins + 1) * play.sample_rate_hz / samples
+    seen = np.ones(bins, dtype=np.complex128)
+    if instrument.antialias is not None:
+        seen = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
+    seen = seen * np.sqrt(2.0 / samples)
+    points: list[Point] = []
+    w, zeta = 2.0 * np.pi * np.array([f for f, _ in grid]), np.array([z for _, z in grid])
+    poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+    residues = (w if displacement else poles) / (2j * poles.imag)
+    z, now, following = hold_gains(poles, play.clock.step_s, play.clock.hold)
+    # Samples are taken at every ``stride``-th step: their spectrum is the mean of its images.
+    images = np.arange(play.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
+    turn = np.exp(2j * np.pi * images / play.waveforms.shape[1])
+    drives = [fft(waveform)[images] for waveform in play.waveforms]
+    held = real_parts(z), real_parts(now), real_parts(following)
+    ends = [re + 1j * im for re, im in (_ends(*held, waveform) for waveform in play.waveforms)]
+    # A few at a time: most of an answer is below what is kept.
+    answers = np.empty((_AT_ONCE, len(ends), bins), dtype=np.complex128)
+    for first in range(0, w.size, _AT_ONCE):
+        of = slice(first, first + _AT_ONCE)
+        for k, (end, drive) in enumerate(zip(ends, drives)):
+            v0 = play.waveforms[k][0]
+            out = answers[: z[of].size, k]
+            _answered(z[of], now[of], following[of], end[of], residues[of], turn, drive, v0, seen, out)
+        for (f, damping), answer in zip(grid[of], answers):
+            size = np.max(np.abs(answer), axis=0, initial=0.0)
+            strong = np.flatnonzero(size > _SEEN * size.max())
+            begin, end_bin = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
+            points.append(Point(f, damping, begin, np.ascontiguousarray(answer[:, begin:end_bin])))
+    return Scan(places, play.gains, tuple(points))
+
+
+_FAST = {"contract", "reassoc", "nsz"}
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _ends(z: FloatArray, now: FloatArray, following: FloatArray, waveform: FloatArray) -> FloatArray:
+    """State (2, P) one step after x[n + 1] = z x[n] + now v[n] + following v[n + 1] has played a waveform from rest.
+
+    Real parts come before imaginary ones; v = 0 after the end.
+    """
+    x = np.zeros((2, z.shape[1]))
+    for n in range(waveform.size):
+        v, ahead = waveform[n], waveform[n + 1] if n + 1 < waveform.size else 0.0
+        for p in range(z.shape[1]):
+            re, im = x[0, p], x[1, p]
+            x[0, p] = z[0, p] * re - z[1, p] * im + now[0, p] * v + following[0, p] * ahead
+            x[1, p] = z[0, p] * im + z[1, p] * re + now[1, p] * v + following[1, p] * ahead
+    return x
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
+def _answered(
+    z: ComplexArray,
+    now: ComplexArray,
+    following: ComplexArray,
+    ends: ComplexArray,
+    residues: ComplexArray,
+    turn: ComplexArray,
+    drive: ComplexArray,
+    first_v: float,
+    seen: ComplexArray,
+    out: ComplexArray,
+) -> None:
+    """Spectrum (P, F) of 2 Re(residue x), for x of ``_ends``.
+
+        X (e^iw - z) = now V + e^iw (following (V - v[0]) - x[N])
+
+    turn, drive: e^iw and V at the images (m, F) of the bins; ``seen`` (F,) multiplies.
+    """
+    images, bins = turn.shape
+    for p in range(z.size):
+        # Both poles of the pair over one real denominator.
+        a, b, c = residues[p] * now[p], residues[p] * following[p], residues[p] * ends[p]
+        back = np.conj(z[p])
+        a1, b1, c1 = 2.0 * a.real, 2.0 * b.real, 2.0 * c.real
+        a0, b0, c0 = 2.0 * (a * back).real, 2.0 * (b * back).real, 2.0 * (c * back).real
+        d1, d0 = 2.0 * z[p].real, (z[p] * back).real
+        for f in range(bins):
+            total = 0.0 + 0.0j
+            for m in range(images):
+                e, v = turn[m, f], drive[m, f]
+                rise = e * (v - first_v)
+                above = (a1 * e - a0) * v + (b1 * e - b0) * rise - (c1 * e - c0) * e
+                below = e * e - d1 * e + d0
+                total += above * np.conj(below) / (below.real * below.real + below.imag * below.imag)
+            out[p, f] = total * seen[f] / images
+
+
+def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: FloatArray) -> LocalCandidate:
+    """The fall of chi2 that one more mode brings at each point of the grid."""
+    base = baseline(fit)
+    ready = [_by_bin(base, scan.places, senses) for scan in scans]
+    drives, p = scans[0].gains.shape[1], base.upper.shape[0]
+
+    points = scans[0].points
+
+    def at(first: int) -> tuple[FloatArray, FloatArray]:
+        """Fall and noise level of the points of a group."""
+        group = slice(first, first + _TOGETHER)
+        size = len(points[group])
+        score, overlap = np.zeros((size, drives, senses)), np.zeros((size, drives, senses, p))
+        gram, level, weight = np.zeros((size, drives, drives)), np.zeros((size, senses)), np.zeros((size, 1))
+        for scan, (residual, basis, gamma) in zip(scans, ready):
+            begin, answer = _side_by_side(scan.points[group])
+            part = slice(begin, begin + answer.shape[1])
+            mixed = (answer @ scan.mixed).reshape(size, answer.shape[1], drives, -1)
+            z = np.ascontiguousarray(np.moveaxis(mixed, 2, 1)).view(np.float64).reshape(size, drives, -1)
+            flat, energy = z.reshape(size * drives, -1), np.sum(z**2, axis=1)
+            score += (flat @ residual[part].reshape(-1, senses)).reshape(score.shape)
+            overlap += (flat @ basis[part].reshape(flat.shape[1], -1)).reshape(overlap.shape)
+            gram += z @ np.swapaxes(z, 1, 2)
+            level += energy @ gamma[part].reshape(-1, senses)
+            weight += energy.sum(axis=1, keepdims=True)
+        levels = np.max(level / np.maximum(weight, 1e-300), axis=1)
+        return _falls(score, overlap, gram, sigma_v), np.maximum(levels, 1.0)
+
+    found = [at(first) for first in range(0, len(points), _TOGETHER)]
+    falls, levels = (np.concatenate(part).tolist() for part in zip(*found))
+    return LocalCandidate(
+        NAME,
+        tuple(falls),
+        (drives * senses,) * len(points),
+        tuple({f"{NAME}.f": point.f_hz, f"{NAME}.zeta": point.zeta} for point in points),
+        levels=tuple(levels),
+    )
+
+
+def _side_by_side(points: Sequence[Point]) -> tuple[int, ComplexArray]:
+    """First bin and answers (K, F, W) of neighbours in the bins of any of them."""
+    first = min(point.first for point in points)
+    last = max(point.first + point.answer.shape[1] for point in points)
+    out = np.zeros((len(points), last - first, points[0].answer.shape[0]), dtype=np.complex128)
+    for own, point in zip(out, points):
+        own[point.first - first : point.first - first + point.answer.shape[1]] = point.answer.T
+    return first, out
+
+
+def _falls(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> FloatArray:
+    """s^T (Z~^T Z~)^-1 s over drives and senses of K points, (K,); the columns of sense k in units of 1/sigma_k."""
+    count, drives, senses = score.shape
+    width = drives * senses
+    o = (overlap / sigma_v[:, None]).reshape(count, width, -1)
+    full = np.einsum("kde,st->kdset", gram, np.diag(1.0 / sigma_v**2)).reshape(count, width, width)
+    full = full - o @ np.swapaxes(o, 1, 2)
+    s = (score / sigma_v).reshape(count, width)
+    scale = np.sqrt(np.maximum(np.diagonal(full, axis1=1, axis2=2), 1e-300))
+    size, vector = np.linalg.eigh(full / (scale[:, :, None] * scale[:, None, :]))
+    along = np.einsum("kij,ki->kj", vector, s / scale)
+    good = size > 1e-6 * np.maximum(size[:, -1:], 1e-300)
+    return np.asarray(np.sum(np.where(good, along**2 / np.where(good, size, 1.0), 0.0), axis=1))
+
+
+def _by_bin(base: Baseline, places: Sequence[int], senses: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residual (F, R, 2, S), basis (F, R, 2, S p) and noise level (F, R, 2, S) of some blocks, bin by bin."""
+
+    def stacked(blocks: Sequence[FloatArray]) -> FloatArray:
+        """(2 F S, ..) of each record -> (F, R, 2, S ..)."""
+        rows = [blocks[i].reshape(2, blocks[i].shape[0] // (2 * senses), -1) for i in places]
+        return np.ascontiguousarray(np.moveaxis(np.stack(rows), 2, 0))
+
+    return stacked(base.residual), stacked(base.basis), stacked(base.gamma)

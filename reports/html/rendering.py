@@ -1,0 +1,103 @@
+"""From frozen content to HTML: the environment that every page shares.
+
+Autoescape is on; only figures, which :func:`reports.html.style.to_svg` has made, enter as markup.
+Numbers are formatted here and nowhere else: a value is rounded by its sd, a share shown in percent.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+
+from ..words.quantities import SUPERSCRIPT, UNITS, label, limit_words, percent, percent_range
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_DASH = "–"
+
+
+def environment() -> jinja2.Environment:
+    """Templates with autoescape, strict about names, and the filters of this module."""
+    env = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    env.filters.update(
+        number=number,
+        measured=measured,
+        interval=interval,
+        percent=percent,
+        quantity=label,
+        limit=limit_words,
+        svg=Markup,
+        unit=unit,
+    )
+    env.globals.update(percent_range=percent_range)
+    return env
+
+
+def stylesheet(*more: str) -> Markup:
+    """The style of all pages and of the named files, inlined by the base template."""
+    return Markup("".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("style.css", *more)))
+
+
+def unit(quantity: str) -> str:
+    """Unit of a quantity; empty for a pure number."""
+    return UNITS.get(quantity, "")
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with so many significant digits; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return _DASH
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    # Four to six digits before the point read better written out than as a power of ten.
+    if 10.0**digits <= abs(value) < 1e6:
+        return _typeset(f"{value:.0f}")
+    # A mantissa of one digit keeps the point of the alternate form.
+    return _typeset(f"{value:#.{digits}g}".replace(".e", "e").rstrip("."))
+
+
+def measured(value: float, sd: float) -> str:
+    """value ± sd, the sd with two significant digits, the value with as many decimals."""
+    if not math.isfinite(value):
+        return _DASH
+    if not (math.isfinite(sd) and sd > 0.0):
+        return f"{number(value, 6)} ± ?"
+    decimals = _decimals(sd)
+    return f"{_fixed(value, sd, decimals)} ± {_fixed(sd, sd, decimals)}"
+
+
+def interval(low: float, high: float, sd: float) -> str:
+    """low to high, with the decimals that the sd warrants."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return _DASH
+    spread = sd if math.isfinite(sd) and sd > 0.0 else abs(high - low)
+    decimals = _decimals(spread) if spread > 0.0 else 3
+    return f"{_fixed(low, spread, decimals)} to {_fixed(high, spread, decimals)}"
+
+
+def _decimals(sd: float) -> int:
+    """Decimals that show two significant digits of the sd."""
+    return 1 - math.floor(math.log10(float(f"{sd:.1e}")))
+
+
+def _fixed(value: float, sd: float, decimals: int) -> str:
+    # Beyond eight decimals a small number reads better as a power of ten, with the same last digit.
+    if decimals > 8 and value != 0.0:
+        digits = max(0, math.floor(math.log10(abs(value))) + decimals)
+        return _typeset(f"{value:.{digits}e}")
+    return _typeset(f"{round(value, decimals):.{max(0, decimals)}f}")
+
+
+def _typeset(text: str) -> str:
+    mantissa, _, exponent = text.partition("e")
+    if exponent:
+        return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}".replace("-", "−")
+    return text.replace("-", "−")

@@ -1,0 +1,124 @@
+"""Causes of loss: which limits fail, and whether fabrication or packaging is to blame.
+
+Counts are devices.  "Failed" are the devices whose verdict is "fail"; the stages compare the virtual truth
+as fabricated (fab_) and as packaged (true_) with the limits, whatever the verdict.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import BoolArray
+
+from ..devices import Devices
+from ..limits import Limit, Limits
+from ..yields import Interval, clopper_pearson
+
+
+@dataclass(frozen=True)
+class FailedLimit:
+    """One bar of the Pareto.
+
+    Parameters
+    ----------
+    limit : the limit.
+    failed : failed devices that break it.
+    alone : those that break no other.
+    share : Clopper-Pearson interval of failed / all failed devices.
+    below, above : on which side the estimates lie (both 0 for an axis, which has no sides).
+    """
+
+    limit: Limit
+    failed: int
+    alone: int
+    share: Interval
+    below: int
+    above: int
+
+
+@dataclass(frozen=True)
+class Pareto:
+    """Failed limits, most frequent first; ``jointly`` devices fail though no single limit is improbable."""
+
+    failed: int
+    limits: tuple[FailedLimit, ...]
+    jointly: int
+
+
+@dataclass(frozen=True)
+class StageLoss:
+    """Truth against one limit (``None``: all together), as fabricated and as packaged.
+
+    Parameters
+    ----------
+    both : conform at both stages.
+    packaging : conform as fabricated, not as packaged: lost in packaging.
+    recovered : the other way: packaging brought them inside.
+    fabrication : conform at neither: lost in fabrication.
+    unknown : truth of a stage is not known.
+    """
+
+    limit: Limit | None
+    both: int
+    packaging: int
+    recovered: int
+    fabrication: int
+    unknown: int
+
+
+def pareto(devices: Devices, limits: Limits) -> Pareto:
+    """How often each limit fails among the failed devices."""
+    fails = devices.has("fail")
+    broken = [tuple(filter(None, names.split(","))) for names in devices.text("failed_limits")]
+    chosen = [names for names, failed in zip(broken, fails, strict=True) if failed]
+    total = len(chosen)
+    count = Counter(name for names in chosen for name in names)
+    alone = Counter(names[0] for names in chosen if len(names) == 1)
+    rows = []
+    for limit in limits.limits:
+        breaks = fails & np.array([limit.quantity in names for names in broken], dtype=np.bool_)
+        values = devices.number(limit.quantity)[breaks]
+        k = count[limit.quantity]
+        rows.append(
+            FailedLimit(
+                limit=limit,
+                failed=k,
+                alone=alone[limit.quantity],
+                share=clopper_pearson(k, total),
+                below=0 if limit.axis else int(np.sum(values < limit.low)),
+                above=0 if limit.axis else int(np.sum(values > limit.high)),
+            )
+        )
+    rows.sort(key=lambda row: (-row.failed, -row.alone))
+    return Pareto(total, tuple(rows), sum(not names for names in chosen))
+
+
+def stage_losses(devices: Devices, limits: Limits) -> tuple[StageLoss, ...]:
+    """All limits together first, then each; empty where no device has a truth at both stages."""
+    rows = []
+    known_all = np.ones(len(devices), dtype=np.bool_)
+    fab_all, true_all = known_all.copy(), known_all.copy()
+    for limit in limits.limits:
+        fab, true = devices.number(f"fab_{limit.quantity}"), devices.number(f"true_{limit.quantity}")
+        known = np.isfinite(fab) & np.isfinite(true)
+        rows.append(_stages(limit, limit.admits(fab), limit.admits(true), known))
+        known_all &= known
+        fab_all &= limit.admits(fab)
+        true_all &= limit.admits(true)
+    if not any(row.unknown < len(devices) for row in rows):
+        return ()
+    return (_stages(None, fab_all, true_all, known_all), *rows)
+
+
+def _stages(limit: Limit | None, fab: BoolArray, true: BoolArray, known: BoolArray) -> StageLoss:
+    return StageLoss(
+        limit,
+        both=int(np.sum(known & fab & true)),
+        packaging=int(np.sum(known & fab & ~true)),
+        recovered=int(np.sum(known & ~fab & true)),
+        fabrication=int(np.sum(known & ~fab & ~true)),
+        unknown=int(np.sum(~known)),
+    )

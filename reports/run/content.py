@@ -1,0 +1,232 @@
+"""The content of a run's page: frozen data, from verified tables; no HTML, no figures.
+
+tables + limits -> RunContent -> page
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import pyarrow as pa
+
+from pipeline.errors import ConfigError
+from pipeline.quantities import QUANTITIES, Quantity
+
+from ..devices import Devices
+from ..limits import Limits
+from ..words.quantities import cause_sentence, main_cause, process_sentence, stage_sentence, undecided_sentence
+from ..yields import (
+    Clustering,
+    GroupYield,
+    Measurement,
+    Yield,
+    by_group,
+    clustering,
+    measurement_uncertainty,
+    yield_of_verdicts,
+)
+from .calibration import Coverage, VerdictCheck, check_verdicts, coverages
+from .causes import Pareto, StageLoss, pareto, stage_losses
+from .health import RouteDifference, Spread, StatusCount, route_differences, spreads, status_counts
+from .lot_effects import LotEffects, NeededEffects, needed_effects
+from .trim import TrimYield, trim_yield, true_conformity
+from .worst import WorstDevice, worst_devices
+
+
+class Run(Protocol):
+    """What a page needs of a run: verified tables, manifest and configuration."""
+
+    @property
+    def devices(self) -> pa.Table:
+        """The ``devices`` table."""
+
+    @property
+    def posterior(self) -> pa.Table | None:
+        """The ``posterior`` table, where draws were kept."""
+
+    @property
+    def manifest(self) -> Any:
+        """The manifest: a mapping or a dataclass."""
+
+    @property
+    def config_toml(self) -> str:
+        """The configuration as it was run."""
+
+
+@dataclass(frozen=True)
+class Headline:
+    """What is read in ten seconds: sentences, the empty ones left out by the page."""
+
+    cause: str
+    share: str
+    stage: str
+    undecided: str
+    process: str
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One line of the provenance or of the population's summary."""
+
+    name: str
+    value: str
+
+
+@dataclass(frozen=True)
+class CommittedFile:
+    """One table of the run: its name, rows and SHA-256."""
+
+    name: str
+    rows: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class RunContent:
+    """Everything that the page says, in its order."""
+
+    run_id: str
+    headline: Headline
+    total: Yield
+    measurement: Measurement
+    clusters: tuple[Clustering, ...]
+    lots: tuple[GroupYield, ...]
+    wafers: tuple[GroupYield, ...]
+    causes: tuple[tuple[str, int], ...]
+    pareto: Pareto
+    stages: tuple[StageLoss, ...]
+    trim: TrimYield | None
+    needed: NeededEffects | None
+    coverages: tuple[Coverage, ...]
+    verdict_check: VerdictCheck | None
+    statuses: tuple[StatusCount, ...]
+    spreads: tuple[Spread, ...]
+    routes: tuple[RouteDifference, ...]
+    worst: tuple[WorstDevice, ...]
+    limits: Limits
+    population: tuple[Fact, ...]
+    provenance: tuple[Fact, ...]
+    files: tuple[CommittedFile, ...]
+    config_toml: str
+    glossary: tuple[Quantity, ...]
+
+
+def run_content(
+    run: Run,
+    limits: Limits,
+    population_summary: Mapping[str, Any] | None = None,
+    lot_effects: LotEffects | None = None,
+) -> RunContent:
+    """The content of a run's page.
+
+    Parameters
+    ----------
+    run : tables in the registered schema (absent or null columns are left out of the page), manifest,
+    configuration.
+    limits : the limits and rule by which the run was judged.
+    population_summary : what the population says of itself, shown as it is; nested tables become dotted
+    names.
+
+    lot_effects : what was found of its misfits, or ``None``.
+
+    Raises
+    ------
+    ConfigError : the limits name a quantity that the results do not hold.
+    """
+    devices = Devices(run.devices)
+    _check_limits(devices, limits)
+    verdicts = devices.text("verdict")
+    total = yield_of_verdicts(verdicts)
+    bars = pareto(devices, limits)
+    stages = stage_losses(devices, limits)
+    statuses = status_counts(devices)
+    lots, wafers = devices.text("lot"), devices.wafers()
+    clusters = tuple(
+        clustering(verdicts, names, by) for by, names in (("wafer", wafers), ("lot", lots)) if names and all(names)
+    )
+    manifest = _mapping(run.manifest)
+    return RunContent(
+        run_id=str(manifest.get("run_id", "")),
+        headline=Headline(
+            main_cause(total, bars),
+            cause_sentence(bars),
+            stage_sentence(stages),
+            undecided_sentence(total, statuses),
+            process_sentence(clusters),
+        ),
+        total=total,
+        measurement=measurement_uncertainty(devices.number("p_pass")),
+        clusters=clusters,
+        lots=by_group(verdicts, lots) if any(lots) else (),
+        wafers=by_group(verdicts, lots, devices.text("wafer")) if any(wafers) else (),
+        causes=tuple(sorted(Counter(filter(None, devices.text("cause"))).items(), key=lambda row: (-row[1], row[0]))),
+        pareto=bars,
+        stages=stages,
+        needed=needed_effects(devices, lot_effects),
+        trim=trim_yield(devices, true_conformity(devices, limits)),
+        coverages=coverages(devices),
+        verdict_check=check_verdicts(devices, limits),
+        statuses=statuses,
+        spreads=spreads(devices),
+        routes=route_differences(devices),
+        worst=worst_devices(devices, limits),
+        limits=limits,
+        population=facts(population_summary or {}),
+        provenance=facts({name: value for name, value in manifest.items() if name not in ("files", "sha256")}),
+        files=_files(manifest.get("files", ())),
+        config_toml=run.config_toml,
+        glossary=QUANTITIES,
+    )
+
+
+def facts(table: Mapping[str, Any], prefix: str = "") -> tuple[Fact, ...]:
+    """A nested mapping as lines, names dotted; empty and null values left out."""
+    lines: list[Fact] = []
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            lines += facts(value, f"{prefix}{name}.")
+        elif value is not None and value != "":
+            lines.append(Fact(f"{prefix}{name}", _shown(value)))
+    return tuple(lines)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(_shown(one) for one in value)
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    return value if isinstance(value, Mapping) else {}
+
+
+def _files(entries: Any) -> tuple[CommittedFile, ...]:
+    # Pages are left out: this page is one of them and cannot hold its own hash.
+    rows = [_mapping(entry) for entry in entries]
+    return tuple(
+        CommittedFile(
+            str(row.get("name", "")),
+            "" if row.get("rows") is None else str(row["rows"]),
+            str(row.get("sha256", "")),
+        )
+        for row in rows
+        if row.get("kind") != "page"
+    )
+
+
+def _check_limits(devices: Devices, limits: Limits) -> None:
+    absent = [name for name in limits.quantities if name not in devices.table.column_names]
+    if absent:
+        raise ConfigError(
+            "limits on quantities that the results do not hold",
+            value=absent,
+            allowed="columns of the devices table",
+            next_step="report with the limits of the run",
+        )

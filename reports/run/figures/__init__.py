@@ -1,0 +1,230 @@
+"""The figures of a run's page, from its devices and its content: name -> SVG text, "" where nothing can be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from pipeline.arrays import FloatArray
+from pipeline.axial import difference, mean_axis
+from pipeline.quantities import AXES
+
+from ...devices import Devices
+from ...limits import Limit
+from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
+from ..calibration import z_scores
+from ..content import RunContent
+from ..health import ROUTE_THETAS, miss
+from ..worst import WorstDevice
+from .calibration import coverage_dots, z_panels
+from .causes import CauseBar, StageBar, pareto_bars, stage_bars
+from .corners import corner_plot
+from .distribution import histograms, theta_and_split
+from .route import route_scatter
+from .wafermap import stacked_map, wafer_maps
+from .yields import Span, yield_spans
+
+# Where a chirp leaves doubt, it is among these.
+CORNER = {"theta_deg": "Δ theta", "split_hz": "Δ split", "c12_per_s": "Δ c12", "sense_imbalance": "Δ imbal."}
+
+
+def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
+    """All figures of the page by name; empty text where there is nothing to draw."""
+    if not len(devices):
+        return {}
+    return {
+        "yield-spans": yield_spans(_spans(content)),
+        "pareto": _pareto(content),
+        "stages": _stages(content),
+        **_maps(devices),
+        **_distributions(devices, content),
+        **_calibration(devices, content),
+        "route": _route(devices) if content.routes else "",
+    }
+
+
+def corner_plots(worst: Sequence[WorstDevice], posterior: pa.Table | None) -> tuple[str, ...]:
+    """A corner plot for the first device of each kind of worst; "" for the others and for those without draws."""
+    first = [device.why not in {other.why for other in worst[:k]} for k, device in enumerate(worst)]
+    return tuple(
+        _corner(k, device, posterior) if chosen and posterior is not None else ""
+        for k, (device, chosen) in enumerate(zip(worst, first, strict=True))
+    )
+
+
+def _corner(k: int, device: WorstDevice, posterior: pa.Table) -> str:
+    rows = Devices(posterior.filter(pc.equal(posterior["device_id"], device.device_id)))
+    truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
+    columns: list[FloatArray] = []
+    shown: list[float] = []
+    labels: list[str] = []
+    for name in CORNER:
+        values, truth = rows.number(name), truths.get(name, float("nan"))
+        if not np.isfinite(values).any():
+            continue
+        # From the centre, in thousands of the unit: digits that all draws share would crowd the ticks.
+        centre = mean_axis(values) if name in AXES else float(np.nanmean(values))
+        values = difference(values, centre) if name in AXES else values - centre
+        truth = float(difference(truth, centre)) if name in AXES else truth - centre
+        exponent = _thousands(float(np.nanstd(values)))
+        columns.append(values / 10.0**exponent)
+        shown.append(truth / 10.0**exponent)
+        labels.append(f"{CORNER[name]}\n{_unit(exponent, UNITS[name])}")
+    if not columns:
+        return ""
+    drawn = corner_plot(labels, np.stack(columns, axis=1), shown, f"corner-{k}", f"Posterior of {device.device_id}")
+    return drawn or ""
+
+
+def _thousands(sd: float) -> int:
+    """Exponent in steps of three that leaves the sd between 0.2 and 200."""
+    return 3 * int(np.floor((np.log10(sd) + 0.7) / 3.0)) if sd > 0.0 else 0
+
+
+def _unit(exponent: int, unit: str) -> str:
+    power = f"10{str(exponent).translate(SUPERSCRIPT)}" if exponent else ""
+    return f"{power} {unit}".strip() or "1"
+
+
+def _spans(content: RunContent) -> list[Span]:
+    total, n = content.total, content.total.devices
+    share = content.measurement
+    spans = [
+        Span(
+            "Which of these devices conform?",
+            "measurement (Poisson-binomial)",
+            share.low / n,
+            share.mean / n,
+            share.high / n,
+        ),
+        Span(
+            "Which of these devices conform?",
+            "undecided: all fail to all pass",
+            total.bounds[0],
+            total.value,
+            total.bounds[1],
+        ),
+        Span(
+            "What would more devices like these yield?",
+            "sampling (Clopper-Pearson)",
+            total.clopper_pearson.low,
+            total.value,
+            total.clopper_pearson.high,
+        ),
+        Span(
+            "What would more devices like these yield?",
+            "sampling (Wilson)",
+            total.wilson.low,
+            total.value,
+            total.wilson.high,
+        ),
+        Span(
+            "What would more devices like these yield?",
+            "sampling, undecided either way",
+            total.envelope.low,
+            total.value,
+            total.envelope.high,
+        ),
+    ]
+    for one in content.clusters:
+        if one.interval is not None:
+            spans.append(
+                Span(
+                    "What would the process yield?",
+                    f"{one.groups} {one.by}s as draws",
+                    one.interval.low,
+                    total.value,
+                    one.interval.high,
+                )
+            )
+    return spans
+
+
+def _pareto(content: RunContent) -> str:
+    if not content.pareto.failed:
+        return ""
+    bars = [
+        CauseBar(f"{label(row.limit.quantity)} {limit_words(row.limit)}", row.failed, row.alone)
+        for row in content.pareto.limits
+    ]
+    return pareto_bars(bars, content.pareto.failed)
+
+
+def _stages(content: RunContent) -> str:
+    if not content.stages:
+        return ""
+    bars = [
+        StageBar(
+            f"{label(row.limit.quantity)} {limit_words(row.limit)}" if row.limit else "all limits together",
+            row.fabrication,
+            row.packaging,
+            row.recovered,
+        )
+        for row in content.stages
+    ]
+    return stage_bars([bars[0], *sorted(bars[1:], key=lambda bar: -(bar.fabrication + bar.packaging))])
+
+
+def _maps(devices: Devices) -> dict[str, str]:
+    x, y, wafers = devices.number("die_x_mm"), devices.number("die_y_mm"), devices.wafers()
+    placed = np.isfinite(x) & np.isfinite(y) & np.array([bool(wafer) for wafer in wafers], dtype=np.bool_)
+    if not placed.any():
+        return {"wafer-maps": "", "stacked-map": ""}
+    chosen = np.flatnonzero(placed)
+    verdicts = devices.text("verdict")
+    return {
+        "wafer-maps": wafer_maps(x[chosen], y[chosen], [verdicts[k] for k in chosen], [wafers[k] for k in chosen]),
+        "stacked-map": stacked_map(x[chosen], y[chosen], devices.has("pass")[chosen]),
+    }
+
+
+def _distributions(devices: Devices, content: RunContent) -> dict[str, str]:
+    limits: dict[str, Limit] = {limit.quantity: limit for limit in content.limits.limits}
+    verdicts = devices.text("verdict")
+    others = [name for name in limits if name not in ("theta_deg", "split_hz")]
+    panels = [
+        (label(name) + (f", {UNITS[name]}" if UNITS[name] else ""), devices.number(name), limits[name])
+        for name in others
+    ]
+    return {
+        "theta-split": theta_and_split(
+            devices.number("theta_deg"),
+            devices.number("split_hz"),
+            verdicts,
+            limits.get("theta_deg"),
+            limits.get("split_hz"),
+        ),
+        "histograms": histograms(panels, verdicts) if panels else "",
+    }
+
+
+def _calibration(devices: Devices, content: RunContent) -> dict[str, str]:
+    if not content.coverages:
+        return {"coverage": "", "z-scores": ""}
+    panels = [(label(name), z_scores(devices, name)) for name in ("theta_deg", "split_hz")]
+    return {
+        "coverage": coverage_dots([(label(row.quantity), row) for row in content.coverages]),
+        "z-scores": z_panels(panels),
+    }
+
+
+def _route(devices: Devices) -> str:
+    virtual = bool(np.isfinite(devices.number("true_split_hz")).any())
+    against = "true_" if virtual else ""
+    of = "error" if virtual else "difference"
+    thetas = np.stack([miss(devices, name, f"{against}theta_deg") for name in ROUTE_THETAS])
+    known = np.isfinite(thetas).any(axis=0)
+    worst = np.full(len(devices), np.nan)
+    worst[known] = np.nanmax(thetas[:, known], axis=0)
+    theta_posterior = miss(devices, "theta_deg", "true_theta_deg") if virtual else None
+    split_posterior = miss(devices, "split_hz", "true_split_hz") if virtual else None
+    return route_scatter(
+        devices.number(f"{against}split_hz"),
+        [
+            (f"largest {of} of the four thetas, deg", worst, theta_posterior),
+            (f"{of} of the split, Hz", miss(devices, "arx_split_hz", f"{against}split_hz"), split_posterior),
+        ],
+    )

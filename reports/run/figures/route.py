@@ -1,0 +1,50 @@
+"""The paper's route beside the posterior: error of theta and of the split against the split."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from pipeline.arrays import FloatArray
+
+from ...html.style import ACCENT, COLOURS, POINTS, RULE, WIDTH, style, to_svg
+
+
+def route_scatter(
+    split_hz: FloatArray,
+    panels: Sequence[tuple[str, FloatArray, FloatArray | None]],
+    name: str = "route",
+) -> str:
+    """For each (label, |error| of the route, |error| of the posterior or None) a doubly logarithmic panel.
+
+    Parameters
+    ----------
+    split_hz : (B,) split [Hz]; errors are (B,) in the unit of their label, nan is not drawn.
+    """
+    step = max(1, -(-split_hz.size // POINTS))
+    with style():
+        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
+        for axes, (label, route, posterior) in zip(
+            figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
+        ):
+            drawn = [("the paper's route", route, COLOURS["fail"], "x"), ("posterior", posterior, ACCENT, "o")]
+            for legend, error, colour, marker in drawn:
+                if error is None:
+                    continue
+                known = np.isfinite(error) & np.isfinite(split_hz) & (error > 0) & (split_hz > 0)
+                x, y = split_hz[known][::step], error[known][::step]
+                axes.plot(x, y, ls="none", marker=marker, ms=3.2, mew=0.7, color=colour, alpha=0.8, label=legend)
+            if axes.lines and any(line.get_xdata().size for line in axes.lines):
+                axes.set(xscale="log", yscale="log")
+                # Labels between the decades would run into each other.
+                axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                axes.xaxis.set_minor_formatter(NullFormatter())
+                axes.yaxis.set_minor_formatter(NullFormatter())
+            axes.set(xlabel="split, Hz", ylabel=label)
+            axes.grid(color=RULE, lw=0.5)
+            axes.legend(loc="best", handletextpad=0.2)
+        return to_svg(figure, name, "Error of the paper's route and of the posterior against the split")

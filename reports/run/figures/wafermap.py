@@ -1,0 +1,152 @@
+"""Wafer maps: verdicts at the die positions, and the yield by position over all wafers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+
+from pipeline.arrays import BoolArray, FloatArray
+
+from ...html.style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, style, to_svg
+from ...yields import natural
+
+COLUMNS = 4
+MOST = 12
+
+
+def wafer_maps(
+    x_mm: FloatArray, y_mm: FloatArray, verdicts: Sequence[str], wafers: Sequence[str], name: str = "wafer-maps"
+) -> str:
+    """Small multiples, a wafer each, in order of name, the first ``MOST`` of them.
+
+    Parameters
+    ----------
+    x_mm, y_mm : (B,) die centres from the wafer centre [mm]; nan is not drawn.
+    verdicts, wafers : B each.
+    """
+    names = sorted(set(wafers), key=natural)[:MOST]
+    verdict, wafer = np.array(verdicts), np.array(wafers)
+    radius = _radius(x_mm, y_mm)
+    with style():
+        across = min(COLUMNS, max(2, len(names)))
+        down = -(-len(names) // across)
+        figure = Figure(figsize=(WIDTH, (2.75 if across == COLUMNS else 3.0) * down + 0.35), layout="constrained")
+        grid = figure.subplots(down, across, squeeze=False)
+        for k, axes in enumerate(grid.ravel()):
+            if k >= len(names):
+                axes.set_axis_off()
+                continue
+            here = (wafer == names[k]) & np.isfinite(x_mm) & np.isfinite(y_mm)
+            passed, n = int(np.sum(verdict[here] == "pass")), int(here.sum())
+            _outline(axes, radius)
+            size = _marker_size(x_mm[here], y_mm[here], radius, across)
+            for kind in COLOURS:
+                chosen = here & (verdict == kind)
+                axes.plot(
+                    x_mm[chosen],
+                    y_mm[chosen],
+                    ls="none",
+                    marker=MARKERS[kind],
+                    ms=size * (0.8 if kind == "undecided" else 1.0),
+                    mfc=COLOURS[kind],
+                    mec=EDGES[kind],
+                    mew=0.6,
+                )
+            axes.set_title(f"{names[k]}: {passed} of {n} pass", fontsize=10)
+        figure.legend(handles=_handles(), loc="outside lower left", ncols=3, handletextpad=0.3)
+        return to_svg(figure, name, "Verdicts at the die positions of each wafer")
+
+
+def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str = "stacked-map") -> str:
+    """All wafers on one: the share of devices that pass at each die position, and against the radius.
+
+    Parameters
+    ----------
+    x_mm, y_mm : (B,) die centres [mm]; nan is not drawn.
+    passed : (B,) whether the device passes.
+    """
+    known = np.isfinite(x_mm) & np.isfinite(y_mm)
+    rounded = np.round(np.stack([x_mm[known], y_mm[known]], axis=1), 3)
+    unique, index = np.unique(rounded, axis=0, return_inverse=True)
+    places: FloatArray = np.asarray(unique, dtype=np.float64)
+    n = np.bincount(index.ravel(), minlength=len(places))
+    share = np.bincount(index.ravel(), weights=passed[known].astype(np.float64), minlength=len(places)) / np.maximum(
+        n, 1
+    )
+    radius = _radius(x_mm, y_mm)
+    with style():
+        figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
+        _outline(left, radius)
+        size = _marker_size(places[:, 0], places[:, 1], radius, 2) ** 2
+        marks = left.scatter(
+            places[:, 0],
+            places[:, 1],
+            c=100 * share,
+            cmap=matplotlib.colormaps["cividis"].resampled(10),
+            vmin=0,
+            vmax=100,
+            marker="s",
+            s=size,
+            linewidths=0,
+        )
+        bar = figure.colorbar(marks, ax=left, shrink=0.8, pad=0.02)
+        bar.set_label("pass, %")
+        each = f"{n.min()}" if n.min() == n.max() else f"{n.min()} to {n.max()}"
+        left.set_title(f"All wafers on one ({each} devices a die)")
+        _by_radius(right, np.hypot(x_mm[known], y_mm[known]), passed[known], radius)
+        return to_svg(figure, name, "Share of passing devices by die position and by radius")
+
+
+def _by_radius(axes: Axes, r_mm: FloatArray, passed: BoolArray, radius: float) -> None:
+    # Rings of equal area hold about as many dies each.
+    edges = radius * np.sqrt(np.linspace(0.0, 1.0, 6))
+    ring = np.clip(np.searchsorted(edges, r_mm, side="right") - 1, 0, 4)
+    for k in range(5):
+        here = passed[ring == k]
+        if here.size == 0:
+            continue
+        share = float(here.mean())
+        sd = np.sqrt(max(share * (1 - share), 0.25 / (here.size + 4)) / here.size)
+        middle = 0.5 * (edges[k] + edges[k + 1])
+        low, high = max(0.0, share - 1.96 * sd), min(1.0, share + 1.96 * sd)
+        axes.plot([middle, middle], [100 * low, 100 * high], color=COLOURS["pass"], lw=1.2)
+        axes.plot([middle], [100 * share], "o", color=COLOURS["pass"], ms=5)
+        axes.annotate(
+            f"{here.size}", (middle, 100 * share), xytext=(6, 4), textcoords="offset points", fontsize=9.5, color=MUTED
+        )
+    axes.set(xlim=(0, radius), ylim=(0, 100), xlabel="distance from the wafer centre, mm", ylabel="pass, %")
+    axes.set_title("Yield by ring of equal area, 95 % intervals")
+    axes.grid(axis="y", color=RULE, lw=0.6)
+
+
+def _radius(x_mm: FloatArray, y_mm: FloatArray) -> float:
+    r = np.hypot(x_mm, y_mm)
+    r = r[np.isfinite(r)]
+    return 1.12 * float(r.max()) if r.size and r.max() > 0 else 1.0
+
+
+def _marker_size(x_mm: FloatArray, y_mm: FloatArray, radius: float, across: int) -> float:
+    """Marker size in points that fills most of a die pitch."""
+    steps = np.concatenate([np.diff(np.unique(np.round(x_mm, 3))), np.diff(np.unique(np.round(y_mm, 3)))])
+    pitch = float(np.median(steps)) if steps.size else radius / 4
+    return float(np.clip(0.75 * pitch / (2.2 * radius) * 72 * (8.6 / across), 2.2, 13.0))
+
+
+def _outline(axes: Axes, radius: float) -> None:
+    axes.add_patch(Circle((0, 0), radius, fc="#f7f8f9", ec=MUTED, lw=0.8, zorder=0))
+    axes.set(xlim=(-1.05 * radius, 1.05 * radius), ylim=(-1.05 * radius, 1.05 * radius), aspect="equal")
+    axes.set_axis_off()
+
+
+def _handles() -> list[Line2D]:
+    return [
+        Line2D([], [], ls="none", marker=MARKERS[kind], mfc=COLOURS[kind], mec=EDGES[kind], ms=6, label=kind)
+        for kind in COLOURS
+    ]

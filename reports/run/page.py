@@ -1,0 +1,112 @@
+"""The page of a run: one self-contained HTML file that opens offline.
+
+tables, limits --content--> RunContent --figures, templates--> HTML
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.quantities import QUANTITIES
+
+from ..devices import Devices, wafer_name
+from ..html.rendering import environment, interval, measured, stylesheet
+from ..limits import Limits
+from .content import Run, RunContent, run_content
+from .figures import corner_plots, run_figures
+from .lot_effects import LotEffects, counted, probability, with_sd
+from .worst import Estimate
+
+MOST_GROUPS = 60
+
+_DIAGNOSTICS = {
+    "error": "error (rms residual / sigma)",
+    "chi2_per_dof": "chi2 per degree of freedom",
+    "relative_error": "relative error",
+    "theta_bias_bound_deg": "bound on the bias of theta, deg",
+    "rhat": "R-hat between ensembles",
+    "ess": "effective sample size",
+    "acceptance": "acceptance",
+}
+_ROUTE = {
+    "theta_u1_deg": "theta from u1",
+    "theta_v1_deg": "theta from v1",
+    "theta_u2_deg": "theta from u2",
+    "theta_v2_deg": "theta from v2",
+    "theta_deg": "theta, posterior",
+    "arx_split_hz": "split, ARX",
+    "split_hz": "split, posterior",
+}
+
+
+def render_run_report(
+    run: Run,
+    limits: Limits,
+    *,
+    population_summary: Mapping[str, Any] | None = None,
+    lot_effects: LotEffects | None = None,
+) -> str:
+    """The page of a run as HTML text; the same input gives the same page.
+
+    Parameters
+    ----------
+    run : tables in the registered schema, manifest and configuration; no devices and null columns are fine.
+    limits : the limits and rule by which the run was judged.
+    population_summary : what the population says of itself; nested tables become dotted names.
+    lot_effects : what was found of its misfits.
+
+    Raises
+    ------
+    ConfigError : the limits name a quantity that the results do not hold.
+    """
+    content = run_content(run, limits, population_summary, lot_effects)
+    devices = Devices(run.devices)
+    page = environment().get_template("run.html.j2")
+    return page.render(
+        c=content,
+        stylesheet=stylesheet(),
+        figures=run_figures(devices, content),
+        corners=corner_plots(content.worst, run.posterior),
+        sections=_sections(content),
+        diagnostics=_DIAGNOSTICS,
+        route_names=_ROUTE,
+        meanings={quantity.name: quantity.meaning for quantity in QUANTITIES},
+        most_groups=MOST_GROUPS,
+        most_maps=12,
+        with_estimate=int(np.sum(np.isfinite(devices.number("theta_deg")))),
+        interval=interval,
+        wafer_name=wafer_name,
+        truth_of=_truth,
+        probability=probability,
+        counted=counted,
+        with_sd=with_sd,
+    )
+
+
+def _truth(estimate: Estimate) -> str:
+    """The truth with the decimals of the estimate."""
+    return measured(estimate.truth, estimate.sd).partition(" ±")[0]
+
+
+def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
+    return tuple(
+        (key, name)
+        for key, name, there in (
+            ("causes", "Causes of loss", True),
+            ("yield", "Yield", True),
+            ("wafers", "Wafers", bool(content.wafers)),
+            ("distributions", "Theta and split", True),
+            ("lot-effects", "Effects this lot needs", content.needed is not None),
+            ("trim", "Electronic tuning", content.trim is not None),
+            ("calibration", "Calibration", True),
+            ("health", "Convergence", True),
+            ("route", "The paper's route", bool(content.routes)),
+            ("worst", "Worst devices", True),
+            ("limits", "Limits", True),
+            ("provenance", "Provenance", True),
+        )
+        if there
+    )

@@ -1,0 +1,123 @@
+"""The devices to look at first: not identified, undecided, and farthest from conforming."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import FloatArray
+
+from ..devices import Devices
+from ..limits import Limits
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One quantity of one device: value, sd, 90 % interval and the truth; nan where unknown."""
+
+    quantity: str
+    value: float
+    sd: float
+    q05: float
+    q95: float
+    truth: float
+
+
+@dataclass(frozen=True)
+class WorstDevice:
+    """One device, why it is here, and what is known of it.
+
+    Parameters
+    ----------
+    device_id, lot, wafer, die_mm : which it is and where it was made; nan where unknown.
+    why : in words.
+    verdict, status, reason, failed_limits : as in the results.
+    p_pass, error : probability of conformity; rms of the residual over sigma.
+    margin : distance of the estimates to the nearest limit (see ``Limit.margin``), negative outside.
+    estimates : theta, split, c12, imbalance and the limited quantities.
+    """
+
+    device_id: str
+    lot: str
+    wafer: str
+    die_mm: tuple[float, float]
+    why: str
+    verdict: str
+    status: str
+    reason: str
+    failed_limits: str
+    p_pass: float
+    error: float
+    margin: float
+    estimates: tuple[Estimate, ...]
+
+
+def margins(devices: Devices, limits: Limits) -> FloatArray:
+    """(B,) smallest margin over the limits whose quantity is known; nan where none is."""
+    each = np.array([limit.margin(devices.number(limit.quantity)) for limit in limits.limits])
+    return np.where(np.isnan(each).all(axis=0), np.nan, np.where(np.isnan(each), np.inf, each).min(axis=0))
+
+
+def worst_devices(devices: Devices, limits: Limits, each: int = 2) -> tuple[WorstDevice, ...]:
+    """The devices that say most about the run, no device twice.
+
+    Up to ``each`` of the not identified (largest error), the undecided (p_pass nearest 1/2), the failed
+    and the passed (smallest margin).
+    """
+    margin = margins(devices, limits)
+    ok, undecided = devices.is_ok(), devices.has("undecided")
+    p_pass, error = devices.number("p_pass"), devices.number("error")
+    groups = (
+        ("not identified: {status}", ~ok, -np.nan_to_num(error, nan=np.inf)),
+        (
+            "undecided: too close to a limit to tell",
+            ok & undecided,
+            np.abs(np.nan_to_num(p_pass, nan=0.5) - 0.5),
+        ),
+        ("failed by the widest margin", ok & devices.has("fail"), np.nan_to_num(margin, nan=np.inf)),
+        ("passed by the narrowest margin", ok & devices.has("pass"), np.nan_to_num(margin, nan=np.inf)),
+    )
+    rows = []
+    for why, member, order in groups:
+        candidates = np.flatnonzero(member)
+        for k in candidates[np.argsort(order[candidates], kind="stable")][:each]:
+            rows.append(_describe(devices, limits, int(k), why, float(margin[k])))
+    return tuple(rows)
+
+
+def _describe(devices: Devices, limits: Limits, k: int, why: str, margin: float) -> WorstDevice:
+    names = dict.fromkeys(("theta_deg", "split_hz", "c12_per_s", "sense_imbalance", *limits.quantities))
+    row = Devices(devices.table.slice(k, 1))
+
+    def number(name: str) -> float:
+        return float(row.number(name)[0])
+
+    def text(name: str) -> str:
+        return row.text(name)[0]
+
+    return WorstDevice(
+        device_id=text("device_id"),
+        lot=text("lot"),
+        wafer=text("wafer"),
+        die_mm=(number("die_x_mm"), number("die_y_mm")),
+        why=why.format(status=text("status")),
+        verdict=text("verdict"),
+        status=text("status"),
+        reason=text("status_reason"),
+        failed_limits=text("failed_limits"),
+        p_pass=number("p_pass"),
+        error=number("error"),
+        margin=margin,
+        estimates=tuple(
+            Estimate(
+                name,
+                number(name),
+                number(f"{name}_sd"),
+                number(f"{name}_q05"),
+                number(f"{name}_q95"),
+                number(f"true_{name}"),
+            )
+            for name in names
+        ),
+    )

@@ -1,0 +1,166 @@
+"""Sentences of the head of the page, from counts.  No HTML."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from pipeline.quantities import QUANTITIES
+
+if TYPE_CHECKING:
+    # For annotations alone: a page of a campaign says nothing of yields, whose statistics take long to load.
+    from ..limits import Limit
+    from ..run.causes import FailedLimit, Pareto, StageLoss
+    from ..run.health import StatusCount
+    from ..yields import Clustering, Yield
+
+UNITS = {quantity.name: "" if quantity.unit == "1" else quantity.unit for quantity in QUANTITIES}
+
+# The sign stays with its number at the end of a line.
+PERCENT = "\u00a0%"
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+LABELS = {
+    "theta_deg": "theta",
+    "split_hz": "split",
+    "f1_hz": "lower rocking frequency",
+    "f2_hz": "upper rocking frequency",
+    "f3_hz": "up-down frequency",
+    "zeta1": "lower damping ratio",
+    "zeta2": "upper damping ratio",
+    "zeta3": "up-down damping ratio",
+    "c12_per_s": "off-diagonal damping",
+    "rocking_gain": "rocking gain",
+    "updown_gain": "up-down gain",
+    "sense_imbalance": "sense imbalance",
+    "drive_imbalance": "drive imbalance",
+    "quality1": "lower quality factor",
+    "quality2": "upper quality factor",
+    "quality3": "up-down quality factor",
+    "quadrature_rate_dps": "quadrature rate",
+    "quadrature_bias_dps": "quadrature bias",
+    "inphase_bias_dps": "in-phase bias",
+    "rate_bias_dps": "rate bias",
+}
+
+
+def label(quantity: str) -> str:
+    """A quantity in words."""
+    return LABELS.get(quantity, quantity)
+
+
+def with_unit(value: float, quantity: str) -> str:
+    """A limit with its unit, as it was written."""
+    return f"{value:.6g} {UNITS.get(quantity, '')}".replace("-", "−").strip()
+
+
+def limit_words(limit: Limit) -> str:
+    """A limit as an inequality or an arc."""
+    unit = UNITS.get(limit.quantity, "")
+    low, high = (f"{end:.6g}".replace("-", "−") for end in (limit.low, limit.high))
+    if math.isinf(limit.low):
+        return f"≤ {high} {unit}".strip()
+    if math.isinf(limit.high):
+        return f"≥ {low} {unit}".strip()
+    return f"{low} to {high} {unit}".strip()
+
+
+def percent(share: float) -> str:
+    """A share in percent, with the digits that tell it from 0 and 100 %."""
+    if math.isnan(share):
+        return "–"
+    digits = 1 if 0.001 <= share <= 0.999 or share in (0.0, 1.0) else 2
+    text = f"{100.0 * share:.{digits}f}"
+    return f"{text.removesuffix('.0') if share in (0.0, 1.0) else text}{PERCENT}"
+
+
+def percent_range(low: float, high: float) -> str:
+    """A range of shares in percent."""
+    return f"{percent(low).removesuffix(PERCENT)} to {percent(high)}"
+
+
+def side(row: FailedLimit) -> str:
+    """Where the failing estimates lie: "above 3 Hz", "below 1200", "outside ..."."""
+    limit = row.limit
+    if limit.axis or (row.below and row.above) or not (row.below or row.above):
+        return f"outside {limit_words(limit)}" if math.isfinite(limit.low + limit.high) else f"not {limit_words(limit)}"
+    return (
+        f"below {with_unit(limit.low, limit.quantity)}"
+        if row.below
+        else f"above {with_unit(limit.high, limit.quantity)}"
+    )
+
+
+def main_cause(total: Yield, bars: Pareto) -> str:
+    """The most frequently failed limit, in a few words."""
+    if total.devices == 0:
+        return "No devices: nothing to judge."
+    if bars.failed == 0:
+        return "No device failed."
+    first = bars.limits[0]
+    if first.failed == 0:
+        return "Several limits together, none of them improbable on its own."
+    return f"{label(first.limit.quantity).capitalize()} {side(first)}"
+
+
+def cause_sentence(bars: Pareto) -> str:
+    """How many failed devices the main cause explains, with the interval of its share; empty where none failed."""
+    if bars.failed == 0 or bars.limits[0].failed == 0:
+        return ""
+    first = bars.limits[0]
+    of = "the one failed device" if bars.failed == 1 else f"the {bars.failed} failed devices"
+    share = percent_range(first.share.low, first.share.high)
+    alone = f", {first.alone} of them nothing else" if bars.failed > 1 else ""
+    return (
+        f"{first.failed} of {of} break this limit ({percent(first.failed / bars.failed)}, "
+        f"95{PERCENT} interval {share}){alone}."
+    )
+
+
+def stage_sentence(stages: Sequence[StageLoss]) -> str:
+    """How many of the truly lost devices fabrication and packaging lost; empty without a truth."""
+    if not stages:
+        return ""
+    whole = stages[0]
+    lost = whole.fabrication + whole.packaging
+    if lost == 0:
+        return "In truth no device is lost, neither in fabrication nor in packaging."
+    back = f" Packaging brought {whole.recovered} back inside the limits." if whole.recovered else ""
+    return (
+        f"In truth {whole.fabrication} of {lost} lost devices were already outside the limits as fabricated, "
+        f"{whole.packaging} ({percent(whole.packaging / lost)}) were lost in packaging.{back}"
+    )
+
+
+def undecided_sentence(total: Yield, statuses: Sequence[StatusCount]) -> str:
+    """Why devices are undecided; empty where none is."""
+    if total.undecided == 0:
+        return ""
+    unsound = sum(row.devices for row in statuses if row.status != "ok")
+    kinds: dict[str, int] = {}
+    for row in statuses:
+        if row.status != "ok":
+            kinds[row.status or "no status"] = kinds.get(row.status or "no status", 0) + row.devices
+    parts = [f"{n} {kind.replace('_', ' ')}" for kind, n in kinds.items()]
+    close = total.undecided - unsound
+    if close > 0:
+        parts.insert(0, f"{close} too close to a limit")
+    return (
+        f"Undecided: {', '.join(parts)}. Whichever way they fall, the yield of these devices lies between "
+        f"{percent(total.bounds[0])} and {percent(total.bounds[1])}."
+    )
+
+
+def process_sentence(clusters: Sequence[Clustering]) -> str:
+    """The yield of the process with groups as draws, by the highest level that has at least three groups."""
+    told = [one for one in clusters if one.groups >= 3 and one.interval is not None]
+    if not told:
+        few = [f"{one.groups} {one.by}{'s' if one.groups > 1 else ''}" for one in clusters]
+        return f"{' and '.join(few)}: too few to tell how far the process scatters between them." if few else ""
+    best = told[-1]
+    assert best.interval is not None
+    return (
+        f"For the process, {best.by}s as its independent draws ({best.groups} {best.by}s): "
+        f"{percent_range(best.interval.low, best.interval.high)}."
+    )

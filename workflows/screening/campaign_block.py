@@ -1,0 +1,58 @@
+"""A block of measured campaigns: read, identified, judged, like a block of virtual devices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from pipeline.errors import GyroscreenError
+from pipeline.experiment.campaign import read_campaign
+from pipeline.inference.screening.campaign import identify_campaign, reference_comparison
+from pipeline.inference.screening.device import DeviceResult, RateSettings
+
+from ..config import RunConfig
+from .block import Block, BlockTables, settings_of, tables_of
+from .trimming import trimmed_columns
+
+_CAMPAIGN_STREAM = 103
+
+
+def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceResult]:
+    device_id = folder.name
+    seed = np.random.SeedSequence(config.run.seed, spawn_key=(_CAMPAIGN_STREAM, n))
+    try:
+        campaign = read_campaign(folder)
+        device_id = campaign.device_id
+        result = identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed)
+        compared = reference_comparison(campaign, result.columns)
+        if compared:
+            text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())
+            result = replace(result, columns={**result.columns, "reference": text})
+        if config.trim is not None:
+            rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
+            more = trimmed_columns(config.trim, config.judged_by(), result, None, rate, seed.spawn(1)[0])
+            result = replace(result, columns={**result.columns, **more})
+    except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        # One unreadable campaign is a row that says so, not the end of the night.
+        reason = f"{error}"
+        columns: dict[str, float | str | None] = {"status": "fit_failed", "status_reason": reason}
+        result = DeviceResult(columns, {}, "fit_failed", reason, None)
+    return device_id, result
+
+
+def campaign_block(config: RunConfig, block: Block, folders: Sequence[Path]) -> BlockTables:
+    """Read, identify and judge the campaigns in ``folders``, the devices of ``block``."""
+    with threadpool_limits(limits=1):
+        found = [_identified(config, folder, block.first + i) for i, folder in enumerate(folders)]
+        return tables_of(
+            block.index,
+            [device_id for device_id, _ in found],
+            {},
+            [result for _, result in found],
+            config.judged_by(),
+            config.posterior.stored_draws,
+        )

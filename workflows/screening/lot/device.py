@@ -1,0 +1,272 @@
+"""One device of a lot, looked at again: its records, a fit with the effects that its lot needs, the scores of the others.
+
+A look is a pure function of the configuration, the device's number and what is asked (``Request``), so it gives the same
+answer on every worker.  Scores are those of ``pipeline.criticism``: the device's own parameters are projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from pipeline.arrays import FloatArray
+from pipeline.criticism.loop import Diagnosis, diagnose
+from pipeline.criticism.problem import Candidate, FitResult
+from pipeline.criticism.projection import baseline, project
+from pipeline.criticism.shared import SharedTerm
+from pipeline.device.gyro import PHYSICAL, split_hz, to_cartesian
+from pipeline.device.model import Model
+from pipeline.device.operation.bias import quantities_of
+from pipeline.errors import GyroscreenError
+from pipeline.experiment.campaign import read_campaign
+from pipeline.experiment.noise.level import NoiseLevel, noise_level
+from pipeline.experiment.noise.lines import hum_line, silent_sigma
+from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.gate import Goodness, misfit_reason, theta_bias_bound_deg
+from pipeline.inference.general.fit import CampaignFit, fit_campaign
+from pipeline.inference.general.residuals import Problem
+from pipeline.inference.screening.device import RateSettings
+from pipeline.learning.campaign.problem import CampaignView
+from pipeline.learning.campaign.rows import spectra_of
+from pipeline.learning.campaign.signatures import signature_of, tangent_of
+from populations.draw import draw
+from reports.decision import decide
+
+from ...config import RunConfig
+from ..block import population, rate_of, shared_record, virtual_records
+
+_SCREENING, _HUM = "offdiagonal_damping", "mains_hum"
+_DRAWS, _STREAM = 400, 109
+
+Source = tuple[RunConfig, tuple[Path, ...]]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of device ``number``.
+
+    ``start`` parameter -> value to fit from; ``terms`` beside the screening model; ``scored``: with scores of what is absent;
+    ``alone``: diagnose it by itself.
+    """
+
+    number: int
+    start: tuple[tuple[str, float], ...]
+    terms: tuple[str, ...] = ()
+    scored: bool = True
+    alone: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceLook:
+    """What a device says.
+
+    Parameters
+    ----------
+    number, terms : of the request.
+    why : why it could not be looked at; empty where it could.
+    parameters : name -> (value, sd) of the fit.
+    score, information : (K,), (K, K) of ``columns_of``'s columns, and the score's covariance (K, K).
+    status, p_pass, verdict : with the terms in its model.
+    effects, sizes, reason : what it lacks by itself, where that was asked.
+    """
+
+    number: int
+    terms: tuple[str, ...]
+    why: str
+    parameters: Mapping[str, tuple[float, float]]
+    score: FloatArray
+    information: FloatArray
+    covariance: FloatArray
+    status: str = "fit_failed"
+    p_pass: float = float("nan")
+    verdict: str = "undecided"
+    effects: str = ""
+    sizes: str = ""
+    reason: str = ""
+
+
+@lru_cache(maxsize=8)
+def columns_of(terms: tuple[str, ...]) -> tuple[SharedTerm, ...]:
+    """The absent effects whose parameters all exist at their null, and the columns of each."""
+    model = Model(effects=(_SCREENING, *terms))
+    found, place = [], 0
+    for name in model.candidates():
+        effect = model.effect(name)
+        members = effect.members(model.built.shape)
+        if effect.disturbance is not None or any(m.grid for m in members):
+            continue
+        sides = tuple(1 if m.low == m.null else (-1 if m.high == m.null else 0) for m in members)
+        found.append(SharedTerm(name, tuple(range(place, place + len(members))), sides))
+        place += len(members)
+    return tuple(found)
+
+
+def look_at(source: Source, request: Request) -> DeviceLook:
+    """Fit, score and judge one device; what goes wrong is said, never raised."""
+    with threadpool_limits(limits=1):
+        try:
+            return _look(source, request)
+        except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+            return _failed(request, f"{error}")
+
+
+def _failed(request: Request, why: str) -> DeviceLook:
+    nothing = np.zeros(0)
+    return DeviceLook(request.number, request.terms, why, {}, nothing, nothing, nothing, reason=why)
+
+
+def subject_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, float | None]:
+    """Records of a device, their noise, and the mains frequency that its model carries."""
+    config, folders = source
+    if config.source.kind == "campaigns":
+        campaign = read_campaign(folders[number])
+        silent = campaign.with_role("noise")
+        line = hum_line(silent[0].sense_v, campaign.instrument.sample_rate_hz) if silent else None
+        return campaign, noise_level(campaign, line), line
+    spec = population(config)
+    drawn = draw(spec, config.run.seed, number, 1)
+    instrument, shared = config.instrument.instrument(), shared_record(config).record
+    silent_v, fit_v, _ = virtual_records(config, drawn, 0)
+    rate, line = instrument.sample_rate_hz, config.line_hz()
+    sigma = silent_sigma(silent_v, rate, line, instrument.adc)
+    records = (
+        Record("silence", rate, np.zeros((silent_v.shape[0], 2)), silent_v, role="noise"),
+        Record("chirp", rate, shared.drive_v, fit_v, role="fit"),
+    )
+    gain = float(spec.angular_gain)
+    return Campaign(drawn.device_id[0], records, instrument, gain), NoiseLevel(sigma, "silent", silent_v.shape[0]), line
+
+
+def _look(source: Source, request: Request) -> DeviceLook:
+    config, _ = source
+    campaign, noise, line = subject_of(source, request.number)
+    model = Model(effects=(_SCREENING, *((_HUM,) if line else ())))
+    start = dict(request.start) | ({f"{_HUM}.f": line} if line else {})
+    score, information, covariance = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
+    effects = sizes = reason = ""
+    if request.scored or request.alone:
+        view = CampaignView(campaign, model, noise)
+        begun = FitResult(True, (), {name: (value, 0.0) for name, value in start.items()}, (), ())
+        fit = view.fit(request.terms, begun)
+        if not fit.ok:
+            return _failed(request, fit.why or "the fit with these effects did not converge")
+        fitted = view.campaign_fit(request.terms)
+        if request.alone:
+            effects, sizes, reason = told(diagnose(view, request.terms))
+        else:
+            score, information, covariance = _scores(view, fitted, fit, columns_of(request.terms))
+    else:
+        fitted = fit_campaign(replace(model, effects=(*model.effects, *request.terms)), campaign, noise, start)
+    rate = rate_of(config, campaign.angular_gain)
+    status, p_pass, verdict = _judged(config, campaign, fitted, rate, request.number)
+    return DeviceLook(
+        request.number,
+        request.terms,
+        "",
+        fitted.parameters,
+        score,
+        information,
+        covariance,
+        status,
+        p_pass,
+        verdict,
+        effects,
+        sizes,
+        reason,
+    )
+
+
+def _scores(
+    view: CampaignView, fitted: CampaignFit, fit: FitResult, terms: Sequence[SharedTerm]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Score (K,), information and covariance (K, K) of the columns of ``terms`` in their own units."""
+    problem = Problem(fitted.model, view.campaign, view.noise.sigma_v)
+    tasks = problem.tasks(view.records, fitted.values)
+
+    def rows(place: int, y: FloatArray) -> FloatArray:
+        return view.spectra[place](problem.whiten(y, tasks.each[place])).reshape(y.shape[0], -1)
+
+    tangent = tangent_of(fitted, tasks, view.campaign.instrument, view.records, rows)
+    width = sum(len(term.columns) for term in terms)
+    blocks = [np.zeros((width, part.rows.size)) for part in fit.blocks]
+    for term in terms:
+        found: tuple[Candidate, list[list[FloatArray]]] | None = signature_of(tangent, term.name)
+        if found is not None and len(found[0].parameters) == len(term.columns):
+            for block, own in zip(blocks, found[1]):
+                block[list(term.columns)] = np.concatenate(own)
+    projected = project(baseline(fit), [block.T for block in blocks])
+    norms = projected.norms
+    both = np.outer(norms, norms)
+    return projected.score * norms, projected.gram * both, projected.covariance * both
+
+
+def _judged(
+    config: RunConfig, campaign: Campaign, fitted: CampaignFit, rate: RateSettings, number: int
+) -> tuple[str, float, str]:
+    """Status, P(conform) and verdict of a fit, by the gate and the limits of the run; draws are normal."""
+    i = config.identification
+    chi2, rows = 0.0, 0
+    residuals = {record.name: record.residual for record in fitted.records}
+    for record in campaign.with_role("fit"):
+        spectra = spectra_of(record)
+        inside = (spectra.frequency_hz >= i.low_hz) & (spectra.frequency_hz <= i.high_hz)
+        own = spectra(residuals[record.name])[np.concatenate([inside, inside])]
+        chi2, rows = chi2 + float(np.vdot(own, own)), rows + own.size
+    dof = rows - len(fitted.names)
+    theta_sd = fitted.parameters["theta_deg"][1]
+    goodness = Goodness(
+        fitted.error["fit"] or float("nan"),
+        fitted.relative_error["fit"] or float("nan"),
+        chi2 / dof,
+        theta_bias_bound_deg(theta_sd, chi2, dof),
+    )
+    status = (
+        "fit_failed"
+        if not fitted.fit_ok
+        else ("ok" if misfit_reason(goodness, config.gate.gate()) is None else "misfit")
+    )
+    random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM, number)))
+    size = np.sqrt(np.maximum(np.diag(fitted.x_covariance), 1e-300))
+    value, vector = np.linalg.eigh(fitted.x_covariance / np.outer(size, size))
+    root = size[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
+    x = fitted.x + random.standard_normal((_DRAWS, size.size)) @ root.T
+    values = [fitted.model.to_values(one) for one in x]
+    physical = np.array([[one.get(name, 0.0) for name in PHYSICAL] for one in values])
+    draws = quantities_of(physical, rate.angular_gain, rate.phase_error_deg, rate.drive)
+    draws["split_hz"] = split_hz(to_cartesian(physical))
+    limits = config.judged_by()
+    decision = decide(limits, {q: draws[q][None] for q in limits.quantities}, [status])
+    return status, float(decision.p_pass[0]), decision.verdict[0]
+
+
+def told(found: Diagnosis) -> tuple[str, str, str]:
+    """Effects (rivals of a class joined by |), their sizes, and the reason, as the devices table has them."""
+    if found.verdict in ("effect", "class"):
+        members = {item.term: item.members for item in found.classes}
+        effects = "+".join("|".join(members.get(term, (term,))) for term in found.terms)
+        fit = found.fit_after
+        sizes = "" if fit is None else sizes_of(fit.parameters, found.terms)
+        return effects, sizes, f"{found.verdict}: explains the misfit"
+    if found.verdict == "adequate":
+        return "", "", "adequate: no effect is significant and no structure is left"
+    if found.verdict == "fit_failed":
+        return "unknown", "", f"fit_failed: {found.why}"
+    worst = None if found.after is None else found.after.worst
+    best = found.scores[0] if found.scores else None
+    parts = ["no effect of the library explains the misfit"]
+    if worst is not None:
+        parts.append(f"structure is left in {worst.test} ({worst.where})")
+    if best is not None:
+        parts.append(f"nearest {best.name}, which takes {best.delta_chi2:.3g} of chi2")
+    return "unknown", "", "; ".join(parts)
+
+
+def sizes_of(parameters: Mapping[str, tuple[float, float]], terms: Sequence[str]) -> str:
+    """Sizes of some effects as text."""
+    own = [(n, v, sd) for n, (v, sd) in parameters.items() if n.partition(".")[0] in terms and "." in n]
+    return ", ".join(f"{name}={value:.4g}+-{sd:.2g}" for name, value, sd in own)

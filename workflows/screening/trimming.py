@@ -1,0 +1,80 @@
+"""Trim a device from its posterior, and say what that does to its verdict.
+
+The voltages come from the posterior alone.  What is foretold includes the uncertainty of the trim gains; of a virtual device
+the truth after the trim is known as well, with gains drawn for its own electrodes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import FloatArray
+from pipeline.device.gyro import PHYSICAL, split_hz, to_cartesian
+from pipeline.device.operation.bias import quantities_of
+from pipeline.device.operation.trim import trim, trimmed_physical
+from pipeline.errors import ConfigError
+from pipeline.inference.screening.device import DeviceResult, RateSettings
+from pipeline.inference.screening.summary import summarise
+from reports.decision import conforms, decide
+from reports.limits import Limits
+
+from ..config import TrimTable
+
+_DRAWS = 500
+
+
+def trimmed_columns(
+    table: TrimTable,
+    limits: Limits,
+    result: DeviceResult,
+    true_physical: FloatArray | None,
+    rate: RateSettings,
+    seed: np.random.SeedSequence,
+) -> dict[str, float | str | None]:
+    """The trim columns of one device; empty where it was not identified or no trim can be made.
+
+    Parameters
+    ----------
+    table : electrodes and target.
+    limits : by which the trimmed device is judged.
+    result : with its posterior draws; only status "ok" is trimmed.
+    true_physical : (12,) of a virtual device, or ``None``.
+    rate : what turns parameters into rate biases.
+    seed : random stream of the device's trim gains.
+    """
+    if result.status != "ok":
+        return {}
+    electrodes = table.electrodes()
+    random, own = (np.random.default_rng(child) for child in seed.spawn(2))
+    draws = np.stack([result.draws[name] for name in PHYSICAL], axis=1)
+    kept = np.linspace(0, draws.shape[0] - 1, min(_DRAWS, draws.shape[0])).round().astype(np.int64)
+    try:
+        done = trim(draws[kept], electrodes, table.target(), random)
+    except ConfigError:
+        return {}
+    after = quantities_of(done.after, rate.angular_gain, rate.phase_error_deg, rate.drive)
+    after["split_hz"] = split_hz(to_cartesian(done.after))
+    decision = decide(limits, {q: after[q][None] for q in limits.quantities}, ["ok"])
+    said = summarise({name: after[name] for name in ("theta_deg", "split_hz")})
+    columns: dict[str, Any] = {
+        "trim_voltages_v": ",".join(f"{v:.4g}" for v in done.voltages_v),
+        "trim_at_limit": float(np.any(done.at_limit)),
+        "trimmed_theta_deg": said["theta_deg"],
+        "trimmed_theta_deg_sd": said["theta_deg_sd"],
+        "trimmed_split_hz": said["split_hz"],
+        "trimmed_split_hz_sd": said["split_hz_sd"],
+        "trimmed_p_pass": float(decision.p_pass[0]),
+        "trimmed_verdict": decision.verdict[0],
+    }
+    if true_physical is not None:
+        gains = electrodes.draw_gains(own, 1)[0]
+        true = trimmed_physical(true_physical, done.voltages_v, electrodes, gains)
+        values = quantities_of(true[None], rate.angular_gain, rate.phase_error_deg, rate.drive)
+        columns |= {
+            "trimmed_true_split_hz": float(values["split_hz"][0]),
+            "trimmed_true_theta_deg": float(values["theta_deg"][0]),
+            "trimmed_true_conforms": float(conforms(limits, {q: values[q] for q in limits.quantities})[0]),
+        }
+    return columns

@@ -1,0 +1,110 @@
+"""Streaming identification of a growing record, with a sequential decision.
+
+pass / fail at the first estimate whose posterior probability of conformity crosses the rule's thresholds
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.arrays import FloatArray
+from pipeline.errors import ConfigError
+from pipeline.experiment.files.channels import mend
+from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.record import Campaign, Channels, Record
+from pipeline.identification.route import RouteResult
+from pipeline.inference.gate import Gate
+from pipeline.inference.screening.campaign import campaign_noise
+from pipeline.inference.screening.device import RateSettings
+from pipeline.inference.screening.snapshot import Snapshot
+from pipeline.inference.screening.stream import StreamSettings, estimate, noise_of, start_stream, steps
+from reports.decision import Verdict, decide
+from reports.limits import Limits
+
+_SEED = 1
+#: Share of an interval below which the samples left at the end are not worth an estimate of their own.
+_REST = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What is known before the record starts; ``instrument`` ``None``: the default at the rate of the time stamps."""
+
+    settings: StreamSettings
+    instrument: Instrument | None
+    channels: Channels
+    rate: RateSettings
+    gate: Gate
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One estimate: what the data so far say, the verdict they warrant, and the lattice's own theta and split."""
+
+    snapshot: Snapshot
+    p_pass: float
+    verdict: Verdict
+    route: RouteResult | None
+
+
+def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
+    """Instrument, noise, wiring and demodulation of ``campaign``, so far as it knows them and ``settings`` does not.
+
+    Raises
+    ------
+    ConfigError : a lag between the channels, which a stream cannot mend.
+    """
+    if campaign is None:
+        return Bench(settings, None, Channels(), RateSettings(), Gate())
+    if campaign.channels.lag_samples:
+        raise ConfigError(
+            "a stream cannot mend a lag",
+            value=campaign.channels.lag_samples,
+            allowed="lag_samples = 0",
+            next_step="identify the whole record instead, without --stream",
+        )
+    if settings.sigma_v is None and campaign.with_role("noise"):
+        noise, line_hz = campaign_noise(campaign)
+        settings = replace(settings, sigma_v=tuple(noise.sigma_v.tolist()), line_hz=settings.line_hz or line_hz)
+    rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
+    return Bench(settings, campaign.instrument, campaign.channels, rate, Gate())
+
+
+def verdict_of(snapshot: Snapshot, limits: Limits) -> tuple[float, Verdict]:
+    """P(conform) and the verdict of the rule."""
+    draws = {name: snapshot.draws.get(name, np.full(1, np.nan))[None] for name in limits.quantities}
+    decision = decide(limits, draws, [snapshot.status])
+    return float(decision.p_pass[0]), decision.verdict[0]
+
+
+def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[Step]:
+    """Estimates of a record while it grows, one where each is due, and one at its end.
+
+    Raises
+    ------
+    MeasurementError : the noise is unknown when the first estimate is due, or a block does not fit.
+    """
+    stream = None
+    noise = None
+    previous: FloatArray | None = None
+    done = 0
+    for block in blocks:
+        mended = mend(block, bench.channels)
+        if stream is None:
+            instrument = bench.instrument or Instrument(sample_rate_hz=block.sample_rate_hz)
+            stream = start_stream(instrument, bench.settings)
+        for state, due in steps(stream, mended.drive_v, mended.sense_v):
+            stream = state
+            if due:
+                done = stream.driven
+                noise = noise or noise_of(stream)
+                found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
+                previous = found.x
+                yield Step(found, *verdict_of(found, limits), route)
+    if stream is not None and stream.driven - done > _REST * (stream.due - done):
+        noise = noise or noise_of(stream)
+        found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
+        yield Step(found, *verdict_of(found, limits), route)

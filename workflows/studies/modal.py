@@ -1,0 +1,63 @@
+"""How often noise alone would make a ladder of a modal record as long as the one that was found.
+
+    record*  =  model of a rung at its fitted parameters + noise of that rung's own level, residues and poles
+    count    =  rungs that the loop climbs from there, where nothing is missing
+
+All that the loop does is inside: the choice of the best of all candidates, pairs, one rung after another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.criticism.problem import FitResult
+from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
+from pipeline.experiment.files.modal_record import ModalRecord
+from pipeline.learning.modal.problem import ModalView
+
+from ..learning.modal_answers import refine_modal
+
+
+def redrawn(view: ModalView, fit: FitResult, rng: np.random.Generator) -> ModalRecord:
+    """A record of the fitted model with noise of the level that the fit leaves (or that was declared)."""
+    modes = view.modes({name: value for name, (value, _) in fit.parameters.items()})
+    unit, pole_unit = view.noise(fit)
+    c = modes.c + unit[:, 1] * rng.standard_normal(modes.c.shape)
+    c = c + 1.0j * unit[:, 0] * rng.standard_normal(modes.c.shape)
+    turned = rng.standard_normal(pole_unit.size) + 1.0j * rng.standard_normal(pole_unit.size)
+    poles = modes.poles + pole_unit * turned
+    omega = np.abs(poles)
+    return replace(
+        view.record,
+        frequency_hz=omega / (2.0 * np.pi),
+        zeta=-poles.real / omega,
+        R1=np.asarray(c.imag),
+        R0=np.asarray(omega[:, None, None] * c.real),
+    )
+
+
+def rungs_by_chance(
+    record: ModalRecord,
+    effects: tuple[str, ...] = (),
+    draws: int = 200,
+    seed: int = 1,
+    model: Model = DEFAULT_COMPARE_MODEL,
+) -> tuple[int, ...]:
+    """Rungs climbed beyond the true model on ``draws`` records of ``model`` with ``effects``, fitted to ``record``.
+
+    Parameters
+    ----------
+    record : measured; its fit is the truth of the draws.
+    effects : of the rung that is taken for the truth.
+    draws, seed : of the simulation.
+    model : where the ladder begins.
+    """
+    for effect in effects:
+        model = model.with_effect(effect)
+    view = ModalView(record, model)
+    fit = view.fit(())
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x30DA1,)))
+    found = (refine_modal(redrawn(view, fit, rng), model) for _ in range(draws))
+    return tuple(len(one.ladder.rungs) - 1 for one in found)
