@@ -18,24 +18,24 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 
-from .irregularity import Parameter
+from .irregularity import IrregularityParameter
 from .site import Site
 
 
-def across_wafer_parameters(unit: str, suffix: str, high: float) -> tuple[Parameter, ...]:
+def across_wafer_parameters(unit: str, suffix: str, high: float) -> tuple[IrregularityParameter, ...]:
     """The parameters of the law, with spreads in ``unit`` between 0 and ``high``."""
 
-    def spread(name: str, meaning: str, low: float = 0.0) -> Parameter:
-        return Parameter(f"{name}_{suffix}", unit, low, high, meaning)
+    def spread(name: str, meaning: str, low: float = 0.0) -> IrregularityParameter:
+        return IrregularityParameter(f"{name}_{suffix}", unit, low, high, meaning)
 
     return (
         spread("lot", "sd of the lot mean"),
         spread("wafer", "sd of the wafer mean within a lot"),
         spread("bow", "radial bow, edge minus centre", low=-high),
-        Parameter("bow_spread", "1", 0.0, 10.0, "sd of a wafer's bow over its mean"),
+        IrregularityParameter("bow_spread", "1", 0.0, 10.0, "sd of a wafer's bow over its mean"),
         spread("wedge", "sd of each component of the linear tilt, centre to edge"),
         spread("field", "sd of the smooth random map of a wafer"),
-        Parameter("field_length_mm", "mm", 0.1, 1e4, "correlation length of that map", null=15.0),
+        IrregularityParameter("field_length_mm", "mm", 0.1, 1e4, "correlation length of that map", null=15.0),
         spread("die", "sd from die to die"),
     )
 

@@ -43,7 +43,7 @@ from pipeline.errors import ConfigError
 from pipeline.quantities import MODEL
 
 from .irregularity import CHANGES, Change
-from .nominal import Device
+from .nominal import NominalDevice
 from .symmetric import Symmetric, as_complex, axis_deg, congruence, inverse_root, product, turned
 
 TAU = 2.0 * math.pi
@@ -111,7 +111,7 @@ class Stiffness:
     moment: ComplexArray
 
 
-def spring_stiffness(device: Device, ln_spring: FloatArray, azimuth_rad: FloatArray) -> Stiffness:
+def spring_stiffness(device: NominalDevice, ln_spring: FloatArray, azimuth_rad: FloatArray) -> Stiffness:
     """(S0, -S2), S0 and S1 of springs with ln(k / k0) and azimuth errors, both (J, B)."""
     nominal = np.deg2rad(np.array(device.spring_azimuth_deg))
     # Nominal moments are exact zeros for a symmetric suspension, so they go by expansion about the nominal
@@ -135,7 +135,7 @@ def spring_stiffness(device: Device, ln_spring: FloatArray, azimuth_rad: FloatAr
     return Stiffness(Symmetric(s0, -moment(2)), s0, moment(1))
 
 
-def stiffness(device: Device, structure: Structure, bias: float) -> Stiffness:
+def stiffness(device: NominalDevice, structure: Structure, bias: float) -> Stiffness:
     """Relative stiffness with springs, anisotropy and electrostatic springs; ``bias`` is V / V0."""
     springs = spring_stiffness(device, structure.ln_spring, structure.azimuth_rad)
     common = np.exp(structure.ln_stiffness)
@@ -157,19 +157,19 @@ def stiffness(device: Device, structure: Structure, bias: float) -> Stiffness:
     return Stiffness(total, updown, common * springs.moment)
 
 
-def softening(device: Device) -> float:
+def softening(device: NominalDevice) -> float:
     """Share of K0 that both drive electrodes take away at the nominal bias: -2 df / f0."""
     return -2.0 * device.softening_hz_per_v2 * device.nominal_bias_v**2 / device.rocking_hz
 
 
-def inertia(device: Device, offset_mm: ComplexArray) -> Symmetric:
+def inertia(device: NominalDevice, offset_mm: ComplexArray) -> Symmetric:
     """I / I0 with the post off centre: I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y."""
     x, y = offset_mm.real / device.arm_mm, offset_mm.imag / device.arm_mm
     weight = device.lever * device.post_mass_fraction / 2.0
     return Symmetric(1.0 + weight * (x * x + y * y), as_complex(weight * (y * y - x * x), -2.0 * weight * x * y))
 
 
-def inverse_quality(device: Device, structure: Structure, pressure: float) -> tuple[FloatArray, FloatArray]:
+def inverse_quality(device: NominalDevice, structure: Structure, pressure: float) -> tuple[FloatArray, FloatArray]:
     """1/Q (B,) of rocking and up-down; ``pressure`` is p / p0."""
     other = 1.0 / device.quality_anchor + 1.0 / device.quality_thermoelastic
     gas = [1.0 / total - other for total in (device.quality_rocking, device.quality_updown)]
@@ -183,7 +183,7 @@ def inverse_quality(device: Device, structure: Structure, pressure: float) -> tu
     return first, second
 
 
-def parameters(device: Device, structure: Structure, bias: float, pressure: float) -> dict[str, FloatArray]:
+def parameters(device: NominalDevice, structure: Structure, bias: float, pressure: float) -> dict[str, FloatArray]:
     """The parameters of ``pipeline.quantities.MODEL``, each (B,).
 
     Raises ConfigError when a device would be unstable.
@@ -248,7 +248,7 @@ def imbalance(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def effects(
-    device: Device, structure: Structure, bias: float, plant: dict[str, FloatArray]
+    device: NominalDevice, structure: Structure, bias: float, plant: dict[str, FloatArray]
 ) -> dict[str, dict[str, FloatArray]]:
     """What the same structure does outside the plant's parameters: effect -> parameter -> (B,).
 

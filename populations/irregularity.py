@@ -53,7 +53,7 @@ CHANGES: tuple[str, ...] = tuple(field.name for field in fields(Change))
 
 
 @dataclass(frozen=True)
-class Parameter:
+class IrregularityParameter:
     """One number of an irregularity.
 
     ``null`` is the value of no effect, taken when the TOML leaves the parameter out; without one (``None``)
@@ -70,13 +70,17 @@ class Parameter:
     assumption: str = ""
 
 
+#: The name by which the documentation imports it.
+Parameter = IrregularityParameter
+
+
 @dataclass(frozen=True)
 class Irregularity:
     """Name, stage, parameters, law and where the law comes from."""
 
     name: str
     stage: Stage
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[IrregularityParameter, ...]
     source: str
     act: Callable[[Mapping[str, float], Site], Change]
 

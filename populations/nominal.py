@@ -16,7 +16,7 @@ Fraction = Annotated[float, Meta(ge=0.0, lt=1.0)]
 Count = Annotated[int, Meta(ge=1, le=1000)]
 
 
-class Device(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The device as designed, at ``nominal_bias_v``, ``nominal_temperature_c`` and ``nominal_pressure_pa``.
 
     Shapes below: J springs.  x, y are the axes of the paper's Figure 2; electrodes sit on the diagonals.

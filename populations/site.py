@@ -22,7 +22,7 @@ import numpy as np
 from pipeline.arrays import ComplexArray, FloatArray, IntArray
 
 from .layout import Places, die_centres
-from .nominal import Device, Operating, Wafer
+from .nominal import NominalDevice, Operating, Wafer
 from .symmetric import as_complex
 
 Level = Literal["lot", "wafer", "die", "package"]
@@ -50,7 +50,7 @@ class Site:
     seed: int
     index: IntArray
     places: Places
-    device: Device
+    device: NominalDevice
     wafer: Wafer
     operating: Operating
 

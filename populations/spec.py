@@ -19,9 +19,9 @@ import msgspec
 from pipeline.errors import ConfigError
 from pipeline.toml_files import read_table
 
-from .irregularity import Irregularity, Parameter, find
+from .irregularity import Irregularity, IrregularityParameter, find
 from .layout import die_centres
-from .nominal import Device, Operating, Wafer
+from .nominal import NominalDevice, Operating, Wafer
 
 DEFAULT = Path(__file__).parent / "specs" / "cloverleaf.toml"
 ANGULAR_GAIN = "angular_gain"
@@ -32,7 +32,7 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     name: str
     irregularity_folders: tuple[str, ...] = ()
-    device: Device
+    device: NominalDevice
     wafer: Wafer
     operating: Operating
     irregularity: dict[str, dict[str, float]] = {}
@@ -109,7 +109,7 @@ def load_spec(path: Path | None = None) -> PopulationSpec:
 
 def _checked(data: dict[str, Any], base: Path) -> PopulationSpec:
     _check_struct("", data, PopulationSpec)
-    for table, kind in (("device", Device), ("wafer", Wafer), ("operating", Operating)):
+    for table, kind in (("device", NominalDevice), ("wafer", Wafer), ("operating", Operating)):
         _check_struct(table, data.get(table), kind)
     _check_finite("", data)
     _check_numbers(data.get("irregularity", {}))
@@ -166,7 +166,7 @@ def _check_values(irregularity: Irregularity, values: Mapping[str, float]) -> No
             )
 
 
-def _check_range(owner: str, parameter: Parameter, value: float) -> None:
+def _check_range(owner: str, parameter: IrregularityParameter, value: float) -> None:
     if not parameter.low <= value <= parameter.high:
         raise ConfigError(
             f"{owner}.{parameter.name} ({parameter.meaning}) is out of range",
@@ -176,7 +176,7 @@ def _check_range(owner: str, parameter: Parameter, value: float) -> None:
         )
 
 
-def _check_device(device: Device) -> None:
+def _check_device(device: NominalDevice) -> None:
     other = 1.0 / device.quality_anchor + 1.0 / device.quality_thermoelastic
     for name in ("quality_rocking", "quality_updown"):
         if not 1.0 / getattr(device, name) > other:

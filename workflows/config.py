@@ -29,7 +29,7 @@ NotNegative = Annotated[float, Meta(ge=0.0)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
-class Run(Struct, frozen=True, forbid_unknown_fields=True):
+class RunTable(Struct, frozen=True, forbid_unknown_fields=True):
     """How many devices, from which seed, in blocks of how many, on how many workers (0: one a core)."""
 
     devices: Annotated[int, Meta(ge=1, le=10_000_000)] = 200
@@ -219,7 +219,7 @@ class Targets(Struct, frozen=True, forbid_unknown_fields=True):
 class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The whole run; ``rule`` and ``limits`` are checked by :func:`reports.limits.load_limits`."""
 
-    run: Run = Run()
+    run: RunTable = RunTable()
     source: Source = Source()
     experiment: ExperimentTable = ExperimentTable()
     instrument: InstrumentTable = InstrumentTable()
@@ -276,7 +276,7 @@ def load_config(path: Path | None, overrides: dict[str, Any] | None = None) -> R
         raise ConfigError(error.what, value=error.value, next_step=error.next_step) from None
     config = decode(text, RunConfig, source.name)
     changed = msgspec.to_builtins(config.run) | (overrides or {})
-    config = msgspec.structs.replace(config, run=converted(changed, Run, "[run]"))
+    config = msgspec.structs.replace(config, run=converted(changed, RunTable, "[run]"))
     _check(config)
     return config
 

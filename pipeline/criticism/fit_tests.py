@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from .goodness import Goodness, goodness
+from .goodness import ResidualTests, goodness
 from .problem import FitResult, Problem, Region, Signatures
 from .projection import Baseline, Projected, baseline, project
 from .scores import Score
@@ -46,7 +46,7 @@ class Rules:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class FitTests:
     """What one fit shows.
 
     ``base`` its columns, orthonormal; ``scores`` most significant first; ``null`` they were judged by; ``projected`` the scores'
@@ -60,7 +60,7 @@ class Look:
     projected: Projected
     scores: tuple[Score, ...]
     null: Null
-    goodness: Goodness
+    goodness: ResidualTests
     regions: tuple[Region, ...]
 
     @property
@@ -73,7 +73,7 @@ class Look:
         return tuple(score for score in self.scores if score.p_value < alpha)
 
 
-def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
+def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
     """Examine a fit that is ok."""
     base = baseline(fit)
     with ThreadPoolExecutor(1) as pool:
@@ -85,9 +85,9 @@ def look(problem: Problem, fit: FitResult, rules: Rules) -> Look:
             projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
         )
         regions, left = rest.result()
-    return Look(fit, base, signatures, projected, scores, null, left, regions)
+    return FitTests(fit, base, signatures, projected, scores, null, left, regions)
 
 
-def _left(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], Goodness]:
+def _left(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], ResidualTests]:
     regions = tuple(problem.regions(fit))
     return regions, goodness(fit, base, problem.probes(fit), regions, problem.spectrum(fit))

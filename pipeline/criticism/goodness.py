@@ -25,7 +25,7 @@ from .lines import beyond_neighbours
 from .problem import FitResult, Region, Signatures, Spectrum
 from .projection import Baseline, project
 from .regions import place
-from .scores import cells_of, falls
+from .scores import cells_of, delta_chi2s
 from .tails import log_any, log_tail, normal_log_tail
 
 _WINDOW = 128
@@ -35,7 +35,7 @@ _FEW = 8
 
 
 @dataclass(frozen=True)
-class Structure:
+class ResidualStructure:
     """The strongest finding of one test: its log p within the test, and where it was found."""
 
     test: str
@@ -44,22 +44,22 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Goodness:
+class ResidualTests:
     """All tests together: p is Bonferroni's over them; ``level`` is rms of the residual per degree of freedom."""
 
     p_value: float
-    structures: tuple[Structure, ...]
+    structures: tuple[ResidualStructure, ...]
     level: float
 
     @property
-    def worst(self) -> Structure | None:
+    def worst(self) -> ResidualStructure | None:
         """The most significant structure."""
         return min(self.structures, key=lambda structure: structure.log_p, default=None)
 
 
 def goodness(
     fit: FitResult, base: Baseline, probes: Signatures, regions: Sequence[Region], spectra: Sequence[Spectrum] = ()
-) -> Goodness:
+) -> ResidualTests:
     """Look for structure in the residual of a fit with known noise level.
 
     Parameters
@@ -70,7 +70,7 @@ def goodness(
     chi2 = sum(float(np.vdot(r, r)) for r in base.residual)
     level = float(np.sqrt(chi2 / max(base.dof, 1)))
     if not fit.noise_known:
-        return Goodness(1.0, (), level)
+        return ResidualTests(1.0, (), level)
     found = [
         _probes(base, probes),
         _agreements(fit, base),
@@ -80,9 +80,9 @@ def goodness(
     ]
     structures = tuple(structure for structure in found if structure is not None)
     if not structures:
-        return Goodness(1.0, (), level)
+        return ResidualTests(1.0, (), level)
     smallest = min(structure.log_p for structure in structures)
-    return Goodness(float(np.exp(log_any(smallest, len(structures)))), structures, level)
+    return ResidualTests(float(np.exp(log_any(smallest, len(structures)))), structures, level)
 
 
 def excess(regions: Sequence[Region]) -> float:
@@ -103,14 +103,14 @@ def excess(regions: Sequence[Region]) -> float:
     return float(np.median(found)) if found else 0.0
 
 
-def _strongest(test: str, log_p: Sequence[float], where: Sequence[str]) -> Structure | None:
+def _strongest(test: str, log_p: Sequence[float], where: Sequence[str]) -> ResidualStructure | None:
     if not log_p:
         return None
     worst = int(np.argmin(log_p))
-    return Structure(test, float(log_any(log_p[worst], len(log_p))), where[worst])
+    return ResidualStructure(test, float(log_any(log_p[worst], len(log_p))), where[worst])
 
 
-def _probes(base: Baseline, probes: Signatures) -> Structure | None:
+def _probes(base: Baseline, probes: Signatures) -> ResidualStructure | None:
     if not probes.candidates:
         return None
     projected = project(base, probes.blocks)
@@ -119,13 +119,13 @@ def _probes(base: Baseline, probes: Signatures) -> Structure | None:
         for cell in cells_of(projected, candidate):
             if cell.rank == 0:
                 continue
-            fall = float(falls(cell, projected.score[:, None])[0][0])
+            fall = float(delta_chi2s(cell, projected.score[:, None])[0][0])
             log_p.append(float(log_tail(fall / cell.inflation, cell.rank)))
             where.append(candidate.name)
     return _strongest("probe", log_p, where)
 
 
-def _agreements(fit: FitResult, base: Baseline) -> Structure | None:
+def _agreements(fit: FitResult, base: Baseline) -> ResidualStructure | None:
     log_p, where = [], []
     for name, parts in partitions(fit).items():
         overall = agreement(base, name, parts)
@@ -139,7 +139,7 @@ def _agreements(fit: FitResult, base: Baseline) -> Structure | None:
     return _strongest("agreement", log_p, where)
 
 
-def _regions(regions: Sequence[Region]) -> Structure | None:
+def _regions(regions: Sequence[Region]) -> ResidualStructure | None:
     """Energies against their family's median level, their variance taken from the family where it exceeds 2 dof."""
     log_p, where = [], []
     for family in sorted({region.family for region in regions}):
@@ -156,7 +156,7 @@ def _regions(regions: Sequence[Region]) -> Structure | None:
     return _strongest("region", log_p, where)
 
 
-def _lines(spectra: Sequence[Spectrum]) -> Structure | None:
+def _lines(spectra: Sequence[Spectrum]) -> ResidualStructure | None:
     log_p, where = [], []
     for spectrum in spectra:
         beyond = beyond_neighbours(spectrum)
@@ -166,7 +166,7 @@ def _lines(spectra: Sequence[Spectrum]) -> Structure | None:
     return _strongest("line", log_p, where)
 
 
-def _repeats(fit: FitResult, base: Baseline) -> Structure | None:
+def _repeats(fit: FitResult, base: Baseline) -> ResidualStructure | None:
     log_p: list[float] = []
     where: list[str] = []
     marks = [block.repeat for block in fit.blocks]

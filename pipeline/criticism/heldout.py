@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from .problem import Block
+from .problem import ResidualBlock
 
 Standing = Literal["confirmed", "partial", "refused"]
 _CHUNK = 256
@@ -42,7 +42,7 @@ class Paired:
         return "refused" if self.fall < -2.0 * self.sd else "partial"
 
 
-def paired(before: Sequence[Block], after: Sequence[Block], level: float = 1.0) -> Paired:
+def paired(before: Sequence[ResidualBlock], after: Sequence[ResidualBlock], level: float = 1.0) -> Paired:
     """Compare two models on the same held-out blocks, whose noise has rms ``level``."""
     fall = sum(old.chi2 - new.chi2 - (new.nuisances - old.nuisances) for old, new in zip(before, after))
     better = after if fall > 0.0 else before

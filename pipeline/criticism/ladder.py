@@ -15,7 +15,7 @@ import numpy as np
 from .agreement import Agreement
 from .problem import FitResult
 from .regions import Where, explained
-from .selection import Climb
+from .selection import ForwardSelection
 from .verdict import TermClass, Verdict, misfit
 
 Status = Literal["confirmed", "partial"]
@@ -117,35 +117,37 @@ class Ladder:
         }
 
 
-def build(climbed: Climb, said: Verdict, found: tuple[TermClass, ...], wrong_form: Mapping[str, Agreement]) -> Ladder:
+def build(
+    selection: ForwardSelection, said: Verdict, found: tuple[TermClass, ...], wrong_form: Mapping[str, Agreement]
+) -> Ladder:
     """The ladder of a climb; a misfit that stays makes every rung partial."""
-    if not climbed.looks:
-        return Ladder((), said, (), (), why=climbed.failed)
-    ground = climbed.looks[0].fit
+    if not selection.steps_tested:
+        return Ladder((), said, (), (), why=selection.failed)
+    ground = selection.steps_tested[0].fit
     excess = ground.chi2 - ground.dof
     # Within its own scatter an excess is nothing that could be explained.
     some = ground.noise_known and excess > 2.0 * np.sqrt(2.0 * ground.dof)
     rungs = [_rung(ground, None, None, 0.0, (), 0.0 if some else None)]
-    for step in climbed.steps:
+    for step in selection.steps:
         confirmed = step.held.standing == "confirmed" and said != "unknown" and step.term not in wrong_form
         held = (step.held.fall, step.held.sd) if step.fit.held else None
         share = min((ground.chi2 - step.fit.chi2) / excess, 1.0) if some else None
         status: Status = "confirmed" if confirmed else "partial"
         rungs.append(_rung(step.fit, step.term, status, step.delta_chi2, step.dropped, share, held))
-    last = climbed.last
+    last = selection.last
     worst = last.goodness.worst
-    added = {step.term for step in climbed.steps}
+    added = {step.term for step in selection.steps}
     return Ladder(
         tuple(rungs),
         "adequate" if said == "effect" else said,
         tuple(term for term in last.fit.terms if term in added),
         found,
         wrong_form,
-        climbed.refused,
-        explained(climbed.looks[0].regions, last.regions),
+        selection.refused,
+        explained(selection.steps_tested[0].regions, last.regions),
         last.goodness.p_value,
         f"{worst.test}: {worst.where}" if worst else "",
-        climbed.failed,
+        selection.failed,
     )
 
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from .agreement import Agreement, agreement, partitions
-from .fit_tests import Look, Rules
-from .goodness import Goodness
+from .fit_tests import FitTests, Rules
+from .goodness import ResidualTests
 from .ladder import Ladder, build
 from .problem import FitResult, Problem
 from .scores import Score
-from .selection import Climb, climb
+from .selection import ForwardSelection, forward_selection
 from .verdict import TermClass, Verdict, classes, verdict
 
 
@@ -46,8 +46,8 @@ class Diagnosis:
     error_after: Mapping[str, float | None]
     classes: tuple[TermClass, ...]
     invisible: tuple[str, ...]
-    before: Goodness | None
-    after: Goodness | None
+    before: ResidualTests | None
+    after: ResidualTests | None
     fit: FitResult | None
     fit_after: FitResult | None
     wrong_form: Mapping[str, Agreement]
@@ -87,24 +87,26 @@ class Diagnosis:
 def diagnose(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Diagnosis:
     """Say what the model with these terms lacks; at most ``rules.together`` terms are named."""
     rules = rules or Rules()
-    return as_diagnosis(problem, climb(problem, terms, replace(rules, rungs=min(rules.rungs, rules.together))), rules)
+    return as_diagnosis(
+        problem, forward_selection(problem, terms, replace(rules, rungs=min(rules.rungs, rules.together))), rules
+    )
 
 
-def as_diagnosis(problem: Problem, climbed: Climb, rules: Rules | None = None) -> Diagnosis:
+def as_diagnosis(problem: Problem, selection: ForwardSelection, rules: Rules | None = None) -> Diagnosis:
     """A climb of at most ``rules.together`` steps, told as what the model lacked where it began."""
     rules = rules or Rules()
-    if not climbed.looks:
-        fit = next(iter(climbed.fits.values()))
-        return Diagnosis("fit_failed", (), (), {}, (), (), None, None, fit, None, {}, climbed.failed)
-    found, said, wrong = _judge(problem, climbed, rules)
-    first, last = climbed.looks[0], climbed.last
-    added = {step.term for step in climbed.steps}
+    if not selection.steps_tested:
+        fit = next(iter(selection.fits.values()))
+        return Diagnosis("fit_failed", (), (), {}, (), (), None, None, fit, None, {}, selection.failed)
+    found, said, wrong = _judge(problem, selection, rules)
+    first, last = selection.steps_tested[0], selection.last
+    added = {step.term for step in selection.steps}
     named = tuple(term for term in last.fit.terms if term in added) if said in ("effect", "class") else ()
     return Diagnosis(
         said,
         named,
         first.scores,
-        {score.name: _error_after(climbed, score) for score in first.scores},
+        {score.name: _error_after(selection, score) for score in first.scores},
         found if named else (),
         first.invisible,
         first.goodness,
@@ -112,34 +114,34 @@ def as_diagnosis(problem: Problem, climbed: Climb, rules: Rules | None = None) -
         first.fit,
         last.fit,
         wrong,
-        climbed.failed,
+        selection.failed,
     )
 
 
 def refine(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Ladder:
     """Climb from the model with these terms until nothing more is warranted."""
-    return as_ladder(problem, climb(problem, terms, rules), rules)
+    return as_ladder(problem, forward_selection(problem, terms, rules), rules)
 
 
-def as_ladder(problem: Problem, climbed: Climb, rules: Rules | None = None) -> Ladder:
+def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None = None) -> Ladder:
     """A climb, told rung by rung."""
     rules = rules or Rules()
-    if not climbed.looks:
-        return build(climbed, "fit_failed", (), {})
-    found, said, wrong = _judge(problem, climbed, rules)
-    return build(climbed, said, found, wrong)
+    if not selection.steps_tested:
+        return build(selection, "fit_failed", (), {})
+    found, said, wrong = _judge(problem, selection, rules)
+    return build(selection, said, found, wrong)
 
 
 def _judge(
-    problem: Problem, climbed: Climb, rules: Rules
+    problem: Problem, selection: ForwardSelection, rules: Rules
 ) -> tuple[tuple[TermClass, ...], Verdict, dict[str, Agreement]]:
     """Classes, verdict and wrong forms; a model that leaves a misfit has no classes worth a refit."""
-    said = verdict(climbed, (), rules)
-    found = classes(problem, climbed, rules) if said == "adequate" and climbed.steps else ()
-    return found, verdict(climbed, found, rules), wrong_forms(climbed.last, rules.alpha)
+    said = verdict(selection, (), rules)
+    found = classes(problem, selection, rules) if said == "adequate" and selection.steps else ()
+    return found, verdict(selection, found, rules), wrong_forms(selection.last, rules.alpha)
 
 
-def wrong_forms(here: Look, alpha: float) -> dict[str, Agreement]:
+def wrong_forms(here: FitTests, alpha: float) -> dict[str, Agreement]:
     """Terms of a fit whose size disagrees between blocks, or between the values of a label."""
     fit = here.fit
     asked = [
@@ -156,9 +158,9 @@ def wrong_forms(here: Look, alpha: float) -> dict[str, Agreement]:
     return found
 
 
-def _error_after(climbed: Climb, score: Score) -> float | None:
-    fit = climbed.looks[0].fit
-    refit = climbed.fits.get(frozenset((*fit.terms, score.name)))
+def _error_after(selection: ForwardSelection, score: Score) -> float | None:
+    fit = selection.steps_tested[0].fit
+    refit = selection.fits.get(frozenset((*fit.terms, score.name)))
     if refit is not None and refit.ok:
         return refit.error_of("fit")
     before = fit.error_of("fit")

@@ -19,7 +19,7 @@ from ..arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class Sizes:
+class TermSizes:
     """Who carries a term and how much of it: share with its 95 % interval, mean size with its sd, spread (sd) of sizes."""
 
     share: float
@@ -30,7 +30,7 @@ class Sizes:
     spread: float
 
 
-def carried(sizes: FloatArray, sds: FloatArray, weights: FloatArray) -> Sizes:
+def prevalence(sizes: FloatArray, sds: FloatArray, weights: FloatArray) -> TermSizes:
     """Share of the units that carry a term, and the distribution of its size among them, by maximum likelihood.
 
     Parameters
@@ -40,7 +40,7 @@ def carried(sizes: FloatArray, sds: FloatArray, weights: FloatArray) -> Sizes:
     """
     known = np.isfinite(sizes) & np.isfinite(sds) & (sds > 0.0)
     if not known.any():
-        return Sizes(float("nan"), 0.0, 1.0, float("nan"), float("nan"), float("nan"))
+        return TermSizes(float("nan"), 0.0, 1.0, float("nan"), float("nan"), float("nan"))
     unit = float(np.sqrt(np.mean(sizes[known] ** 2))) or 1.0
     a, sd = sizes[known] / unit, sds[known] / unit
     w = weights[known] * (weights[known].sum() / np.sum(weights[known] ** 2))
@@ -53,7 +53,7 @@ def carried(sizes: FloatArray, sds: FloatArray, weights: FloatArray) -> Sizes:
     variance = sd**2 + spread**2
     r = _responsibility(a, sd, shares[top], mean, spread) * w
     mean_sd = 1.0 / np.sqrt(max(float(np.sum(r / variance)), 1e-300))
-    return Sizes(
+    return TermSizes(
         float(shares[top]), float(inside.min()), float(inside.max()), mean * unit, float(mean_sd) * unit, spread * unit
     )
 

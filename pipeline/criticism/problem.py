@@ -21,7 +21,7 @@ from ..arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ResidualBlock:
     """Whitened residuals that belong together.
 
     Parameters
@@ -77,11 +77,11 @@ class FitResult:
     ok: bool
     terms: tuple[str, ...]
     parameters: Mapping[str, tuple[float, float]]
-    blocks: tuple[Block, ...]
+    blocks: tuple[ResidualBlock, ...]
     jacobian: tuple[FloatArray, ...]
     why: str = ""
     derived: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    held: tuple[Block, ...] = ()
+    held: tuple[ResidualBlock, ...] = ()
     columns: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     shifts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     strata: tuple[IntArray, ...] | None = None
@@ -164,7 +164,7 @@ class LocalCandidate:
     """
 
     name: str
-    falls: tuple[float, ...]
+    delta_chi2s: tuple[float, ...]
     dofs: tuple[int, ...]
     grid: tuple[Mapping[str, float], ...] = ({},)
     reach: float = np.inf

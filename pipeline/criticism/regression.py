@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from .problem import Block, Candidate, FitResult, Region, Signatures, Spectrum, TermParameter
+from .problem import Candidate, FitResult, Region, ResidualBlock, Signatures, Spectrum, TermParameter
 
 _STARTS = 3
 _STEPS = 300
@@ -56,7 +56,7 @@ class Regression:
     """
 
     predict: Predict
-    measured: tuple[Block, ...]
+    measured: tuple[ResidualBlock, ...]
     baseline: Mapping[str, float]
     terms: tuple[Term, ...]
     held: int = 0
@@ -162,7 +162,8 @@ class Regression:
         sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(gram / size / size[:, None], hermitian=True)), 0.0)) / size
         predicted = self.predict(self._at_null(values))
         blocks = tuple(
-            Block(old.name, old.residual - new, old.labels, old.repeat) for old, new in zip(self.measured, predicted)
+            ResidualBlock(old.name, old.residual - new, old.labels, old.repeat)
+            for old, new in zip(self.measured, predicted)
         )
         rows = sum(block.residual.size for block in blocks[: self.fitted])
         chi2 = sum(block.chi2 for block in blocks[: self.fitted])

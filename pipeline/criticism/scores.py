@@ -104,7 +104,7 @@ def _inverse(gram: FloatArray) -> tuple[FloatArray, int]:
     return np.asarray((vector[:, good] / size[good]) @ vector[:, good].T), int(good.sum())
 
 
-def falls(cell: Cell, scores: FloatArray) -> tuple[FloatArray, FloatArray]:
+def delta_chi2s(cell: Cell, scores: FloatArray) -> tuple[FloatArray, FloatArray]:
     """T (n,) and theta (k, n) in scaled units, for scores (K, n) of which the cell takes its own."""
     own = scores[cell.columns]
     best, theta = np.zeros(own.shape[1]), np.zeros_like(own)
@@ -125,7 +125,7 @@ def estimate(
     projected: Projected, candidate: Candidate, cells: Sequence[Cell]
 ) -> tuple[int, dict[str, tuple[float, float]]]:
     """The best cell, and parameter -> (null + theta, sd) there, in the parameters' own units."""
-    falls_here = [falls(cell, projected.score[:, None]) for cell in cells]
+    falls_here = [delta_chi2s(cell, projected.score[:, None]) for cell in cells]
     best = int(np.argmax([fall[0] for fall, _ in falls_here]))
     cell = cells[best]
     inverse, _ = _inverse(projected.gram[np.ix_(cell.columns, cell.columns)])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .fit_tests import Look, Rules, look
+from .fit_tests import FitTests, Rules, fit_tests
 from .goodness import excess
 from .heldout import Paired, paired
 from .pairs import best_pairs
@@ -30,7 +30,7 @@ _ENDED = "refitted, it ran to the end of its range, or to where the model is alr
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class SelectionStep:
     """One term added: the fit with it, the fall of chi2, what held-out data say, and the members dropped for it.
 
     ``alone``: it was significant by itself, not only in a pair.
@@ -45,7 +45,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Climb:
+class ForwardSelection:
     """How far the loop came.
 
     Parameters
@@ -57,31 +57,31 @@ class Climb:
     fits : every fit made, by its terms.
     """
 
-    looks: tuple[Look, ...]
-    steps: tuple[Step, ...]
+    steps_tested: tuple[FitTests, ...]
+    steps: tuple[SelectionStep, ...]
     refused: dict[str, str] = field(default_factory=dict)
     failed: str = ""
     fits: dict[frozenset[str], FitResult] = field(default_factory=dict)
 
     @property
-    def last(self) -> Look:
+    def last(self) -> FitTests:
         """The end of the climb."""
-        return self.looks[-1]
+        return self.steps_tested[-1]
 
 
-def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Climb:
+def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> ForwardSelection:
     """Add terms until nothing more is warranted; ``terms`` are in the model from the start and may be removed too."""
     rules = rules or Rules()
     start = problem.fit(terms)
     fits = {frozenset(terms): start}
     if not start.ok:
-        return Climb((), (), {}, start.why or "the baseline could not be fitted", fits)
-    looks, failed = [look(problem, start, rules)], ""
-    steps: list[Step] = []
+        return ForwardSelection((), (), {}, start.why or "the baseline could not be fitted", fits)
+    steps_tested, failed = [fit_tests(problem, start, rules)], ""
+    steps: list[SelectionStep] = []
     refused: dict[str, str] = {}
     ended: dict[str, Score] = {}
     while len(steps) < rules.rungs:
-        step, reasons, failures = _next(problem, looks[-1], fits, ended, rules)
+        step, reasons, failures = _next(problem, steps_tested[-1], fits, ended, rules)
         refused.update(reasons | dict.fromkeys(failures, "its fit failed, or raised chi2"))
         if not step:
             # Later, the rungs that stand and the misfit that they leave speak for themselves.
@@ -89,28 +89,28 @@ def climb(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = N
             break
         current, dropped = _prune(problem, step[-1].fit, fits, rules)
         step = (*step[:-1], replace(step[-1], fit=current, dropped=dropped))
-        seen = any(frozenset(current.terms) == frozenset(old.fit.terms) for old in looks)
+        seen = any(frozenset(current.terms) == frozenset(old.fit.terms) for old in steps_tested)
         steps.extend(step)
         if seen:
             break
-        looks.append(look(problem, current, rules))
-    return Climb(tuple(looks), tuple(steps), refused, failed, fits)
+        steps_tested.append(fit_tests(problem, current, rules))
+    return ForwardSelection(tuple(steps_tested), tuple(steps), refused, failed, fits)
 
 
 def _next(
     problem: Problem,
-    here: Look,
+    here: FitTests,
     fits: dict[frozenset[str], FitResult],
     ended: dict[str, Score],
     rules: Rules,
-) -> tuple[tuple[Step, ...], dict[str, str], tuple[str, ...]]:
+) -> tuple[tuple[SelectionStep, ...], dict[str, str], tuple[str, ...]]:
     """The best step from here (one term, or a pair), reasons of refusals, and terms whose fit failed.
 
     ``ended`` keeps the scores of terms whose refit ran to an end: while the scan is best at the same place it would again.
     """
     reasons: dict[str, str] = {}
     failures: list[str] = []
-    trials: list[Step] = []
+    trials: list[SelectionStep] = []
     significant = here.significant(rules.alpha)
     top = max((score.delta_chi2 for score in significant), default=0.0)
     # A misfit that many terms nibble at is the misfit of something else.
@@ -138,7 +138,7 @@ def _next(
             reasons[score.name] = _ENDED
             ended[score.name] = score
             continue
-        if not _told_from_null(fit, score.name):
+        if not _is_nonzero(fit, score.name):
             reasons[score.name] = "refitted, its size cannot be told from none"
             continue
         fall = here.fit.chi2 - fit.chi2
@@ -157,7 +157,7 @@ def _next(
                 f"held-out chi2 fell by {held.fall:.3g} +- {held.sd:.2g}: no support where no noise level is known"
             )
             continue
-        trials.append(Step(score.name, fit, fall, held))
+        trials.append(SelectionStep(score.name, fit, fall, held))
     if trials:
         sizes = {score.name: score.parameters for score in here.scores}
         return (max(trials, key=lambda step: step.delta_chi2 - 2.0 * sizes[step.term]),), reasons, tuple(failures)
@@ -176,14 +176,16 @@ def _same_place(now: Score, before: Score) -> bool:
     )
 
 
-def _settled(trials: list[Step], here: Look, rival: Score, rules: Rules) -> bool:
+def _settled(trials: list[SelectionStep], here: FitTests, rival: Score, rules: Rules) -> bool:
     """Whether a refit that kept its promise fell so far that a rival which promises less is not worth one."""
     promised = {score.name: score.delta_chi2 for score in here.scores}
     kept = (step.delta_chi2 for step in trials if step.delta_chi2 > rules.kept * promised[step.term])
     return rival.delta_chi2 < rules.kept * max(kept, default=0.0)
 
 
-def _pair(problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], rules: Rules) -> tuple[Step, ...]:
+def _pair(
+    problem: Problem, here: FitTests, fits: dict[frozenset[str], FitResult], rules: Rules
+) -> tuple[SelectionStep, ...]:
     """The most significant pair, where something is left (or nobody can tell) and no single term passes."""
     if here.fit.noise_known and here.goodness.p_value >= rules.alpha_left:
         return ()
@@ -202,8 +204,8 @@ def _pair(problem: Problem, here: Look, fits: dict[frozenset[str], FitResult], r
     if whole.standing == "refused" or _unsupported(both, whole):
         return ()
     return (
-        Step(first, one, here.fit.chi2 - one.chi2, _held(here.fit, one), alone=False),
-        Step(second, both, one.chi2 - both.chi2, _held(one, both), alone=False),
+        SelectionStep(first, one, here.fit.chi2 - one.chi2, _held(here.fit, one), alone=False),
+        SelectionStep(second, both, one.chi2 - both.chi2, _held(one, both), alone=False),
     )
 
 
@@ -218,16 +220,16 @@ def _unsupported(fit: FitResult, held: Paired) -> bool:
     return not fit.noise_known and bool(fit.held) and held.standing != "confirmed"
 
 
-def _fall(here: Look, name: str) -> float:
+def _fall(here: FitTests, name: str) -> float:
     return next(score.delta_chi2 for score in here.scores if score.name == name)
 
 
-def _worth(fall: float, here: Look, parameters: int, alpha: float) -> bool:
+def _worth(fall: float, here: FitTests, parameters: int, alpha: float) -> bool:
     """Whether a refit's fall is as significant as the score had to be."""
     return bool(tail_of_fall(fall, parameters, here) <= max(here.null.critical(alpha), np.log(alpha)))
 
 
-def tail_of_fall(fall: float, parameters: int, here: Look) -> float:
+def tail_of_fall(fall: float, parameters: int, here: FitTests) -> float:
     """log p of a fall of chi2 that ``parameters`` bring, at the noise level of this look (never below the nominal one)."""
     if here.fit.noise_known:
         return float(log_tail(fall / max(here.goodness.level, 1.0) ** 2, parameters))
@@ -235,7 +237,7 @@ def tail_of_fall(fall: float, parameters: int, here: Look) -> float:
     return float(log_tail(min(fall * left / max(here.fit.chi2 - fall, 1e-300), _LARGEST), parameters, left))
 
 
-def tail_of_rise(rise: float, parameters: int, here: Look) -> float:
+def tail_of_rise(rise: float, parameters: int, here: FitTests) -> float:
     """log p of a rise of chi2 above this look's fit where ``parameters`` of it are taken away."""
     if here.fit.noise_known:
         return tail_of_fall(rise, parameters, here)
@@ -270,7 +272,7 @@ def _prune(
     return fit, tuple(dropped)
 
 
-def _told_from_null(fit: FitResult, term: str) -> bool:
+def _is_nonzero(fit: FitResult, term: str) -> bool:
     """Whether the size of a term is seen in its own uncertainty; a fall of chi2 without it is a jump at the null."""
     return not any(fit.shifts.get(term, ())) or wald(fit, term) > 1.0
 

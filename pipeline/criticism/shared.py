@@ -172,15 +172,15 @@ def _alone(whole: Evidence, terms: Sequence[SharedTerm]) -> tuple[FloatArray, fl
     The dispersion is that of what each term adds to the one that falls furthest: what is shared is no dispersion.
     """
     log_p = np.zeros((whole.score.shape[0], len(terms)))
-    falls, ranks = zip(*(_falls(whole, term.columns) for term in terms))
-    for j, (fall, rank) in enumerate(zip(falls, ranks)):
+    delta_chi2s, ranks = zip(*(_falls(whole, term.columns) for term in terms))
+    for j, (fall, rank) in enumerate(zip(delta_chi2s, ranks)):
         for k in np.unique(rank[rank > 0]):
             log_p[rank == k, j] = log_tail(fall[rank == k], int(k))
-    best = int(np.argmax([np.median(fall - rank) for fall, rank in zip(falls, ranks)]))
+    best = int(np.argmax([np.median(fall - rank) for fall, rank in zip(delta_chi2s, ranks)]))
     excess = []
     for term in (term for j, term in enumerate(terms) if j != best):
         both, rank = _falls(whole, (*term.columns, *terms[best].columns))
-        more, seen = both - falls[best], rank > ranks[best]
+        more, seen = both - delta_chi2s[best], rank > ranks[best]
         if seen.any():
             excess.append(float(np.median(more[seen] / chi2.median((rank - ranks[best])[seen]))))
     return log_p, max(1.0, float(np.median(excess)) if excess else 1.0)
@@ -214,12 +214,12 @@ def _judged(kept: Evidence, term: SharedTerm, scale: FloatArray, dispersion: flo
     score = kept.score[:, own]
     information = kept.information[:, own][:, :, own]
     covariance = kept.covariance[:, own][:, :, own] * dispersion
-    falls, ranks = _falls(kept, own)
-    falls = falls / dispersion
-    common, spread = _log_common(score, covariance), _log_spread(falls, ranks)
+    delta_chi2s, ranks = _falls(kept, own)
+    delta_chi2s = delta_chi2s / dispersion
+    common, spread = _log_common(score, covariance), _log_spread(delta_chi2s, ranks)
     without = min(
         _log_common(*_less(score, covariance, kept.weights, budget)),
-        _log_spread(*_least(falls, ranks, kept.weights, budget)),
+        _log_spread(*_least(delta_chi2s, ranks, kept.weights, budget)),
     )
     inverse = _inverses(information.sum(axis=0)[None])[0][0]
     size = inverse @ score.sum(axis=0)
@@ -244,9 +244,9 @@ def _log_common(score: FloatArray, covariance: FloatArray) -> float:
     return float(log_tail(total, rank)[0]) if rank else 0.0
 
 
-def _log_spread(falls: FloatArray, ranks: FloatArray) -> float:
+def _log_spread(delta_chi2s: FloatArray, ranks: FloatArray) -> float:
     dof = int(ranks.sum())
-    return float(log_tail(float(falls.sum()), dof)) if dof else 0.0
+    return float(log_tail(float(delta_chi2s.sum()), dof)) if dof else 0.0
 
 
 def _less(
@@ -268,15 +268,17 @@ def _less(
     return score[kept], covariance[kept]
 
 
-def _least(falls: FloatArray, ranks: FloatArray, weights: FloatArray, budget: float) -> tuple[FloatArray, FloatArray]:
+def _least(
+    delta_chi2s: FloatArray, ranks: FloatArray, weights: FloatArray, budget: float
+) -> tuple[FloatArray, FloatArray]:
     """Falls and ranks without the units of the largest falls."""
-    kept = np.ones(falls.size, dtype=np.bool_)
+    kept = np.ones(delta_chi2s.size, dtype=np.bool_)
     left, first = budget, True
-    for place in np.argsort(-falls, kind="stable"):
+    for place in np.argsort(-delta_chi2s, kind="stable"):
         if first or weights[place] <= left:
             kept[place], first = False, False
             left -= float(weights[place])
-    return falls[kept], ranks[kept]
+    return delta_chi2s[kept], ranks[kept]
 
 
 def _stands_for(kept: Evidence, term: SharedTerm, other: SharedTerm, dispersion: float, alpha: float) -> bool:
@@ -286,14 +288,14 @@ def _stands_for(kept: Evidence, term: SharedTerm, other: SharedTerm, dispersion:
     score, covariance = kept.score.sum(axis=0), kept.covariance.sum(axis=0)
     joint, rank = _quadratic(score[both][None], covariance[np.ix_(both, both)][None])
     lone, rank_lone = _quadratic(score[second][None], covariance[np.ix_(second, second)][None])
-    falls, ranks = _falls(kept, both)
+    delta_chi2s, ranks = _falls(kept, both)
     falls_lone, ranks_lone = _falls(kept, second)
     log_p = [0.0]
     if rank > rank_lone:
         log_p.append(float(log_tail(float(joint[0] - lone[0]) / dispersion, rank - rank_lone)))
     dof = int((ranks - ranks_lone).sum())
     if dof > 0:
-        log_p.append(float(log_tail(float((falls - falls_lone).sum()) / dispersion, dof)))
+        log_p.append(float(log_tail(float((delta_chi2s - falls_lone).sum()) / dispersion, dof)))
     return min(log_p) > np.log(alpha)
 
 

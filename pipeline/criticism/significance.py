@@ -19,7 +19,7 @@ import numpy as np
 from ..arrays import FloatArray
 from .problem import Candidate, LocalCandidate
 from .projection import Projected
-from .scores import Cell, Score, cells_of, estimate, falls, visibility
+from .scores import Cell, Score, cells_of, delta_chi2s, estimate, visibility
 from .tails import log_any, log_tail, trials_of
 
 DRAWS = 20_000
@@ -100,8 +100,8 @@ def simulate_null(
             log_p[i] = log_any(log_p[i], trials[i])
     for i, other in enumerate(local, len(candidates)):
         # The smallest of several uniform numbers.
-        log_p[i] = np.log(-np.expm1(np.log1p(-rng.random(draws)) / len(other.falls)))
-        log_p[i] = log_any(log_p[i], len(other.falls))
+        log_p[i] = np.log(-np.expm1(np.log1p(-rng.random(draws)) / len(other.delta_chi2s)))
+        log_p[i] = log_any(log_p[i], len(other.delta_chi2s))
     smallest = np.sort(log_p.min(axis=0)) if len(log_p) else np.zeros(draws)
     return Null(trials, smallest, known)
 
@@ -111,7 +111,7 @@ def _log_single(projected: Projected, cells: Sequence[Cell], scores: FloatArray,
     rank = max((cell.rank for cell in cells), default=0)
     best = np.zeros(scores.shape[1])
     for cell in cells:
-        best = np.maximum(best, falls(cell, scores)[0] / cell.inflation)
+        best = np.maximum(best, delta_chi2s(cell, scores)[0] / cell.inflation)
     if rank == 0:
         return np.zeros_like(best)
     if rest is None:
@@ -140,7 +140,7 @@ def score_all(
         single = _log_single(projected, own, projected.score[:, None], rest)
         log_p = float(log_any(single, null.trials[i])[0])
         best, values = estimate(projected, candidate, own)
-        fall = float(falls(own[best], projected.score[:, None])[0][0])
+        fall = float(delta_chi2s(own[best], projected.score[:, None])[0][0])
         share, snr = visibility(projected, candidate, own)
         if not known:
             snr /= max(np.sqrt(projected.chi2 / max(projected.dof, 1)), 1e-300)
@@ -162,12 +162,12 @@ def score_all(
     for other in local:
         # Where no noise level is known, the residual's own is all there is.
         level = 1.0 if known else max(projected.chi2 / max(projected.dof, 1), 1e-300)
-        levels = other.levels or (1.0,) * len(other.falls)
-        singles = [float(log_tail(f / (level * g), dof)) for f, g, dof in zip(other.falls, levels, other.dofs)]
-        best = max(range(len(singles)), key=lambda i: (-singles[i], other.falls[i]))
+        levels = other.levels or (1.0,) * len(other.delta_chi2s)
+        singles = [float(log_tail(f / (level * g), dof)) for f, g, dof in zip(other.delta_chi2s, levels, other.dofs)]
+        best = max(range(len(singles)), key=lambda i: (-singles[i], other.delta_chi2s[i]))
         log_p = float(log_any(singles[best], len(singles)))
         values = {name: (value, float("nan")) for name, value in other.grid[best].items()}
         p_value, snr = null.p_family(log_p), float(np.sqrt(other.reach))
-        fall, dof = other.falls[best], other.dofs[best]
+        fall, dof = other.delta_chi2s[best], other.dofs[best]
         scores.append(Score(other.name, fall, dof, values, log_p, p_value, 1.0, snr, snr >= WORTH))
     return tuple(sorted(scores, key=lambda score: (score.log_p_single, -score.delta_chi2))), null

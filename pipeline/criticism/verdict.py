@@ -17,7 +17,7 @@ import numpy as np
 from .classes import Rival, rivals
 from .fit_tests import Rules
 from .problem import Problem
-from .selection import SURE, Climb, tail_of_rise, wald
+from .selection import SURE, ForwardSelection, tail_of_rise, wald
 
 Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
 #: Times the largest noise level there may be, above which what is left is plainly no noise.
@@ -38,10 +38,10 @@ class TermClass:
     rivals: tuple[Rival, ...]
 
 
-def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, ...]:
+def classes(problem: Problem, selection: ForwardSelection, rules: Rules) -> tuple[TermClass, ...]:
     """The class of every added term, by refits of those rivals that projection cannot exclude."""
-    here = climbed.last
-    added = {step.term for step in climbed.steps}
+    here = selection.last
+    added = {step.term for step in selection.steps}
     critical = here.null.critical(rules.alpha)
     found = []
     for term in here.fit.terms:
@@ -58,8 +58,8 @@ def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, 
         ]
         for rival in asked[: rules.class_refits]:
             swapped = tuple(rival.name if name == term else name for name in here.fit.terms)
-            fit = climbed.fits.get(frozenset(swapped)) or problem.fit(swapped, here.fit)
-            climbed.fits[frozenset(swapped)] = fit
+            fit = selection.fits.get(frozenset(swapped)) or problem.fit(swapped, here.fit)
+            selection.fits[frozenset(swapped)] = fit
             if not fit.ok:
                 continue
             left = max(fit.chi2 - here.fit.chi2 + (rival.joint if rival.sin_angle >= _CLOSE else 0.0), 0.0)
@@ -69,46 +69,46 @@ def classes(problem: Problem, climbed: Climb, rules: Rules) -> tuple[TermClass, 
     return tuple(found)
 
 
-def verdict(climbed: Climb, found: tuple[TermClass, ...], rules: Rules) -> Verdict:
+def verdict(selection: ForwardSelection, found: tuple[TermClass, ...], rules: Rules) -> Verdict:
     """The verdict on the last model of a climb."""
-    if climbed.failed or not climbed.looks:
+    if selection.failed or not selection.steps_tested:
         return "fit_failed"
-    last = climbed.last
+    last = selection.last
     # F-tests take all that is left for white noise: without a noise level a term that its refit or the held-out data do not
     # support is no evidence, what is left above the bound of the noise is.
-    doubted = () if last.fit.noise_known else climbed.refused
+    doubted = () if last.fit.noise_known else selection.refused
     if any(score.name not in doubted for score in last.significant(rules.alpha)):
         return "unknown"
     if last.goodness.p_value < rules.alpha_left or (last.fit.noise_bounded and last.goodness.level > _PLAIN):
         return "unknown"
     if not found:
         return "adequate"
-    if any(not supported(climbed, item.term) for item in found) and len(found) > 1:
+    if any(not supported(selection, item.term) for item in found) and len(found) > 1:
         return "unknown"
     return "class" if any(len(item.members) > 1 for item in found) else "effect"
 
 
-def supported(climbed: Climb, term: str) -> bool:
+def supported(selection: ForwardSelection, term: str) -> bool:
     """Whether a term stands without the help of others: confirmed on held-out data, or far beyond doubt on the fitted.
 
     Two terms that just pass can together imitate a third that is no candidate; a single one hardly can.  Where neither a
     noise level nor held-out data exist nothing stands but the tests that each term has passed, and they are taken for it.
     """
-    if not climbed.last.fit.noise_known and not climbed.last.fit.held:
+    if not selection.last.fit.noise_known and not selection.last.fit.held:
         return True
-    if in_concert(climbed, term):
+    if imitates_jointly(selection, term):
         return False
-    confirmed = any(step.term == term and step.held.standing == "confirmed" for step in climbed.steps)
-    return confirmed or not climbed.last.fit.columns.get(term) or wald(climbed.last.fit, term) > SURE**2
+    confirmed = any(step.term == term and step.held.standing == "confirmed" for step in selection.steps)
+    return confirmed or not selection.last.fit.columns.get(term) or wald(selection.last.fit, term) > SURE**2
 
 
-def in_concert(climbed: Climb, term: str) -> bool:
+def imitates_jointly(selection: ForwardSelection, term: str) -> bool:
     """Whether a term brought little until another came that brought more, though the best one is added first.
 
     Effects that are there each take their own part of the misfit.  Where the falls grow, the terms imitate together what none
     of them is.
     """
-    kept = [step for step in climbed.steps if step.alone and step.term in climbed.last.fit.terms]
+    kept = [step for step in selection.steps if step.alone and step.term in selection.last.fit.terms]
     places = [k for k, step in enumerate(kept) if step.term == term]
     if not places or kept[places[-1]].dropped:
         return False

@@ -31,7 +31,7 @@ from msgspec import Meta
 from .. import toml_files as toml
 from ..arrays import FloatArray
 from ..errors import MeasurementError, UsageError
-from .files.channels import mend
+from .files.channels import correct
 from .files.columns import MIN_SAMPLES, assemble
 from .files.common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
 from .files.modal_record import ModalRecord, decode_modal_record
@@ -109,7 +109,7 @@ def _cut(record: Record, start: int, stop: int | None, where: str) -> Record:
 def _one(folder: Path, entry: RecordTable, role: Role, rate: float | None, document: CampaignTable) -> Record:
     path = existing(folder / entry.file)
     whole = assemble(entry.file, read_columns(path), rate, document.columns)
-    record = _cut(mend(whole, _channels(document.channels)), entry.start, entry.stop, entry.file)
+    record = _cut(correct(whole, _channels(document.channels)), entry.start, entry.stop, entry.file)
     return dataclasses.replace(
         record,
         name=entry.name if entry.name is not None else entry.file,

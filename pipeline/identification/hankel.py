@@ -24,7 +24,7 @@ from .modes import DiscreteModes
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpace:
+class DiscreteStateSpace:
     """Discrete model: a (K, K), b (K, D), c (S, K), d (S, D)."""
 
     a: FloatArray
@@ -38,10 +38,10 @@ class Balanced:
     """A balanced realisation, states by falling Hankel singular value (K,)."""
 
     hankel: FloatArray
-    system: StateSpace
+    system: DiscreteStateSpace
 
 
-def state_space_of(model: ArxModel) -> StateSpace:
+def state_space_of(model: ArxModel) -> DiscreteStateSpace:
     """Observer form of the ARX model: states are what past samples still contribute to y(t), y(t+1), .., y(t+n-1)."""
     order, senses, _ = model.A.shape
     size = order * senses
@@ -49,7 +49,7 @@ def state_space_of(model: ArxModel) -> StateSpace:
     a[:, :senses] = -model.A.reshape(size, senses)
     a[:-senses, senses:] = np.eye(size - senses)
     b = (model.B[1:] - model.A @ model.B[0]).reshape(size, -1)
-    return StateSpace(a, b, np.eye(senses, size), model.B[0])
+    return DiscreteStateSpace(a, b, np.eye(senses, size), model.B[0])
 
 
 def _gramian_root(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -59,7 +59,7 @@ def _gramian_root(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(size, 0.0)))
 
 
-def balance(system: StateSpace) -> Balanced:
+def balance(system: DiscreteStateSpace) -> Balanced:
     """Hankel singular values, and the realisation in which each belongs to one state.
 
     States whose singular value is rounding (1e-13 of the largest) are left out.
@@ -82,11 +82,11 @@ def balance(system: StateSpace) -> Balanced:
     kept = int(np.count_nonzero(sigma > 1e-13 * sigma[0]))
     scale = 1.0 / np.sqrt(sigma[:kept])
     into, out_of = l_p @ vt[:kept].T * scale, scale[:, None] * (u[:, :kept].T @ l_q.T)
-    balanced = StateSpace(out_of @ system.a @ into, out_of @ system.b, system.c @ into, system.d)
+    balanced = DiscreteStateSpace(out_of @ system.a @ into, out_of @ system.b, system.c @ into, system.d)
     return Balanced(sigma, balanced)
 
 
-def truncate(balanced: Balanced, states: int) -> StateSpace:
+def truncate(balanced: Balanced, states: int) -> DiscreteStateSpace:
     """The first ``states`` balanced states.
 
     Raises
@@ -102,10 +102,10 @@ def truncate(balanced: Balanced, states: int) -> StateSpace:
             next_step="ask for fewer states",
         )
     s = balanced.system
-    return StateSpace(s.a[:states, :states], s.b[:states], s.c[:, :states], s.d)
+    return DiscreteStateSpace(s.a[:states, :states], s.b[:states], s.c[:, :states], s.d)
 
 
-def modes_of_states(system: StateSpace) -> DiscreteModes:
+def modes_of_states(system: DiscreteStateSpace) -> DiscreteModes:
     """Oscillating modes (Im z > 0) of a state space by its eigenvectors:  R_k = (c x_k)(y_k b)."""
     poles, right = np.linalg.eig(system.a)
     left = np.linalg.inv(right)
@@ -115,7 +115,9 @@ def modes_of_states(system: StateSpace) -> DiscreteModes:
     return DiscreteModes(np.asarray(poles[upper], dtype=np.complex128), residues.astype(np.complex128))
 
 
-def frequency_response(model: ArxModel | StateSpace, frequency_hz: FloatArray, sample_rate_hz: float) -> ComplexArray:
+def frequency_response(
+    model: ArxModel | DiscreteStateSpace, frequency_hz: FloatArray, sample_rate_hz: float
+) -> ComplexArray:
     """H(e^{jwT}) (F, S, D) at the frequencies (F,) [Hz]."""
     z = np.exp(2j * np.pi * frequency_hz / sample_rate_hz)
     if isinstance(model, ArxModel):

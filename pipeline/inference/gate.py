@@ -30,7 +30,7 @@ class Gate:
 
 
 @dataclass(frozen=True)
-class Goodness:
+class GoodnessOfFit:
     """How well a model explains a record; symbols at the head of the module."""
 
     error: float
@@ -56,7 +56,7 @@ def full_band_error(
     return float(error), float(np.linalg.norm(rest) / max(float(np.linalg.norm(measured_v)), 1e-300))
 
 
-def misfit_reason(goodness: Goodness, gate: Gate) -> str | None:
+def misfit_reason(goodness: GoodnessOfFit, gate: Gate) -> str | None:
     """Why a device is a misfit, or ``None``."""
     if not goodness.error <= gate.error_max:
         return f"error {goodness.error:.4g} above {gate.error_max:g}: the model does not explain the record"

@@ -29,7 +29,7 @@ _BLOCK = re.compile(r"(devices|posterior)-\d{5,}(-amended)?\.parquet")
 
 
 @dataclass(frozen=True)
-class Finding:
+class IntegrityFinding:
     """One thing that is not as it should be; ``fatal`` when results are touched by it."""
 
     file: str
@@ -47,7 +47,7 @@ class Finding:
 class VerifyReport:
     """Every finding, and what was looked at."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[IntegrityFinding, ...]
     runs: int
     files: int
     bytes: int
@@ -55,7 +55,7 @@ class VerifyReport:
     draws: int
 
     @property
-    def errors(self) -> tuple[Finding, ...]:
+    def errors(self) -> tuple[IntegrityFinding, ...]:
         """The fatal findings."""
         return tuple(finding for finding in self.findings if finding.fatal)
 
@@ -134,7 +134,9 @@ def _verify_run(folder: Path) -> VerifyReport:
             findings.append(_damage(folder / entry.name, error))
             continue
         if table is not None and table.num_rows != entry.rows:
-            findings.append(Finding(str(folder / entry.name), "number of rows", str(entry.rows), str(table.num_rows)))
+            findings.append(
+                IntegrityFinding(str(folder / entry.name), "number of rows", str(entry.rows), str(table.num_rows))
+            )
         if table is not None and entry.kind == "devices":
             devices.append(table)
         elif table is not None:
@@ -162,37 +164,39 @@ def _verify_file(folder: Path, entry: FileEntry) -> pa.Table | None:
     return None
 
 
-def _structure(folder: Path, manifest: Manifest) -> Iterator[Finding]:
+def _structure(folder: Path, manifest: Manifest) -> Iterator[IntegrityFinding]:
     """What the manifest alone can contradict."""
     where = str(folder / MANIFEST)
     for name, times in Counter(entry.name for entry in manifest.files).items():
         if times > 1:
-            yield Finding(where, f"{name} is listed more than once", "1", str(times))
+            yield IntegrityFinding(where, f"{name} is listed more than once", "1", str(times))
     config = [entry.sha256 for entry in manifest.of_kind("config")]
     if config != [manifest.config_sha256]:
-        yield Finding(where, "run.toml is not listed with the hash of the configuration", "1 entry", str(config))
+        yield IntegrityFinding(
+            where, "run.toml is not listed with the hash of the configuration", "1 entry", str(config)
+        )
     blocks = manifest.blocks()
     missing = sorted(set(range(max(blocks, default=-1) + 1)) - blocks)
     if missing:
         fatal = manifest.status == "complete"
-        yield Finding(where, f"blocks of a {manifest.status} run", "no gaps", f"missing {missing[:10]}", fatal)
+        yield IntegrityFinding(where, f"blocks of a {manifest.status} run", "no gaps", f"missing {missing[:10]}", fatal)
     orphans = [entry.block for entry in manifest.of_kind("posterior") if entry.block not in blocks]
     if orphans:
-        yield Finding(where, "draws without their devices", "a devices table each", f"blocks {orphans[:10]}")
+        yield IntegrityFinding(where, "draws without their devices", "a devices table each", f"blocks {orphans[:10]}")
 
 
-def _contents(folder: Path, manifest: Manifest, devices: pa.Table) -> Iterator[Finding]:
+def _contents(folder: Path, manifest: Manifest, devices: pa.Table) -> Iterator[IntegrityFinding]:
     """What only the whole, undamaged table can contradict."""
     twice = duplicates(devices)
     if twice:
-        yield Finding(str(folder), "devices with more than one row", "one row a device", ", ".join(twice[:5]))
+        yield IntegrityFinding(str(folder), "devices with more than one row", "one row a device", ", ".join(twice[:5]))
     if manifest.devices_digest is not None:
         found = table_digest(stored_devices(folder, manifest, devices))
         if found != manifest.devices_digest:
-            yield Finding(str(folder), "digest of the devices table", manifest.devices_digest, found)
+            yield IntegrityFinding(str(folder), "digest of the devices table", manifest.devices_digest, found)
 
 
-def _strays(folder: Path, known: set[str]) -> Iterator[Finding]:
+def _strays(folder: Path, known: set[str]) -> Iterator[IntegrityFinding]:
     for path in sorted(folder.iterdir()):
         if path.name in known:
             continue
@@ -202,8 +206,8 @@ def _strays(folder: Path, known: set[str]) -> Iterator[Finding]:
             what = "a run's folder without a manifest; not part of any result"
         else:
             what = "stray file, not part of any result"
-        yield Finding(str(path), what, "only what the manifests list", path.name, fatal=False)
+        yield IntegrityFinding(str(path), what, "only what the manifests list", path.name, fatal=False)
 
 
-def _damage(path: Path, error: IntegrityError) -> Finding:
-    return Finding(str(path), error.what, error.allowed or "what was committed", str(error.value or "damage"))
+def _damage(path: Path, error: IntegrityError) -> IntegrityFinding:
+    return IntegrityFinding(str(path), error.what, error.allowed or "what was committed", str(error.value or "damage"))

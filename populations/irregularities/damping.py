@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -40,11 +40,11 @@ IRREGULARITY = Irregularity(
     name="damping",
     stage="fabrication",
     parameters=(
-        Parameter("lot", "1", 0.0, 2.0, "sd of ln(gas damping) of the lots"),
-        Parameter("wafer", "1", 0.0, 2.0, "sd of ln(gas damping) of wafers in a lot"),
-        Parameter("die", "1", 0.0, 2.0, "sd of ln(gas damping) from die to die"),
-        Parameter("anchor", "1", 0.0, 2.0, "sd of ln(anchor loss) from die to die"),
-        Parameter("correlation", "1", -1.0, 1.0, "between rocking and up-down at each level"),
+        IrregularityParameter("lot", "1", 0.0, 2.0, "sd of ln(gas damping) of the lots"),
+        IrregularityParameter("wafer", "1", 0.0, 2.0, "sd of ln(gas damping) of wafers in a lot"),
+        IrregularityParameter("die", "1", 0.0, 2.0, "sd of ln(gas damping) from die to die"),
+        IrregularityParameter("anchor", "1", 0.0, 2.0, "sd of ln(anchor loss) from die to die"),
+        IrregularityParameter("correlation", "1", -1.0, 1.0, "between rocking and up-down at each level"),
     ),
     source="sum of losses, gas damping proportional to pressure; magnitudes from the spread of packaged Q",
     act=act,

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -26,8 +26,12 @@ IRREGULARITY = Irregularity(
     name="damping_anisotropy",
     stage="fabrication",
     parameters=(
-        Parameter("die", "1", 0.0, 2.0, "sd per component from die to die", assumption="damping_anisotropy"),
-        Parameter("limit", "1", 0.01, 0.99, "largest |d|; below 1 both damping ratios are positive", null=0.8),
+        IrregularityParameter(
+            "die", "1", 0.0, 2.0, "sd per component from die to die", assumption="damping_anisotropy"
+        ),
+        IrregularityParameter(
+            "limit", "1", 0.01, 0.99, "largest |d|; below 1 both damping ratios are positive", null=0.8
+        ),
     ),
     source="the paper, eq. (15); magnitude assumed",
     act=act,

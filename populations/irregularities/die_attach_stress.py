@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -31,7 +31,7 @@ IRREGULARITY = Irregularity(
     name="die_attach_stress",
     stage="package",
     parameters=(
-        Parameter(
+        IrregularityParameter(
             "difference_mpa",
             "MPa",
             0.0,
@@ -39,9 +39,11 @@ IRREGULARITY = Irregularity(
             "sd of sigma_x - sigma_y and of 2 sigma_xy",
             assumption="package_stress",
         ),
-        Parameter("mean_ratio", "1", -100.0, 100.0, "mean of (sigma_x + sigma_y)/2 over difference_mpa"),
-        Parameter("mean_spread_ratio", "1", 0.0, 100.0, "sd of (sigma_x + sigma_y)/2 over difference_mpa"),
-        Parameter("hz_per_mpa", "Hz/MPa", 0.0, 1000.0, "h, shift of a rocking mode per stress along it", null=None),
+        IrregularityParameter("mean_ratio", "1", -100.0, 100.0, "mean of (sigma_x + sigma_y)/2 over difference_mpa"),
+        IrregularityParameter("mean_spread_ratio", "1", 0.0, 100.0, "sd of (sigma_x + sigma_y)/2 over difference_mpa"),
+        IrregularityParameter(
+            "hz_per_mpa", "Hz/MPa", 0.0, 1000.0, "h, shift of a rocking mode per stress along it", null=None
+        ),
     ),
     source="stress stiffening (derivation); stresses assumed",
     act=act,

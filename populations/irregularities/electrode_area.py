@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -26,8 +26,8 @@ IRREGULARITY = Irregularity(
     name="electrode_area",
     stage="fabrication",
     parameters=(
-        Parameter("die_pct", "% of A", 0.0, 30.0, "sd of the area of a single electrode"),
-        Parameter("arm_pct", "% of l", 0.0, 30.0, "sd of the arm of a single electrode"),
+        IrregularityParameter("die_pct", "% of A", 0.0, 30.0, "sd of the area of a single electrode"),
+        IrregularityParameter("arm_pct", "% of l", 0.0, 30.0, "sd of the arm of a single electrode"),
     ),
     source="parallel plates; magnitudes assumed",
     act=act,

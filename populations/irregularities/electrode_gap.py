@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -24,9 +24,9 @@ IRREGULARITY = Irregularity(
     name="electrode_gap",
     stage="fabrication",
     parameters=(
-        Parameter("lot_pct", "% of g", 0.0, 30.0, "sd of the lot's mean gap"),
-        Parameter("wafer_pct", "% of g", 0.0, 30.0, "sd of a wafer's mean gap within a lot"),
-        Parameter("die_pct", "% of g", 0.0, 30.0, "sd of the gap of a single electrode"),
+        IrregularityParameter("lot_pct", "% of g", 0.0, 30.0, "sd of the lot's mean gap"),
+        IrregularityParameter("wafer_pct", "% of g", 0.0, 30.0, "sd of a wafer's mean gap within a lot"),
+        IrregularityParameter("die_pct", "% of g", 0.0, 30.0, "sd of the gap of a single electrode"),
     ),
     source="parallel plates; Sensors 12 (2012) 6857; magnitudes assumed",
     act=act,

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -26,9 +26,11 @@ IRREGULARITY = Irregularity(
     name="lid_leak",
     stage="package",
     parameters=(
-        Parameter("fraction", "1", 0.0, 1.0, "share of packages that leak"),
-        Parameter("ln_mean", "1", 0.0, 10.0, "mean of ln(pressure rise) at the time of the test", null=None),
-        Parameter("ln_spread", "1", 0.0, 5.0, "its sd", null=None),
+        IrregularityParameter("fraction", "1", 0.0, 1.0, "share of packages that leak"),
+        IrregularityParameter(
+            "ln_mean", "1", 0.0, 10.0, "mean of ln(pressure rise) at the time of the test", null=None
+        ),
+        IrregularityParameter("ln_spread", "1", 0.0, 5.0, "its sd", null=None),
     ),
     source="J. MEMS 2018-0257 (seal yield); Micromachines 14 (2023) 1956 (loss of Q)",
     act=act,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -22,7 +22,7 @@ def act(p: Mapping[str, float], site: Site) -> Change:
 IRREGULARITY = Irregularity(
     name="lid_pressure",
     stage="package",
-    parameters=(Parameter("spread", "1", 0.0, 3.0, "sd of ln(pressure) from package to package"),),
+    parameters=(IrregularityParameter("spread", "1", 0.0, 3.0, "sd of ln(pressure) from package to package"),),
     source="assumed; packaged Q 1800 +-200 at 200 mTorr is reported",
     act=act,
 )

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 S11, S12, S44 = 7.68e-12, -2.14e-12, 12.6e-12  # 1/Pa
@@ -49,9 +49,9 @@ IRREGULARITY = Irregularity(
     name="misorientation",
     stage="fabrication",
     parameters=(
-        Parameter("lot_deg", "deg", 0.0, 10.0, "sd of the flat of a lot's wafers against the crystal"),
-        Parameter("wafer_deg", "deg", 0.0, 10.0, "sd of a wafer's mask alignment to its flat"),
-        Parameter("azimuth_mrad", "mrad", 0.0, 100.0, "sd of the azimuth of a single spring"),
+        IrregularityParameter("lot_deg", "deg", 0.0, 10.0, "sd of the flat of a lot's wafers against the crystal"),
+        IrregularityParameter("wafer_deg", "deg", 0.0, 10.0, "sd of a wafer's mask alignment to its flat"),
+        IrregularityParameter("azimuth_mrad", "mrad", 0.0, 100.0, "sd of the azimuth of a single spring"),
     ),
     source="Hopcroft et al., J. MEMS 19 (2010) 229; azimuth errors assumed",
     act=act,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -24,8 +24,8 @@ IRREGULARITY = Irregularity(
     name="post_offset",
     stage="fabrication",
     parameters=(
-        Parameter("lot_um", "um", 0.0, 200.0, "sd per component of the lot's mean (a jig)"),
-        Parameter("die_um", "um", 0.0, 200.0, "sd per component from die to die"),
+        IrregularityParameter("lot_um", "um", 0.0, 200.0, "sd per component of the lot's mean (a jig)"),
+        IrregularityParameter("die_um", "um", 0.0, 200.0, "sd per component from die to die"),
     ),
     source="parallel-axis theorem; magnitudes assumed",
     act=act,

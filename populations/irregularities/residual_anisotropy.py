@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -24,9 +24,11 @@ IRREGULARITY = Irregularity(
     name="residual_anisotropy",
     stage="fabrication",
     parameters=(
-        Parameter("die_pct", "%", 0.0, 10.0, "sd per component from die to die", assumption="residual_anisotropy"),
-        Parameter("lot_ratio", "1", 0.0, 10.0, "sd of the lots over die_pct"),
-        Parameter("wafer_ratio", "1", 0.0, 10.0, "sd of the wafers over die_pct"),
+        IrregularityParameter(
+            "die_pct", "%", 0.0, 10.0, "sd per component from die to die", assumption="residual_anisotropy"
+        ),
+        IrregularityParameter("lot_ratio", "1", 0.0, 10.0, "sd of the lots over die_pct"),
+        IrregularityParameter("wafer_ratio", "1", 0.0, 10.0, "sd of the wafers over die_pct"),
     ),
     source="assumption; splits before trimming as reported by the paper",
     act=act,

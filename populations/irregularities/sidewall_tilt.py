@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 from ..symmetric import as_complex
 
@@ -30,8 +30,10 @@ IRREGULARITY = Irregularity(
     name="sidewall_tilt",
     stage="fabrication",
     parameters=(
-        Parameter("edge_deg", "deg", 0.0, 5.0, "tilt of the sidewalls at the edge of the wafer"),
-        Parameter("anisotropy_pct_per_deg2", "%/deg^2", -10.0, 10.0, "a, anisotropy per tilt squared", null=None),
+        IrregularityParameter("edge_deg", "deg", 0.0, 5.0, "tilt of the sidewalls at the edge of the wafer"),
+        IrregularityParameter(
+            "anisotropy_pct_per_deg2", "%/deg^2", -10.0, 10.0, "a, anisotropy per tilt squared", null=None
+        ),
     ),
     source="radial tilt of deep etching (magnitude assumed), T^2 law derived",
     act=act,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -24,7 +24,7 @@ def act(p: Mapping[str, float], site: Site) -> Change:
 IRREGULARITY = Irregularity(
     name="spring_mismatch",
     stage="fabrication",
-    parameters=(Parameter("die_pct", "% of k", 0.0, 10.0, "sd of the stiffness of a single spring"),),
+    parameters=(IrregularityParameter("die_pct", "% of k", 0.0, 10.0, "sd of the stiffness of a single spring"),),
     source="K = sum of springs; magnitude assumed",
     act=act,
 )

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -27,8 +27,10 @@ IRREGULARITY = Irregularity(
     name="temperature",
     stage="package",
     parameters=(
-        Parameter("tcf_ppm_per_k", "ppm/K", -1000.0, 1000.0, "temperature coefficient of the mode frequencies"),
-        Parameter("spread_k", "K", 0.0, 100.0, "sd of a device's temperature at its test"),
+        IrregularityParameter(
+            "tcf_ppm_per_k", "ppm/K", -1000.0, 1000.0, "temperature coefficient of the mode frequencies"
+        ),
+        IrregularityParameter("spread_k", "K", 0.0, 100.0, "sd of a device's temperature at its test"),
     ),
     source="Hopcroft et al., J. MEMS 19 (2010) 229",
     act=act,

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..irregularity import Change, Irregularity, Parameter
+from ..irregularity import Change, Irregularity, IrregularityParameter
 from ..site import Site
 
 
@@ -24,7 +24,7 @@ def act(p: Mapping[str, float], site: Site) -> Change:
 IRREGULARITY = Irregularity(
     name="tester_gain",
     stage="probe",
-    parameters=(Parameter("channel_pct", "%", 0.0, 30.0, "sd of the gain of a channel of the prober"),),
+    parameters=(IrregularityParameter("channel_pct", "%", 0.0, 30.0, "sd of the gain of a channel of the prober"),),
     source="assumed",
     act=act,
 )

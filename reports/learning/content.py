@@ -104,17 +104,17 @@ def campaign_content(
     shown = replace(shown, chi2=sum(added) if added else None)
     asked = next((one for one in (told, found) if "separating_record" in one), None)
     separating = None if asked is None else str(asked["separating_record"] or "")
-    climbed = [one.effect for one in rungs if one.effect and one.status != "refused"]
+    selection = [one.effect for one in rungs if one.effect and one.status != "refused"]
     parameters = parameters_of(compare, found, library)
     by_name = {row.name: row for row in parameters}
     after = mapping(found.get("parameters")) or mapping(last_rung(found).get("parameters"))
     kinds = kinds_of(compare, found)
-    of_rungs = {"before": rungs[0].verdict, "after": last.verdict if last and climbed else ""} if rungs else {}
+    of_rungs = {"before": rungs[0].verdict, "after": last.verdict if last and selection else ""} if rungs else {}
     verdict_words = verdicts or of_rungs
     return CampaignContent(
         device_id=device_id,
         verdict=said,
-        missing=missing_sentence(said, effects, classes, bool(refine), climbed),
+        missing=missing_sentence(said, effects, classes, bool(refine), selection),
         fell=fall_sentence(shown, said),
         notes=_place_note(kinds)
         + standing_notes(
@@ -131,8 +131,8 @@ def campaign_content(
         fitted=fitted,
         misfit=(misfit_of(shown.before, shown.relative), misfit_of(shown.after, shown.relative)),
         explained=last.explained if last and last.effect else None,
-        theta=by_name.get("theta_deg") if climbed else None,
-        split=by_name.get("split_hz") if climbed else None,
+        theta=by_name.get("theta_deg") if selection else None,
+        split=by_name.get("split_hz") if selection else None,
         verdicts=(str(verdict_words.get("before", "")), str(verdict_words.get("after", ""))),
         rungs=rungs,
         refused=tuple((str(name), str(why)) for name, why in mapping(found.get("refused")).items()),
@@ -144,7 +144,7 @@ def campaign_content(
         separating=separating,
         invisible=names_of(told.get("invisible")),
         parameters=parameters,
-        laws=laws_of(effects, climbed, classes, after, told, library),
+        laws=laws_of(effects, selection, classes, after, told, library),
         truth=truth or "",
         provenance=facts(provenance or {}),
     )

@@ -68,8 +68,8 @@ def render_campaign_report(
     content = campaign_content(
         device_id, compare, diagnose, refine, library=texts, verdicts=verdicts, truth=truth, provenance=provenance
     )
-    climbed = any(one.effect and one.status != "refused" for one in content.rungs)
-    figures = campaign_figures(content, before, after if climbed or not content.rungs else None)
+    selection = any(one.effect and one.status != "refused" for one in content.rungs)
+    figures = campaign_figures(content, before, after if selection or not content.rungs else None)
     env = environment()
     env.filters["effect_name"] = effect_words
     # Templates that are included see what the page was given, but their macros see globals only.

@@ -71,7 +71,7 @@ def sigma_v(view: RecordView) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Spectra:
+class RecordSpectra:
     """Amplitude spectra [V] of one record in a window: frequency (F,), the rest (F, S); floor (S,) of the noise."""
 
     frequency_hz: FloatArray
@@ -81,7 +81,7 @@ class Spectra:
     floor: FloatArray
 
 
-def spectra(view: RecordView, band_hz: tuple[float, float]) -> Spectra:
+def spectra(view: RecordView, band_hz: tuple[float, float]) -> RecordSpectra:
     """Amplitude spectra of measured, model and residual within a band [Hz]."""
     n = view.measured_v.shape[0]
     size = fft.next_fast_len(_PADDED * n, real=True)
@@ -99,7 +99,7 @@ def spectra(view: RecordView, band_hz: tuple[float, float]) -> Spectra:
     # The largest of each group: peaks must not fall between the points that are kept.
     starts = np.arange(0, frequency.size, step)
     measured, model, left = (np.maximum.reduceat(curve, starts, axis=0) if starts.size else curve for curve in curves)
-    return Spectra(frequency[starts], measured, model, left, 2.0 * sigma / np.sqrt(n))
+    return RecordSpectra(frequency[starts], measured, model, left, 2.0 * sigma / np.sqrt(n))
 
 
 @dataclass(frozen=True, eq=False)

@@ -287,14 +287,14 @@ def parameters_of(compare: Json, refine: Json, library: Library) -> tuple[Parame
 
 def laws_of(
     effects: Sequence[str],
-    climbed: Sequence[str],
+    selection: Sequence[str],
     classes: Sequence[Sequence[str]],
     after: Json,
     diagnose: Json,
     library: Library,
 ) -> tuple[Law, ...]:
     """Laws of what was added or named, of the rungs on the way, and of the members of their classes."""
-    wanted = list(dict.fromkeys([*effects, *climbed, *(name for members in classes for name in members)]))
+    wanted = list(dict.fromkeys([*effects, *selection, *(name for members in classes for name in members)]))
     estimates = {str(row.get("effect")): mapping(row.get("estimate")) for row in rows_of(diagnose.get("candidates"))}
     laws = []
     for name in wanted:

@@ -91,7 +91,7 @@ class NumberGroup:
 
 
 @dataclass(frozen=True, eq=False)
-class RecordView:
+class PaperRecord:
     """Figure 4: sense (N, 2) [V] at time (N,) [s] and its power spectral density (F, 2) [V^2/Hz] at frequency (F,)."""
 
     time_s: FloatArray
@@ -191,7 +191,7 @@ class PaperContent:
     """
 
     groups: dict[str, NumberGroup]
-    records: RecordView
+    records: PaperRecord
     responses: ResponseView
     hankel: HankelView
     orders: OrderView

@@ -38,7 +38,7 @@ from .trim import TrimYield, trim_yield, true_conformity
 from .worst import WorstDevice, worst_devices
 
 
-class Run(Protocol):
+class StoredRun(Protocol):
     """What a page needs of a run: verified tables, manifest and configuration."""
 
     @property
@@ -117,7 +117,7 @@ class RunContent:
 
 
 def run_content(
-    run: Run,
+    run: StoredRun,
     limits: Limits,
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,

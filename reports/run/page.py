@@ -15,7 +15,7 @@ from pipeline.quantities import QUANTITIES
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
-from .content import Run, RunContent, run_content
+from .content import RunContent, StoredRun, run_content
 from .figures import corner_plots, run_figures
 from .lot_effects import LotEffects, counted, probability, with_sd
 from .worst import Estimate
@@ -43,7 +43,7 @@ _ROUTE = {
 
 
 def render_run_report(
-    run: Run,
+    run: StoredRun,
     limits: Limits,
     *,
     population_summary: Mapping[str, Any] | None = None,

@@ -365,9 +365,9 @@ def test_the_drive_is_drawn_where_it_is_and_its_harmonic_where_the_residual_is()
     np.testing.assert_allclose(drives[0][inner], 300.0 + slope * times[inner], atol=1.0)
     np.testing.assert_allclose(drives[1][inner], 500.0 - slope * times[inner], atol=1.0)
     picture = time_frequency(BEFORE[0], 60, (800.0, 2000.0))
-    loudest = np.unravel_index(picture.over_noise_db.argmax(), picture.over_noise_db.shape)
-    at = picture.time_s[loudest[1]]
-    assert picture.frequency_hz[loudest[0]] == pytest.approx(3 * (300.0 + slope * at), abs=60.0)
+    highest_drive_energy = np.unravel_index(picture.over_noise_db.argmax(), picture.over_noise_db.shape)
+    at = picture.time_s[highest_drive_energy[1]]
+    assert picture.frequency_hz[highest_drive_energy[0]] == pytest.approx(3 * (300.0 + slope * at), abs=60.0)
 
 
 def test_a_multisine_has_no_instantaneous_frequency() -> None:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pipeline.criticism.selection import climb
+from pipeline.criticism.selection import forward_selection
 from pipeline.experiment.forward.record import forward
 from pipeline.learning.campaign.modes import NAME, mode_candidate
 from workflows.learning import view_of
@@ -36,10 +36,10 @@ def test_the_scan_peaks_at_the_mode_with_the_fall_that_its_strength_promises(f_h
     records = [replace(r, sense_v=r.sense_v + c) for r, c in zip(hidden.campaign.records, change)]
     louder = view_of(replace(hidden.campaign, records=tuple(records)), threads=1)
     found = mode_candidate(louder.fit(()), louder.scans, 2, louder.noise.sigma_v)
-    best = int(np.argmax(found.falls))
+    best = int(np.argmax(found.delta_chi2s))
     assert abs(found.grid[best][f"{NAME}.f"] / f_hz - 1.0) < 0.03
     # Held-out records and what the plant absorbs are not in the fall; the grid is a little off the mode.
-    assert 0.2 * 100.0**2 < found.falls[best] < 100.0**2
+    assert 0.2 * 100.0**2 < found.delta_chi2s[best] < 100.0**2
 
 
 @pytest.mark.usefixtures("brief_records")
@@ -58,5 +58,5 @@ def test_the_grid_covers_the_driven_band_finely_and_all_else_coarsely() -> None:
 @pytest.mark.usefixtures("brief_records")
 def test_a_mode_in_another_ones_resonance_is_refused() -> None:
     hidden = hide("left-out", LIBRARY.index("pickoff_crosstalk"), 1)
-    climbed = climb(Narrowed(view_of(hidden.campaign, threads=1), hidden.left_out))
-    assert NAME not in climbed.last.fit.terms
+    selection = forward_selection(Narrowed(view_of(hidden.campaign, threads=1), hidden.left_out))
+    assert NAME not in selection.last.fit.terms

@@ -213,7 +213,7 @@ def _row(kind: str, number: int, hidden: list[str], **found: Any) -> dict[str, A
     step = {"verdict": "adequate", "effects": [], "classes": [], "seconds": 3.0, "cpu_seconds": 2.0, **found}
     ladder = [{"status": None, "error_validate": 2.0}, {"status": "confirmed", "error_validate": 1.0}]
     refined = kind in ("one", "two", "outside", "left-out")
-    climbed = {
+    selection = {
         **step,
         "ladder": ladder if step["effects"] else ladder[:1],
         "theta_deg": [10.0, 0.1],
@@ -232,7 +232,7 @@ def _row(kind: str, number: int, hidden: list[str], **found: Any) -> dict[str, A
         "sizes": {"cubic_stiffness.k3": 1.0},
         "truth": {"theta_deg": 10.05, "split_hz": 2.5},
         "diagnose": step,
-        "refine": climbed if refined else None,
+        "refine": selection if refined else None,
         "failed": "",
     }
 

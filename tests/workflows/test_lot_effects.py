@@ -16,8 +16,8 @@ from reports.run.page import render_run_report
 from workflows.cli import call
 from workflows.config import load_config
 from workflows.screening.batch import plan, start
-from workflows.screening.block import Block, virtual_block
-from workflows.screening.lot.device import look_at
+from workflows.screening.block import DeviceBlock, virtual_block
+from workflows.screening.lot.device import examine_device
 from workflows.screening.lot.effects import examine
 from workflows.screening.lot.scope import devices_of
 
@@ -49,8 +49,10 @@ def config_of(tmp_path, devices, text):
 def night(tmp_path, devices, text):
     """The devices table of a night, and what its examination finds and writes, in this process."""
     config = config_of(tmp_path, devices, text)
-    table = virtual_block(config, Block(0, 0, devices)).devices
-    found, columns = examine(table, config.diagnosis, lambda requests: (look_at((config, ()), r) for r in requests))
+    table = virtual_block(config, DeviceBlock(0, 0, devices)).devices
+    found, columns = examine(
+        table, config.diagnosis, lambda requests: (examine_device((config, ()), r) for r in requests)
+    )
     rows = [row | columns.get(row["device_id"], {}) for row in table.to_pylist()]
     return config, found, pa.Table.from_pylist(rows, schema=table.schema)
 
@@ -130,9 +132,9 @@ def test_a_run_stopped_before_its_examination_is_resumed_to_the_same_table(tmp_p
         tables = virtual_block(config, block)
         store.commit_block(tables.index, tables.devices, tables.posterior)
     assert call(["run", "--resume", "latest", "--out", str(results), "--workers", "2", "--json"]) == 0
-    table = virtual_block(config, Block(0, 0, 3)).devices
+    table = virtual_block(config, DeviceBlock(0, 0, 3)).devices
     found, columns = examine(
-        table, config.diagnosis, lambda requests: (look_at((config, ()), r) for r in reversed(requests))
+        table, config.diagnosis, lambda requests: (examine_device((config, ()), r) for r in reversed(requests))
     )
     rows = [row | columns.get(row["device_id"], {}) for row in table.to_pylist()]
     assert table_digest(read_run(results).devices) == table_digest(pa.Table.from_pylist(rows, schema=table.schema))
@@ -155,11 +157,11 @@ def test_what_a_user_writes_wrongly_is_said_before_the_first_device(tmp_path):
 def test_carriers_are_a_share_of_the_devices_and_do_not_depend_on_the_block(tmp_path):
     config = config_of(tmp_path, 40, "[effects.cubic_stiffness]\nsize = { k3 = [8e9, 8e8] }\nshare = 0.5\n")
     plain = replace_effects(config)
-    rows = virtual_block(config, Block(0, 0, 16)).devices.to_pylist()
-    quiet = virtual_block(plain, Block(0, 0, 16)).devices.to_pylist()
+    rows = virtual_block(config, DeviceBlock(0, 0, 16)).devices.to_pylist()
+    quiet = virtual_block(plain, DeviceBlock(0, 0, 16)).devices.to_pylist()
     carriers = [a["device_id"] for a, b in zip(rows, quiet) if a["error"] > 1.02 * b["error"]]
     assert 3 <= len(carriers) <= 13
-    alone = virtual_block(config, Block(9, 5, 1)).devices.to_pylist()
+    alone = virtual_block(config, DeviceBlock(9, 5, 1)).devices.to_pylist()
     assert alone == rows[5:6]
 
 

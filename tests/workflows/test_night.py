@@ -17,7 +17,7 @@ from pipeline.store.read import read_run
 from pipeline.store.run import open_run
 from workflows.cli import call
 from workflows.config import load_config
-from workflows.screening.block import Block, virtual_block
+from workflows.screening.block import DeviceBlock, virtual_block
 from workflows.simulate import campaign_config, simulate
 
 CONFIG = """
@@ -104,8 +104,8 @@ def test_a_query_from_the_shell_says_nothing_but_its_answer(night: Path) -> None
 
 def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> None:
     config = load_config(None, {"seed": 7})
-    whole = virtual_block(config, Block(0, 0, 3)).devices
-    alone = virtual_block(config, Block(5, 2, 1)).devices
+    whole = virtual_block(config, DeviceBlock(0, 0, 3)).devices
+    alone = virtual_block(config, DeviceBlock(5, 2, 1)).devices
     assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
 
 

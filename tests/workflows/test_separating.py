@@ -72,12 +72,12 @@ def test_the_old_records_alone_do_not_separate_them(drifting):
 def test_device_and_instrument_are_not_asked_for_more_than_they_have_seen(drifting):
     made, view, _, proposal = drifting
     campaign = view.campaign
-    loudest = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records)
+    highest_drive_energy = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records)
     assert proposal.sample_rate_hz == campaign.instrument.sample_rate_hz
     assert np.max(np.abs(answer(made, proposal.experiment.record(campaign)))) < campaign.instrument.adc.full_scale_v
     fitted = view.campaign_fit(("gain_drift",))
     offered = experiments(campaign, fitted.model, fitted.values, ("gain_drift", "electrode_mismatch"))
-    assert max(np.max(np.abs(one.record(campaign).drive_v)) for one in offered) <= loudest * (1.0 + 1e-12)
+    assert max(np.max(np.abs(one.record(campaign).drive_v)) for one in offered) <= highest_drive_energy * (1.0 + 1e-12)
     assert all(one.bias_v is None and one.rate_dps is None for one in offered)
 
 

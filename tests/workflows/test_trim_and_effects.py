@@ -6,13 +6,13 @@ import pytest
 from pipeline.errors import ConfigError
 from workflows.config import load_config
 from workflows.screening.batch import plan
-from workflows.screening.block import Block, virtual_block
+from workflows.screening.block import DeviceBlock, virtual_block
 
 
 def rows(tmp_path, text, count=6):
     path = tmp_path / "run.toml"
     path.write_text(text)
-    return virtual_block(load_config(path), Block(0, 0, count)).devices.to_pylist()
+    return virtual_block(load_config(path), DeviceBlock(0, 0, count)).devices.to_pylist()
 
 
 def test_trimmed_truth_lies_within_what_the_posterior_foretells(tmp_path):

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from populations.draw import draw
 
 from ..config import load_config
-from ..screening.block import Block, identify_virtual, population, virtual_block
+from ..screening.block import DeviceBlock, identify_virtual, population, virtual_block
 from ..studies.coverage import Share, figures, run_study
 
 
@@ -34,7 +34,7 @@ def show(found: dict[str, Any], json: bool) -> None:
 def throughput(devices: int, json: bool) -> None:
     """See ``gyroscreen benchmark throughput --help``."""
     config = load_config(None, {"devices": devices})
-    virtual_block(config, Block(0, 0, 2))  # compiled code and shared transforms are loaded once a worker
+    virtual_block(config, DeviceBlock(0, 0, 2))  # compiled code and shared transforms are loaded once a worker
     spec = population(config)
     gain = float(spec.angular_gain)
     with threadpool_limits(limits=1):

@@ -12,7 +12,7 @@ import tomli_w
 from pipeline.errors import UsageError
 
 from ..config import load_config, to_toml_table
-from ..screening.batch import Night, NightResult, check_targets, plan, resume, run_night, start, without_none
+from ..screening.batch import RunPlan, RunResult, check_targets, plan, resume, run_batch, start, without_none
 
 
 def run(
@@ -44,12 +44,12 @@ def run(
             _show_plan(night, json)
             return
         store = start(night, out)
-    result = run_night(night, store, out, workers, scheduler, quiet=json)
+    result = run_batch(night, store, out, workers, scheduler, quiet=json)
     print(json_.dumps(result.to_dict()) if json else _summary(result, out))
     check_targets(night, result)
 
 
-def _show_plan(night: Night, json: bool) -> None:
+def _show_plan(night: RunPlan, json: bool) -> None:
     table = without_none(to_toml_table(night.config))
     if json:
         print(json_.dumps({"devices": night.devices, "blocks": len(night.blocks), "config": table}))
@@ -58,7 +58,7 @@ def _show_plan(night: Night, json: bool) -> None:
     print(f"\n{night.devices} devices in {len(night.blocks)} blocks; nothing was run", file=sys.stderr)
 
 
-def _summary(result: NightResult, out: Path) -> str:
+def _summary(result: RunResult, out: Path) -> str:
     verdicts = ", ".join(f"{count} {name}" for name, count in result.verdicts.items())
     statuses = ", ".join(f"{count} {name}" for name, count in result.statuses.items() if count)
     low, high = result.yield_interval

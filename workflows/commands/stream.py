@@ -15,7 +15,7 @@ from pipeline.plain import plain
 from reports.limits import DEFAULT_LIMITS, load_limits
 
 from ..streaming.growing import record_blocks
-from ..streaming.stream import Step, bench_of, follow
+from ..streaming.stream import StreamStep, bench_of, follow
 from .identify import rounded
 
 _HEAD = "  time s   theta deg            split Hz                 P(conform)  verdict    lattice: theta, split"
@@ -66,8 +66,8 @@ def stream(
         source = _first_fit(known, source)
     text = sys.stdin if str(source) == "-" else source
     blocks = record_blocks(text, None if bench.instrument is None else bench.instrument.sample_rate_hz, patience_s)
-    last: Step | None = None
-    decided: Step | None = None
+    last: StreamStep | None = None
+    decided: StreamStep | None = None
     found: list[dict[str, Any]] = []
     for last in follow(blocks, bench, judged_by):
         if not json and not found:
@@ -105,7 +105,7 @@ def _first_fit(campaign: Campaign, folder: Path) -> Path:
     return folder / files[0]
 
 
-def _columns(step: Step) -> dict[str, Any]:
+def _columns(step: StreamStep) -> dict[str, Any]:
     s = step.snapshot
     values: dict[str, Any] = {"time_s": s.duration_s, "status": s.status, "status_reason": s.reason}
     values |= {name: plain(value) for name, value in s.columns.items()}
@@ -115,7 +115,7 @@ def _columns(step: Step) -> dict[str, Any]:
     return values
 
 
-def _line(step: Step) -> str:
+def _line(step: StreamStep) -> str:
     s = step.snapshot
     c = s.columns
     if "theta_deg" in c:

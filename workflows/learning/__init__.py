@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.loop import as_ladder
 from pipeline.criticism.loop import diagnose as examine
-from pipeline.criticism.selection import climb
+from pipeline.criticism.selection import forward_selection
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import MeasurementError
 from pipeline.experiment.files.modal_record import ModalRecord
@@ -93,5 +93,5 @@ def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODE
 
         return refine_modal(campaign, model)
     view = view_of(campaign, model)
-    climbed = climb(view)
-    return Refined(view, as_ladder(view, climbed), climbed)
+    selection = forward_selection(view)
+    return Refined(view, as_ladder(view, selection), selection)

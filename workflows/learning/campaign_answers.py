@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.criticism.ladder import Ladder, Rung
 from pipeline.criticism.loop import Diagnosis, as_diagnosis
 from pipeline.criticism.problem import Region
-from pipeline.criticism.selection import Climb
+from pipeline.criticism.selection import ForwardSelection
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.campaign.hold import hold_hint, stand_ins_of
 from pipeline.learning.campaign.problem import CampaignView
@@ -231,7 +231,7 @@ class Refined(Answer):
 
     view: CampaignView
     ladder: Ladder
-    climbed: Climb
+    selection: ForwardSelection
     drive_files: bool = False
 
     @property
@@ -257,7 +257,7 @@ class Refined(Answer):
     @cached_property
     def first_look(self) -> dict[str, Any]:
         """Candidates at the first model and what no record could show, as in the JSON of a diagnosis."""
-        told = Diagnosed(self.view, as_diagnosis(self.view, self.climbed)).told()
+        told = Diagnosed(self.view, as_diagnosis(self.view, self.selection)).told()
         return {key: told[key] for key in ("candidates", "invisible")}
 
     @property
@@ -335,7 +335,7 @@ class Refined(Answer):
         if device is not None:
             more |= {
                 "verdict": device.verdict,
-                "verdict_at_face": device.at_face,
+                "verdict_at_face": device.ungated_verdict,
                 "verdict_reason": device.reason or device.failed_limits,
             }
         return more

@@ -28,7 +28,7 @@ class ModelVerdict:
     """``verdict`` pass, fail or undecided; ``at_face`` the same without the gate; ``failed_limits`` and why it was gated."""
 
     verdict: str
-    at_face: str
+    ungated_verdict: str
     failed_limits: str
     reason: str = ""
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.criticism.fit_tests import Look, Rules, look
+from pipeline.criticism.fit_tests import FitTests, Rules, fit_tests
 from pipeline.criticism.ladder import Ladder, Rung
 from pipeline.criticism.loop import Diagnosis
 from pipeline.criticism.loop import diagnose as examine
-from pipeline.criticism.loop import refine as climb
+from pipeline.criticism.loop import refine as forward_selection
 from pipeline.criticism.pairs import best_pairs
 from pipeline.criticism.problem import FitResult
 from pipeline.criticism.scores import Score
@@ -101,7 +101,7 @@ class ModalDiagnosed:
         out: dict[str, Any] = {"separating_record": None, **self.diagnosis.to_dict()}
         if self.diagnosis.fit is None or not self.diagnosis.fit.ok:
             return out
-        seen = look(self.view, self.diagnosis.fit, rules_for(self.view.record))
+        seen = fit_tests(self.view, self.diagnosis.fit, rules_for(self.view.record))
         for told, score in zip(out["candidates"], self.diagnosis.scores):
             refit = self.view.fit((score.name,), seen.fit)
             told.update(_tested(seen, score))
@@ -158,7 +158,7 @@ class ModalRefined:
         out["parameters"] = {name: list(value) for name, value in last.parameters.items()}
         out["relative_error"] = {"before": first.relative_error["fit"], "after": last.relative_error["fit"]}
         out["where"] = entries_by_misfit(self.view, last)
-        out["candidates_left"] = _candidates(look(self.view, last, rules_for(self.view.record)))
+        out["candidates_left"] = _candidates(fit_tests(self.view, last, rules_for(self.view.record)))
         out["invisible"], out["declared"] = list(self.view.unseen), list(self.view.declared)
         return out
 
@@ -166,18 +166,18 @@ class ModalRefined:
         """Why this term: its F-test among all candidates on the rung below, and what came next."""
         if before is None or rung.term is None:
             return {}
-        seen = look(self.view, before, rules_for(self.view.record))
+        seen = fit_tests(self.view, before, rules_for(self.view.record))
         own = next((score for score in seen.scores if score.name == rung.term), None)
         rivals = [one for one in _candidates(seen) if one["effect"] != rung.term]
         return {**({} if own is None else _tested(seen, own)), "rivals": rivals[:_RIVALS]}
 
 
-def _candidates(seen: Look) -> list[dict[str, Any]]:
+def _candidates(seen: FitTests) -> list[dict[str, Any]]:
     """The absent terms that could act, most significant first."""
     return [{"effect": score.name, **_tested(seen, score)} for score in seen.scores if score.detectable]
 
 
-def _tested(seen: Look, score: Score) -> dict[str, Any]:
+def _tested(seen: FitTests, score: Score) -> dict[str, Any]:
     """F (or chi2 a degree of freedom) of a score, its degrees of freedom, p alone and family-wise."""
     left = seen.fit.dof - score.parameters
     spare = 1.0 if seen.fit.noise_known else max(seen.fit.chi2 - score.delta_chi2, 1e-300) / max(left, 1)
@@ -219,4 +219,4 @@ def diagnose_modal(record: ModalRecord, model: Model) -> ModalDiagnosed:
 def refine_modal(record: ModalRecord, model: Model) -> ModalRefined:
     """Climb from ``model`` on a modal record; raises as :func:`compare_modal`."""
     view = ModalView(record, model)
-    return ModalRefined(view, climb(view, (), rules_for(record)))
+    return ModalRefined(view, forward_selection(view, (), rules_for(record)))

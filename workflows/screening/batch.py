@@ -27,8 +27,8 @@ from reports.yields import yield_of_verdicts
 from ..config import RunConfig, to_struct_from_toml, to_toml_table
 from ..machine import worker_count
 from .block import (
-    Block,
     BlockTables,
+    DeviceBlock,
     blocks_of,
     campaign_folders,
     declared_id,
@@ -39,13 +39,13 @@ from .block import (
 )
 from .campaign_block import campaign_block
 from .cluster import cluster, in_parallel
-from .lot.device import DeviceLook, Request, look_at
+from .lot.device import DeviceExamination, Request, examine_device
 from .lot.effects import examine
 from .progress import progress
 
 
 @dataclass(frozen=True)
-class NightResult:
+class RunResult:
     """What a run left: where, how many devices by verdict and status, the yield with its interval, how long it took."""
 
     run_id: str
@@ -78,16 +78,16 @@ class NightResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Night:
+class RunPlan:
     """A run that is laid out but not run: configuration, devices and blocks."""
 
     config: RunConfig
     devices: int
-    blocks: tuple[Block, ...]
+    blocks: tuple[DeviceBlock, ...]
     folders: tuple[Path, ...]
 
 
-def plan(config: RunConfig) -> Night:
+def plan(config: RunConfig) -> RunPlan:
     """Lay a run out; everything that can be wrong before the first device is found here.
 
     Raises
@@ -98,7 +98,7 @@ def plan(config: RunConfig) -> Night:
         population(config)
         physics_of(config)
         shared_record(config)
-        return Night(config, config.run.devices, blocks_of(config, config.run.devices), ())
+        return RunPlan(config, config.run.devices, blocks_of(config, config.run.devices), ())
     root = Path(config.source.path or ".")
     folders = campaign_folders(root)
     if not folders:
@@ -119,7 +119,7 @@ def plan(config: RunConfig) -> Night:
                 next_step=f"change [device] id in {names[name].name} or {folder.name}",
             )
         names[name] = folder
-    return Night(config, len(folders), blocks_of(config, len(folders)), folders)
+    return RunPlan(config, len(folders), blocks_of(config, len(folders)), folders)
 
 
 def new_run_id(seed: int) -> str:
@@ -127,7 +127,7 @@ def new_run_id(seed: int) -> str:
     return f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}"[:-3] + f"-seed{seed}"
 
 
-def start(night: Night, results: Path) -> RunStore:
+def start(night: RunPlan, results: Path) -> RunStore:
     """Create the folder of the run."""
     table = to_toml_table(night.config)
     toml = tomli_w.dumps(without_none(table))
@@ -144,7 +144,7 @@ def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def resume(results: Path, run_id: str) -> tuple[Night, RunStore]:
+def resume(results: Path, run_id: str) -> tuple[RunPlan, RunStore]:
     """The night of a run that stopped, from its own run.toml."""
     store = open_run(results, None if run_id == "latest" else run_id)
     before, now = store.manifest.provenance, provenance(0)
@@ -159,7 +159,7 @@ def resume(results: Path, run_id: str) -> tuple[Night, RunStore]:
     return plan(config), store
 
 
-def block_task(night: tuple[RunConfig, tuple[Path, ...]], block: Block) -> BlockTables:
+def block_task(night: tuple[RunConfig, tuple[Path, ...]], block: DeviceBlock) -> BlockTables:
     """One block, wherever its devices come from (runs in a worker)."""
     config, folders = night
     if config.source.kind == "population":
@@ -167,7 +167,7 @@ def block_task(night: tuple[RunConfig, tuple[Path, ...]], block: Block) -> Block
     return campaign_block(config, block, folders[block.first : block.first + block.count])
 
 
-def run_blocks(night: Night, store: RunStore, workers: int, scheduler: str | None, quiet: bool) -> None:
+def run_blocks(night: RunPlan, store: RunStore, workers: int, scheduler: str | None, quiet: bool) -> None:
     """Run all blocks that are not committed yet, committing each as it comes."""
     done = store.committed_blocks()
     left = [block for block in night.blocks if block.index not in done]
@@ -187,13 +187,13 @@ def run_blocks(night: Night, store: RunStore, workers: int, scheduler: str | Non
             _examine(night, store, client, quiet)
 
 
-def _examine(night: Night, store: RunStore, client: Client, quiet: bool) -> None:
+def _examine(night: RunPlan, store: RunStore, client: Client, quiet: bool) -> None:
     """Find out what misfits lack, write it into their rows, and leave the findings beside the tables."""
 
-    def look(requests: Sequence[Request]) -> Iterator[DeviceLook]:
+    def look(requests: Sequence[Request]) -> Iterator[DeviceExamination]:
         store.log({"event": "look", "devices": len(requests)})
         with progress(len(requests), 0, quiet, "examining") as advance:
-            for seen in in_parallel(client, look_at, (night.config, night.folders), requests):
+            for seen in in_parallel(client, examine_device, (night.config, night.folders), requests):
                 advance(1)
                 yield seen
 
@@ -221,7 +221,7 @@ def lot_effects(store: RunStore) -> lot_report.LotEffects | None:
     return None if data is None else lot_report.LotEffects.from_json(data)
 
 
-def finish(night: Night, store: RunStore, results: Path, started: float) -> NightResult:
+def finish(night: RunPlan, store: RunStore, results: Path, started: float) -> RunResult:
     """Close the run, write the report and say what came out."""
     tables = read_run(results, store.run_id)
     devices = tables.devices
@@ -240,7 +240,7 @@ def finish(night: Night, store: RunStore, results: Path, started: float) -> Nigh
     store.finish("complete", summary)
     _, path = write_report(results, store.run_id)
     store.log({"event": "finish", "verdicts": verdicts, "statuses": statuses})
-    return NightResult(
+    return RunResult(
         store.run_id,
         store.folder,
         devices.num_rows,
@@ -262,7 +262,7 @@ def _counts(values: list[Any], always: tuple[str, ...]) -> dict[str, int]:
     return out
 
 
-def check_targets(night: Night, result: NightResult) -> None:
+def check_targets(night: RunPlan, result: RunResult) -> None:
     """The gates that the user set on the whole run.
 
     Raises
@@ -287,15 +287,15 @@ def check_targets(night: Night, result: NightResult) -> None:
         )
 
 
-def run_night(
-    night: Night,
+def run_batch(
+    night: RunPlan,
     store: RunStore,
     results: Path,
     workers: int = 0,
     scheduler: str | None = None,
     quiet: bool = True,
     on_interrupt: Callable[[], None] = lambda: None,
-) -> NightResult:
+) -> RunResult:
     """Run (or go on with) a night to its report.
 
     Raises
@@ -315,4 +315,4 @@ def run_night(
     return finish(night, store, results, started)
 
 
-__all__ = ["Night", "NightResult", "check_targets", "plan", "resume", "run_night", "start", "write_report"]
+__all__ = ["RunPlan", "RunResult", "check_targets", "plan", "resume", "run_batch", "start", "write_report"]

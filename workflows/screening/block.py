@@ -55,7 +55,7 @@ _NOISE_STREAM, _POSTERIOR_STREAM, _TRIM_STREAM, _EFFECT_STREAM = 101, 102, 107, 
 
 
 @dataclass(frozen=True)
-class Block:
+class DeviceBlock:
     """Block ``index`` holds the devices first .. first + count - 1 of the run."""
 
     index: int
@@ -73,10 +73,10 @@ class BlockTables:
     statuses: dict[str, int]
 
 
-def blocks_of(config: RunConfig, devices: int) -> tuple[Block, ...]:
+def blocks_of(config: RunConfig, devices: int) -> tuple[DeviceBlock, ...]:
     """The run cut into blocks."""
     size = config.run.block
-    return tuple(Block(i, i * size, min(size, devices - i * size)) for i in range(-(-devices // size)))
+    return tuple(DeviceBlock(i, i * size, min(size, devices - i * size)) for i in range(-(-devices // size)))
 
 
 @lru_cache(maxsize=4)
@@ -311,7 +311,7 @@ def _with_trim(
     return out
 
 
-def virtual_block(config: RunConfig, block: Block) -> BlockTables:
+def virtual_block(config: RunConfig, block: DeviceBlock) -> BlockTables:
     """Draw, chirp, identify and judge the virtual devices of ``block``."""
     with threadpool_limits(limits=1):
         spec = population(config)

@@ -15,7 +15,7 @@ from pipeline.inference.screening.campaign import identify_campaign, reference_c
 from pipeline.inference.screening.device import DeviceResult, RateSettings
 
 from ..config import RunConfig
-from .block import Block, BlockTables, settings_of, tables_of
+from .block import BlockTables, DeviceBlock, settings_of, tables_of
 from .trimming import trimmed_columns
 
 _CAMPAIGN_STREAM = 103
@@ -44,7 +44,7 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
     return device_id, result
 
 
-def campaign_block(config: RunConfig, block: Block, folders: Sequence[Path]) -> BlockTables:
+def campaign_block(config: RunConfig, block: DeviceBlock, folders: Sequence[Path]) -> BlockTables:
     """Read, identify and judge the campaigns in ``folders``, the devices of ``block``."""
     with threadpool_limits(limits=1):
         found = [_identified(config, folder, block.first + i) for i, folder in enumerate(folders)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.errors import ConfigError
-from pipeline.experiment.files.channels import mend
+from pipeline.experiment.files.channels import correct
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Channels, Record
 from pipeline.identification.route import RouteResult
@@ -41,7 +41,7 @@ class Bench:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class StreamStep:
     """One estimate: what the data so far say, the verdict they warrant, and the lattice's own theta and split."""
 
     snapshot: Snapshot
@@ -80,7 +80,7 @@ def verdict_of(snapshot: Snapshot, limits: Limits) -> tuple[float, Verdict]:
     return float(decision.p_pass[0]), decision.verdict[0]
 
 
-def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[Step]:
+def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[StreamStep]:
     """Estimates of a record while it grows, one where each is due, and one at its end.
 
     Raises
@@ -92,7 +92,7 @@ def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[S
     previous: FloatArray | None = None
     done = 0
     for block in blocks:
-        mended = mend(block, bench.channels)
+        mended = correct(block, bench.channels)
         if stream is None:
             instrument = bench.instrument or Instrument(sample_rate_hz=block.sample_rate_hz)
             stream = start_stream(instrument, bench.settings)
@@ -103,8 +103,8 @@ def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[S
                 noise = noise or noise_of(stream)
                 found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
                 previous = found.x
-                yield Step(found, *verdict_of(found, limits), route)
+                yield StreamStep(found, *verdict_of(found, limits), route)
     if stream is not None and stream.driven - done > _REST * (stream.due - done):
         noise = noise or noise_of(stream)
         found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
-        yield Step(found, *verdict_of(found, limits), route)
+        yield StreamStep(found, *verdict_of(found, limits), route)

@@ -96,7 +96,7 @@ def _look(
     return snapshot(data, sigma_v, previous, starts, rate_of(config, gain), config.gate.gate(), seed)
 
 
-def look_at(config: RunConfig, drawn: Draw, i: int, angular_gain: float, limits: Limits) -> Looks:
+def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, limits: Limits) -> Looks:
     """All looks at device i of a draw until P(conform) is sure, and those of the fixed tests."""
     instrument = config.instrument.instrument()
     silent, fit_v, _ = virtual_records(config, drawn, i)
@@ -133,7 +133,7 @@ def study_block(config: RunConfig, span: tuple[int, int]) -> list[Looks]:
     with threadpool_limits(limits=1):
         spec = population(config)
         drawn = draw(spec, config.run.seed, first, count)
-        return [look_at(config, drawn, i, float(spec.angular_gain), config.judged_by()) for i in range(count)]
+        return [examine_device(config, drawn, i, float(spec.angular_gain), config.judged_by()) for i in range(count)]
 
 
 def run_sequential_study(devices: int, seed: int, workers: int) -> list[Looks]:

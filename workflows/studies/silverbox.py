@@ -49,7 +49,7 @@ def campaign_of(folder: Path, hold: Hold, train_samples: int | None = None) -> C
     return Campaign("silverbox", tuple(records), Instrument(sample_rate_hz=RATE_HZ, hold=hold, bias_v=0.0))
 
 
-def climb(folder: Path, hold: Hold, train_samples: int | None = None) -> Refined:
+def refine_silverbox(folder: Path, hold: Hold, train_samples: int | None = None) -> Refined:
     """The loop on the measurement, from the linear model."""
     return learning.refine(campaign_of(folder, hold, train_samples), MODEL)
 

@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from ..record import Campaign, Channels, Record
 from . import levels as look
-from .finding import Finding, Mend, Severity, channel_mend
+from .finding import Correction, Finding, Severity, channel_correction
 from .hum import hum
 from .response import Response, respond
 from .single import single_lag
@@ -50,17 +50,17 @@ class CheckReport:
         return not any(finding.severity == "fault" for finding in self.findings)
 
     @property
-    def mend(self) -> Mend:
+    def correct(self) -> Correction:
         """All mends in one."""
-        total = Mend()
+        total = Correction()
         for finding in self.findings:
-            total = total.joined(finding.mend)
+            total = total.joined(finding.correct)
         return total
 
     @property
     def toml(self) -> str:
         """The lines of campaign.toml to write or replace; empty where nothing there mends anything."""
-        return self.mend.toml
+        return self.correct.toml
 
     def of_kind(self, kind: str) -> tuple[Finding, ...]:
         """Findings of one kind."""
@@ -94,13 +94,13 @@ def _lag(campaign: Campaign, lag: float, sd: float, channel: str | None) -> list
             f"the response is {'early' if half < 0.0 else 'late'} by half a sample: the hold is"
             f" {right} (the phase cannot tell a wrong hold from a delay of half a sample)"
         )
-        mend = Mend(instrument={"hold": other})
-        found.append(Finding("hold", "fault", text, None, channel, half, sd, "samples", mend))
+        correct = Correction(instrument={"hold": other})
+        found.append(Finding("hold", "fault", text, None, channel, half, sd, "samples", correct))
     if whole:
-        mend = channel_mend(campaign.channels, Channels(lag_samples=whole), *_shape(campaign))
+        correct = channel_correction(campaign.channels, Channels(lag_samples=whole), *_shape(campaign))
         late = "late" if whole > 0 else "early"
         text = f"sense is {abs(whole)} sample(s) too {late} ({lag:+.3f} +- {sd:.3f} beyond hold and filter)"
-        found.append(Finding("lag", "fault", text, None, channel, lag, sd, "samples", mend))
+        found.append(Finding("lag", "fault", text, None, channel, lag, sd, "samples", correct))
     if abs(left) > max(_LAG, 5.0 * sd):
         text = (
             f"{left:+.3f} samples of lag are left that neither whole samples nor the hold explain: a wrong"
@@ -123,10 +123,10 @@ def _wired(campaign: Campaign, found: Wiring) -> list[Finding]:
         text = f"the up-down mode says that {turned} is turned round {sure}"
         if -1 in found.sense_polarity and -1 in found.drive_polarity:
             text += "; the same product of signs follows from turning the other sense and the other drive"
-        mend = channel_mend(campaign.channels, more, drives, senses)
-        findings.append(Finding("polarity", "fault", text, None, turned, found.confidence_sd, None, "sd", mend))
+        correct = channel_correction(campaign.channels, more, drives, senses)
+        findings.append(Finding("polarity", "fault", text, None, turned, found.confidence_sd, None, "sd", correct))
     if found.swapped:
-        both = channel_mend(campaign.channels, Channels(sense_order=(2, 1)), drives, senses)
+        both = channel_correction(campaign.channels, Channels(sense_order=(2, 1)), drives, senses)
         text = (
             f"the two senses are swapped, or the two drives {sure}; which of them cannot be told: drive_order"
             " = [2, 1] in place of sense_order would do as well and gives theta the other sign, so look at the"
@@ -156,8 +156,8 @@ def _rest(campaign: Campaign, response: Response) -> list[Finding]:
             worst = int(np.argmax(np.where(moving, amplitude / size, 0.0)))
             channel, value, spread = f"sense{worst + 1}", float(amplitude[worst]), float(sd[worst])
             text = f"{channel} rings with {value:.3g} V at the first sample: the record is not from rest"
-            mend = Mend(record={record.file or name: {"at_rest": False}})
-            findings.append(Finding("rest", "fault", text, name, channel, value, spread, "V", mend))
+            correct = Correction(record={record.file or name: {"at_rest": False}})
+            findings.append(Finding("rest", "fault", text, name, channel, value, spread, "V", correct))
     return findings
 
 

@@ -17,7 +17,7 @@ Severity = Literal["fault", "warning", "note"]
 
 
 @dataclass(frozen=True)
-class Mend:
+class Correction:
     """Keys of campaign.toml to write or replace.
 
     ``instrument`` and ``channels``: key -> value under that table; ``record``: file -> key -> value in its
@@ -31,11 +31,11 @@ class Mend:
     def __bool__(self) -> bool:
         return bool(self.instrument or self.channels or self.record)
 
-    def joined(self, other: Mend) -> Mend:
+    def joined(self, other: Correction) -> Correction:
         """Both mends in one; a key that both write takes ``other``'s value."""
         names = self.record | other.record
         records = {name: self.record.get(name, {}) | other.record.get(name, {}) for name in names}
-        return Mend(self.instrument | other.instrument, self.channels | other.channels, records)
+        return Correction(self.instrument | other.instrument, self.channels | other.channels, records)
 
     @property
     def toml(self) -> str:
@@ -66,12 +66,12 @@ class Finding:
     value: float | None = None
     sd: float | None = None
     unit: str = ""
-    mend: Mend = field(default_factory=Mend)
+    correct: Correction = field(default_factory=Correction)
 
     @property
     def toml(self) -> str:
         """The lines that mend it, or an empty string."""
-        return self.mend.toml
+        return self.correct.toml
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able."""
@@ -112,7 +112,7 @@ def composed(done: Channels, more: Channels, drives: int, senses: int) -> Channe
     )
 
 
-def channel_mend(done: Channels, more: Channels, drives: int, senses: int) -> Mend:
+def channel_correction(done: Channels, more: Channels, drives: int, senses: int) -> Correction:
     """The [channels] keys that change when ``more`` is done after ``done``; a key back at its default says
     so.
     """
@@ -130,4 +130,4 @@ def channel_mend(done: Channels, more: Channels, drives: int, senses: int) -> Me
         was, now = (plain if getattr(c, name) is None else getattr(c, name) for c in (done, new))
         if np.any(np.not_equal(was, now)):
             changed[name] = list(now) if isinstance(now, tuple) else now
-    return Mend(channels=changed)
+    return Correction(channels=changed)

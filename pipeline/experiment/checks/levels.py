@@ -19,7 +19,7 @@ from scipy.fft import rfft
 from ...arrays import BoolArray, FloatArray
 from ..instrument import Adc, Instrument
 from ..record import Campaign, Channels, Record
-from .finding import Finding, Mend, channel_mend
+from .finding import Correction, Finding, channel_correction
 
 #: A drive that varies by less than this [V rms] is silent.
 _SILENT_V = 1e-9
@@ -158,9 +158,9 @@ def drive_offsets(campaign: Campaign) -> list[Finding]:
     is_bias = _holds_bias(typical, campaign.instrument)
     if np.any(is_bias):
         amounts = tuple(float(f"{v:.6g}") if b else 0.0 for v, b in zip(typical, is_bias))
-        mend = channel_mend(campaign.channels, Channels(drive_offset_v=amounts), drives, senses)
+        correct = channel_correction(campaign.channels, Channels(drive_offset_v=amounts), drives, senses)
         text = f"the drive columns contain the bias ({', '.join(f'{v:.4g} V' for v in typical)})"
-        return [Finding("drive_offset", "fault", text, None, None, float(typical[0]), None, "V", mend)]
+        return [Finding("drive_offset", "fault", text, None, None, float(typical[0]), None, "V", correct)]
     return [
         Finding(
             "drive_offset",
@@ -182,11 +182,13 @@ def roles(campaign: Campaign) -> list[Finding]:
     found = []
     for record in campaign.records:
         if record.role == "noise" and is_driven(record):
-            mend = Mend(record={record.file or record.name: {"role": "fit"}})
-            found.append(Finding("silence", "fault", 'is declared "noise" but is driven', record.name, mend=mend))
+            correct = Correction(record={record.file or record.name: {"role": "fit"}})
+            found.append(Finding("silence", "fault", 'is declared "noise" but is driven', record.name, correct=correct))
         elif record.role != "noise" and not is_driven(record):
-            mend = Mend(record={record.file or record.name: {"role": "noise"}})
-            found.append(Finding("silence", "fault", "no drive moves: the record is silent", record.name, mend=mend))
+            correct = Correction(record={record.file or record.name: {"role": "noise"}})
+            found.append(
+                Finding("silence", "fault", "no drive moves: the record is silent", record.name, correct=correct)
+            )
         elif record.role == "noise":
             parts = np.array_split(record.sense_v - record.sense_v.mean(axis=0), 5)
             first, last = parts[0].std(axis=0), parts[-1].std(axis=0)
@@ -232,9 +234,9 @@ def converter(campaign: Campaign, levels: list[Level]) -> list[Finding]:
     while full < peak and bits < 64:
         bits, full = bits + 1, 2.0 * full
     declared = "none is declared" if adc is None else f"{adc.lsb_v:.4g} V is declared"
-    mend = Mend(instrument={"adc": {"bits": bits, "full_scale_v": float(f"{full:.9g}")}})
+    correct = Correction(instrument={"adc": {"bits": bits, "full_scale_v": float(f"{full:.9g}")}})
     text = f"the values step by {lsb:.6g} V, {declared}"
-    return [Finding("converter", "warning", text, None, None, lsb, None, "V", mend)]
+    return [Finding("converter", "warning", text, None, None, lsb, None, "V", correct)]
 
 
 def clocks(campaign: Campaign) -> list[Finding]:
@@ -253,7 +255,7 @@ def clocks(campaign: Campaign) -> list[Finding]:
         if abs(relative) > max(1e-6, 3.0 * resolution):
             rate = float(f"{record.clock.sample_rate_hz:.9g}")
             text = f"time_s says {rate} Hz against {record.sample_rate_hz} Hz ({relative * 1e6:+.1f} ppm)"
-            mend = Mend(instrument={"sample_rate_hz": rate})
+            correct = Correction(instrument={"sample_rate_hz": rate})
             sd = resolution * rate
-            found.append(Finding("clock", "warning", text, record.name, "time_s", rate, sd, "Hz", mend))
+            found.append(Finding("clock", "warning", text, record.name, "time_s", rate, sd, "Hz", correct))
     return found

@@ -61,7 +61,7 @@ class Response:
 
 
 @dataclass(frozen=True, eq=False)
-class _Band:
+class _DrivenBand:
     """Spectra of one record at the frequencies used: w (K,) [rad/s], U (K, D), Y (K, S)."""
 
     w: FloatArray
@@ -74,14 +74,14 @@ def _smoothed(power: FloatArray, width: int) -> FloatArray:
     return np.convolve(power, np.ones(width) / width, mode="same")
 
 
-def _spectra(record: Record, padded: int, band_hz: tuple[float, float]) -> _Band:
+def _spectra(record: Record, padded: int, band_hz: tuple[float, float]) -> _DrivenBand:
     count = min(record.drive_v.shape[0], _MAX_SAMPLES)
     drive = record.drive_v[:count]
     sense = record.sense_v[:count] - record.sense_v[:count].mean(axis=0)
     size = padded * count
     w = 2.0 * np.pi * np.arange(size // 2 + 1) * record.sample_rate_hz / size
     keep = (w >= 2.0 * np.pi * band_hz[0]) & (w <= 2.0 * np.pi * band_hz[1])
-    return _Band(
+    return _DrivenBand(
         w[keep], rfft(drive, size, axis=0)[keep], rfft(sense, size, axis=0)[keep], count / record.sample_rate_hz
     )
 
@@ -104,7 +104,7 @@ def band_hz(records: list[Record]) -> tuple[float, float] | None:
     return (min(low for low, _ in edges), max(high for _, high in edges)) if edges else None
 
 
-def _denominator(bands: list[_Band], order: int, centre: float, half: float) -> ComplexArray | None:
+def _denominator(bands: list[_DrivenBand], order: int, centre: float, half: float) -> ComplexArray | None:
     """Chebyshev coefficients (order + 1,) of A in A Y = B U + T, by repeated weighted least squares."""
     senses = bands[0].Y.shape[1]
     x = [(band.w - centre) / half for band in bands]
@@ -139,7 +139,7 @@ def _denominator(bands: list[_Band], order: int, centre: float, half: float) -> 
     return a
 
 
-def _poles(bands: list[_Band], order: int) -> ComplexArray | None:
+def _poles(bands: list[_DrivenBand], order: int) -> ComplexArray | None:
     low, high = min(float(band.w[0]) for band in bands), max(float(band.w[-1]) for band in bands)
     centre, half = (low + high) / 2.0, (high - low) / 2.0
     a = _denominator(bands, order, centre, half)
@@ -151,7 +151,7 @@ def _poles(bands: list[_Band], order: int) -> ComplexArray | None:
     return np.asarray(-np.abs(poles.real) + 1j * poles.imag)
 
 
-def _columns(band: _Band, poles: ComplexArray, centre: float, half: float) -> tuple[ComplexArray, ComplexArray]:
+def _columns(band: _DrivenBand, poles: ComplexArray, centre: float, half: float) -> tuple[ComplexArray, ComplexArray]:
     """Columns of residues and smooth parts (K, P*D + 3*D), and of start and end (K, 2*(P + 3))."""
     resonances = 1.0 / (1j * band.w[:, None] - poles)
     smooth = chebyshev.chebvander((band.w - centre) / half, _SMOOTH - 1)
@@ -174,7 +174,7 @@ class _Linear:
     own: int
 
 
-def _linear(bands: list[_Band], poles: ComplexArray) -> _Linear:
+def _linear(bands: list[_DrivenBand], poles: ComplexArray) -> _Linear:
     low, high = min(float(band.w[0]) for band in bands), max(float(band.w[-1]) for band in bands)
     parts = [_columns(band, poles, (low + high) / 2.0, (high - low) / 2.0) for band in bands]
     rows = np.cumsum([0, *[band.w.size for band in bands]])

@@ -28,7 +28,7 @@ def _per_channel(
     return np.array(values)
 
 
-def mend(record: Record, channels: Channels) -> Record:
+def correct(record: Record, channels: Channels) -> Record:
     """``record`` with ``channels`` applied to it, in the order that :class:`Channels` states.
 
     Raises :class:`ConfigError` where ``channels`` is for another number of channels, or a lag leaves nothing.

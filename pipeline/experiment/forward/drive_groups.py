@@ -18,7 +18,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ..instrument import Instrument
 from ..record import Record
-from .linear import Clock, clock_of, interpolated
+from .linear import SampleClock, clock_of, interpolated
 from .system import Conditions, conditions_of
 
 #: Samples of two waveforms that are one differ by less, as a share of their peak.
@@ -26,7 +26,7 @@ _SAME = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Play:
+class DriveGroup:
     """Records of one clock and one set of conditions.
 
     Parameters
@@ -38,7 +38,7 @@ class Play:
     threads : how many records are integrated at once.
     """
 
-    clock: Clock
+    clock: SampleClock
     conditions: Conditions
     drives: tuple[FloatArray, ...]
     waveforms: FloatArray
@@ -52,12 +52,12 @@ class Play:
         return 1.0 / (self.clock.step_s * self.clock.stride)
 
 
-def loudest(drives: Sequence[FloatArray]) -> int:
+def highest_drive_energy(drives: Sequence[FloatArray]) -> int:
     """The record with the most drive energy a sample: it tells how strong nonlinear effects are."""
     return max(range(len(drives)), key=lambda r: float(np.mean(drives[r] ** 2)))
 
 
-def waveforms_of(drives: Sequence[FloatArray], clock: Clock) -> tuple[FloatArray, FloatArray]:
+def waveforms_of(drives: Sequence[FloatArray], clock: SampleClock) -> tuple[FloatArray, FloatArray]:
     """Waveforms (W, N') at the clock's steps and gains (R, D, W) of drive samples, R times (N, D)."""
     found: list[FloatArray] = []
     entries: list[tuple[int, int, int, float]] = []
@@ -84,7 +84,9 @@ def waveforms_of(drives: Sequence[FloatArray], clock: Clock) -> tuple[FloatArray
     return np.ascontiguousarray(interpolated(np.array(found).T, clock).T), gains
 
 
-def play_of(records: Sequence[Record], instrument: Instrument, angular_gain: float | None, threads: int = 1) -> Play:
+def drive_group_of(
+    records: Sequence[Record], instrument: Instrument, angular_gain: float | None, threads: int = 1
+) -> DriveGroup:
     """The play of records that share sample rate, length and conditions."""
     clock = clock_of(records[0].sample_rate_hz, instrument.hold)
     drives = tuple(record.drive_v for record in records)
@@ -93,7 +95,7 @@ def play_of(records: Sequence[Record], instrument: Instrument, angular_gain: flo
     for r, drive in enumerate(drives):
         same = (k for k in range(r) if first[k] == k and np.array_equal(drives[k], drive))
         first.append(next(same, r))
-    return Play(
+    return DriveGroup(
         clock,
         conditions_of(records[0], instrument, angular_gain),
         drives,
@@ -104,20 +106,20 @@ def play_of(records: Sequence[Record], instrument: Instrument, angular_gain: flo
     )
 
 
-def alone(play: Play, record: int) -> Play:
+def alone(group: DriveGroup, record: int) -> DriveGroup:
     """One record of a play."""
-    return replace(play, drives=(play.drives[record],), gains=play.gains[record : record + 1], twins=(0,), threads=1)
+    return replace(group, drives=(group.drives[record],), gains=group.gains[record : record + 1], twins=(0,), threads=1)
 
 
-def plays_of(
+def drive_groups_of(
     records: Sequence[Record], instrument: Instrument, angular_gain: float | None, threads: int = 1
-) -> tuple[tuple[tuple[int, ...], Play], ...]:
+) -> tuple[tuple[tuple[int, ...], DriveGroup], ...]:
     """Plays that cover ``records``, each with the places of its records."""
     groups: dict[object, list[int]] = {}
     for i, record in enumerate(records):
         key = (record.drive_v.shape, record.sample_rate_hz, conditions_of(record, instrument, angular_gain))
         groups.setdefault(key, []).append(i)
     return tuple(
-        (tuple(places), play_of([records[i] for i in places], instrument, angular_gain, threads))
+        (tuple(places), drive_group_of([records[i] for i in places], instrument, angular_gain, threads))
         for places in groups.values()
     )

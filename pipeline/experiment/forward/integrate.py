@@ -204,7 +204,7 @@ def linear_motion(
     return Motion(steps, u, states)
 
 
-def pushed(motion: Motion, forces: Forces, laws: Laws, reads: FloatArray) -> FloatArray:
+def perturbed_motion(motion: Motion, forces: Forces, laws: Laws, reads: FloatArray) -> FloatArray:
     """What ``reads`` (S, 2n) read off the deviation that weak forces make, to first order in them, (M, S).
 
     Raises

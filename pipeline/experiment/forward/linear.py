@@ -34,7 +34,7 @@ _OVERSAMPLING = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
+class SampleClock:
     """Held samples as the engine steps them: "bandlimited" is first-order hold on drives interpolated eightfold."""
 
     step_s: float
@@ -42,14 +42,14 @@ class Clock:
     stride: int
 
 
-def clock_of(sample_rate_hz: float, hold: Hold) -> Clock:
+def clock_of(sample_rate_hz: float, hold: Hold) -> SampleClock:
     """The clock of a record."""
     if hold == "bandlimited":
-        return Clock(1.0 / (sample_rate_hz * _OVERSAMPLING), "foh", _OVERSAMPLING)
-    return Clock(1.0 / sample_rate_hz, hold, 1)
+        return SampleClock(1.0 / (sample_rate_hz * _OVERSAMPLING), "foh", _OVERSAMPLING)
+    return SampleClock(1.0 / sample_rate_hz, hold, 1)
 
 
-def interpolated(drive_v: FloatArray, clock: Clock) -> FloatArray:
+def interpolated(drive_v: FloatArray, clock: SampleClock) -> FloatArray:
     """Drive samples (N, D) at the clock's steps."""
     if clock.stride == 1:
         return np.ascontiguousarray(drive_v)
@@ -102,7 +102,7 @@ def _answers(
     residues: ComplexArray,
     waveforms: FloatArray,
     gains: FloatArray,
-    clock: Clock,
+    clock: SampleClock,
     late_s: float,
 ) -> FloatArray:
     """Bank response (N, R, S) of all records, read ``late_s`` after each step."""
@@ -133,7 +133,12 @@ def _spread(matrix: FloatArray, gains: FloatArray) -> FloatArray:
 
 
 def linear_response(
-    mechanics: Mechanics, readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: Clock, feeds: bool = True
+    mechanics: Mechanics,
+    readout: Readout,
+    waveforms: FloatArray,
+    gains: FloatArray,
+    clock: SampleClock,
+    feeds: bool = True,
 ) -> FloatArray:
     """y (R, N, S) at the clock's steps, from rest.
 
@@ -163,7 +168,7 @@ def linear_response(
     return np.moveaxis(shifted(y, shift), 1, 0)
 
 
-def fed_through(readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: Clock) -> FloatArray:
+def fed_through(readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: SampleClock) -> FloatArray:
     """The feedthrough alone, (R, N, S)."""
     q, g = upper_poles(readout)
     shift, late_s = delay_steps(readout.delay_s, clock.step_s)
@@ -175,7 +180,7 @@ def fed_through(readout: Readout, waveforms: FloatArray, gains: FloatArray, cloc
 
 
 def _fed_at_once(
-    readout: Readout, g: ComplexArray, waveforms: FloatArray, gains: FloatArray, clock: Clock, late_s: float
+    readout: Readout, g: ComplexArray, waveforms: FloatArray, gains: FloatArray, clock: SampleClock, late_s: float
 ) -> FloatArray:
     """The part of the feedthrough that no filter delays, (N, R, S): the held drive and its slope."""
     at_once = readout.static @ readout.resistive
@@ -202,7 +207,7 @@ def shifted(y: FloatArray, steps: int) -> FloatArray:
     return out
 
 
-def free_response(mechanics: Mechanics, readout: Readout, samples: int, clock: Clock) -> FloatArray:
+def free_response(mechanics: Mechanics, readout: Readout, samples: int, clock: SampleClock) -> FloatArray:
     """(N, S, 2n): what a unit of each initial position and velocity leaves in the record, filter settled."""
     n = mechanics.stiffness.shape[-1]
     poles, right = np.linalg.eig(state_matrix(mechanics)[0])

@@ -18,7 +18,7 @@ from ...arrays import FloatArray
 from ...device.model import Model
 from ..instrument import Instrument
 from ..record import Record
-from .drive_groups import play_of
+from .drive_groups import drive_group_of
 from .response import converted, volts
 from .sensitivity import channels_checked, jacobian
 from .signatures import Signature, base_of, signatures
@@ -53,6 +53,6 @@ def forward(
     MeasurementError : a record whose numbers of channels are not the plant's.
     """
     channels_checked(model, record)
-    play = play_of([record], instrument, angular_gain)
-    system = assemble(model, model.complete(parameters), instrument, play.conditions)
-    return np.asarray(converted(system, volts(system, play, [start])[0]))
+    group = drive_group_of([record], instrument, angular_gain)
+    system = assemble(model, model.complete(parameters), instrument, group.conditions)
+    return np.asarray(converted(system, volts(system, group, [start])[0]))

@@ -16,9 +16,18 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...threads import mapped
-from .drive_groups import Play, waveforms_of
-from .integrate import SUBSTEPS, Motion, linear_motion, pushed, trajectory
-from .linear import Clock, delay_steps, fed_through, free_response, interpolated, linear_response, shifted, upper_poles
+from .drive_groups import DriveGroup, waveforms_of
+from .integrate import SUBSTEPS, Motion, linear_motion, perturbed_motion, trajectory
+from .linear import (
+    SampleClock,
+    delay_steps,
+    fed_through,
+    free_response,
+    interpolated,
+    linear_response,
+    shifted,
+    upper_poles,
+)
 from .readout_filter import filtered
 from .system import System
 
@@ -46,7 +55,7 @@ def full_start(system: System, start: FloatArray) -> FloatArray:
     return full
 
 
-def linear_volts(system: System, play: Play, starts: Starts | None = None) -> FloatArray:
+def linear_volts(system: System, group: DriveGroup, starts: Starts | None = None) -> FloatArray:
     """Linear part (R, N, S) [V] before the converter.
 
     Parameters
@@ -54,52 +63,54 @@ def linear_volts(system: System, play: Play, starts: Starts | None = None) -> Fl
     system, play : what is played on what.
     starts : state (2n,) at the first sample of each record; ``None`` is rest.
     """
-    clock, readout = play.clock, system.readout
+    clock, readout = group.clock, system.readout
     m = system.mechanics
     if system.drives:
         # Behind the drive stage another level is another waveform.
-        waveforms, gains = waveforms_of([force_volts(system, v) for v in play.drives], clock)
+        waveforms, gains = waveforms_of([force_volts(system, v) for v in group.drives], clock)
         y = linear_response(m, readout, waveforms, gains, clock, feeds=False)[:, :: clock.stride]
         if np.any(readout.resistive) or np.any(readout.capacitive):
-            y = y + fed_through(readout, play.waveforms, play.gains, clock)[:, :: clock.stride]
+            y = y + fed_through(readout, group.waveforms, group.gains, clock)[:, :: clock.stride]
     else:
-        y = linear_response(m, readout, play.waveforms, play.gains, clock)[:, :: clock.stride]
+        y = linear_response(m, readout, group.waveforms, group.gains, clock)[:, :: clock.stride]
     for record, start in enumerate(starts or ()):
         if start is not None:
-            free = free_response(m, readout, play.waveforms.shape[1], clock) @ full_start(system, start)
+            free = free_response(m, readout, group.waveforms.shape[1], clock) @ full_start(system, start)
             y[record] += free[:: clock.stride]
     return y
 
 
-def remainder_volts(system: System, play: Play, starts: Starts | None = None, substeps: int = SUBSTEPS) -> FloatArray:
+def nonlinear_response(
+    system: System, group: DriveGroup, starts: Starts | None = None, substeps: int = SUBSTEPS
+) -> FloatArray:
     """What forces and pick-off laws add to the linear part, (R, N, S) [V]; zero where there are none."""
     if not (system.forces or system.senses):
-        return np.zeros((len(play.drives), play.drives[0].shape[0], system.sense_motion.shape[0]))
-    known = starts or (None,) * len(play.drives)
-    fine = _fine(play.clock, substeps)
+        return np.zeros((len(group.drives), group.drives[0].shape[0], system.sense_motion.shape[0]))
+    known = starts or (None,) * len(group.drives)
+    fine = _fine(group.clock, substeps)
 
     def one(record: int) -> FloatArray:
-        u = interpolated(force_volts(system, play.drives[record]), play.clock)
-        return _remainder(system, u, play.clock, known[record], fine)
+        u = interpolated(force_volts(system, group.drives[record]), group.clock)
+        return _remainder(system, u, group.clock, known[record], fine)
 
-    return np.stack(_shared(one, sources(play, starts), play.threads))
+    return np.stack(_shared(one, sources(group, starts), group.threads))
 
 
-def linear_motions(system: System, play: Play, starts: Starts | None, substeps: int) -> list[Motion]:
+def linear_motions(system: System, group: DriveGroup, starts: Starts | None, substeps: int) -> list[Motion]:
     """Linear trajectories of the records, those of twins once; arguments as in ``remainder_volts``."""
-    known = starts or (None,) * len(play.drives)
-    clock, fine = play.clock, _fine(play.clock, substeps)
+    known = starts or (None,) * len(group.drives)
+    clock, fine = group.clock, _fine(group.clock, substeps)
 
     def one(record: int) -> Motion:
-        u = interpolated(force_volts(system, play.drives[record]), clock)
+        u = interpolated(force_volts(system, group.drives[record]), clock)
         start = known[record]
         begun = None if start is None else full_start(system, start)
         return linear_motion(system.mechanics, u, clock.step_s, clock.hold, begun, fine)
 
-    return _shared(one, sources(play, starts), play.threads)
+    return _shared(one, sources(group, starts), group.threads)
 
 
-def slight_volts(system: System, play: Play, motions: Sequence[Motion]) -> FloatArray:
+def first_order_response(system: System, group: DriveGroup, motions: Sequence[Motion]) -> FloatArray:
     """As ``remainder_volts``, to first order in forces and pick-off laws, along the linear trajectories ``motions``."""
 
     def one(record: int) -> FloatArray:
@@ -107,21 +118,21 @@ def slight_volts(system: System, play: Play, motions: Sequence[Motion]) -> Float
         reads = _reads(system)
         r = np.zeros((motion.states.shape[0] // 2 + 1, reads.shape[0]))
         if system.forces:
-            r += pushed(motion, [(effect.force, p) for effect, p in system.forces], system.laws, reads)
+            r += perturbed_motion(motion, [(effect.force, p) for effect, p in system.forces], system.laws, reads)
         if system.senses:
-            r += _bent(system, motion.state, play.clock.step_s / motion.steps.substeps)
-        return _seen(system, r, play.clock, motion.steps.substeps)
+            r += _bent(system, motion.state, group.clock.step_s / motion.steps.substeps)
+        return _seen(system, r, group.clock, motion.steps.substeps)
 
     source = [next(k for k, other in enumerate(motions) if other is motion) for motion in motions]
-    return np.stack(_shared(one, source, play.threads))
+    return np.stack(_shared(one, source, group.threads))
 
 
-def sources(play: Play, starts: Starts | None) -> list[int]:
+def sources(group: DriveGroup, starts: Starts | None) -> list[int]:
     """For each record the one whose answer it shares: its twin, where both start at rest."""
-    known = starts or (None,) * len(play.drives)
+    known = starts or (None,) * len(group.drives)
     return [
         first if start is None and known[first] is None else record
-        for record, (first, start) in enumerate(zip(play.twins, known))
+        for record, (first, start) in enumerate(zip(group.twins, known))
     ]
 
 
@@ -131,7 +142,7 @@ def _shared(one: Callable[[int], Out], source: Sequence[int], threads: int) -> l
     return [found[own.index(first)] for first in source]
 
 
-def _fine(clock: Clock, substeps: int) -> int:
+def _fine(clock: SampleClock, substeps: int) -> int:
     return min(substeps, _INTERPOLATED_SUBSTEPS) if clock.stride > 1 else substeps
 
 
@@ -140,7 +151,7 @@ def _reads(system: System) -> FloatArray:
     return np.concatenate([system.mechanics.position_sense[0], system.mechanics.velocity_sense[0]], axis=1)
 
 
-def _remainder(system: System, u: FloatArray, clock: Clock, start: FloatArray | None, fine: int) -> FloatArray:
+def _remainder(system: System, u: FloatArray, clock: SampleClock, start: FloatArray | None, fine: int) -> FloatArray:
     """(N, S) of a record under ``u`` (N', D)."""
     forces = [(effect.force, p) for effect, p in system.forces]
     begun = None if start is None else full_start(system, start)
@@ -166,7 +177,7 @@ def _bent(system: System, state: FloatArray, step_s: float) -> FloatArray:
     return np.asarray(seen - s)
 
 
-def _seen(system: System, r: FloatArray, clock: Clock, fine: int) -> FloatArray:
+def _seen(system: System, r: FloatArray, clock: SampleClock, fine: int) -> FloatArray:
     """A remainder (M, S) behind the read-out, (N, S)."""
     q, g = upper_poles(system.readout)
     shift, late_s = delay_steps(system.readout.delay_s, clock.step_s)
@@ -174,11 +185,11 @@ def _seen(system: System, r: FloatArray, clock: Clock, fine: int) -> FloatArray:
     return shifted(y, shift)[:: clock.stride]
 
 
-def volts(system: System, play: Play, starts: Starts | None = None) -> FloatArray:
+def volts(system: System, group: DriveGroup, starts: Starts | None = None) -> FloatArray:
     """The records (R, N, S) [V] before the converter."""
-    y = linear_volts(system, play, starts)
+    y = linear_volts(system, group, starts)
     if system.forces or system.senses:
-        y += remainder_volts(system, play, starts)
+        y += nonlinear_response(system, group, starts)
     return y
 
 

@@ -22,8 +22,8 @@ from ...errors import ConfigError, MeasurementError
 from ...threads import mapped
 from ..instrument import Instrument
 from ..record import Record
-from .drive_groups import Play, play_of
-from .response import Starts, converted, linear_volts, remainder_volts, volts
+from .drive_groups import DriveGroup, drive_group_of
+from .response import Starts, converted, linear_volts, nonlinear_response, volts
 from .system import System, assemble
 
 #: A step of an effect's parameter moves the record by about this share.
@@ -86,20 +86,20 @@ def tuned_steps(
 
     Arguments as in ``forward``.
     """
-    play = play_of([record], instrument, angular_gain)
+    group = drive_group_of([record], instrument, angular_gain)
     x0 = model.to_internal(model.complete(parameters))
     steps = model.steps(x0)
-    base = assemble(model, model.to_values(x0), instrument, play.conditions)
+    base = assemble(model, model.to_values(x0), instrument, group.conditions)
     # One substep tells how far a step goes.
-    rough = partial(remainder_volts, play=play, starts=[start], substeps=1)
+    rough = partial(nonlinear_response, group=group, starts=[start], substeps=1)
     r0 = rough(base)
-    level = float(np.sqrt(np.mean((linear_volts(base, play, [start]) + r0) ** 2)))
+    level = float(np.sqrt(np.mean((linear_volts(base, group, [start]) + r0) ** 2)))
 
     def share(i: int, step: float) -> float:
         x = x0.copy()
         x[i] += step if x0[i] + step <= model.bounds(model.free[i])[1] else -step
         try:
-            r = rough(assemble(model, model.to_values(x), instrument, play.conditions))
+            r = rough(assemble(model, model.to_values(x), instrument, group.conditions))
         except ConfigError:
             return np.inf
         return float(np.sqrt(np.mean((r - r0) ** 2))) / max(level, 1e-300)
@@ -148,8 +148,8 @@ def jacobian(
     channels_checked(model, record)
     if steps is None:
         steps = tuned_steps(model, parameters, record, instrument, angular_gain=angular_gain, start=start)
-    play = play_of([record], instrument, angular_gain)
-    columns = play_jacobian(model, parameters, play, instrument, steps, starts=[start], exact=exact)
+    group = drive_group_of([record], instrument, angular_gain)
+    columns = group_jacobian(model, parameters, group, instrument, steps, starts=[start], exact=exact)
     return np.moveaxis(columns[:, 0], 0, -1)
 
 
@@ -160,7 +160,7 @@ Bent = Mapping[int, FloatArray]
 def bent_columns(
     model: Model,
     parameters: Mapping[str, float],
-    play: Play,
+    group: DriveGroup,
     instrument: Instrument,
     steps: FloatArray,
     places: Sequence[int],
@@ -170,9 +170,9 @@ def bent_columns(
     if not places:
         return {}
     x0 = model.to_internal(model.complete(parameters))
-    base = assemble(model, model.to_values(x0), instrument, play.conditions)
-    remainder = remainder_volts(base, play, starts, SLOPE_SUBSTEPS)
-    serial = replace(play, threads=1)
+    base = assemble(model, model.to_values(x0), instrument, group.conditions)
+    remainder = nonlinear_response(base, group, starts, SLOPE_SUBSTEPS)
+    serial = replace(group, threads=1)
 
     def column(i: int) -> FloatArray:
         # Deviations are free of cancellation: one side is enough, inside the range.
@@ -180,19 +180,19 @@ def bent_columns(
         step = step if "." not in name or x0[i] + step <= model.bounds(name)[1] else -step
         x = x0.copy()
         x[i] += step
-        system = assemble(model, model.to_values(x), instrument, play.conditions)
-        change = remainder_volts(system, serial, starts, SLOPE_SUBSTEPS)
+        system = assemble(model, model.to_values(x), instrument, group.conditions)
+        change = nonlinear_response(system, serial, starts, SLOPE_SUBSTEPS)
         change -= remainder
         return np.divide(change, step, out=change)
 
     # Parameters are shared out among the threads; within one of them records follow each other.
-    return dict(zip(places, mapped(column, places, play.threads)))
+    return dict(zip(places, mapped(column, places, group.threads)))
 
 
-def play_jacobian(
+def group_jacobian(
     model: Model,
     parameters: Mapping[str, float],
-    play: Play,
+    group: DriveGroup,
     instrument: Instrument,
     steps: FloatArray,
     *,
@@ -209,21 +209,21 @@ def play_jacobian(
     ConfigError : as in ``forward``.
     """
     x0 = model.to_internal(model.complete(parameters))
-    base = assemble(model, model.to_values(x0), instrument, play.conditions)
+    base = assemble(model, model.to_values(x0), instrument, group.conditions)
     if bent is None:
         curved = exact and bool(base.forces or base.senses)
         free = enumerate(model.free)
         asked = [i for i, name in free if is_gridded(model, name) or (curved and not _is_adc(model, name))]
-        bent = bent_columns(model, parameters, play, instrument, steps, asked, starts)
+        bent = bent_columns(model, parameters, group, instrument, steps, asked, starts)
     known = bent
-    serial = replace(play, threads=1)
-    clipped = volts(base, play, starts) if base.adcs else None
-    columns = np.zeros((x0.size, len(play.drives), play.drives[0].shape[0], base.sense_motion.shape[0]))
+    serial = replace(group, threads=1)
+    clipped = volts(base, group, starts) if base.adcs else None
+    columns = np.zeros((x0.size, len(group.drives), group.drives[0].shape[0], base.sense_motion.shape[0]))
 
     def system(i: int, value: float) -> System:
         x = x0.copy()
         x[i] = value
-        return assemble(model, model.to_values(x), instrument, play.conditions)
+        return assemble(model, model.to_values(x), instrument, group.conditions)
 
     def behind(i: int, value: float) -> FloatArray:
         assert clipped is not None
@@ -243,7 +243,7 @@ def play_jacobian(
         if i in known:
             columns[i] += known[i]
 
-    mapped(column, range(x0.size), play.threads)
+    mapped(column, range(x0.size), group.threads)
     if clipped is not None:
         # Behind the converter a sample that is clipped does not move.
         moved = (converted(base, clipped * (1.0 + 1e-7)) - converted(base, clipped * (1.0 - 1e-7))) / 2e-7

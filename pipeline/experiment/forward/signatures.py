@@ -21,9 +21,9 @@ from ...device.model import Model
 from ...device.parameters import Parameter
 from ...errors import ConfigError
 from ..instrument import Instrument
-from .drive_groups import Play, alone, loudest
+from .drive_groups import DriveGroup, alone, highest_drive_energy
 from .integrate import Motion
-from .response import Starts, converted, linear_motions, linear_volts, remainder_volts, slight_volts
+from .response import Starts, converted, first_order_response, linear_motions, linear_volts, nonlinear_response
 from .sensitivity import SHARE, SLOPE_SUBSTEPS, STRONG
 from .system import System, assemble
 
@@ -70,7 +70,7 @@ class Base:
 
     model: Model
     values: Mapping[str, float]
-    play: Play
+    group: DriveGroup
     instrument: Instrument
     starts: Starts | None
     substeps: int
@@ -99,22 +99,22 @@ class Base:
     def motions(self) -> list[Motion] | None:
         """Linear trajectories; ``None`` where the model is not linear, or they would take too much memory."""
         states = 2 * self.system.mechanics.stiffness.shape[1] * 2 * self.substeps
-        if self.remainder is not None or states * self.play.waveforms.shape[1] * len(self.play.drives) > _ROOM:
+        if self.remainder is not None or states * self.group.waveforms.shape[1] * len(self.group.drives) > _ROOM:
             return None
-        return linear_motions(self.system, self.play, self.starts, self.substeps)
+        return linear_motions(self.system, self.group, self.starts, self.substeps)
 
     @cached_property
     def rough(self) -> Base:
         """The loudest record, one substep a sample: it tells how far a step goes."""
-        record = loudest(self.play.drives)
+        record = highest_drive_energy(self.group.drives)
         starts = None if self.starts is None else [self.starts[record]]
-        return base_of(self.model, self.values, alone(self.play, record), self.instrument, starts, 1)
+        return base_of(self.model, self.values, alone(self.group, record), self.instrument, starts, 1)
 
 
 def base_of(
     model: Model,
     parameters: Mapping[str, float],
-    play: Play,
+    group: DriveGroup,
     instrument: Instrument,
     starts: Starts | None = None,
     substeps: int = SLOPE_SUBSTEPS,
@@ -126,10 +126,10 @@ def base_of(
     ConfigError : as in ``forward``.
     """
     values = model.complete(parameters)
-    system = assemble(model, values, instrument, play.conditions)
-    linear = linear_volts(system, play, starts)
-    remainder = remainder_volts(system, play, starts, substeps) if system.forces or system.senses else None
-    return Base(model, values, play, instrument, starts, substeps, system, linear, remainder)
+    system = assemble(model, values, instrument, group.conditions)
+    linear = linear_volts(system, group, starts)
+    remainder = nonlinear_response(system, group, starts, substeps) if system.forces or system.senses else None
+    return Base(model, values, group, instrument, starts, substeps, system, linear, remainder)
 
 
 def signatures(
@@ -173,7 +173,7 @@ def signatures(
         basis = np.zeros((base.y.shape[1], 0))
         names: tuple[str, ...] = ()
         if found.disturbance is not None:
-            t = np.arange(base.y.shape[1]) / base.play.sample_rate_hz
+            t = np.arange(base.y.shape[1]) / base.group.sample_rate_hz
             p = np.array([point.get(m.name, m.null) for m in members])
             basis = found.disturbance(t, p, base.system.context)
             columns = np.zeros((0, *base.y.shape))
@@ -201,7 +201,7 @@ def _rms(y: FloatArray) -> float:
 
 def _moved(base: Base, larger: Model, found: Effect, point: Mapping[str, float], name: str, value: float) -> FloatArray:
     """How the records (R, N, S) move when parameter ``name`` of the effect takes ``value`` at a ``point`` of its grid."""
-    play, instrument = base.play, base.instrument
+    group, instrument = base.group, base.instrument
     members = found.members(larger.built.shape)
     if found.adc is not None and found.stages == ("adc",):
         p = np.array([value if m.name == name else point.get(m.name, m.null) for m in members])
@@ -209,23 +209,23 @@ def _moved(base: Base, larger: Model, found: Effect, point: Mapping[str, float],
     own = next(m for m in members if m.name == name)
     trial = {**base.values, **{found.full_name(m): point[m.name] for m in members if m.grid}}
     trial[found.full_name(own)] = value
-    system = assemble(larger, larger.complete(trial), instrument, play.conditions)
+    system = assemble(larger, larger.complete(trial), instrument, group.conditions)
     bends = found.force is not None or found.sense is not None
     if bends or base.strong:
         # Deviations free of cancellation: the linear part is the same unless the effect touches it.
         appends = system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape
         # Near the null only the first order of a force counts; from no effect to a point of a grid is far.
         if base.motions is not None and not own.grid and not appends:
-            change = slight_volts(system, play, base.motions)
+            change = first_order_response(system, group, base.motions)
         else:
-            change = remainder_volts(system, play, base.starts, base.substeps)
+            change = nonlinear_response(system, group, base.starts, base.substeps)
         if base.remainder is not None:
             change -= base.remainder
         if set(found.stages) & {"drive", "mechanics", "readout"}:
-            change += linear_volts(system, play, base.starts)
+            change += linear_volts(system, group, base.starts)
             change -= base.linear
     else:
-        change = linear_volts(system, play, base.starts) - base.linear
+        change = linear_volts(system, group, base.starts) - base.linear
     if system.adcs:
         change = converted(system, base.y + change) - converted(base.system, base.y)
     return change

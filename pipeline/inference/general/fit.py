@@ -29,7 +29,7 @@ from ...experiment.record import Campaign, Record, Role
 from ...threads import mapped
 from .free_disturbances import free_shapes
 from .gauss_newton import CLOSE, FAINT, Sensitivity, covariance_of, descend, point_at
-from .residuals import Problem, Task, Tasks
+from .residuals import CampaignResiduals, Task, Tasks
 from .scan import scan
 from .starts import find_start
 
@@ -106,9 +106,9 @@ class CampaignFit:
         return tuple(record for record in self.records if record.role == role)
 
 
-def _held_out(problem: Problem, values: Mapping[str, float], task: Task) -> RecordFit:
+def _held_out(problem: CampaignResiduals, values: Mapping[str, float], task: Task) -> RecordFit:
     """A record that was not fitted, as the model explains it; its unknown initial state is refitted."""
-    alone, start = Tasks((task,), (((0,), task.play),)), None
+    alone, start = Tasks((task,), (((0,), task.group),)), None
     if task.coordinates:
         start = np.zeros(2 * task.coordinates)
         f = problem.start_columns(values, task, start, problem.strength(values, task) > FAINT)
@@ -122,7 +122,7 @@ def _held_out(problem: Problem, values: Mapping[str, float], task: Task) -> Reco
     return _judge(problem, task, start, predicted)
 
 
-def _judge(problem: Problem, task: Task, start: FloatArray | None, predicted: FloatArray) -> RecordFit:
+def _judge(problem: CampaignResiduals, task: Task, start: FloatArray | None, predicted: FloatArray) -> RecordFit:
     """What a prediction (N, S) of a record is worth."""
     record = task.record
     lost = task.basis.shape[1] * record.sense_v.shape[1] + 2 * task.coordinates
@@ -157,7 +157,7 @@ def _scanned(
 ) -> dict[str, float]:
     """Start values of an effect whose parameters do not all exist at its null, from where the model without it stands."""
     smaller = model.without_effect(effect)
-    problem = Problem(smaller, campaign, sigma_v, threads)
+    problem = CampaignResiduals(smaller, campaign, sigma_v, threads)
     values = smaller.complete({name: value for name, value in begun.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
     rest, shape = (None,) * len(tasks.each), model.built.shape
@@ -180,7 +180,7 @@ def _shaped(
 ) -> dict[str, float]:
     """The shape of a disturbance (mains frequency, harmonics) that the residuals without it show best."""
     smaller = model.without_effect(effect)
-    problem = Problem(smaller, campaign, sigma_v)
+    problem = CampaignResiduals(smaller, campaign, sigma_v)
     values = smaller.complete({name: value for name, value in begun.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
     residuals = problem.residuals(values, tasks, (None,) * len(tasks.each))
@@ -249,7 +249,7 @@ def fit_with_columns(
             begun = _shaped(model, effect.name, campaign, sigma_v, begun) | begun
         # What is not fitted stays as it was found.
         model = replace(model, fixed={**model.fixed, **{name: begun[name] for name in shape if name in begun}})
-    problem = Problem(model, campaign, sigma_v, threads)
+    problem = CampaignResiduals(model, campaign, sigma_v, threads)
     values = model.complete(begun)
     tasks = problem.tasks(fitted, values)
     starts = tuple(np.zeros(2 * task.coordinates) if task.coordinates else None for task in tasks.each)
@@ -274,7 +274,7 @@ def fit_with_columns(
         id(task.record): _judge(problem, task, s, predicted)
         for task, s, predicted in zip(tasks.each, at.starts, at.predicted)
     }
-    alone = Problem(model, campaign, sigma_v)
+    alone = CampaignResiduals(model, campaign, sigma_v)
 
     def seen(record: Record) -> RecordFit:
         return judged.get(id(record)) or _held_out(alone, values, alone.task(record, values))

@@ -14,10 +14,10 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from ...device.model import Model
 from ...errors import ConfigError
-from ...experiment.forward.drive_groups import loudest
+from ...experiment.forward.drive_groups import highest_drive_energy
 from ...experiment.forward.sensitivity import STRONG, is_gridded
-from .linearized import Frozen
-from .residuals import Problem, Tasks
+from .linearized import LinearizedResiduals
+from .residuals import CampaignResiduals, Tasks
 
 _ITERATIONS = 24
 #: Expected fall of chi2 (in units of chi2/dof, at least 1) at which the fit stands still: 3 % of a sd.
@@ -45,7 +45,7 @@ _Back = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class FitPoint:
     """Where the fit stands: smooth coordinates, initial states by record, volts and residuals, chi2 with priors."""
 
     x: FloatArray
@@ -66,12 +66,12 @@ def _prior_rows(model: Model, values: Mapping[str, float]) -> FloatArray:
 
 
 def point_at(
-    problem: Problem,
+    problem: CampaignResiduals,
     x: FloatArray,
     tasks: Tasks,
     starts: tuple[FloatArray | None, ...],
     most: float = np.inf,
-) -> Point | None:
+) -> FitPoint | None:
     """The point at ``x``, or ``None`` where no device can be or chi2 exceeds ``most``."""
     try:
         values = problem.model.to_values(x)
@@ -85,7 +85,7 @@ def point_at(
             return None
     except (ConfigError, np.linalg.LinAlgError):
         return None
-    return Point(x, starts, predicted, residuals, chi2)
+    return FitPoint(x, starts, predicted, residuals, chi2)
 
 
 #: Columns of x (N S, P) and of the initial state (N S, 2 n) of a record that does not start at rest, in sigmas.
@@ -93,16 +93,18 @@ Sensitivity = tuple[FloatArray, FloatArray | None]
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class GaussNewtonResult:
     """Where a descent ended: the point, the normal matrix there, the columns of each record, whether it converged."""
 
-    at: Point
+    at: FitPoint
     normal: FloatArray
     sensitivities: list[Sensitivity]
     converged: bool
 
 
-def _sensitivities(problem: Problem, at: Point, tasks: Tasks, exact: bool, steps: FloatArray) -> list[Sensitivity]:
+def _sensitivities(
+    problem: CampaignResiduals, at: FitPoint, tasks: Tasks, exact: bool, steps: FloatArray
+) -> list[Sensitivity]:
     values = problem.model.to_values(at.x)
     free = [
         None if start is None else problem.start_columns(values, task, start, exact)
@@ -112,7 +114,7 @@ def _sensitivities(problem: Problem, at: Point, tasks: Tasks, exact: bool, steps
 
 
 def _equations(
-    problem: Problem, at: Point, sensitivities: list[Sensitivity]
+    problem: CampaignResiduals, at: FitPoint, sensitivities: list[Sensitivity]
 ) -> tuple[FloatArray, FloatArray, list[_Back | None]]:
     """Normal matrix (P, P) and slope (P,), initial states eliminated; what recovers those, record by record."""
     size = at.x.size
@@ -138,7 +140,9 @@ def _equations(
     return normal, slope, back
 
 
-def _updated(sensitivities: list[Sensitivity], before: Point, after: Point, weight: FloatArray) -> list[Sensitivity]:
+def _updated(
+    sensitivities: list[Sensitivity], before: FitPoint, after: FitPoint, weight: FloatArray
+) -> list[Sensitivity]:
     """Broyden's update: the columns of x put right along the step just made, at no cost."""
     step = after.x - before.x
     along = weight * step
@@ -184,14 +188,14 @@ def _solve(normal: FloatArray, slope: FloatArray, damping: float, moving: BoolAr
     return steps[0], steps[1]
 
 
-def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
+def descend(problem: CampaignResiduals, at: FitPoint, tasks: Tasks, dof: int) -> GaussNewtonResult:
     """From ``at`` down to where the fit stands still; with weak forces and pick-off laws most of the way without them."""
-    values, loud = problem.model.to_values(at.x), _loudest(tasks)
+    values, loud = problem.model.to_values(at.x), _highest_drive_energy(tasks)
     steps = problem.steps(values, tasks.each[loud], at.starts[loud])
     bends = any(is_gridded(problem.model, name) for name in problem.model.free)
     if not bends or problem.strength(values, tasks.each[loud]) > STRONG:
         return _descend(problem, at, tasks, dof, steps)
-    frozen = Frozen(problem, values, tasks, at.starts, steps)
+    frozen = LinearizedResiduals(problem, values, tasks, at.starts, steps)
     there = _descend(frozen, at, tasks, dof, steps)
     nearer = point_at(problem, there.at.x, tasks, there.at.starts, at.chi2)
     if nearer is None:
@@ -203,21 +207,21 @@ def descend(problem: Problem, at: Point, tasks: Tasks, dof: int) -> Stand:
     return _descend(problem, nearer, tasks, dof, steps, there.sensitivities if weak and foretold else None)
 
 
-def _loudest(tasks: Tasks) -> int:
+def _highest_drive_energy(tasks: Tasks) -> int:
     """The record that sets the steps of the differences for all, and tells how strong nonlinear effects are."""
-    return loudest([task.record.drive_v for task in tasks.each])
+    return highest_drive_energy([task.record.drive_v for task in tasks.each])
 
 
 def _descend(
-    problem: Problem,
-    at: Point,
+    problem: CampaignResiduals,
+    at: FitPoint,
     tasks: Tasks,
     dof: int,
     steps: FloatArray,
     sensitivities: list[Sensitivity] | None = None,
-) -> Stand:
+) -> GaussNewtonResult:
     low, high = _inside(problem.model, at.x)
-    task = tasks.each[_loudest(tasks)]
+    task = tasks.each[_highest_drive_energy(tasks)]
     exact = problem.strength(problem.model.to_values(at.x), task) > STRONG
     damping = 0.0
     computed, paused = at, False
@@ -227,11 +231,11 @@ def _descend(
         near = moved_share(computed.predicted, at.predicted) <= most
         return near and problem.resized(computed.x, at.x) <= _RESIZED
 
-    def stand(converged: bool) -> Stand:
+    def stand(converged: bool) -> GaussNewtonResult:
         if sensitivities is not None and serve(_STALE):
-            return Stand(at, normal, sensitivities, converged)
+            return GaussNewtonResult(at, normal, sensitivities, converged)
         fresh = _sensitivities(problem, at, tasks, exact, steps)
-        return Stand(at, _equations(problem, at, fresh)[0], fresh, converged)
+        return GaussNewtonResult(at, _equations(problem, at, fresh)[0], fresh, converged)
 
     for passes in range(_ITERATIONS):
         fresh = sensitivities is None
@@ -245,7 +249,7 @@ def _descend(
         expected = float(newton @ slope) + sum(float(b[2] @ b[0] @ b[2]) for b in back if b is not None)
         if expected < _STANDSTILL * noise:
             return stand(True)
-        accepted: Point | None = None
+        accepted: FitPoint | None = None
         for _ in range(8):
             step, _ = _solve(normal, slope, damping, moving)
             x = np.clip(at.x + step, low, high)

@@ -12,18 +12,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ...arrays import FloatArray
-from ...experiment.forward.drive_groups import Play
-from ...experiment.forward.response import Starts, linear_volts, remainder_volts
+from ...experiment.forward.drive_groups import DriveGroup
+from ...experiment.forward.response import Starts, linear_volts, nonlinear_response
 from ...experiment.forward.sensitivity import Bent, bent_columns, is_gridded
 from ...experiment.forward.system import System
-from .residuals import Problem, Task, Tasks
+from .residuals import CampaignResiduals, Task, Tasks
 
 
-class Frozen(Problem):
+class LinearizedResiduals(CampaignResiduals):
     """``whole`` as seen from ``values``, with initial states ``starts`` of the records."""
 
     def __init__(
-        self, whole: Problem, values: Mapping[str, float], tasks: Tasks, starts: Starts, steps: FloatArray
+        self, whole: CampaignResiduals, values: Mapping[str, float], tasks: Tasks, starts: Starts, steps: FloatArray
     ) -> None:
         self.threads, self.model, self.sigma_v = whole.threads, whole.model, whole.sigma_v
         self.instrument, self.angular_gain = whole.instrument, whole.angular_gain
@@ -31,16 +31,16 @@ class Frozen(Problem):
         own = [i for i, name in enumerate(self.model.free) if is_gridded(self.model, name)]
         self._remainders: list[FloatArray] = []
         self._slopes: list[Bent] = []
-        for places, play in tasks.plays:
+        for places, group in tasks.groups:
             begun = [starts[i] for i in places]
-            self._remainders.append(remainder_volts(self.system(values, play), play, begun))
-            self._slopes.append(bent_columns(self.model, values, play, self.instrument, steps, own, begun))
+            self._remainders.append(nonlinear_response(self.system(values, group), group, begun))
+            self._slopes.append(bent_columns(self.model, values, group, self.instrument, steps, own, begun))
 
     def _volts(
-        self, number: int, values: Mapping[str, float], system: System, play: Play, starts: Starts
+        self, number: int, values: Mapping[str, float], system: System, group: DriveGroup, starts: Starts
     ) -> FloatArray:
         moved = self.model.to_internal(values) - self._x0
-        y = linear_volts(system, play, starts) + self._remainders[number]
+        y = linear_volts(system, group, starts) + self._remainders[number]
         for i, column in self._slopes[number].items():
             y += moved[i] * column
         return y

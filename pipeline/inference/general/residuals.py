@@ -16,10 +16,10 @@ import numpy as np
 from ...arrays import FloatArray
 from ...device.model import Model
 from ...experiment.antialias import filter_poles
-from ...experiment.forward.drive_groups import Play, play_of, plays_of
+from ...experiment.forward.drive_groups import DriveGroup, drive_group_of, drive_groups_of
 from ...experiment.forward.linear import free_response
-from ...experiment.forward.response import Starts, converted, linear_volts, remainder_volts, volts
-from ...experiment.forward.sensitivity import Bent, channels_checked, is_gridded, play_jacobian, tuned_steps
+from ...experiment.forward.response import Starts, converted, linear_volts, nonlinear_response, volts
+from ...experiment.forward.sensitivity import Bent, channels_checked, group_jacobian, is_gridded, tuned_steps
 from ...experiment.forward.system import System, assemble, conditions_of
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign, Record
@@ -58,7 +58,7 @@ class Task:
     record: Record
     basis: FloatArray
     coordinates: int
-    play: Play
+    group: DriveGroup
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,10 @@ class Tasks:
     """Records to explain together: those that one system answers at once share a play."""
 
     each: tuple[Task, ...]
-    plays: tuple[tuple[tuple[int, ...], Play], ...]
+    groups: tuple[tuple[tuple[int, ...], DriveGroup], ...]
 
 
-class Problem:
+class CampaignResiduals:
     """Residuals and normal equations of a set of records, ``threads`` of which are integrated at once.
 
     Holds no state but what it was made of.
@@ -90,15 +90,15 @@ class Problem:
         channels_checked(self.model, record)
         coordinates = 0 if record.at_rest else self.model.built.sense_motion().shape[1]
         basis = nuisance_columns(self.model, values, record, self.instrument)
-        return Task(record, basis, coordinates, play_of([record], self.instrument, self.angular_gain))
+        return Task(record, basis, coordinates, drive_group_of([record], self.instrument, self.angular_gain))
 
     def tasks(self, records: Sequence[Record], values: Mapping[str, float]) -> Tasks:
         """Records to explain together; raises as ``task``."""
         each = tuple(self.task(record, values) for record in records)
-        return Tasks(each, plays_of(records, self.instrument, self.angular_gain, self.threads))
+        return Tasks(each, drive_groups_of(records, self.instrument, self.angular_gain, self.threads))
 
-    def system(self, values: Mapping[str, float], play: Play) -> System:
-        return assemble(self.model, values, self.instrument, play.conditions)
+    def system(self, values: Mapping[str, float], group: DriveGroup) -> System:
+        return assemble(self.model, values, self.instrument, group.conditions)
 
     def whiten(self, y: FloatArray, task: Task) -> FloatArray:
         """P y / sigma, y (.., N, S)."""
@@ -113,18 +113,18 @@ class Problem:
     def predictions(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
         """Volts (N, S) of each record, without nuisances."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
-        for number, (places, play) in enumerate(tasks.plays):
-            system = self.system(values, play)
-            found = self._volts(number, values, system, play, [starts[i] for i in places])
+        for number, (places, group) in enumerate(tasks.groups):
+            system = self.system(values, group)
+            found = self._volts(number, values, system, group, [starts[i] for i in places])
             for place, y in zip(places, converted(system, found)):
                 out[place] = y
         return out
 
     def _volts(
-        self, number: int, values: Mapping[str, float], system: System, play: Play, starts: Starts
+        self, number: int, values: Mapping[str, float], system: System, group: DriveGroup, starts: Starts
     ) -> FloatArray:
         """Volts (R, N, S) of the play with this number, before the converter."""
-        return volts(system, play, starts)
+        return volts(system, group, starts)
 
     def _bent(self, number: int) -> Bent | None:
         """Columns of forces and pick-off laws in the play with this number, where they are known."""
@@ -142,22 +142,22 @@ class Problem:
         self, values: Mapping[str, float], task: Task, start: FloatArray | None, exact: bool
     ) -> FloatArray:
         """(N S, 2 n): what the initial state moves, in sigmas; ``exact`` with what nonlinear effects make of it."""
-        play = task.play
-        system = self.system(values, play)
-        m, clock = system.mechanics, play.clock
+        group = task.group
+        system = self.system(values, group)
+        m, clock = system.mechanics, group.clock
         n, own = m.stiffness.shape[1], task.coordinates
         samples = task.record.drive_v.shape[0]
         columns = free_response(m, system.readout, samples * clock.stride, clock)[:: clock.stride]
         columns = np.moveaxis(columns[:, :, [*range(own), *range(n, n + own)]], -1, 0).copy()
         if exact and start is not None:
-            before = remainder_volts(system, play, [start])[0]
+            before = nonlinear_response(system, group, [start])[0]
             omega = np.sqrt(np.diagonal(m.stiffness[0]))
             seen = np.max(np.abs(m.position_sense[0]) + omega * np.abs(m.velocity_sense[0]), axis=0)
             motion = (1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / seen)[:own]
             for i, step in enumerate(np.concatenate([motion, motion * omega[:own]])):
                 moved = start.copy()
                 moved[i] += step
-                columns[i] += (remainder_volts(system, play, [moved])[0] - before) / step
+                columns[i] += (nonlinear_response(system, group, [moved])[0] - before) / step
         return self.whiten(columns, task).reshape(2 * own, -1).T
 
     def steps(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:
@@ -170,9 +170,11 @@ class Problem:
     ) -> list[FloatArray]:
         """(N S, P) of each record: what the free parameters move, in sigmas."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
-        for number, (places, play) in enumerate(tasks.plays):
+        for number, (places, group) in enumerate(tasks.groups):
             own, known = [starts[i] for i in places], self._bent(number)
-            found = play_jacobian(self.model, values, play, self.instrument, steps, starts=own, exact=exact, bent=known)
+            found = group_jacobian(
+                self.model, values, group, self.instrument, steps, starts=own, exact=exact, bent=known
+            )
 
             def white(k: int, found: FloatArray = found, places: Sequence[int] = places) -> FloatArray:
                 return self.whiten(found[:, k], tasks.each[places[k]]).reshape(found.shape[0], -1).T
@@ -183,10 +185,10 @@ class Problem:
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
         """Share of the record that forces and pick-off laws make."""
-        system = self.system(values, task.play)
+        system = self.system(values, task.group)
         if not (system.forces or system.senses):
             return 0.0
-        linear, rest = linear_volts(system, task.play), remainder_volts(system, task.play, substeps=1)
+        linear, rest = linear_volts(system, task.group), nonlinear_response(system, task.group, substeps=1)
         return float(np.linalg.norm(rest)) / max(float(np.linalg.norm(linear)), 1e-300)
 
     def resized(self, before: FloatArray, after: FloatArray) -> float:

@@ -86,8 +86,8 @@ def scan(
     slope = sum(j.T @ r.reshape(-1) for j, r in zip(columns, residuals))
     sums: dict[int, list[FloatArray]] = {}
     at: list[Signature] = []
-    for places, play in tasks.plays:
-        base = base_of(model, values, play, instrument)
+    for places, group in tasks.groups:
+        base = base_of(model, values, group, instrument)
         for k, signature in enumerate(signatures(base, effect, grid=grid)):
             if k == len(at):
                 at.append(replace(signature, columns=np.zeros(0)))

@@ -23,7 +23,7 @@ from ...experiment.instrument import Instrument
 from ...experiment.record import Record
 from ...identification.failure import IdentificationError
 from ...identification.route import RouteResult, identify_record
-from ..gate import Gate, Goodness, full_band_error, misfit_reason, theta_bias_bound_deg
+from ..gate import Gate, GoodnessOfFit, full_band_error, misfit_reason, theta_bias_bound_deg
 from ..general.starts import gyro_start
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
@@ -237,7 +237,7 @@ def _result(
     ]
     weight = np.array([i.record.sense_v.shape[0] for i in fit_records], dtype=float)
     pooled = [math.sqrt(float(np.average([e[k] ** 2 for e in errors], weights=weight))) for k in (0, 1)]
-    goodness = Goodness(
+    goodness = GoodnessOfFit(
         pooled[0], pooled[1], fit.chi2 / fit.dof, theta_bias_bound_deg(summary["theta_deg_sd"], fit.chi2, fit.dof)
     )
     status: Status = "ok"

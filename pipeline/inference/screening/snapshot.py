@@ -21,7 +21,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...device.gyro import split_hz, to_physical
 from ...device.operation.bias import quantities_of
-from ..gate import Gate, Goodness, misfit_reason, theta_bias_bound_deg
+from ..gate import Gate, GoodnessOfFit, misfit_reason, theta_bias_bound_deg
 from .compressed import BandData, log_likelihood
 from .device import RateSettings, best_fit, explains
 from .fit import Fit
@@ -155,7 +155,7 @@ def snapshot(
     ratio = fit.chi2 / fit.dof
     # Few bins scatter more than the gate of a whole record allows for: 3 sd of chi2 are taken off.
     error = math.sqrt(max(ratio - 3.0 * math.sqrt(2.0 / fit.dof), 0.0))
-    if (why := misfit_reason(Goodness(error, math.nan, ratio, 0.0), gate)) is not None:
+    if (why := misfit_reason(GoodnessOfFit(error, math.nan, ratio, 0.0), gate)) is not None:
         return Snapshot(duration, "misfit", why, {"chi2_per_dof": ratio}, {}, fit.x)
     try:
         cartesian, known = posterior_draws(fit, seed)
@@ -169,5 +169,5 @@ def snapshot(
     columns = summarise({name: values for name, values in draws.items() if not np.all(np.isnan(values))})
     bound = theta_bias_bound_deg(columns["theta_deg_sd"], fit.chi2, fit.dof)
     columns |= {"chi2_per_dof": ratio, "theta_bias_bound_deg": bound}
-    why = misfit_reason(Goodness(error, math.nan, ratio, bound), gate)
+    why = misfit_reason(GoodnessOfFit(error, math.nan, ratio, bound), gate)
     return Snapshot(duration, "ok" if why is None else "misfit", why, columns, draws, fit.x)

@@ -22,7 +22,7 @@ from ...criticism.problem import FitResult, LocalCandidate
 from ...criticism.projection import Baseline, baseline
 from ...device.readout import plain_readout
 from ...experiment.antialias import filter_poles
-from ...experiment.forward.drive_groups import Play
+from ...experiment.forward.drive_groups import DriveGroup
 from ...experiment.forward.modal_bank import hold_gains
 from ...experiment.instrument import Instrument
 
@@ -42,7 +42,7 @@ _AT_ONCE = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class ScanPoint:
     """A mode of the grid: its first bin, and its answer (W, bins) there to each waveform, scaled like the rows."""
 
     f_hz: float
@@ -57,7 +57,7 @@ class Scan:
 
     places: tuple[int, ...]
     gains: FloatArray
-    points: tuple[Point, ...]
+    points: tuple[ScanPoint, ...]
 
     @property
     def mixed(self) -> FloatArray:
@@ -65,12 +65,12 @@ class Scan:
         return np.asarray(self.gains.transpose(2, 1, 0).reshape(self.gains.shape[2], -1))
 
 
-def grid_of(plays: Sequence[Play], top_hz: float) -> list[tuple[float, float]]:
+def grid_of(groups: Sequence[DriveGroup], top_hz: float) -> list[tuple[float, float]]:
     """(f, zeta) of the grid: wide modes up to ``top_hz``, narrow ones in the driven band."""
     low, high = np.inf, 0.0
-    for play in plays:
-        frequency = np.fft.rfftfreq(play.waveforms.shape[1], play.clock.step_s)
-        for waveform in play.waveforms:
+    for group in groups:
+        frequency = np.fft.rfftfreq(group.waveforms.shape[1], group.clock.step_s)
+        for waveform in group.waveforms:
             power = np.abs(rfft(waveform))
             driven = frequency[power > _DRIVEN * power.max()]
             low, high = min(low, float(driven[0])), max(high, float(driven[-1]))
@@ -84,44 +84,44 @@ def grid_of(plays: Sequence[Play], top_hz: float) -> list[tuple[float, float]]:
 
 def scan_of(
     places: tuple[int, ...],
-    play: Play,
+    group: DriveGroup,
     instrument: Instrument,
     bins: int,
     grid: Sequence[tuple[float, float]],
     displacement: bool,
 ) -> Scan:
     """What the modes of ``grid`` answer in the first ``bins`` bins above zero of a play."""
-    samples = play.drives[0].shape[0]
-    omega = 2.0 * np.pi * np.arange(1, bins + 1) * play.sample_rate_hz / samples
+    samples = group.drives[0].shape[0]
+    omega = 2.0 * np.pi * np.arange(1, bins + 1) * group.sample_rate_hz / samples
     seen = np.ones(bins, dtype=np.complex128)
     if instrument.antialias is not None:
         seen = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
     seen = seen * np.sqrt(2.0 / samples)
-    points: list[Point] = []
+    points: list[ScanPoint] = []
     w, zeta = 2.0 * np.pi * np.array([f for f, _ in grid]), np.array([z for _, z in grid])
     poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
     residues = (w if displacement else poles) / (2j * poles.imag)
-    z, now, following = hold_gains(poles, play.clock.step_s, play.clock.hold)
+    z, now, following = hold_gains(poles, group.clock.step_s, group.clock.hold)
     # Samples are taken at every ``stride``-th step: their spectrum is the mean of its images.
-    images = np.arange(play.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
-    turn = np.exp(2j * np.pi * images / play.waveforms.shape[1])
-    drives = [fft(waveform)[images] for waveform in play.waveforms]
+    images = np.arange(group.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
+    turn = np.exp(2j * np.pi * images / group.waveforms.shape[1])
+    drives = [fft(waveform)[images] for waveform in group.waveforms]
     held = real_parts(z), real_parts(now), real_parts(following)
-    ends = [re + 1j * im for re, im in (_ends(*held, waveform) for waveform in play.waveforms)]
+    ends = [re + 1j * im for re, im in (_ends(*held, waveform) for waveform in group.waveforms)]
     # A few at a time: most of an answer is below what is kept.
     answers = np.empty((_AT_ONCE, len(ends), bins), dtype=np.complex128)
     for first in range(0, w.size, _AT_ONCE):
         of = slice(first, first + _AT_ONCE)
         for k, (end, drive) in enumerate(zip(ends, drives)):
-            v0 = play.waveforms[k][0]
+            v0 = group.waveforms[k][0]
             out = answers[: z[of].size, k]
             _answered(z[of], now[of], following[of], end[of], residues[of], turn, drive, v0, seen, out)
         for (f, damping), answer in zip(grid[of], answers):
             size = np.max(np.abs(answer), axis=0, initial=0.0)
             strong = np.flatnonzero(size > _SEEN * size.max())
             begin, end_bin = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
-            points.append(Point(f, damping, begin, np.ascontiguousarray(answer[:, begin:end_bin])))
-    return Scan(places, play.gains, tuple(points))
+            points.append(ScanPoint(f, damping, begin, np.ascontiguousarray(answer[:, begin:end_bin])))
+    return Scan(places, group.gains, tuple(points))
 
 
 _FAST = {"contract", "reassoc", "nsz"}
@@ -191,12 +191,12 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
 
     def at(first: int) -> tuple[FloatArray, FloatArray]:
         """Fall and noise level of the points of a group."""
-        group = slice(first, first + _TOGETHER)
-        size = len(points[group])
+        together = slice(first, first + _TOGETHER)
+        size = len(points[together])
         score, overlap = np.zeros((size, drives, senses)), np.zeros((size, drives, senses, p))
         gram, level, weight = np.zeros((size, drives, drives)), np.zeros((size, senses)), np.zeros((size, 1))
         for scan, (residual, basis, gamma) in zip(scans, ready):
-            begin, answer = _side_by_side(scan.points[group])
+            begin, answer = _side_by_side(scan.points[together])
             part = slice(begin, begin + answer.shape[1])
             mixed = (answer @ scan.mixed).reshape(size, answer.shape[1], drives, -1)
             z = np.ascontiguousarray(np.moveaxis(mixed, 2, 1)).view(np.float64).reshape(size, drives, -1)
@@ -210,17 +210,17 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
         return _falls(score, overlap, gram, sigma_v), np.maximum(levels, 1.0)
 
     found = [at(first) for first in range(0, len(points), _TOGETHER)]
-    falls, levels = (np.concatenate(part).tolist() for part in zip(*found))
+    delta_chi2s, levels = (np.concatenate(part).tolist() for part in zip(*found))
     return LocalCandidate(
         NAME,
-        tuple(falls),
+        tuple(delta_chi2s),
         (drives * senses,) * len(points),
         tuple({f"{NAME}.f": point.f_hz, f"{NAME}.zeta": point.zeta} for point in points),
         levels=tuple(levels),
     )
 
 
-def _side_by_side(points: Sequence[Point]) -> tuple[int, ComplexArray]:
+def _side_by_side(points: Sequence[ScanPoint]) -> tuple[int, ComplexArray]:
     """First bin and answers (K, F, W) of neighbours in the bins of any of them."""
     first = min(point.first for point in points)
     last = max(point.first + point.answer.shape[1] for point in points)

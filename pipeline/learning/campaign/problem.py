@@ -18,11 +18,11 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...criticism.problem import (
-    Block,
     Candidate,
     FitResult,
     LocalCandidate,
     Region,
+    ResidualBlock,
     Signatures,
     Spectrum,
     TermParameter,
@@ -30,19 +30,19 @@ from ...criticism.problem import (
 from ...criticism.projection import stratum_grams
 from ...device.model import Model
 from ...errors import GyroscreenError
-from ...experiment.forward.drive_groups import plays_of
+from ...experiment.forward.drive_groups import drive_groups_of
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit, RecordFit, fit_with_columns
 from ...inference.general.free_disturbances import free_shapes
 from ...inference.general.gauss_newton import Sensitivity, moved_share
-from ...inference.general.residuals import Problem
+from ...inference.general.residuals import CampaignResiduals
 from ..where.lines import pooled
 from ..where.plane import Plane, planes_of, resonances_of
 from ..where.regions import regions_of, residual_spectra
 from .modes import NAME as MODE
 from .modes import Scan, grid_of, mode_candidate, scan_of
-from .rows import TOP_HZ, Spectra, block_diagonal, labels_of, same_drive, spectra_of, strata_of
+from .rows import TOP_HZ, FourierRows, block_diagonal, labels_of, same_drive, spectra_of, strata_of
 from .signatures import signature_of, tangent_of
 
 #: Room for the columns of signatures, enlarged where users bring more effects.
@@ -91,7 +91,7 @@ class CampaignView:
         self._modes: dict[frozenset[str], tuple[float, ...]] = {}
 
     @cached_property
-    def spectra(self) -> tuple[Spectra, ...]:
+    def spectra(self) -> tuple[FourierRows, ...]:
         """One a fit record."""
         return tuple(spectra_of(record) for record in self.records)
 
@@ -180,10 +180,10 @@ class CampaignView:
         start = 0 if mine.start is None else mine.start.size
         return samples * senses - mine.dof - senses - start
 
-    def _block(self, record: Record, fitted: CampaignFit) -> Block:
+    def _block(self, record: Record, fitted: CampaignFit) -> ResidualBlock:
         mine = next(r for r in fitted.records if r.name == record.name)
         twins = [r.name for r in self.campaign.records if r.role == record.role and same_drive(r, record)]
-        return Block(
+        return ResidualBlock(
             record.name,
             spectra_of(record)(mine.residual),
             labels_of(record, self.campaign),
@@ -212,25 +212,25 @@ class CampaignView:
         if not any(scan.points for scan in self.scans):
             return ()
         found = mode_candidate(fit, self.scans, self.model.built.shape.senses, self.noise.sigma_v)
-        order = np.argsort(found.falls)[::-1][:_LIKELY]
+        order = np.argsort(found.delta_chi2s)[::-1][:_LIKELY]
         self._modes[frozenset(fit.terms)] = tuple(found.grid[i][f"{MODE}.f"] for i in order)
         return (found,)
 
     @cached_property
     def scans(self) -> tuple[Scan, ...]:
         """The grid of one more mode, for each play of the fit records."""
-        plays = plays_of(self.records, self.campaign.instrument, self.campaign.angular_gain)
+        groups = drive_groups_of(self.records, self.campaign.instrument, self.campaign.angular_gain)
         # Near Nyquist a mode cannot be told from its image, which anything else may look like.
         top_hz = _BELOW_NYQUIST * 0.5 * self.records[0].sample_rate_hz
-        grid = grid_of([play for _, play in plays], min(TOP_HZ, top_hz))
+        grid = grid_of([group for _, group in groups], min(TOP_HZ, top_hz))
         displacement = self.model.plant.sense == "displacement"
         return tuple(
-            scan_of(places, play, self.campaign.instrument, self.spectra[places[0]].bins.size, grid, displacement)
-            for places, play in plays
+            scan_of(places, group, self.campaign.instrument, self.spectra[places[0]].bins.size, grid, displacement)
+            for places, group in groups
         )
 
     def _take(self, fitted: CampaignFit, names: Sequence[str], pool: ThreadPoolExecutor) -> _Taken:
-        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v, self.threads)
+        problem = CampaignResiduals(fitted.model, self.campaign, self.noise.sigma_v, self.threads)
         tasks = problem.tasks(self.records, fitted.values)
 
         def rows(place: int, y: FloatArray) -> FloatArray:
@@ -282,7 +282,7 @@ class CampaignView:
     def probes(self, fit: FitResult) -> Signatures:
         """Shapes that almost any missing physics touches: powers, drifts and cross-talk of the model's own response."""
         fitted = self.campaign_fit(fit.terms)
-        problem = Problem(fitted.model, self.campaign, self.noise.sigma_v)
+        problem = CampaignResiduals(fitted.model, self.campaign, self.noise.sigma_v)
         blocks = []
         count = 0
         for record, spectra in zip(self.records, self.spectra):

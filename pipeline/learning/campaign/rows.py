@@ -23,7 +23,7 @@ _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Spectra:
+class FourierRows:
     """Which bins of a record count, and how they are scaled."""
 
     samples: int
@@ -45,16 +45,16 @@ class Spectra:
         return out
 
 
-def spectra_of(record: Record) -> Spectra:
+def spectra_of(record: Record) -> FourierRows:
     """Bins above zero, up to ``TOP_HZ`` and below Nyquist."""
     n, rate = record.drive_v.shape[0], record.sample_rate_hz
     bins = np.arange(1, (n - 1) // 2 + 1)
     frequency = bins * rate / n
     kept = frequency <= TOP_HZ
-    return Spectra(n, bins[kept], frequency[kept])
+    return FourierRows(n, bins[kept], frequency[kept])
 
 
-def strata_of(spectra: Spectra, senses: int) -> IntArray:
+def strata_of(spectra: FourierRows, senses: int) -> IntArray:
     """Noise stratum of each row: band of frequency and channel."""
     band = np.digitize(spectra.frequency_hz, _STRATA_HZ) - 1
     both = np.concatenate([band, band])

@@ -37,7 +37,7 @@ class Tangent:
     """
 
     model: Model
-    plays: tuple[tuple[tuple[int, ...], Base], ...]
+    groups: tuple[tuple[tuple[int, ...], Base], ...]
     rows: Callable[[int, FloatArray], FloatArray]
     peak_v: float
 
@@ -52,12 +52,12 @@ def tangent_of(
     """The tangent at a fit; ``tasks`` of its fit ``records`` at its values."""
     known = {r.name: r.start for r in fitted.records}
     starts = [known[record.name] for record in records]
-    plays = tuple(
-        (places, base_of(fitted.model, fitted.values, play, instrument, [starts[place] for place in places]))
-        for places, play in tasks.plays
+    groups = tuple(
+        (places, base_of(fitted.model, fitted.values, group, instrument, [starts[place] for place in places]))
+        for places, group in tasks.groups
     )
     peak_v = max(float(np.max(np.abs(record.sense_v))) for record in records)
-    return Tangent(fitted.model, plays, rows, peak_v)
+    return Tangent(fitted.model, groups, rows, peak_v)
 
 
 def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArray]]] | None:
@@ -71,16 +71,16 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
     if effect.stages == ("adc",) and len(members) == 1:
         # A clip level above all samples changes nothing, and one far below them would be plain to see.
         grid[members[0].name] = tuple(1.0 / (at.peak_v * share) for share in _LEVELS)
-    columns: list[list[FloatArray]] = [[] for _ in range(sum(len(places) for places, _ in at.plays))]
+    columns: list[list[FloatArray]] = [[] for _ in range(sum(len(places) for places, _ in at.groups))]
     found: list[Signature] = []
     hints: dict[str, float] = {}
     try:
-        for number, (places, base) in enumerate(at.plays):
+        for number, (places, base) in enumerate(at.groups):
             for signature in signatures(base, name, grid=grid or None, step_hints=hints):
                 hints = signature.steps
                 if number == 0:
                     found.append(replace(signature, columns=np.zeros(0)))
-                for k, (place, source) in enumerate(zip(places, sources(base.play, base.starts))):
+                for k, (place, source) in enumerate(zip(places, sources(base.group, base.starts))):
                     own = at.rows(place, signature.columns[:, k]) if source == k else columns[places[source]][-1]
                     columns[place].append(own)
     except ConfigError:

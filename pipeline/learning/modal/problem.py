@@ -26,7 +26,7 @@ import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ...axial import wrap
-from ...criticism.problem import Block, Candidate, FitResult, Region, Signatures, Spectrum, TermParameter
+from ...criticism.problem import Candidate, FitResult, Region, ResidualBlock, Signatures, Spectrum, TermParameter
 from ...criticism.regression import Regression, Term
 from ...device.effect import Effect
 from ...device.model import Model
@@ -212,7 +212,7 @@ class ModalView:
         known = {name: p for name, p in self._all.parameters() if name in self._all.free}
         return Regression(
             self._predict,
-            (Block(self.record.name, self._rows(self.measured)),),
+            (ResidualBlock(self.record.name, self._rows(self.measured)),),
             {name: self._start[name] for name in self.model.free},
             self.terms,
             scale={name: self._size(name, p) for name, p in known.items()},

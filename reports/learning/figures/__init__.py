@@ -169,8 +169,8 @@ def _resonances(content: CampaignContent, views: Sequence[RecordView]) -> list[W
 
 
 def _strongest(views: Sequence[RecordView]) -> list[tuple[float, float]]:
-    loudest = max(views, key=lambda view: float(np.ptp(view.measured_v)))
-    seen = spectra(loudest, drive_band(loudest))
+    highest_drive_energy = max(views, key=lambda view: float(np.ptp(view.measured_v)))
+    seen = spectra(highest_drive_energy, drive_band(highest_drive_energy))
     if not seen.frequency_hz.size:
         return []
     return [(float(seen.frequency_hz[int(np.argmax(seen.measured.max(axis=1)))]), 0.0)]

@@ -54,9 +54,9 @@ def channel_errors(rows: Sequence[ChannelError], senses: int, name: str = "chann
         axes.set_ylim(-len(rows) + 0.4, 0.6)
         axes.grid(axis="x", color=RULE, lw=0.5)
         axes.set_xlabel("error, rms residual / σ")
-        climbed = any(row.after is not None for row in rows)
-        handles = [Line2D([], [], ls="none", marker="s", ms=6, color=BEFORE, label="before" if climbed else "error")]
-        if climbed:
+        selection = any(row.after is not None for row in rows)
+        handles = [Line2D([], [], ls="none", marker="s", ms=6, color=BEFORE, label="before" if selection else "error")]
+        if selection:
             handles.append(Line2D([], [], ls="none", marker="o", ms=6.5, color=AFTER, label="after"))
         handles.append(Line2D([], [], color=MUTED, lw=1.0, ls=(0, (1, 1.5)), label="noise"))
         figure.legend(handles=handles, loc="lower left", ncols=3)

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from ...html.style import INK, MUTED, RULE, style, to_svg
 from ...run.figures.states import AFTER, BEFORE
-from ..record_view import Spectra
+from ..record_view import RecordSpectra
 from .panels import panels
 
 #: Decades below the noise floor that are shown.
@@ -24,7 +24,7 @@ class ResonancePanel:
     """One model at one resonance: a title and its spectra; ``after`` chooses the colour of the residual."""
 
     title: str
-    spectra: Spectra
+    spectra: RecordSpectra
     after: bool = False
 
 

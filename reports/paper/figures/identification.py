@@ -9,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 from pipeline.arrays import FloatArray
 
 from ...html.style import ACCENT, COLOURS, MUTED, RULE, TRUTH, WIDTH, style, to_svg
-from ..content import HankelView, RecordView, ResponseView
+from ..content import HankelView, PaperRecord, ResponseView
 
 _CHANNELS = (("S1/D1", 0, 0), ("S1/D2", 0, 1), ("S2/D1", 1, 0), ("S2/D2", 1, 1))
 _LOOKS = (
@@ -29,7 +29,7 @@ def _envelope(time_s: FloatArray, volts: FloatArray) -> tuple[FloatArray, FloatA
     return time_s[: count * size : size], pieces.min(axis=1), pieces.max(axis=1)
 
 
-def records(view: RecordView, name: str = "figure-4") -> str:
+def records(view: PaperRecord, name: str = "figure-4") -> str:
     """Sense records and their power spectral density: resonances, their harmonics, multiples of the mains frequency."""
     with style():
         figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.arrays import FloatArray, IntArray
-from pipeline.criticism.problem import Block, Candidate, FitResult, Region, Signatures, Spectrum, TermParameter
+from pipeline.criticism.problem import Candidate, FitResult, Region, ResidualBlock, Signatures, Spectrum, TermParameter
 
 ROWS = 400
 #: Scale of the abscissa in each block; the last block is held out.
@@ -77,7 +77,7 @@ class Lines:
         sd = np.sqrt(np.diag(np.linalg.pinv(fitted.T @ fitted)))
         rest = [y - d @ size for y, d in zip(self.data, design)]
         blocks = tuple(
-            Block(f"b{i}", r[:, None], {"scale": str(scale)}, "twice" if i < 2 else None)
+            ResidualBlock(f"b{i}", r[:, None], {"scale": str(scale)}, "twice" if i < 2 else None)
             for i, (r, scale) in enumerate(zip(rest, SCALES))
         )
         return FitResult(

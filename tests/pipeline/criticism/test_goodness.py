@@ -10,7 +10,7 @@ from scipy import stats
 
 from pipeline.criticism.agreement import agreement, partitions
 from pipeline.criticism.goodness import goodness
-from pipeline.criticism.problem import Block, FitResult, Region, Signatures, Spectrum
+from pipeline.criticism.problem import FitResult, Region, ResidualBlock, Signatures, Spectrum
 from pipeline.criticism.projection import baseline
 from pipeline.criticism.regions import explained, where
 
@@ -24,7 +24,7 @@ def _fit(rng: np.random.Generator, residual: list[np.ndarray], **options: Any) -
     whole = np.concatenate(residual)
     rest = np.split(whole - q @ (q.T @ whole), len(residual))
     blocks = tuple(
-        Block(f"r{i}", r[:, None], {"level": str(i % 2)}, "same" if i < 2 else None) for i, r in enumerate(rest)
+        ResidualBlock(f"r{i}", r[:, None], {"level": str(i % 2)}, "same" if i < 2 else None) for i, r in enumerate(rest)
     )
     return FitResult(True, ("t",), {}, blocks, tuple(jacobian), columns={"t": (2,)}, shifts={"t": (1.0,)}, **options)
 
@@ -72,7 +72,7 @@ def test_the_sizes_of_parts_that_disagree_are_told_with_their_sd() -> None:
     deviations = []
     for _ in range(100):
         residual = [rng.standard_normal(ROWS) + shift * j[:, 2] for j, shift in zip(jacobian, (0.5, -0.25, -0.25))]
-        blocks = tuple(Block(str(i), r[:, None]) for i, r in enumerate(residual))
+        blocks = tuple(ResidualBlock(str(i), r[:, None]) for i, r in enumerate(residual))
         fit = FitResult(True, ("t",), {}, blocks, tuple(jacobian), columns={"t": (2,)}, shifts={"t": (1.0,)})
         seen = agreement(baseline(fit), "block", partitions(fit)["block"], (2,))
         deviations.append([value for value, _ in seen.sizes.values()])

@@ -14,7 +14,7 @@ from pipeline.arrays import FloatArray
 from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.heldout import paired
 from pipeline.criticism.loop import diagnose, refine
-from pipeline.criticism.problem import Block
+from pipeline.criticism.problem import ResidualBlock
 
 RULES = Rules(draws=2000)
 X, SCALE_HELD_OUT = np.linspace(-1.0, 1.0, 400), 0.8
@@ -160,9 +160,9 @@ def test_the_sd_of_the_paired_difference_is_what_repetition_shows() -> None:
     rng = np.random.default_rng(9)
     change = 0.1 * np.sin(np.arange(5000) / 40.0)[:, None]
 
-    def pair(level: float) -> tuple[Block, Block]:
+    def pair(level: float) -> tuple[ResidualBlock, ResidualBlock]:
         noise: FloatArray = level * rng.standard_normal((5000, 1))
-        return Block("before", noise + change), Block("after", noise)
+        return ResidualBlock("before", noise + change), ResidualBlock("after", noise)
 
     for level in (1.0, 1.5):
         tried = [paired([a], [b]) for a, b in (pair(level) for _ in range(400))]

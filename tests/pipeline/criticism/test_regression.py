@@ -10,7 +10,7 @@ import pytest
 from pipeline.arrays import FloatArray
 from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.loop import diagnose, refine
-from pipeline.criticism.problem import Block, TermParameter
+from pipeline.criticism.problem import ResidualBlock, TermParameter
 from pipeline.criticism.regression import Regression, Term
 
 T = np.linspace(0.0, 1.0, 150)
@@ -41,7 +41,7 @@ def _problem(seed: int, noise_known: bool = True, scale: float = 1.0, **truth: f
     rng = np.random.default_rng(seed)
     clean = _predict({"a": 20.0, "rate": 3.0, **NULL, **truth})
     measured = tuple(
-        Block(f"b{i}", (y + rng.standard_normal(y.shape)) * scale, {"level": str(level)})
+        ResidualBlock(f"b{i}", (y + rng.standard_normal(y.shape)) * scale, {"level": str(level)})
         for i, (y, level) in enumerate(zip(clean, LEVELS))
     )
     scaled = _predict if scale == 1.0 else (lambda p: [scale * y for y in _predict(p)])
@@ -89,7 +89,7 @@ def test_a_fit_stays_inside_its_limits_and_fits_the_rest() -> None:
         return [p["a"] + p["b"] * _SLOPE]
 
     fit = Regression(
-        predict, (Block("y", 1.0 + 2.0 * _SLOPE),), {"a": 0.2, "b": 0.0}, (), limits={"a": (-5.0, 0.4)}
+        predict, (ResidualBlock("y", 1.0 + 2.0 * _SLOPE),), {"a": 0.2, "b": 0.0}, (), limits={"a": (-5.0, 0.4)}
     ).fit(())
     assert fit.ok
     assert fit.parameters["a"][0] == pytest.approx(0.4, abs=1e-6)
@@ -106,5 +106,5 @@ def test_with_an_unknown_noise_level_units_change_nothing(unit: float) -> None:
         return [unit * (p["a"] * _SLOPE + p["square"] * _SLOPE**2 + p["cube"] * _SLOPE**3)]
 
     terms = (Term("square", (TermParameter("square"),)), Term("cube", (TermParameter("cube"),)))
-    problem = Regression(predict, (Block("y", unit * truth),), {"a": 1.0}, terms, noise_known=False)
+    problem = Regression(predict, (ResidualBlock("y", unit * truth),), {"a": 1.0}, terms, noise_known=False)
     assert set(refine(problem, rules=Rules(alpha=0.05, draws=2000)).terms) == {"square", "cube"}

@@ -9,14 +9,14 @@ import pytest
 from scipy import stats
 
 from pipeline.criticism.pairs import best_pairs
-from pipeline.criticism.problem import Block, Candidate, FitResult, TermParameter
+from pipeline.criticism.problem import Candidate, FitResult, ResidualBlock, TermParameter
 from pipeline.criticism.projection import baseline, project
 from pipeline.criticism.significance import score_all
 from pipeline.criticism.tails import log_any, log_tail, normal_log_tail, trials_of
 
 
 def _fit(jacobian: list[np.ndarray], residual: list[np.ndarray], **options: Any) -> FitResult:
-    blocks = tuple(Block(str(i), r[:, None]) for i, r in enumerate(residual))
+    blocks = tuple(ResidualBlock(str(i), r[:, None]) for i, r in enumerate(residual))
     return FitResult(True, (), {}, blocks, tuple(jacobian), **options)
 
 

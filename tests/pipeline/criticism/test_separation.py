@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.criticism.problem import Block, FitResult
+from pipeline.criticism.problem import FitResult, ResidualBlock
 from pipeline.criticism.separation import Prediction, known_of, separation, snr
 
 OLD, NEW = 60, 40
@@ -33,7 +33,7 @@ def predictions(seed, scale=(1.0, 1.0, 1.0)):
     for term in ("a", "b"):
         size, chi2 = fitted(y, old[term])
         jacobian = old[term] * np.array(scale)
-        fit = FitResult(True, (term,), {}, (Block("old", (y - old[term] @ size)[:, None]),), (jacobian,))
+        fit = FitResult(True, (term,), {}, (ResidualBlock("old", (y - old[term] @ size)[:, None]),), (jacobian,))
         found[term] = Prediction(term, new[term] @ size, chi2, known_of(fit), new[term] * np.array(scale))
     return y, old, new, found
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.criticism.prevalence import carried
+from pipeline.criticism.prevalence import prevalence
 from pipeline.criticism.shared import Evidence, SharedTerm, shared, still_needed
 
 ALPHA = 0.003
@@ -117,7 +117,7 @@ def test_the_share_that_carries_and_its_sizes_are_recovered(share, sd):
         rng = np.random.default_rng(seed)
         carries = rng.random(120) < share
         sizes = np.where(carries, rng.normal(3e8, 0.3e8, 120), 0.0) + 1e8 * sd * rng.standard_normal(120)
-        told = carried(sizes, np.full(120, 1e8 * sd), np.ones(120))
+        told = prevalence(sizes, np.full(120, 1e8 * sd), np.ones(120))
         inside += told.low - 0.01 <= share <= told.high + 0.01
         assert abs(told.mean - 3e8) < 4.0 * told.mean_sd
         assert told.spread == pytest.approx(0.3e8, rel=0.6)

@@ -20,7 +20,7 @@ from pipeline.device.mechanics import Mechanics
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, PlantSpec
 from pipeline.errors import ConfigError
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward.drive_groups import play_of
+from pipeline.experiment.forward.drive_groups import drive_group_of
 from pipeline.experiment.forward.integrate import trajectory
 from pipeline.experiment.forward.record import base_of, forward, signatures
 from pipeline.experiment.forward.system import assemble, conditions_of
@@ -107,8 +107,8 @@ def test_it_grows_smoothly_from_the_null_with_its_signature_as_slope(effect: Eff
     at = _values(effect, larger, share)
     grid = {m.name: (at[effect.full_name(m)],) for m in effect.members(larger.built.shape) if m.grid}
     smaller = larger.without_effect(effect.name)
-    play = play_of([RECORD], INSTRUMENT, None)
-    (found,) = signatures(base_of(smaller, PLANT, play, INSTRUMENT), effect.name, grid=grid)
+    group = drive_group_of([RECORD], INSTRUMENT, None)
+    (found,) = signatures(base_of(smaller, PLANT, group, INSTRUMENT), effect.name, grid=grid)
     steps = {m.name: at[effect.full_name(m)] - m.null for m in effect.members(larger.built.shape) if not m.grid}
     expected = np.tensordot([steps[name] for name in found.names], found.columns[:, 0], axes=1)
     change = forward(larger, {**PLANT, **at}, RECORD, INSTRUMENT) - forward(smaller, PLANT, RECORD, INSTRUMENT)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pipeline.errors import ConfigError, GyroscreenError, MeasurementError, UsageError
 from pipeline.experiment.campaign import read_campaign, read_measurement, write_campaign
 from pipeline.experiment.checks.finding import composed
-from pipeline.experiment.files.channels import mend
+from pipeline.experiment.files.channels import correct
 from pipeline.experiment.files.readers import WRITTEN, write_columns
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Channels, Record
@@ -155,7 +155,7 @@ def test_mends_are_applied_in_the_documented_order():
     n = np.arange(40.0)
     drive, sense = np.stack([n + 5.0, 10.0 * n], axis=1), np.stack([n, 100.0 * n], axis=1)
     channels = Channels((1, -1), (-1, 1), (2, 1), (2, 1), (5.0, 0.0), 3)
-    done = mend(Record("r", FS, drive, sense), channels)
+    done = correct(Record("r", FS, drive, sense), channels)
     assert np.array_equal(done.drive_v, np.stack([10.0 * n, -n], axis=1)[:-3])
     assert np.array_equal(done.sense_v, np.stack([-100.0 * n, n], axis=1)[3:])
     assert done.at_rest
@@ -163,9 +163,9 @@ def test_mends_are_applied_in_the_documented_order():
 
 def test_a_record_that_loses_driven_samples_is_no_longer_at_rest():
     driven = record(at_rest=True)
-    assert not mend(driven, Channels(lag_samples=-2)).at_rest
+    assert not correct(driven, Channels(lag_samples=-2)).at_rest
     waiting = dataclasses.replace(driven, drive_v=np.concatenate([np.zeros((2, 2)), driven.drive_v[2:]]))
-    assert mend(waiting, Channels(lag_samples=-2)).at_rest
+    assert correct(waiting, Channels(lag_samples=-2)).at_rest
 
 
 signs = st.none() | st.tuples(*[st.sampled_from([-1, 1])] * 2)
@@ -180,8 +180,8 @@ def test_two_mends_in_a_row_equal_their_composition(first, second):
     # A lag forward and back loses samples at both ends, so lags are composed alone.
     second = dataclasses.replace(second, lag_samples=second.lag_samples if first.lag_samples == 0 else 0)
     raw = record(samples=50)
-    twice = mend(mend(raw, first), second)
-    once = mend(raw, composed(first, second, 2, 2))
+    twice = correct(correct(raw, first), second)
+    once = correct(raw, composed(first, second, 2, 2))
     assert np.allclose(once.drive_v, twice.drive_v, rtol=0.0, atol=1e-12)
     assert np.array_equal(once.sense_v, twice.sense_v)
 

@@ -157,11 +157,11 @@ def test_sound_campaign_gives_no_finding(device):
         ([1, 1], [-1, 1], {"drive_polarity": [-1, 1]}),
     ],
 )
-def test_turned_channel_is_named_and_mended(sound, tmp_path, sense, drive, mend):
+def test_turned_channel_is_named_and_mended(sound, tmp_path, sense, drive, correct):
     fault = spoiled(sound, sense=lambda y: y * sense, drive=lambda v: v * drive)
     report, again = mended(fault, tmp_path)
     assert kinds(report) == {"polarity"}
-    assert msgspec.toml.decode(report.toml) == {"channels": mend}
+    assert msgspec.toml.decode(report.toml) == {"channels": correct}
     assert check(again).findings == ()
     assert np.array_equal(again.records[1].sense_v, sound.records[1].sense_v)
 

@@ -15,7 +15,7 @@ from pipeline.arrays import FloatArray
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, SCREENING_MODEL, Model, PlantSpec
 from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward.drive_groups import play_of
+from pipeline.experiment.forward.drive_groups import drive_group_of
 from pipeline.experiment.forward.record import base_of, forward, jacobian, signatures
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
@@ -236,9 +236,9 @@ def test_the_jacobian_is_the_slope_of_the_forward_model(effects: tuple[str, ...]
 
 def test_parameters_that_do_not_exist_at_the_null_are_scanned() -> None:
     record = _record(300)
-    play = play_of([record], INSTRUMENT, None)
+    group = drive_group_of([record], INSTRUMENT, None)
     grid = {"f": (700.0, 900.0), "zeta": (1e-2,), "a": (0.0, 90.0)}
-    found = list(signatures(base_of(DEFAULT_COMPARE_MODEL, PLANT, play, INSTRUMENT), "parasitic_mode", grid=grid))
+    found = list(signatures(base_of(DEFAULT_COMPARE_MODEL, PLANT, group, INSTRUMENT), "parasitic_mode", grid=grid))
     assert [(s.point["f"], s.point["a"]) for s in found] == [(700.0, 0.0), (700.0, 90.0), (900.0, 0.0), (900.0, 90.0)]
     assert all(s.names == ("b_d1", "b_d2") for s in found)
     # A mode seen by sense 1 alone leaves sense 2 alone.

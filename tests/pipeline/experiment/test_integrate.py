@@ -16,7 +16,7 @@ from pipeline.device.readout import plain_readout
 from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, pushed, trajectory
+from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, perturbed_motion, trajectory
 from pipeline.experiment.forward.linear import Clock, linear_response, upper_poles
 from pipeline.experiment.forward.readout_filter import filtered
 from pipeline.experiment.instrument import AntiAlias
@@ -101,7 +101,7 @@ def test_along_the_linear_trajectory_a_force_counts_to_first_order(hold: Any, st
     for p in (1e-4, 1e-5):
         force = [(curved, np.array([p]))]
         whole = trajectory(m, force, _laws(m), DRIVE, 1.0 / RATE, hold, start, reads=reads)[1]
-        missed.append(np.linalg.norm(pushed(motion, force, _laws(m), reads) - whole) / np.linalg.norm(whole))
+        missed.append(np.linalg.norm(perturbed_motion(motion, force, _laws(m), reads) - whole) / np.linalg.norm(whole))
     assert missed[0] < 1e-1
     # What is missed is of the next order.
     assert missed[1] == pytest.approx(0.1 * missed[0], rel=0.05)

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward.drive_groups import plays_of
+from pipeline.experiment.forward.drive_groups import drive_groups_of
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.forward.response import converted, volts
 from pipeline.experiment.forward.system import assemble
@@ -63,14 +63,14 @@ def test_records_played_together_are_those_played_alone(hold: str, effect: str |
     values = model.complete({**PLANT, **{f"{effect}.{name}": value for name, value in p.items()}})
     instrument = Instrument(sample_rate_hz=RATE, hold=hold, antialias=AntiAlias())  # type: ignore[arg-type]
     records = _campaign()
-    plays = plays_of(records, instrument, None)
-    assert [len(places) for places, _ in plays] == [7, 1]
+    groups = drive_groups_of(records, instrument, None)
+    assert [len(places) for places, _ in groups] == [7, 1]
     # Up and down: two waveforms for all drives, directions and levels.
-    assert plays[0][1].gains.shape == (7, 2, 2)
-    assert plays[0][1].twins[:3] == (0, 0, 2)
-    for places, play in plays:
-        system = assemble(model, values, instrument, play.conditions)
-        together = converted(system, volts(system, play))
+    assert groups[0][1].gains.shape == (7, 2, 2)
+    assert groups[0][1].twins[:3] == (0, 0, 2)
+    for places, group in groups:
+        system = assemble(model, values, instrument, group.conditions)
+        together = converted(system, volts(system, group))
         for place, y in zip(places, together):
             alone = forward(model, values, records[place], instrument)
             assert np.max(np.abs(y - alone)) <= 1e-11 * max(np.max(np.abs(together)), 1e-300)

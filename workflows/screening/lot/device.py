@@ -27,9 +27,9 @@ from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
 from pipeline.experiment.noise.lines import hum_line, silent_sigma
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.gate import Goodness, misfit_reason, theta_bias_bound_deg
+from pipeline.inference.gate import GoodnessOfFit, misfit_reason, theta_bias_bound_deg
 from pipeline.inference.general.fit import CampaignFit, fit_campaign
-from pipeline.inference.general.residuals import Problem
+from pipeline.inference.general.residuals import CampaignResiduals
 from pipeline.inference.screening.device import RateSettings
 from pipeline.learning.campaign.problem import CampaignView
 from pipeline.learning.campaign.rows import spectra_of
@@ -62,7 +62,7 @@ class Request:
 
 
 @dataclass(frozen=True, eq=False)
-class DeviceLook:
+class DeviceExamination:
     """What a device says.
 
     Parameters
@@ -106,7 +106,7 @@ def columns_of(terms: tuple[str, ...]) -> tuple[SharedTerm, ...]:
     return tuple(found)
 
 
-def look_at(source: Source, request: Request) -> DeviceLook:
+def examine_device(source: Source, request: Request) -> DeviceExamination:
     """Fit, score and judge one device; what goes wrong is said, never raised."""
     with threadpool_limits(limits=1):
         try:
@@ -115,9 +115,9 @@ def look_at(source: Source, request: Request) -> DeviceLook:
             return _failed(request, f"{error}")
 
 
-def _failed(request: Request, why: str) -> DeviceLook:
+def _failed(request: Request, why: str) -> DeviceExamination:
     nothing = np.zeros(0)
-    return DeviceLook(request.number, request.terms, why, {}, nothing, nothing, nothing, reason=why)
+    return DeviceExamination(request.number, request.terms, why, {}, nothing, nothing, nothing, reason=why)
 
 
 def subject_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, float | None]:
@@ -142,7 +142,7 @@ def subject_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, float
     return Campaign(drawn.device_id[0], records, instrument, gain), NoiseLevel(sigma, "silent", silent_v.shape[0]), line
 
 
-def _look(source: Source, request: Request) -> DeviceLook:
+def _look(source: Source, request: Request) -> DeviceExamination:
     config, _ = source
     campaign, noise, line = subject_of(source, request.number)
     model = Model(effects=(_SCREENING, *((_HUM,) if line else ())))
@@ -164,7 +164,7 @@ def _look(source: Source, request: Request) -> DeviceLook:
         fitted = fit_campaign(replace(model, effects=(*model.effects, *request.terms)), campaign, noise, start)
     rate = rate_of(config, campaign.angular_gain)
     status, p_pass, verdict = _judged(config, campaign, fitted, rate, request.number)
-    return DeviceLook(
+    return DeviceExamination(
         request.number,
         request.terms,
         "",
@@ -185,7 +185,7 @@ def _scores(
     view: CampaignView, fitted: CampaignFit, fit: FitResult, terms: Sequence[SharedTerm]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Score (K,), information and covariance (K, K) of the columns of ``terms`` in their own units."""
-    problem = Problem(fitted.model, view.campaign, view.noise.sigma_v)
+    problem = CampaignResiduals(fitted.model, view.campaign, view.noise.sigma_v)
     tasks = problem.tasks(view.records, fitted.values)
 
     def rows(place: int, y: FloatArray) -> FloatArray:
@@ -219,7 +219,7 @@ def _judged(
         chi2, rows = chi2 + float(np.vdot(own, own)), rows + own.size
     dof = rows - len(fitted.names)
     theta_sd = fitted.parameters["theta_deg"][1]
-    goodness = Goodness(
+    goodness = GoodnessOfFit(
         fitted.error["fit"] or float("nan"),
         fitted.relative_error["fit"] or float("nan"),
         chi2 / dof,

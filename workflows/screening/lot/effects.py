@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pipeline.criticism.prevalence import carried
+from pipeline.criticism.prevalence import prevalence
 from pipeline.criticism.shared import Evidence, Shared, shared
 from reports.run.lot_effects import LotEffect, LotEffects, ParameterSize
 
 from ...config import DiagnosisTable
-from .device import DeviceLook, Request, columns_of, sizes_of
+from .device import DeviceExamination, Request, columns_of, sizes_of
 from .scope import (
     SEEN,
-    Device,
+    LotDevice,
     Scope,
     bounds_of,
     devices_of,
@@ -36,7 +36,7 @@ from .scope import (
     sizes_in,
 )
 
-Looker = Callable[[Sequence[Request]], Iterable[DeviceLook]]
+Looker = Callable[[Sequence[Request]], Iterable[DeviceExamination]]
 Columns = dict[str, dict[str, Any]]
 Found = dict[str, Shared]
 
@@ -65,7 +65,7 @@ def examine(table: pa.Table, rules: DiagnosisTable, look: Looker) -> tuple[LotEf
     flagged = [device for device in devices if device.flagged][: rules.most]
     ok = in_turn([device for device in devices if not device.flagged])
     wanted = max(12, len(ok) // 50) if rules.sample is None else rules.sample
-    looks: dict[int, DeviceLook] = {}
+    looks: dict[int, DeviceExamination] = {}
     found: Found = {}
     for _ in range(_STAGES):
         group = [*flagged, *ok[:wanted]]
@@ -109,19 +109,19 @@ def examine(table: pa.Table, rules: DiagnosisTable, look: Looker) -> tuple[LotEf
     return summary, columns
 
 
-def _looked(look: Looker, requests: Sequence[Request]) -> dict[int, DeviceLook]:
+def _looked(look: Looker, requests: Sequence[Request]) -> dict[int, DeviceExamination]:
     found = {seen.number: seen for seen in look(requests)} if requests else {}
     return dict(sorted(found.items()))
 
 
-def _terms_of(device: Device, terms: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+def _terms_of(device: LotDevice, terms: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
     """Effects in the model of a device: those of the run and of its lot."""
     return tuple(sorted({*terms.get("", ()), *terms.get(device.lot, ())}))
 
 
 def _relooked(
-    look: Looker, group: Sequence[Device], looks: dict[int, DeviceLook], terms: Mapping[str, tuple[str, ...]]
-) -> dict[int, DeviceLook]:
+    look: Looker, group: Sequence[LotDevice], looks: dict[int, DeviceExamination], terms: Mapping[str, tuple[str, ...]]
+) -> dict[int, DeviceExamination]:
     """Looks with the terms in the models, anew where they differ."""
     counts: dict[str, int] = {}
     requests = []
@@ -135,7 +135,7 @@ def _relooked(
     return dict(sorted((looks | _looked(look, requests)).items()))
 
 
-def _start(device: Device, seen: DeviceLook, wanted: Sequence[str]) -> tuple[tuple[str, float], ...]:
+def _start(device: LotDevice, seen: DeviceExamination, wanted: Sequence[str]) -> tuple[tuple[str, float], ...]:
     """Where a fit with the terms ``wanted`` starts: the fit that was made, and one step to the sizes of new terms."""
     start = dict(device.start) | {name: value for name, (value, _) in seen.parameters.items()}
     for term in columns_of(seen.terms) if seen.score.size else ():
@@ -150,7 +150,7 @@ def _start(device: Device, seen: DeviceLook, wanted: Sequence[str]) -> tuple[tup
 
 
 def _best(
-    scopes: Sequence[Scope], looks: Mapping[int, DeviceLook], terms: Mapping[str, tuple[str, ...]], alpha: float
+    scopes: Sequence[Scope], looks: Mapping[int, DeviceExamination], terms: Mapping[str, tuple[str, ...]], alpha: float
 ) -> tuple[Found, tuple[str, float]]:
     """What the whole run shares, else what single lots share; and what came nearest."""
     trials = float(len(scopes) * _STAGES)
@@ -167,7 +167,7 @@ def _best(
     return found, nearest
 
 
-def _shared(scope: Scope, looks: Mapping[int, DeviceLook], alpha: float, trials: float) -> Shared | None:
+def _shared(scope: Scope, looks: Mapping[int, DeviceExamination], alpha: float, trials: float) -> Shared | None:
     """What the examined devices of a scope say together; those with other terms in their model than most are left out."""
     weights = scope.weights({n: one for n, one in looks.items() if one.score.size})
     by_terms: dict[tuple[str, ...], list[int]] = {}
@@ -186,7 +186,7 @@ def _shared(scope: Scope, looks: Mapping[int, DeviceLook], alpha: float, trials:
 
 
 def _pruned(
-    scopes: Sequence[Scope], looks: Mapping[int, DeviceLook], terms: Mapping[str, tuple[str, ...]], alpha: float
+    scopes: Sequence[Scope], looks: Mapping[int, DeviceExamination], terms: Mapping[str, tuple[str, ...]], alpha: float
 ) -> dict[str, tuple[str, ...]]:
     """Terms whose fitted sizes still say that they are needed; the last one added is always kept."""
     by_lot = {scope.lot: scope for scope in scopes}
@@ -200,8 +200,8 @@ def _pruned(
 
 def _columns(
     look: Looker,
-    group: Sequence[Device],
-    looks: Mapping[int, DeviceLook],
+    group: Sequence[LotDevice],
+    looks: Mapping[int, DeviceExamination],
     terms: Mapping[str, tuple[str, ...]],
     evidence: Mapping[tuple[str, str], Shared],
 ) -> Columns:
@@ -246,7 +246,7 @@ def _told(missing: str, sizes: str, reason: str) -> dict[str, Any]:
     }
 
 
-def _visible(seen: DeviceLook, name: str) -> bool:
+def _visible(seen: DeviceExamination, name: str) -> bool:
     """Whether an effect's size is seen in this device by itself."""
     for full, _, null in parameters_of(name):
         value, sd = seen.parameters.get(full, (null, float("nan")))
@@ -256,14 +256,14 @@ def _visible(seen: DeviceLook, name: str) -> bool:
 
 
 def _effect(
-    scope: Scope, name: str, seen: Shared, scopes: Sequence[Scope], looks: Mapping[int, DeviceLook]
+    scope: Scope, name: str, seen: Shared, scopes: Sequence[Scope], looks: Mapping[int, DeviceExamination]
 ) -> LotEffect:
     """An effect that a scope needs, with who carries it and how much of it, from the refits."""
     assert seen.found is not None
     rows, best, telling = [], None, -1.0
     for full, unit, null in parameters_of(name):
         values, sds, weights = sizes_in(scope, looks, full, null)
-        told = carried(values, sds, weights)
+        told = prevalence(values, sds, weights)
         rows.append(ParameterSize(full.partition(".")[2], unit, told.mean, told.mean_sd, told.spread))
         with np.errstate(invalid="ignore", divide="ignore"):
             strength = float(np.nanmean(np.abs(values) / sds)) if values.size else 0.0

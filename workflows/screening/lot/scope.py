@@ -19,14 +19,14 @@ from pipeline.device.gyro import PHYSICAL
 from pipeline.device.model import Model
 from reports.run.lot_effects import ParameterSize
 
-from .device import DeviceLook
+from .device import DeviceExamination
 
 #: A size is seen where it is so many sd from null.
 SEEN = 3.0
 
 
 @dataclass(frozen=True)
-class Device:
+class LotDevice:
     """A row of the devices table, as far as it is needed here."""
 
     number: int
@@ -41,15 +41,15 @@ class Scope:
     """The whole run ("") or one lot: its flagged and its ok devices, in the order in which they are examined."""
 
     lot: str
-    flagged: tuple[Device, ...]
-    ok: tuple[Device, ...]
+    flagged: tuple[LotDevice, ...]
+    ok: tuple[LotDevice, ...]
 
     @property
     def population(self) -> int:
         """Devices that could be fitted."""
         return len(self.flagged) + len(self.ok)
 
-    def weights(self, looks: Mapping[int, DeviceLook]) -> dict[int, float]:
+    def weights(self, looks: Mapping[int, DeviceExamination]) -> dict[int, float]:
         """How many devices each examined one stands for."""
         out: dict[int, float] = {}
         for group in (self.flagged, self.ok):
@@ -58,21 +58,21 @@ class Scope:
         return out
 
 
-def devices_of(table: pa.Table) -> tuple[Device, ...]:
+def devices_of(table: pa.Table) -> tuple[LotDevice, ...]:
     """The devices that a fit can start from, in the order in which they are examined."""
     columns = {name: table.column(name).to_pylist() for name in ("device_id", "lot", "status", *PHYSICAL)}
     out = []
     for number, (name, lot, status) in enumerate(zip(columns["device_id"], columns["lot"], columns["status"])):
         start = tuple((q, columns[q][number]) for q in PHYSICAL)
         if status in ("ok", "misfit", "not_converged") and all(value is not None for _, value in start):
-            out.append(Device(number, name, lot or "", status == "misfit", start))
+            out.append(LotDevice(number, name, lot or "", status == "misfit", start))
     return tuple(sorted(out, key=lambda device: sha256(device.device_id.encode()).digest()))
 
 
-def scopes_of(devices: Sequence[Device]) -> tuple[Scope, ...]:
+def scopes_of(devices: Sequence[LotDevice]) -> tuple[Scope, ...]:
     """The whole run, then each lot where there are several."""
 
-    def scope(lot: str, own: Sequence[Device]) -> Scope:
+    def scope(lot: str, own: Sequence[LotDevice]) -> Scope:
         return Scope(lot, tuple(d for d in own if d.flagged), tuple(d for d in own if not d.flagged))
 
     lots = sorted({device.lot for device in devices})
@@ -80,7 +80,7 @@ def scopes_of(devices: Sequence[Device]) -> tuple[Scope, ...]:
     return (scope("", devices), *single)
 
 
-def in_turn(devices: Sequence[Device]) -> list[Device]:
+def in_turn(devices: Sequence[LotDevice]) -> list[LotDevice]:
     """Devices in an order that visits the lots in turn."""
     places: dict[str, int] = {}
     keyed = []
@@ -103,7 +103,7 @@ def bounds_of(name: str) -> tuple[tuple[float, float], ...]:
 
 
 def sizes_in(
-    scope: Scope, looks: Mapping[int, DeviceLook], parameter: str, null: float
+    scope: Scope, looks: Mapping[int, DeviceExamination], parameter: str, null: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fitted sizes, their sds and weights of a scope's devices that have the parameter in their model."""
     weights = scope.weights({n: one for n, one in looks.items() if parameter in one.parameters})
@@ -112,14 +112,14 @@ def sizes_in(
     return values, np.array([sd for _, sd in pairs]), np.array([weights[n] for n in sorted(weights)])
 
 
-def needed_in(scope: Scope, looks: Mapping[int, DeviceLook], name: str, alpha: float) -> bool:
+def needed_in(scope: Scope, looks: Mapping[int, DeviceExamination], name: str, alpha: float) -> bool:
     own = parameters_of(name)
     return any(
         still_needed(*sizes_in(scope, looks, full, null), scope.population, alpha / len(own)) for full, _, null in own
     )
 
 
-def lacks(lot: Scope, looks: Mapping[int, DeviceLook], name: str, sizes: Sequence[ParameterSize]) -> bool:
+def lacks(lot: Scope, looks: Mapping[int, DeviceExamination], name: str, sizes: Sequence[ParameterSize]) -> bool:
     """Whether a lot's mean size is null within ``SEEN`` sd, and surely below half of what carriers have."""
     for (full, _, null), size in zip(parameters_of(name), sizes):
         mean, sd = _mean(*sizes_in(lot, looks, full, null))

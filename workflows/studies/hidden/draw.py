@@ -22,7 +22,7 @@ from pipeline.experiment.record import Campaign, Record
 
 from ...simulate import device_parameters, standard_excitations
 from .effects import LIBRARY, Drawn, draw_effect, peak_of
-from .strengths import Baseline, baseline, modelled, sized
+from .strengths import FittedBaseline, baseline, modelled, sized
 from .truth import OUTSIDE, clipped, hum, response
 
 Noise = Literal["white", "coloured", "heavy-tailed", "louder"]
@@ -37,7 +37,7 @@ _LIKE = ({"pickoff_pole", "loop_delay"}, {"updown_tilt", "electrode_mismatch"})
 
 
 @dataclass(frozen=True)
-class Kind:
+class HiddenKind:
     """A kind of campaign: how many the issue asks for, SNR range, noise."""
 
     campaigns: int
@@ -46,16 +46,16 @@ class Kind:
     noise: Noise = "white"
 
 
-KINDS: dict[str, Kind] = {
-    "none": Kind(500, "nothing hidden"),
-    "one": Kind(220, "one library effect"),
-    "weak": Kind(110, "one library effect, weak", (4.0, 10.0)),
-    "outside": Kind(54, "one effect that is in no library"),
-    "left-out": Kind(66, "one library effect, taken out of the library"),
-    "two": Kind(60, "two library effects"),
-    "coloured": Kind(60, "nothing hidden, coloured noise", noise="coloured"),
-    "heavy-tailed": Kind(60, "nothing hidden, noise of Student's t, 4 degrees of freedom", noise="heavy-tailed"),
-    "louder": Kind(60, "nothing hidden, noise 20 % stronger in the driven records", noise="louder"),
+KINDS: dict[str, HiddenKind] = {
+    "none": HiddenKind(500, "nothing hidden"),
+    "one": HiddenKind(220, "one library effect"),
+    "weak": HiddenKind(110, "one library effect, weak", (4.0, 10.0)),
+    "outside": HiddenKind(54, "one effect that is in no library"),
+    "left-out": HiddenKind(66, "one library effect, taken out of the library"),
+    "two": HiddenKind(60, "two library effects"),
+    "coloured": HiddenKind(60, "nothing hidden, coloured noise", noise="coloured"),
+    "heavy-tailed": HiddenKind(60, "nothing hidden, noise of Student's t, 4 degrees of freedom", noise="heavy-tailed"),
+    "louder": HiddenKind(60, "nothing hidden, noise 20 % stronger in the driven records", noise="louder"),
 }
 
 
@@ -183,7 +183,7 @@ def _strength(
     values: Mapping[str, float],
     fitted: list[Record],
     before: list[FloatArray],
-    base: Baseline,
+    base: FittedBaseline,
     target: float,
     random: np.random.Generator,
 ) -> tuple[float, float]:

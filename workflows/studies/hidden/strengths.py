@@ -16,7 +16,7 @@ from pipeline.arrays import FloatArray
 from pipeline.device.gyro import PHYSICAL
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 from pipeline.errors import ConfigError
-from pipeline.experiment.forward.drive_groups import plays_of
+from pipeline.experiment.forward.drive_groups import drive_groups_of
 from pipeline.experiment.forward.record import jacobian
 from pipeline.experiment.forward.response import volts
 from pipeline.experiment.forward.system import assemble
@@ -34,7 +34,7 @@ def row(records: Sequence[FloatArray]) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Baseline:
+class FittedBaseline:
     """What the plant's own parameters can do: an orthonormal basis (M, 11) of its signatures, and sigma [V]."""
 
     basis: FloatArray
@@ -49,14 +49,14 @@ class Baseline:
 
 def baseline(
     values: Mapping[str, float], records: Sequence[Record], instrument: Instrument, sigma_v: float
-) -> Baseline:
+) -> FittedBaseline:
     """The baseline around ``values`` on the fitted ``records``, whose drive samples alone are used."""
     model = DEFAULT_COMPARE_MODEL
     plant = {name: values[name] for name in PHYSICAL if name in model.by_name}
     columns = [jacobian(model, plant, record, instrument) for record in records]
     rows = np.stack([row([block[:, :, i] for block in columns]) for i in range(columns[0].shape[2])], axis=1)
     basis, _ = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))
-    return Baseline(basis, sigma_v)
+    return FittedBaseline(basis, sigma_v)
 
 
 def modelled(
@@ -73,9 +73,9 @@ def modelled(
         model = model.with_effect(effect)
     known = model.complete({name: value for name, value in values.items() if name in model.by_name})
     out: list[FloatArray] = [np.zeros(0)] * len(records)
-    for places, play in plays_of(records, instrument, None):
-        system = assemble(model, known, instrument, play.conditions)
-        for place, y in zip(places, volts(system, play)):
+    for places, group in drive_groups_of(records, instrument, None):
+        system = assemble(model, known, instrument, group.conditions)
+        for place, y in zip(places, volts(system, group)):
             out[place] = y
     return out
 

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.loop import as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
-from pipeline.criticism.selection import climb
+from pipeline.criticism.selection import forward_selection
 from pipeline.errors import GyroscreenError, UsageError
 
 from ...learning import Diagnosed, Refined, view_of
@@ -101,15 +101,15 @@ def told(hidden: Hidden) -> dict[str, Any]:
     """
     view = view_of(hidden.campaign, threads=1)
     problem: Problem = Narrowed(view, hidden.left_out) if hidden.left_out else view
-    climbed, begun = _timed(lambda: climb(problem))
-    short = climbed
-    if len(climbed.steps) > Rules.together:
-        short = climb(problem, rules=Rules(rungs=Rules.together))
+    selection, begun = _timed(lambda: forward_selection(problem))
+    short = selection
+    if len(selection.steps) > Rules.together:
+        short = forward_selection(problem, rules=Rules(rungs=Rules.together))
     diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
     row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(begun, own)}}
     if hidden.kind in _REFINED:
-        ladder, own = _timed(lambda: as_ladder(problem, climbed))
-        row["refine"] = {**_refined(Refined(view, ladder, climbed).to_dict()), **_sum(begun, own)}
+        ladder, own = _timed(lambda: as_ladder(problem, selection))
+        row["refine"] = {**_refined(Refined(view, ladder, selection).to_dict()), **_sum(begun, own)}
     return row
 
 

@@ -35,7 +35,7 @@ from pipeline.inference.screening.compressed import BandData, nuisance_basis
 from pipeline.inference.screening.fit import Fit, maximise, start_from_modes
 from pipeline.inference.screening.inband import Band, make_band
 from pipeline.inference.screening.summary import summarise
-from reports.paper.content import BiasRow, OrderView, RecordView, ResponseView, StepsView
+from reports.paper.content import BiasRow, OrderView, PaperRecord, ResponseView, StepsView
 
 from .numbers import Eq14
 
@@ -95,11 +95,11 @@ def paper_record(physical: FloatArray) -> tuple[Record, float]:
     return Record("figure 4", rate, drive, sense), sigma
 
 
-def record_view(record: Record, physical: FloatArray) -> RecordView:
+def record_view(record: Record, physical: FloatArray) -> PaperRecord:
     """Figure 4."""
     rate, count = record.sample_rate_hz, record.sense_v.shape[0]
     frequency, psd = welch(record.sense_v, rate, nperseg=8192, axis=0)
-    return RecordView(
+    return PaperRecord(
         np.arange(count) / rate, record.sense_v, frequency, np.asarray(psd), _HUM.frequency_hz,
         (float(physical[0]), float(physical[2])),
     )  # fmt: skip
@@ -261,7 +261,7 @@ def bias_rows(physical: FloatArray) -> tuple[BiasRow, ...]:
 
 
 @dataclass(frozen=True)
-class Sizes:
+class StudySizes:
     """How much the page computes.
 
     orders : of the convergence study.

@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.arrays import FloatArray
 from pipeline.experiment.files.modal_record import ModalRecord, read_modal_record
 from pipeline.identification.axes import axes, gains_from_updown
-from pipeline.identification.hankel import StateSpace, balance
+from pipeline.identification.hankel import DiscreteStateSpace, balance
 from pipeline.identification.modes import ContinuousModes, hold_gain, modes_from_fractions
 from pipeline.identification.phase import correct_phase_hinf
 from pipeline.identification.reduction import Reduction
@@ -73,7 +73,7 @@ def hankel_of(modes: ContinuousModes) -> FloatArray:
         a[part, part] = np.kron(turn, identity)
         b[part] = np.concatenate([identity, np.zeros((drives, drives))])
         c[:, part] = 2.0 * np.concatenate([residues[k].real, -residues[k].imag], axis=1)
-    return balance(StateSpace(a, b, c, np.zeros((senses, drives)))).hankel
+    return balance(DiscreteStateSpace(a, b, c, np.zeros((senses, drives)))).hankel
 
 
 def derived(route: RouteResult, M: FloatArray | None = None) -> dict[str, float]:

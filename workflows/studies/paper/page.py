@@ -46,7 +46,7 @@ def _chain(physical: FloatArray, reduction: Reduction, fit: dict[str, float]) ->
     )
 
 
-def paper_content(sizes: study.Sizes, say: Callable[[str], None] = lambda _: None) -> PaperContent:
+def paper_content(sizes: study.StudySizes, say: Callable[[str], None] = lambda _: None) -> PaperContent:
     """Everything on the page.
 
     Parameters
@@ -116,7 +116,7 @@ def paper_content(sizes: study.Sizes, say: Callable[[str], None] = lambda _: Non
 
 
 def write_paper(
-    out: Path, sizes: study.Sizes | None = None, say: Callable[[str], None] = lambda _: None
+    out: Path, sizes: study.StudySizes | None = None, say: Callable[[str], None] = lambda _: None
 ) -> tuple[Path, PaperContent, float]:
     """Write the page into the folder ``out``; returns its path, what it shows, and the seconds it took.
 
@@ -130,7 +130,7 @@ def write_paper(
     except OSError as error:
         raise _unwritable(out, error) from error
     with threadpool_limits(limits=1):
-        content = paper_content(sizes or study.Sizes(), say)
+        content = paper_content(sizes or study.StudySizes(), say)
     path = out / PAGE
     try:
         path.write_text(render_paper(content), encoding="utf-8")
