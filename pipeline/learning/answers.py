@@ -1,0 +1,311 @@
+"""The answers of compare, diagnose and refine: frozen data, the same types for campaigns and modal records.
+
+JSON keys are the field names, except ``from_`` ("from") and ``class_`` ("class"); ``to_json`` writes them.  A field that is
+``UNSET`` has no key: it does not apply to this kind of measurement.  ``None`` (null) means "applies, but is not known".
+
+    Measured    (value, sd); sd is None where the data do not determine it
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import UNSET, Struct, UnsetType
+
+Measured = tuple[float | None, float | None]
+#: parameter name -> (value, sd)
+Values = dict[str, Measured]
+#: "fit" and "validate" (and "before", "after" for the relative error of a modal ladder) -> value
+ByRole = dict[str, float | None]
+Thetas = dict[str, Measured]
+
+
+class Answer(Struct, frozen=True, eq=False):
+    """Base of all answers: frozen, fields by name."""
+
+
+class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
+    """Noise level ``sigma`` by channel, where it comes from, and its unit where that is not volts."""
+
+    sigma: tuple[float, ...]
+    from_: str
+    unit: str | UnsetType = UNSET
+
+
+class Place(Answer, frozen=True, eq=False):
+    """A region of the residual, or one entry of a mode, and how badly the model does there.
+
+    Parameters
+    ----------
+    kind : "resonance", "harmonic", "line", "broadband", "time", "level", "response", "direction", "channel" or "record".
+    share : of the misfit in its family.
+    error : rms of the residual there [sigma].
+    family : regions of one family share out the misfit among them.
+    error_after, explained : what the last model of a ladder leaves there, and the share that it explains.
+    mode, drive, relative_error, measured, model : entry of a modal record, complex values as (re, im).
+    """
+
+    kind: str
+    record: str | None
+    channel: str | None
+    band_hz: tuple[float, float] | None
+    share: float
+    error: float | None
+    family: str | UnsetType = UNSET
+    time_s: tuple[float, float] | UnsetType | None = UNSET
+    harmonic: int | UnsetType = UNSET
+    level: float | str | UnsetType = UNSET
+    response_v: tuple[float, float] | UnsetType = UNSET
+    direction: str | UnsetType = UNSET
+    error_after: float | UnsetType = UNSET
+    explained: float | UnsetType = UNSET
+    mode: int | UnsetType = UNSET
+    drive: str | UnsetType = UNSET
+    relative_error: float | UnsetType = UNSET
+    measured: tuple[float, float] | UnsetType = UNSET
+    model: tuple[float, float] | UnsetType = UNSET
+
+
+class RecordErrors(Answer, frozen=True, eq=False):
+    """Role and errors of one record; ``error_v`` is rms(measured - model) in volts."""
+
+    role: str
+    error: float | None
+    error_v: float
+    relative_error: float
+
+
+class ComparisonAnswer(Answer, frozen=True, eq=False):
+    """How well a model explains a measurement, and where it does not.
+
+    Parameters
+    ----------
+    error, relative_error, misfit : by role.
+    where : significant regions; ``where_by_kind`` the same with all records and channels together, ``where_rest`` the share
+        of each family that no region holds, ``where_families`` the kinds of each family.
+    parameters : of the model.
+    fit_ok : false where the fit failed; ``why`` gives the reason.
+    dof, theta_deg, split_hz, four_thetas_deg, theta_spread_deg : of a modal record.
+    """
+
+    error: ByRole
+    relative_error: ByRole
+    where: tuple[Place, ...]
+    parameters: Values
+    fit_ok: bool
+    why: str | UnsetType = UNSET
+    misfit: ByRole | UnsetType = UNSET
+    noise: Noise | UnsetType = UNSET
+    where_by_kind: tuple[Place, ...] | UnsetType = UNSET
+    where_rest: dict[str, float] | UnsetType = UNSET
+    where_families: dict[str, tuple[str, ...]] | UnsetType = UNSET
+    records: dict[str, RecordErrors] | UnsetType = UNSET
+    dof: int | UnsetType = UNSET
+    theta_deg: Measured | UnsetType = UNSET
+    split_hz: Measured | UnsetType = UNSET
+    four_thetas_deg: Thetas | UnsetType = UNSET
+    theta_spread_deg: float | UnsetType = UNSET
+
+
+class TermTest(Answer, frozen=True, eq=False):
+    """Significance of an absent effect on a modal record: F (or chi2 per degree of freedom), alone and family-wise."""
+
+    effect: str
+    F: float
+    F_dof: tuple[int, int | None]
+    share_of_chi2: float
+    p_single: float
+    p_value: float
+
+
+class CandidateAnswer(Answer, frozen=True, eq=False, rename={"class_": "class"}):
+    """An absent effect, tested at the given model.
+
+    Parameters
+    ----------
+    delta_chi2, p_value : fall of chi2 with the effect, family-wise p.
+    estimate : its parameters by one Gauss-Newton step.
+    error_after : error on the fitted data with the effect in the model.
+    class_ : number of its class.
+    detectable, snr_at_reach : whether these data could have shown it, and the SNR at the end of its declared range.
+    surviving_share : share of its signature that the model's own parameters do not absorb.
+    F, F_dof, share_of_chi2, p_single, relative_error_after : of a modal record.
+    """
+
+    effect: str
+    delta_chi2: float
+    p_value: float
+    estimate: Values
+    error_after: float | None
+    class_: int | None
+    detectable: bool
+    surviving_share: float
+    snr_at_reach: float | None
+    F: float | UnsetType = UNSET
+    F_dof: tuple[int, int | None] | UnsetType = UNSET
+    share_of_chi2: float | UnsetType = UNSET
+    p_single: float | UnsetType = UNSET
+    relative_error_after: float | UnsetType | None = UNSET
+
+
+class SizeDisagreement(Answer, frozen=True, eq=False):
+    """The partition of the records ("level", "direction" ..) between which the fitted size of an effect differs."""
+
+    by: str
+    log_p: float
+
+
+class PairAnswer(Answer, frozen=True, eq=False):
+    """Two absent effects together, on a modal record."""
+
+    effects: tuple[str, ...]
+    share_of_chi2: float
+    p_value: float
+
+
+class DiagnosisAnswer(Answer, frozen=True, eq=False):
+    """What a model lacks.
+
+    Parameters
+    ----------
+    verdict : "adequate", "effect", "class", "unknown" or "fit_failed".
+    effects : the named effects.
+    classes : effects that these data cannot tell apart, where there is more than one.
+    invisible : effects and gauge freedoms that these data could not have shown.
+    p_left, left : p-value of the structure that is left once the named effects are in, and where it is.
+    wrong_form : effects whose fitted size differs between records.
+    why : the reason of "fit_failed".
+    hints : doubts about the campaign rather than the model.
+    """
+
+    verdict: str
+    effects: tuple[str, ...]
+    candidates: tuple[CandidateAnswer, ...]
+    classes: tuple[tuple[str, ...], ...]
+    invisible: tuple[str, ...]
+    error: ByRole
+    p_left: float | None
+    left: str
+    wrong_form: dict[str, SizeDisagreement]
+    why: str
+    separating_record: str | None = None
+    hints: tuple[str, ...] | UnsetType = UNSET
+    pairs: tuple[PairAnswer, ...] | UnsetType = UNSET
+    relative_error: ByRole | UnsetType = UNSET
+    dof: int | UnsetType = UNSET
+    declared: tuple[str, ...] | UnsetType = UNSET
+
+
+class RungAnswer(Answer, frozen=True, eq=False):
+    """One model of the ladder.
+
+    Parameters
+    ----------
+    effect, status : added on this rung, "confirmed" or "partial"; ``None`` on the first.
+    error_fit .. relative_error : of this model.
+    delta_chi2 : fall of the fitted chi2 against the rung below.
+    explained : share of the first model's excess chi2 that this model explains.
+    held_out_fall, held_out_sd : fall of the held-out chi2 and the sd of that paired difference.
+    terms, dropped : effects in the model, and those removed for this rung.
+    derived : theta and split with this model.
+    explained_by_kind, error_v, relative_error_validate : of a campaign.
+    verdict, verdict_at_face, verdict_reason : pass, fail or undecided with this model; the same without the gate; why.
+    theta_deg .. rivals : of a modal record.
+    """
+
+    effect: str | None
+    status: str | None
+    error_fit: float | None
+    error_validate: float | None
+    misfit_fit: float | None
+    misfit_validate: float | None
+    relative_error: float | None
+    delta_chi2: float
+    explained: float | None
+    held_out_fall: float | None
+    held_out_sd: float | None
+    terms: tuple[str, ...]
+    dropped: tuple[str, ...]
+    parameters: Values
+    derived: Values
+    explained_by_kind: dict[str, float] | UnsetType = UNSET
+    error_v: dict[str, float] | UnsetType = UNSET
+    relative_error_validate: float | UnsetType | None = UNSET
+    verdict: str | UnsetType = UNSET
+    verdict_at_face: str | UnsetType = UNSET
+    verdict_reason: str | UnsetType = UNSET
+    theta_deg: Measured | UnsetType = UNSET
+    split_hz: Measured | UnsetType = UNSET
+    four_thetas_deg: Thetas | UnsetType = UNSET
+    theta_spread_deg: float | UnsetType = UNSET
+    dof: int | UnsetType = UNSET
+    F: float | UnsetType = UNSET
+    F_dof: tuple[int, int | None] | UnsetType = UNSET
+    share_of_chi2: float | UnsetType = UNSET
+    p_single: float | UnsetType = UNSET
+    p_value: float | UnsetType = UNSET
+    rivals: tuple[TermTest, ...] | UnsetType = UNSET
+
+
+class RefinementAnswer(Answer, frozen=True, eq=False):
+    """The ladder and what became of theta, split and the parameters.
+
+    Parameters
+    ----------
+    refused : effect -> why it was not added although its score was significant.
+    regions, regions_by_kind : where the first model failed, with what the last one leaves there.
+    relative_error, where, candidates_left, invisible, declared : of a modal record.
+    """
+
+    ladder: tuple[RungAnswer, ...]
+    verdict: str
+    effects: tuple[str, ...]
+    classes: tuple[tuple[str, ...], ...]
+    wrong_form: dict[str, SizeDisagreement]
+    refused: dict[str, str]
+    regions: tuple[Place, ...]
+    p_left: float
+    left: str
+    why: str
+    hints: tuple[str, ...] | UnsetType = UNSET
+    separating_record: str | UnsetType | None = UNSET
+    regions_by_kind: tuple[Place, ...] | UnsetType = UNSET
+    noise: Noise | UnsetType = UNSET
+    theta_before_deg: Measured | UnsetType = UNSET
+    split_before_hz: Measured | UnsetType = UNSET
+    theta_deg: Measured | UnsetType = UNSET
+    split_hz: Measured | UnsetType = UNSET
+    parameters: Values | UnsetType = UNSET
+    relative_error: ByRole | UnsetType = UNSET
+    where: tuple[Place, ...] | UnsetType = UNSET
+    candidates_left: tuple[TermTest, ...] | UnsetType = UNSET
+    invisible: tuple[str, ...] | UnsetType = UNSET
+    declared: tuple[str, ...] | UnsetType = UNSET
+
+
+def to_builtins(answer: Answer) -> dict[str, Any]:
+    """The answer as JSON holds it: keys by name, nothing for ``UNSET``, null for what is not finite."""
+    found: dict[str, Any] = _finite(msgspec.to_builtins(answer, enc_hook=_from_numpy))
+    return found
+
+
+def to_json(answer: Answer) -> str:
+    """The answer as JSON text."""
+    return msgspec.json.encode(to_builtins(answer)).decode()
+
+
+def _from_numpy(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise NotImplementedError(f"{type(value).__name__} has no JSON form")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
