@@ -16,7 +16,7 @@ from pipeline.experiment.files.modal_record import ModalRecord, read_modal_recor
 from pipeline.experiment.forward.system import Conditions, assemble
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.inference.modal.model import at_resonance, linear_modes
-from pipeline.learning.modal.problem import ModalView
+from pipeline.learning.modal.problem import ModalProblem
 from workflows.cli import call
 from workflows.learning import compare, diagnose, refine
 from workflows.learning.modal_answers import rules_for
@@ -116,7 +116,7 @@ def test_without_sd_the_hidden_effect_is_always_among_those_named_and_seldom_wit
 def test_noise_alone_is_significant_as_often_as_the_tests_say():
     rng, smallest = np.random.default_rng(7), []
     for _ in range(30):
-        view = ModalView(record_of({}, 0.03, rng), DEFAULT_COMPARE_MODEL)
+        view = ModalProblem(record_of({}, 0.03, rng), DEFAULT_COMPARE_MODEL)
         seen = look(view, view.fit(()), replace(rules_for(view.record), draws=2000))
         smallest.append(seen.scores[0].p_value)
     assert kstest(smallest, "uniform").pvalue > 0.01
@@ -152,7 +152,7 @@ def test_a_mode_that_the_plant_lacks_is_a_parasitic_one():
 
 def test_only_effects_that_move_poles_or_residues_are_candidates():
     made = record_of({}, 1e-2, np.random.default_rng(2))
-    view = ModalView(made, DEFAULT_COMPARE_MODEL)
+    view = ModalProblem(made, DEFAULT_COMPARE_MODEL)
     assert {term.name for term in view.terms} == {
         "electrode_misalignment", "electrode_mismatch", "loop_delay", "offdiagonal_damping", "pickoff_crosstalk",
         "pickoff_pole", "updown_tilt",
@@ -161,19 +161,19 @@ def test_only_effects_that_move_poles_or_residues_are_candidates():
     assert {"capacitive_feedthrough", "resistive_feedthrough", "cubic_stiffness", "mains_hum"} < set(view.unseen)
     assert any("turned together" in one for one in view.unseen)
     assert "angular_rate" in {
-        term.name for term in ModalView(replace(made, rate_dps=None), DEFAULT_COMPARE_MODEL).terms
+        term.name for term in ModalProblem(replace(made, rate_dps=None), DEFAULT_COMPARE_MODEL).terms
     }
 
 
 def test_a_fit_slides_along_the_edge_of_passive_damping():
     made = record_of({"c12_per_s": -1.508}, 0.05, np.random.default_rng(9))
     with_c12 = DEFAULT_COMPARE_MODEL.with_effect("offdiagonal_damping")
-    fit = ModalView(made, DEFAULT_COMPARE_MODEL).fit(("offdiagonal_damping",))
+    fit = ModalProblem(made, DEFAULT_COMPARE_MODEL).fit(("offdiagonal_damping",))
     p = {name: value for name, (value, _) in fit.parameters.items()}
     most = 4.0 * np.pi * np.sqrt(p["f1_hz"] * p["f2_hz"] * p["zeta1"] * p["zeta2"])
     assert abs(p["c12_per_s"]) == pytest.approx(most, rel=1e-4)
     held = replace(with_c12, fixed={"c12_per_s": -0.97 * most})
-    assert fit.chi2 <= ModalView(made, held).fit(()).chi2 * (1.0 + 1e-6)
+    assert fit.chi2 <= ModalProblem(made, held).fit(()).chi2 * (1.0 + 1e-6)
 
 
 def test_volts_may_have_any_unit():
@@ -290,7 +290,7 @@ def test_an_undeclared_rate_would_take_what_is_left_at_a_size_that_no_bench_has(
 
 @PAPER
 def test_exact_poles_would_give_the_same_ladder(paper, ladder):
-    view = ModalView(paper, DEFAULT_COMPARE_MODEL, pole_weight=0.01)
+    view = ModalProblem(paper, DEFAULT_COMPARE_MODEL, pole_weight=0.01)
     for rung in ladder["ladder"]:
         fit = view.fit(tuple(rung["terms"]))
         assert fit.derived["theta_deg"][0] == pytest.approx(rung["theta_deg"][0], abs=1e-3)

@@ -11,7 +11,7 @@ from pipeline.errors import UsageError
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
-from pipeline.learning.modal.problem import ModalView
+from pipeline.learning.modal.problem import ModalProblem
 from pipeline.plain import plain
 from reports.learning.modal_page import render_modal_report
 from reports.learning.page import RecordView, effect_texts, render_campaign_report
@@ -94,7 +94,7 @@ def ladder_page(
 def modal_page(
     question: Literal["compare", "diagnose", "refine"],
     record: ModalRecord,
-    view: ModalView,
+    view: ModalProblem,
     said: Mapping[str, Any],
     out: Path,
     folders: Sequence[Path],

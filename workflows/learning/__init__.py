@@ -21,7 +21,7 @@ from pipeline.errors import MeasurementError
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign
-from pipeline.learning.campaign.problem import CampaignView
+from pipeline.learning.campaign.problem import CampaignProblem
 
 from ..machine import worker_count
 from .campaign_answers import Comparison, Diagnosed, Refined
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Comparison", "Diagnosed", "Refined", "compare", "diagnose", "refine", "view_of"]
 
 
-def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int = 0) -> CampaignView:
+def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int = 0) -> CampaignProblem:
     """The campaign as the loop sees it; ``threads`` (one a usable core where it is 0) take signatures at once.
 
     Raises
@@ -43,7 +43,7 @@ def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: i
         raise MeasurementError(
             "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
         )
-    return CampaignView(campaign, model, noise_level(campaign), worker_count(threads))
+    return CampaignProblem(campaign, model, noise_level(campaign), worker_count(threads))
 
 
 @overload

@@ -14,7 +14,7 @@ from pipeline.criticism.problem import Region
 from pipeline.criticism.selection import ForwardSelection
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.campaign.hold import hold_hint, stand_ins_of
-from pipeline.learning.campaign.problem import CampaignView
+from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.modal.problem import GAUGES
 from pipeline.learning.next_experiment.separating import Proposal, proposals, separating_text
 from pipeline.learning.where.regions import FAMILIES, FREQUENCY_KINDS, Layout, decomposed, layout_of
@@ -61,7 +61,7 @@ class Answer(ABC):
 class Comparison(Answer):
     """How well a model explains a campaign, and where it does not."""
 
-    view: CampaignView
+    view: CampaignProblem
 
     @cached_property
     def fit(self) -> CampaignFit:
@@ -154,7 +154,7 @@ class Comparison(Answer):
         return self.where, self.records, self.parameters
 
 
-def _hints(view: CampaignView, terms: Sequence[str], verdict: str) -> list[str]:
+def _hints(view: CampaignProblem, terms: Sequence[str], verdict: str) -> list[str]:
     """Whether another hold would do better; where the noise is known and the model reaches it, there is nothing to ask."""
     fit, known = view.campaign_fit(terms), view.noise.source != "local"
     left = verdict in ("unknown", "fit_failed")
@@ -170,7 +170,7 @@ def _hints(view: CampaignView, terms: Sequence[str], verdict: str) -> list[str]:
 class Diagnosed(Answer):
     """What a model lacks on a campaign; ``drive_files``: those of ``separating`` are being written."""
 
-    view: CampaignView
+    view: CampaignProblem
     diagnosis: Diagnosis
     drive_files: bool = False
 
@@ -229,7 +229,7 @@ class Diagnosed(Answer):
 class Refined(Answer):
     """The ladder of a campaign, with theta, split and the verdict on every rung; ``drive_files`` as in ``Diagnosed``."""
 
-    view: CampaignView
+    view: CampaignProblem
     ladder: Ladder
     selection: ForwardSelection
     drive_files: bool = False

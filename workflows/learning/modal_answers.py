@@ -24,7 +24,7 @@ from pipeline.criticism.verdict import misfit
 from pipeline.device.model import Model
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.inference.modal.axes import NAMES
-from pipeline.learning.modal.problem import ModalView
+from pipeline.learning.modal.problem import ModalProblem
 from pipeline.learning.where.modal import entries_by_misfit
 
 ALPHA_UNKNOWN_NOISE = 0.05
@@ -44,7 +44,7 @@ def rules_for(record: ModalRecord) -> Rules:
 class ModalComparison:
     """How well a model explains a modal record, and in which entry of which mode it does not."""
 
-    view: ModalView
+    view: ModalProblem
 
     @cached_property
     def fit(self) -> FitResult:
@@ -78,7 +78,7 @@ class ModalComparison:
 class ModalDiagnosed:
     """What a model lacks on a modal record."""
 
-    view: ModalView
+    view: ModalProblem
     diagnosis: Diagnosis
 
     @property
@@ -121,7 +121,7 @@ class ModalDiagnosed:
 class ModalRefined:
     """The ladder of a modal record, with theta, split and the four thetas on every rung."""
 
-    view: ModalView
+    view: ModalProblem
     ladder: Ladder
 
     @property
@@ -190,7 +190,7 @@ def _tested(seen: FitTests, score: Score) -> dict[str, Any]:
     }
 
 
-def _axes(view: ModalView, fit: FitResult) -> dict[str, Any]:
+def _axes(view: ModalProblem, fit: FitResult) -> dict[str, Any]:
     """theta, split, and the four thetas with the fit's effects taken out."""
     out: dict[str, Any] = {name: list(value) for name, value in fit.derived.items()}
     four = view.thetas(fit)
@@ -207,16 +207,16 @@ def compare_modal(record: ModalRecord, model: Model) -> ModalComparison:
     ------
     MeasurementError : the record has too few modes, or not those of the plant.
     """
-    return ModalComparison(ModalView(record, model))
+    return ModalComparison(ModalProblem(record, model))
 
 
 def diagnose_modal(record: ModalRecord, model: Model) -> ModalDiagnosed:
     """Say what ``model`` lacks on a modal record; raises as :func:`compare_modal`."""
-    view = ModalView(record, model)
+    view = ModalProblem(record, model)
     return ModalDiagnosed(view, examine(view, (), rules_for(record)))
 
 
 def refine_modal(record: ModalRecord, model: Model) -> ModalRefined:
     """Climb from ``model`` on a modal record; raises as :func:`compare_modal`."""
-    view = ModalView(record, model)
+    view = ModalProblem(record, model)
     return ModalRefined(view, forward_selection(view, (), rules_for(record)))

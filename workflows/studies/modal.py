@@ -15,12 +15,12 @@ import numpy as np
 from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.experiment.files.modal_record import ModalRecord
-from pipeline.learning.modal.problem import ModalView
+from pipeline.learning.modal.problem import ModalProblem
 
 from ..learning.modal_answers import refine_modal
 
 
-def redrawn(view: ModalView, fit: FitResult, rng: np.random.Generator) -> ModalRecord:
+def redrawn(view: ModalProblem, fit: FitResult, rng: np.random.Generator) -> ModalRecord:
     """A record of the fitted model with noise of the level that the fit leaves (or that was declared)."""
     modes = view.modes({name: value for name, (value, _) in fit.parameters.items()})
     unit, pole_unit = view.noise(fit)
@@ -56,7 +56,7 @@ def rungs_by_chance(
     """
     for effect in effects:
         model = model.with_effect(effect)
-    view = ModalView(record, model)
+    view = ModalProblem(record, model)
     fit = view.fit(())
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x30DA1,)))
     found = (refine_modal(redrawn(view, fit, rng), model) for _ in range(draws))

@@ -73,7 +73,7 @@ class _Taken:
         return moved_share([self.predicted[record.name] for record in now], [record.predicted_v for record in now])
 
 
-class CampaignView:
+class CampaignProblem:
     """The ``Problem`` of one campaign; fits and signatures are kept, for they are asked for again.
 
     ``threads`` of signatures are taken, and of records integrated, at once.

@@ -54,7 +54,7 @@ _INSIDE = 0.9
 _ANGLES = (-90.0, -45.0, 0.0, 45.0, 90.0)
 
 
-class ModalView:
+class ModalProblem:
     """The ``Problem`` of one modal record; fits are kept, for they are asked for again.
 
     Parameters

@@ -24,7 +24,7 @@ from ...experiment.forward.sensitivity import tuned_steps
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
 from ...inference.general.residuals import nuisance_columns
-from ..campaign.problem import CampaignView
+from ..campaign.problem import CampaignProblem
 from .experiments import Experiment, experiments, within
 
 #: SNR from which a record is said to separate, and from which the loop sees it surely and nothing longer is tried.
@@ -152,7 +152,7 @@ class _Trial:
         return float(self.found.apart(LEAST)), left[-1] if left else self.found.least
 
 
-def proposals(view: CampaignView, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
+def proposals(view: CampaignProblem, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
     """The separating record of every class of more than one member."""
     found = (separating_record(view, terms, one) for one in classes if len(one.members) > 1)
     return tuple(one for one in found if one is not None)
@@ -165,7 +165,7 @@ def separating_text(found: Sequence[Proposal], written: bool) -> str | None:
     return "; ".join(f"{' or '.join(one.members)}: {one.text(written)}" for one in found) or None
 
 
-def separating_record(view: CampaignView, terms: Sequence[str], found: TermClass) -> Proposal | None:
+def separating_record(view: CampaignProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
     """The record that would separate the members of a class; ``None`` where fewer than two could be fitted.
 
     Parameters
@@ -199,7 +199,7 @@ def separating_record(view: CampaignView, terms: Sequence[str], found: TermClass
 
 
 def _best(
-    view: CampaignView, members: Sequence[_Member], bounds: Sequence[_Trial], best: _Trial | None
+    view: CampaignProblem, members: Sequence[_Member], bounds: Sequence[_Trial], best: _Trial | None
 ) -> _Trial | None:
     """The best of some experiments and ``best``; those whose bound is no better need no derivatives."""
     for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:_MOST]:
@@ -211,7 +211,7 @@ def _best(
     return best
 
 
-def _member(view: CampaignView, terms: Sequence[str], term: str, rival: str) -> _Member | None:
+def _member(view: CampaignProblem, terms: Sequence[str], term: str, rival: str) -> _Member | None:
     swapped = tuple(rival if name == term else name for name in terms)
     fit = view.fit(swapped, None if rival == term else view.fit(tuple(terms)))
     if not fit.ok:
@@ -222,7 +222,7 @@ def _member(view: CampaignView, terms: Sequence[str], term: str, rival: str) -> 
     return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.turn(fitted.x), steps)
 
 
-def _bounded(view: CampaignView, members: Sequence[_Member], experiment: Experiment) -> _Trial | None:
+def _bounded(view: CampaignProblem, members: Sequence[_Member], experiment: Experiment) -> _Trial | None:
     """A bound on what an experiment would tell; ``None`` where a member cannot be at its conditions."""
     adc = view.campaign.instrument.adc
     try:
@@ -242,7 +242,7 @@ def _bounded(view: CampaignView, members: Sequence[_Member], experiment: Experim
     return _Trial(experiment, record, signals, found)
 
 
-def _told(view: CampaignView, members: Sequence[_Member], trial: _Trial, exact: bool = False) -> _Trial:
+def _told(view: CampaignProblem, members: Sequence[_Member], trial: _Trial, exact: bool = False) -> _Trial:
     """What an experiment would tell with all parameters refitted."""
     predictions = [
         Prediction(m.term, signal, m.chi2, m.known, _columns(view, m, trial.record, exact))
@@ -256,7 +256,7 @@ def _answer(campaign: Campaign, member: _Member, record: Record) -> FloatArray:
     return forward(model, values, record, campaign.instrument, angular_gain=campaign.angular_gain)
 
 
-def _columns(view: CampaignView, member: _Member, record: Record, exact: bool) -> FloatArray:
+def _columns(view: CampaignProblem, member: _Member, record: Record, exact: bool) -> FloatArray:
     """(N S, P) what the parameters of a member's fit move in a new record, in sigmas."""
     fitted, campaign = member.fitted, view.campaign
     columns = jacobian(
@@ -275,7 +275,7 @@ def _columns(view: CampaignView, member: _Member, record: Record, exact: bool) -
     return wide
 
 
-def _white(view: CampaignView, member: _Member, record: Record, y: FloatArray) -> FloatArray:
+def _white(view: CampaignProblem, member: _Member, record: Record, y: FloatArray) -> FloatArray:
     """Volts (N, S, k) as rows (N S, k) in sigmas, what is free in every record and channel projected out."""
     n = nuisance_columns(member.fitted.model, member.fitted.values, record, view.campaign.instrument)
     white = (y / view.noise.sigma_v[:, None]).reshape(y.shape[0], -1)

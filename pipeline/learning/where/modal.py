@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...criticism.problem import FitResult
-from ..modal.problem import ModalView
+from ..modal.problem import ModalProblem
 
 
-def entries_by_misfit(view: ModalView, fit: FitResult) -> list[dict[str, object]]:
+def entries_by_misfit(view: ModalProblem, fit: FitResult) -> list[dict[str, object]]:
     """Every entry with its share of the squared misfit, the largest first."""
     values = {name: value for name, (value, _) in fit.parameters.items()}
     rest, model = view.residuals(fit), view.modes(values).c

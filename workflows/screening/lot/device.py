@@ -31,7 +31,7 @@ from pipeline.inference.gate import GoodnessOfFit, misfit_reason, theta_bias_bou
 from pipeline.inference.general.fit import CampaignFit, fit_campaign
 from pipeline.inference.general.residuals import CampaignResiduals
 from pipeline.inference.screening.device import RateSettings
-from pipeline.learning.campaign.problem import CampaignView
+from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.campaign.rows import spectra_of
 from pipeline.learning.campaign.signatures import signature_of, tangent_of
 from populations.draw import draw
@@ -150,7 +150,7 @@ def _look(source: Source, request: Request) -> DeviceExamination:
     score, information, covariance = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
     effects = sizes = reason = ""
     if request.scored or request.alone:
-        view = CampaignView(campaign, model, noise)
+        view = CampaignProblem(campaign, model, noise)
         begun = FitResult(True, (), {name: (value, 0.0) for name, value in start.items()}, (), ())
         fit = view.fit(request.terms, begun)
         if not fit.ok:
@@ -182,7 +182,7 @@ def _look(source: Source, request: Request) -> DeviceExamination:
 
 
 def _scores(
-    view: CampaignView, fitted: CampaignFit, fit: FitResult, terms: Sequence[SharedTerm]
+    view: CampaignProblem, fitted: CampaignFit, fit: FitResult, terms: Sequence[SharedTerm]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Score (K,), information and covariance (K, K) of the columns of ``terms`` in their own units."""
     problem = CampaignResiduals(fitted.model, view.campaign, view.noise.sigma_v)
