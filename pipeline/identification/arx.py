@@ -11,9 +11,9 @@ where every entry follows from its upper left neighbour by what enters and leave
     G[i+1, j+1] = G[i, j] + w(n-1-i) w(n-1-j)^T - w(N-1-i) w(N-1-j)^T
 
 The sum starts at t = n, so nothing is assumed about the data before the first sample ("unwindowed").
-Band-passed regressors have a condition near 1e17: a ridge relative to each diagonal entry keeps the Cholesky
-factor defined, and with it the residues, from which theta follows; being relative it leaves the model invariant
-under a change of units of any channel.
+Band-passed regressors have a condition near 1e17: a ridge relative to each diagonal entry makes the Cholesky
+factorisation possible and determines the residues, from which theta follows.  A relative ridge leaves the model
+invariant under a change of the units of any channel.
 
 Shapes: N samples, S senses, D drives, C = S + D, n order.
 """
@@ -131,7 +131,7 @@ def solve_gram(
 
     Parameters
     ----------
-    gram : ((n+1) C, (n+1) C) as of :func:`gram_matrix`, channels in the order (y, u).
+    gram : ((n+1) C, (n+1) C) from :func:`gram_matrix`, channels in the order (y, u).
     senses, drives : S, D.
     samples : number of equations summed in ``gram``, for the innovation covariance.
     ridge : relative to each diagonal entry.
@@ -139,7 +139,7 @@ def solve_gram(
 
     Raises
     ------
-    IdentificationError : a channel is silent, or the regressors are dependent in spite of the ridge.
+    IdentificationError : a channel is silent, or the regressors are linearly dependent despite the ridge.
     """
     channels = senses + drives
     order = gram.shape[0] // channels - 1
@@ -150,9 +150,9 @@ def solve_gram(
     _, theta, info = dposv(penalised, gram[first:, :senses], lower=0, overwrite_a=1)
     if info != 0 or not np.all(np.isfinite(theta)):
         raise IdentificationError(
-            "the drives and senses do not determine an ARX model",
+            "the record does not determine an ARX model",
             value=f"order {order}, normal equations singular at row {info}",
-            allowed="every drive and every sense moves, and the drives are independent sequences",
+            allowed="no constant drive or sense channel, and linearly independent drive sequences",
             next_step="use a record in which all drives act, or a lower order",
         )
     explained = theta.T @ gram[first:, :senses]
@@ -174,9 +174,9 @@ def fit_arx(y: FloatArray, u: FloatArray, order: int, ridge: float = 1e-12, dire
     y : (N, S) sense samples [V].
     u : (N, D) drive samples [V].
     order : n, for A and B; the paper uses 40 and tried 10 to 80.
-    ridge : relative to each diagonal entry of the normal equations; 1e-12 to 1e-8 serve for band-passed data.
-    direct : fit B_0 too.  A zero-order hold in front of a velocity pick-off needs none: a drive sample acts from
-        the next sample on.
+    ridge : relative to each diagonal entry of the normal equations; 1e-12 to 1e-8 suit band-passed data.
+    direct : fit B_0 too.  Not needed for a zero-order hold and a velocity pick-off: a drive sample first acts on
+        the next sense sample.
 
     Raises
     ------

@@ -22,7 +22,7 @@ from ..device.gyro import M_D, M_S
 class Gains:
     """sense_imbalance (K_S2 - K_S1)/(K_S2 + K_S1), drive_imbalance likewise; nu = updown_gain [1/s].
 
-    condition : first over second singular value of M_3; large where the up-down mode is a pure translation.
+    condition : first over second singular value of M_3; large for a pure translation.
     """
 
     sense_imbalance: float
@@ -53,7 +53,7 @@ class Axes:
 
     @property
     def conditions(self) -> tuple[float, float]:
-        """First over second singular value; large where the mode rocks about one axis."""
+        """First over second singular value; large for a mode that rocks about one axis."""
         (a, b), (c, d) = self.singular_values
         return a / max(b, 1e-300), c / max(d, 1e-300)
 

@@ -19,7 +19,7 @@ from .failure import IdentificationError
 #: Four pole pairs; the paper names the order, not the ripple.
 _POLE_PAIRS = 4
 _RIPPLE_DB = 0.5
-#: Length of the pieces whose power says where the signal is largest [s].
+#: Length of the segments whose power locates the largest signal [s].
 _PIECE_S = 0.05
 
 
@@ -75,7 +75,7 @@ def bandpass(signal: FloatArray, sample_rate_hz: float, low_hz: float = 400.0, h
 
     Returns
     -------
-    (N, C) [V].  A constant offset has died out after a few hundredths of a second.
+    (N, C) [V].  A constant offset decays within a few hundredths of a second.
 
     Raises
     ------
@@ -90,12 +90,12 @@ def bandpass(signal: FloatArray, sample_rate_hz: float, low_hz: float = 400.0, h
 def window_slice(sense: FloatArray, sample_rate_hz: float, duration_s: float = 2.0) -> slice:
     """The window of ``duration_s`` seconds centred where the (filtered) sense signals are largest.
 
-    centre = argmax over pieces of 0.05 s of the signal power; the window is pushed inside the record, and is
-    the whole record where that is shorter.
+    centre = argmax of the signal power over segments of 0.05 s.  The window is shifted so that it lies inside the record,
+    and is the whole record if the record is shorter.
 
     Parameters
     ----------
-    sense : (N, S) sense samples behind the bandpass, so that no offset counts as signal [V].
+    sense : (N, S) sense samples after the bandpass, so that offsets do not count as signal [V].
     sample_rate_hz : f_s [Hz].
     duration_s : length of the window [s].
     """

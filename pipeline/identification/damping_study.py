@@ -1,4 +1,4 @@
-"""Section 5 of the paper, from scratch: what off-diagonal damping does to theta and to the motion of the modes.
+"""Section 5 of the paper recomputed: how off-diagonal damping changes theta and the motion of the modes.
 
     q'' + C q' + diag(omega1^2, omega2^2) q = F,   S = q',   theta = 0
 
@@ -58,8 +58,8 @@ def _damping(low: FloatArray, high: FloatArray, axis: FloatArray) -> FloatArray:
     return np.asarray(low[:, None, None] * np.eye(2) + (high - low)[:, None, None] * along)
 
 
-def _climb(height: Callable[[FloatArray], float], start: FloatArray) -> float:
-    """The maximum next to ``start``, which may have a kink where two estimates change places."""
+def _local_maximum(height: Callable[[FloatArray], float], start: FloatArray) -> float:
+    """The local maximum next to ``start``; the function may have a kink where two estimates change order."""
 
     def depth(x: FloatArray, *_: object) -> float:
         return -height(x)
@@ -86,7 +86,7 @@ def largest_axis_error_deg(f_hz: FloatArray, bound_per_s: float) -> float:
 
     grid = np.stack([low, high, angle], axis=1)
     values = error(grid)
-    found = [_climb(lambda x: float(error(x[None])[0]), grid[k]) for k in np.argsort(-values)[:4]]
+    found = [_local_maximum(lambda x: float(error(x[None])[0]), grid[k]) for k in np.argsort(-values)[:4]]
     return max(float(values.max()), *found)
 
 

@@ -1,4 +1,4 @@
-"""What identification raises."""
+"""The error raised when identification fails."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from ..errors import MeasurementError
 
 
 class IdentificationError(MeasurementError):
-    """A record was read, but the three modes of a gyro could not be found in it."""
+    """The record is readable, but the three modes of a gyro were not found in it."""

@@ -35,14 +35,14 @@ class DiscreteStateSpace:
 
 @dataclass(frozen=True, eq=False)
 class Balanced:
-    """A balanced realisation, states by falling Hankel singular value (K,)."""
+    """A balanced realisation, states by descending Hankel singular value (K,)."""
 
     hankel: FloatArray
     system: DiscreteStateSpace
 
 
 def state_space_of(model: ArxModel) -> DiscreteStateSpace:
-    """Observer form of the ARX model: states are what past samples still contribute to y(t), y(t+1), .., y(t+n-1)."""
+    """Observer form of the ARX model: the states are the contributions of past samples to y(t), y(t+1), .., y(t+n-1)."""
     order, senses, _ = model.A.shape
     size = order * senses
     a = np.zeros((size, size))
@@ -53,7 +53,7 @@ def state_space_of(model: ArxModel) -> DiscreteStateSpace:
 
 
 def _gramian_root(a: FloatArray, b: FloatArray) -> FloatArray:
-    """L with L L^T = P = a P a^T + b b^T; rounding below zero counts as zero."""
+    """L with L L^T = P = a P a^T + b b^T; negative eigenvalues from rounding are set to zero."""
     gramian = np.asarray(solve_discrete_lyapunov(a, b @ b.T), dtype=np.float64)
     size, vectors = np.linalg.eigh((gramian + gramian.T) / 2.0)
     return np.asarray(vectors * np.sqrt(np.maximum(size, 0.0)))
@@ -62,7 +62,7 @@ def _gramian_root(a: FloatArray, b: FloatArray) -> FloatArray:
 def balance(system: DiscreteStateSpace) -> Balanced:
     """Hankel singular values, and the realisation in which each belongs to one state.
 
-    States whose singular value is rounding (1e-13 of the largest) are left out.
+    States with a singular value below 1e-13 of the largest are rounding errors and are left out.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def truncate(balanced: Balanced, states: int) -> DiscreteStateSpace:
 
     Raises
     ------
-    IdentificationError : the model has not so many.
+    IdentificationError : the model has fewer states than that.
     """
     have = balanced.system.a.shape[0]
     if not 1 <= states <= have:

@@ -12,16 +12,17 @@ errors b_p (x(t-p) less its prediction from x(t), .., x(t-p+1)), both times the 
     b_p(t) = b_{p-1}(t-1) - K_b,p^T f_{p-1}(t),         K_b,p = R_f,p^-1 P_b,p
 
 where [R_b | P_f] is the triangular factor of all rows [b_{p-1}(t-1) | f_{p-1}(t)] and [R_f | P_b] that of
-[f_{p-1}(t) | b_{p-1}(t-1)].  A new row enters both by C Givens rotations, channel after channel, and what the rotations
-leave of it is the next stage's row.  Rotations never square the data, so order 80 is as stable as order 10.
+[f_{p-1}(t) | b_{p-1}(t-1)].  A new row enters both by C Givens rotations, channel by channel, and the rotated remainder
+is the row of the next stage.  Rotations never square the data, so order 80 is as stable as order 10.
 
-Two prefixes make a lattice that starts from nothing ("prewindowed") solve (*) exactly, at every order:
+Two prefixes make a prewindowed lattice (zero initial state) solve (*) exactly, at every order:
 
 - **unwindowed**: channel delta is 1 one sample before the data and 0 otherwise.  Its lags 1..p are unit vectors of the
-  equations t = 0..p-1, whose history is not known; they absorb these and only these, whatever stands in them.
-- **ridge**: before that, channel c sees one pulse sqrt(mu_c), pulses n+1 samples apart.  Lag k of channel c then has
-  one further equation, sqrt(mu_c) x coefficient = 0, in which all else is zero.
+  equations t = 0..p-1, whose history is unknown; they remove exactly these equations from the fit.
+- **ridge**: before that, channel c receives one pulse sqrt(mu_c), pulses n+1 samples apart.  Lag k of channel c then has
+  one further equation, sqrt(mu_c) x coefficient = 0, in which every other entry is zero.
 
+Long because the filter and the conversion of its state to ARX coefficients are derived together.
 Sources: Jiang & Gibson 1995 (unwindowed, orthogonal channels); Haykin, Adaptive Filter Theory (QRD lattice).
 Shapes: S senses, D drives, C = 1 + S + D, n order.
 """
@@ -44,9 +45,9 @@ class Lattice:
 
     forward, backward : (n, C, 2C) [R_b | P_f] and [R_f | P_b] of each stage.
     delayed : (n, C) b_{p}(t-1), p = 0..n-1.
-    energy : (n+1, S, S) sum of f_p f_p^T of the senses: the least-squares residual energy of each order [V^2].
-    history : (n, 2, n, C, 2C) forward and backward of the last n samples, newest last: to become coefficients, a
-        stage needs the stages before it as they were one sample ago.
+    energy : (n+1, S, S) sum of f_p f_p^T of the senses, the least-squares residual energy of each order [V^2].
+    history : (n, 2, n, C, 2C) forward and backward of the last n samples, newest last; the coefficients of a stage
+        depend on the earlier stages one sample before.
     """
 
     senses: int
@@ -68,13 +69,13 @@ class Lattice:
 def _rotate_in(forward: FloatArray, ahead: FloatArray, backward: FloatArray, behind: FloatArray) -> None:
     """Annihilate the left halves of two rows (2C) against the triangles on the left of two tables (C, 2C).
 
-    The two have nothing to do with each other; side by side one hides the other's square roots.
+    The two rotations are independent; interleaving them hides the latency of the square roots.
     """
     channels, width = forward.shape
     for k in range(channels):
         x, a = ahead[k], forward[k, k]
         y, b = behind[k], backward[k, k]
-        # A channel that has seen nothing but zeros is not turned.
+        # A channel that held only zeros so far is not rotated.
         xa, yb = x * x + a * a, y * y + b * b
         r = 1.0 / np.sqrt(xa) if xa > 0.0 else 0.0
         q = 1.0 / np.sqrt(yb) if yb > 0.0 else 0.0
@@ -100,7 +101,7 @@ def _filter(
     energy: FloatArray,
     history: FloatArray,
 ) -> None:
-    """Run x (N, C) through the lattice, in place; ``history`` is a ring that ends where the samples end."""
+    """Run x (N, C) through the lattice, in place; ``history`` is a ring buffer that ends at the last sample."""
     samples, channels = x.shape
     order = forward.shape[0]
     ahead = np.empty(2 * channels)
@@ -152,7 +153,7 @@ def start_lattice(senses: int, drives: int, order: int, ridge_v2: FloatArray) ->
     ----------
     senses, drives : S, D.
     order : n, the highest order.
-    ridge_v2 : mu (S + D,) of each channel [V^2].  Some 1e-16 of the energy that a channel will have, N rms^2, changes
+    ridge_v2 : mu (S + D,) of each channel [V^2].  1e-16 of the expected channel energy N rms^2 changes
         nothing that the data determine; 1e-12 gives the model of ``fit_arx``.
 
     Raises
@@ -222,7 +223,7 @@ def advance(lattice: Lattice, y: FloatArray, u: FloatArray) -> Lattice:
 
 @njit(cache=True)
 def _gain(table: FloatArray, gain: FloatArray) -> None:
-    """gain = R^-1 P of a table [R | P] (C, 2C); a channel that has seen nothing predicts nothing."""
+    """gain = R^-1 P of a table [R | P] (C, 2C); zero for a channel that held only zeros so far."""
     channels = table.shape[0]
     for m in range(channels):
         for k in range(channels - 1, -1, -1):
@@ -261,9 +262,9 @@ def _predictor(history: FloatArray, order: int) -> FloatArray:
 
 
 def arx_of(lattice: Lattice, order: int | None = None) -> ArxModel:
-    """The ARX model of the samples seen so far, for any order up to the lattice's.
+    """The ARX model of all samples so far, for any order up to the lattice's.
 
-    Equal to the batch solution of (*) at the head of this module, from the same run for all orders.
+    Equals the batch solution of (*) at the head of this module; one run gives all orders.
 
     Parameters
     ----------
@@ -272,7 +273,7 @@ def arx_of(lattice: Lattice, order: int | None = None) -> ArxModel:
 
     Raises
     ------
-    IdentificationError : the order is not one of the lattice's, or the samples are too few for it.
+    IdentificationError : the order exceeds the lattice's, or there are too few samples for it.
     """
     wanted = lattice.order if order is None else order
     unknowns = wanted * (lattice.senses + lattice.drives)
@@ -297,14 +298,14 @@ def fit_arx_lattice(y: FloatArray, u: FloatArray, order: int, ridge: float = 1e-
     ----------
     y, u : (N, S), (N, D) [V].
     order : n.
-    ridge : relative to the energy of each channel.  Rounding shows below 1e-17 at order 80, 1e-19 at order 40.
+    ridge : relative to the energy of each channel.  Rounding errors appear below 1e-17 at order 80, 1e-19 at order 40.
     """
     energy = np.sum(np.concatenate([y, u], axis=1) ** 2, axis=0)
     if not np.all(energy > 0.0):
         raise IdentificationError(
             "a channel is silent",
             value=energy.tolist(),
-            allowed="every drive and every sense moves",
+            allowed="a signal on every drive and sense channel",
             next_step="use a record in which all drives act",
         )
     return arx_of(advance(start_lattice(y.shape[1], u.shape[1], order, ridge * energy), y, u))

@@ -24,9 +24,9 @@ from .failure import IdentificationError
 from .poles import companion_poles, nearby_poles, polynomial_at, refine
 
 TAU = 2.0 * np.pi
-#: How much of a resonance must lie in the band, to each side.
+#: Half-widths of a resonance, to each side, that must lie in the band.
 _HALF_WIDTHS = 3.0
-#: Newton's last correction and the distance of two poles, below which they count as converged, as one.
+#: Convergence limit of Newton's last correction, and the distance below which two poles count as the same pole.
 _CONVERGED = 1e-10
 _SAME = 1e-12
 
@@ -106,12 +106,12 @@ def _companion_nearby(A: FloatArray, centre: complex) -> ComplexArray:
 def band_poles(model: ArxModel, sample_rate_hz: float, band_hz: tuple[float, float]) -> ComplexArray:
     """The distinct stable poles z whose resonance lies in the band, by ascending frequency.
 
-    arg z -+ 3 half-widths, half-width = -ln|z|: what sticks out of the band is the model's way with its edges, where
-    nothing was driven, and may have any residue.
+    A resonance lies in the band when arg z -+ 3 half-widths does, with half-width = -ln|z|.  Poles at the edges of the band
+    describe the filter's edge, where nothing was driven, so their residues are arbitrary.
     """
     low, high = (TAU * f / sample_rate_hz for f in band_hz)
     centre = complex(np.exp(0.5j * (low + high)))
-    # The disc through both ends of the band; well damped poles far inside the circle are nobody's mode.
+    # The disc through both ends of the band; well damped poles far inside the unit circle are not modes of the device.
     radius = 0.55 * (high - low)
     for seek in (nearby_poles, _companion_nearby):
         seeds = seek(model.A, centre)
@@ -136,8 +136,8 @@ def modes_of(
     ----------
     model : ARX model.
     sample_rate_hz : f_s [Hz].
-    band_hz : where to look [Hz].
-    count : how many.
+    band_hz : band in which modes are selected [Hz].
+    count : number of modes.
 
     Raises
     ------

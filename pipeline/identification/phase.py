@@ -2,7 +2,7 @@
 
     beta = argmin over real beta of ||(s R1 + R0)/d(s) - G_aa(s) beta s/d(s)||     for each mode and channel
 
-Two norms.  ``correct_phase`` projects at the resonance, where all of a light mode's response is,
+Two norms.  ``correct_phase`` projects at the resonance, where a lightly damped mode has all its response,
 
     beta = Re[ conj(G_aa(jw)) (R1 + R0/(jw)) ] / |G_aa(jw)|^2,
 
@@ -21,13 +21,13 @@ from ..experiment.antialias import filter_response
 from ..experiment.instrument import AntiAlias
 from .modes import ContinuousModes
 
-#: Offsets from the resonance in half-widths, where the H-infinity norm is looked for.
+#: Offsets from the resonance, in half-widths, at which the H-infinity norm is evaluated.
 _OFFSETS: FloatArray = np.concatenate([-np.geomspace(100.0, 1e-3, 200), [0.0], np.geomspace(1e-3, 100.0, 200)])
 _BISECTIONS = 60
 
 
 def without_filter(modes: ContinuousModes, antialias: AntiAlias | None) -> ContinuousModes:
-    """The same modes in front of the filter, exactly: R_k / G_aa(p_k)."""
+    """The same modes before the filter, exactly: R_k / G_aa(p_k)."""
     gain = filter_response(antialias, modes.poles)
     return ContinuousModes(modes.poles, modes.residues / gain[:, None, None])
 
@@ -45,7 +45,7 @@ def correct_phase(modes: ContinuousModes, antialias: AntiAlias | None) -> FloatA
 
     Parameters
     ----------
-    modes : as identified, behind the filter.
+    modes : as identified, after the filter.
     antialias : the filter, ``None`` for none.
     """
     s = np.asarray(1j * np.abs(modes.poles)[:, None], dtype=np.complex128)

@@ -1,9 +1,9 @@
 """Poles of a matrix polynomial: where det A(z) = 0,  A(z) = I + A_1 z^-1 + .. + A_n z^-n.
 
-Three ways that agree:
+Three methods that give the same poles:
 
 companion_poles   all n S eigenvalues of the block companion matrix, by LAPACK
-nearby_poles      those around a point z0 of the plane: block Arnoldi on (companion - z0)^-1 in O(n S^2) a step
+nearby_poles      those nearest to a point z0: block Arnoldi on (companion - z0)^-1 in O(n S^2) a step
 refine            Newton's method on the matrix function (successive linear problems, Ruhe 1973):
                       z <- z + mu,   det(A(z) + mu A'(z)) = 0 with the smallest |mu|,
                   which, unlike Newton on det A(z), keeps its accuracy where two poles nearly coincide

@@ -1,4 +1,4 @@
-"""From an ARX model of high order to three modes, two ways beside each other, and how much order and data it takes.
+"""Reduction of a high-order ARX model to three modes in two ways, and the model order and record length that it needs.
 
 balanced   six states of the balanced realisation, as the paper does it; moves theta by some 0.02 to 0.04 deg, since the
            truncated states are not orthogonal to the three modes
@@ -53,7 +53,7 @@ def reduce_model(model: ArxModel, instrument: Instrument, band_hz: tuple[float, 
     Parameters
     ----------
     model : ARX model of band-passed data, with the ridge of ``fit_arx``: the minimum-norm or nearly unpenalised model
-        has strong modes where nothing was driven, which take the place of the up-down mode among the first six states.
+        has strong modes outside the driven band, which displace the up-down mode from the first six states.
     instrument : its sample rate, hold and filter.
     band_hz : where modal truncation looks for modes [Hz].
 
@@ -101,12 +101,12 @@ def order_study(
     Parameters
     ----------
     record, instrument : as for ``identify_record``.
-    orders : which orders, 10 to 80 in the paper.
-    windows_s : which windows around the largest signal [s].
+    orders : ARX orders; the paper uses 10 to 80.
+    windows_s : lengths of the window around the largest signal [s].
 
     Raises
     ------
-    IdentificationError : the route fails at one of them.
+    IdentificationError : the route fails for one of these settings.
     """
     rate, senses = record.sample_rate_hz, record.sense_v.shape[1]
     both = bandpass(np.concatenate([record.sense_v, record.drive_v], axis=1), rate, *_BAND_HZ)

@@ -2,13 +2,13 @@
 
     v, S --(12)--> ARX --> three modes --hold inverted--> H(s) --(16)--> M_1, M_2, M_3 --(18)--> theta
 
-Which mode is which: the up-down mode moves all pick-offs alike whatever drives it, so with the signed share
+Modes are assigned by the in-phase share c: the up-down mode moves all pick-offs alike, whichever drive excites it, so with
 
     c = sum_{ab} M[a, b] / (2 |M|_F)
 
 c = 1 for a pure translation and c = (cos 2theta - 1)/2 <= 0 for a mode that rocks about theta.  With all senses (or
-all drives) reversed c = -1 for the translation and a rocking mode may pass for it; then the mode that stands alone in
-frequency gives the reversal away.
+all drives) reversed c = -1 for the translation and a rocking mode can be mistaken for it.  The mode that is isolated in
+frequency then reveals the reversal.
 Shapes: N samples, S = 2 senses, D = 2 drives, modes in the order lower rocking, upper rocking, up-down.
 """
 
@@ -32,15 +32,15 @@ from .phase import correct_phase, without_filter
 #: In-phase share above which a mode is up-down (a tilt of 0.5 still is), and below which it rocks.
 _UPDOWN_SHARE = 0.8
 _ROCKING_SHARE = 0.5
-#: In-phase share beyond which a mode is a translation seen with one sign wrong.
+#: In-phase share beyond which a mode is a translation with one sign reversed.
 _REVERSED_SHARE = -0.9
-#: A mode stands alone when it is this many times farther from the other two than they are from each other.
+#: A mode is isolated when it is this many times farther from the other two than they are from each other.
 _ALONE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class RouteResult:
-    """What the route found; modes in the order lower rocking, upper rocking, up-down.
+    """The result of the route; modes in the order lower rocking, upper rocking, up-down.
 
     filtered : modes as identified, the anti-alias filter included.
     mechanical : the same with the filter divided out exactly, R_k / G_aa(p_k).
@@ -85,7 +85,7 @@ class RouteResult:
         return float(self.f_hz[1] - self.f_hz[0])
 
 
-def _standing_alone(frequency_hz: FloatArray) -> int | None:
+def _isolated_mode(frequency_hz: FloatArray) -> int | None:
     """Which of three modes is far from the other two, if any."""
     gaps = np.diff(frequency_hz)
     if gaps[1] > _ALONE * gaps[0]:
@@ -98,11 +98,11 @@ def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
 
     Raises
     ------
-    IdentificationError : not exactly one of the three moves all pick-offs alike.
+    IdentificationError : not exactly one of the three modes moves all pick-offs alike.
     """
     share = M.sum(axis=(1, 2)) / (2.0 * np.linalg.norm(M, axis=(1, 2)))
     updown = int(np.argmax(share))
-    alone = _standing_alone(modes.frequency_hz)
+    alone = _isolated_mode(modes.frequency_hz)
     if alone not in (None, updown) and share[alone] < _REVERSED_SHARE:
         raise IdentificationError(
             "all senses or all drives are reversed",
@@ -186,7 +186,7 @@ def identify_record(
 
 
 def identify_modal(modal: ModalRecord) -> RouteResult:
-    """The route from poles and residues that somebody else identified.
+    """The route from externally identified poles and residues.
 
     Raises
     ------

@@ -19,13 +19,13 @@ def block_file(kind: Kind, block: int) -> str:
 
 
 def other_name(entry: FileEntry) -> str:
-    """A name for a devices table that stands in for a committed one, which keeps its own until the manifest changes."""
+    """File name for the amended version of a committed devices table; the old file stays until the manifest changes."""
     plain = block_file("devices", entry.block or 0)
     return plain if entry.name != plain else plain.replace(".parquet", "-amended.parquet")
 
 
 def amended(table: pa.Table, values: Mapping[str, Mapping[str, Any]]) -> pa.Table:
-    """A devices table with columns of single devices set; the table itself where nothing changes.
+    """Copy of a devices table with the given cells replaced; the same table if nothing changes.
 
     Raises
     ------
@@ -55,12 +55,12 @@ def check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
         if pc.any(foreign).as_py():
             names = tables["posterior"].column("device_id").filter(foreign).unique().to_pylist()
             raise IntegrityError(
-                f"{where} of posterior has draws of devices that are not in the block", value=names[:5]
+                f"{where} of posterior holds draws of devices that are not in the block", value=names[:5]
             )
 
 
 def require_unique(devices: pa.Table, where: str) -> None:
-    """Raise IntegrityError where a device has more than one row."""
+    """Raise IntegrityError if a device has more than one row."""
     twice = duplicates(devices)
     if twice:
-        raise IntegrityError(f"{where} has a device more than once", value=twice[:5], allowed="one row a device")
+        raise IntegrityError(f"{where} lists a device more than once", value=twice[:5], allowed="one row a device")

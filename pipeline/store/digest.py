@@ -2,9 +2,9 @@
 
     digest = SHA-256( for each column: name, type, validity, values with nulls zeroed )
 
-It depends on the values, their order and the column names alone: not on chunks, blocks, metadata, file
-layout or what lies under a null.  Two runs with the same table have the same digest, and nothing short of
-every bit of every value will do: -0.0 is not 0.0.
+It depends only on the values, their order and the column names, not on chunks, blocks, metadata, file
+layout or the bytes under a null.  Two runs with the same table have the same digest.  Every bit counts:
+-0.0 differs from 0.0.
 """
 
 from __future__ import annotations

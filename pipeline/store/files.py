@@ -1,8 +1,7 @@
-"""Files that are whole or not there: stage, fsync, rename, fsync the folder.
+"""Atomic files: stage, fsync, rename, fsync the folder.
 
-A process may die at any instruction and power may fail at any moment: a name in a run's folder either
-holds the complete old bytes or the complete new ones.  Leftovers of an interrupted write end in
-``.staged`` and belong to nobody.
+If a process dies or power fails at any moment, a file in a run's folder holds either its complete old
+content or its complete new content.  Leftovers of an interrupted write end in ``.staged``.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ def sha256(data: bytes | memoryview) -> str:
 
 
 def stage(folder: Path, name: str, data: bytes | memoryview) -> Path:
-    """Write bytes to ``.<name>.staged`` and fsync; nobody reads them under that name."""
+    """Write bytes to ``.<name>.staged`` and fsync; readers ignore this name."""
     path = folder / f".{name}{STAGED}"
     with path.open("wb") as file:
         file.write(data)
@@ -36,14 +35,14 @@ def stage(folder: Path, name: str, data: bytes | memoryview) -> Path:
 
 
 def publish(folder: Path, name: str) -> None:
-    """Give a staged file its name in one step; lasting only after :func:`fsync_folder`."""
+    """Rename a staged file to its final name atomically; durable only after :func:`fsync_folder`."""
     (folder / f".{name}{STAGED}").replace(folder / name)
 
 
 def fsync_folder(folder: Path) -> None:
     """Make renames in a folder survive a power failure."""
     if sys.platform == "win32":
-        return  # folders cannot be opened there; NTFS journals the rename
+        return  # Windows cannot open folders; NTFS journals the rename.
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -52,7 +51,7 @@ def fsync_folder(folder: Path) -> None:
 
 
 def replace_file(folder: Path, name: str, data: bytes | memoryview) -> None:
-    """Put a whole file in place of an old one, or leave the old one as it was."""
+    """Replace a file atomically: on failure the old file is unchanged."""
     stage(folder, name, data)
     publish(folder, name)
     fsync_folder(folder)
@@ -68,10 +67,10 @@ def writing(folder: Path) -> Iterator[None]:
     """Hold a run's folder for writing; a second writer waits.  The lock dies with its process, even by
     kill -9.
 
-    Leftovers found under the lock have no living owner and are removed.
+    Leftovers found under the lock have no owner and are removed.
     """
     if sys.platform == "win32":
-        yield  # one writer a run is then the caller's promise
+        yield  # Without file locks the caller must ensure that each run has one writer.
         return
     handle = os.open(folder, os.O_RDONLY)
     try:

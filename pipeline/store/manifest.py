@@ -1,9 +1,9 @@
-"""The manifest: what was committed to a run, and the only list of its files.
+"""The manifest: the committed content of a run and the only list of its files.
 
     manifest.json = canonical JSON of the manifest, with ``sha256`` over the same JSON without that key
 
-Canonical: sorted keys, fixed indentation, UTF-8.  A reader encodes what it has parsed and compares every
-byte, so that no change of a single bit, white space included, goes unseen.
+Canonical: sorted keys, fixed indentation, UTF-8.  A reader encodes the parsed manifest again and compares
+all bytes, so every changed bit is detected, white space included.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def in_block_order(files: Iterable[FileEntry]) -> tuple[FileEntry, ...]:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a run is and which files belong to it.
+    """Identity and files of a run.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Manifest:
     config_sha256 : SHA-256 of ``run.toml``.
     provenance : seed, versions, platform (see pipeline.store.provenance).
     files : committed files, in the order of their commits.
-    summary : what the caller gave at the end.
+    summary : given by the caller when the run finished.
     devices_digest : digest of the values of the whole ``devices`` table, at the end.
     format : version of this layout.
     """
@@ -94,7 +94,7 @@ def encode(manifest: Manifest) -> bytes:
 
     Raises
     ------
-    TypeError, ValueError : provenance or summary hold something that JSON does not know (NaN among them).
+    TypeError, ValueError : provenance or summary hold values that JSON cannot represent, such as NaN.
     """
     content = asdict(manifest)
     return _canonical({**content, "sha256": sha256(_canonical(content))})
@@ -105,7 +105,7 @@ def decode(data: bytes, where: str) -> Manifest:
 
     Raises
     ------
-    IntegrityError : the bytes are not those that were written, or a newer version wrote them.
+    IntegrityError : the bytes differ from those that were written, or a newer version wrote them.
     """
     try:
         content = json.loads(data.decode())
@@ -120,7 +120,7 @@ def decode(data: bytes, where: str) -> Manifest:
         raise IntegrityError(
             f"{where} is damaged: its bytes do not match their own SHA-256",
             allowed="the manifest as the run wrote it",
-            next_step="run `gyroscreen verify`; restore the run from a copy, or move it out",
+            next_step="run `gyroscreen verify`; restore the run from a copy, or move it away",
         )
     if content.get("format") != FORMAT:
         raise IntegrityError(

@@ -1,4 +1,4 @@
-"""Tables for people and for other programs: fixed-width text, CSV, JSON, Parquet."""
+"""Output of tables as fixed-width text, CSV, JSON or Parquet."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def write_table(table: pa.Table, format: str, out: BinaryIO | Path) -> None:
 
     Parameters
     ----------
-    table : any answer of a query.
+    table : the result of a query.
     format : "table", fixed-width text with the units under the names and 8 significant digits; "csv" and
         "json" (a list of objects), at full precision; "parquet", with units in the field metadata.
-        What is not known is ``-``, empty, ``null``.  Infinities in JSON are the texts "inf", "-inf".
+        A null is written as ``-``, an empty field or ``null``.  Infinities in JSON are the texts "inf", "-inf".
     out : a binary stream, or a file, which is then replaced as a whole.
 
     Raises
@@ -49,7 +49,7 @@ def write_table(table: pa.Table, format: str, out: BinaryIO | Path) -> None:
 
 
 def _text(table: pa.Table) -> bytes:
-    """Names, units where known, a rule, then the rows; numbers to the right, text to the left."""
+    """Header with names and units, a rule, then the rows; numbers right-aligned, text left-aligned."""
     columns: list[list[str]] = []
     for field in table.schema:
         unit = (field.metadata or {}).get(b"unit", b"").decode()
@@ -74,7 +74,7 @@ def _cell(value: Any) -> str:
 
 
 def _printable(text: str) -> str:
-    """Control characters would break the lines, or speak to the terminal."""
+    """Escape control characters: they would break lines or be interpreted by the terminal."""
     return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
 
 
@@ -105,7 +105,7 @@ def _parquet(table: pa.Table) -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON knows, without loss: NaN is null, an infinity a text, an integer decimal an integer."""
+    """Value as JSON without loss: NaN becomes null, infinity a string, an integral decimal an integer."""
     if isinstance(value, float):
         if math.isnan(value):
             return None

@@ -43,7 +43,7 @@ def decode_table(data: bytes | pa.Buffer, schema: pa.Schema, where: str) -> pa.T
         known = schema.get_field_index(field.name)
         if known < 0 or schema.field(known).type != field.type:
             raise IntegrityError(
-                f"{where} has a column that is not registered with that type",
+                f"{where} has a column with an unregistered name or type",
                 value=f"{field.name}: {field.type}",
                 allowed="the columns of the view `columns`",
                 next_step="read it with the version that wrote it, or move it away",

@@ -1,4 +1,4 @@
-"""Where numbers come from: seed, versions, platform.
+"""Provenance of results: seed, versions, platform.
 
 Same seed, same versions, same SIMD tier: the same bits.  Another SIMD tier: 1e-12 relative, because
 numpy's transcendentals differ between tiers.
@@ -24,7 +24,7 @@ def provenance(seed: int, **more: Any) -> dict[str, Any]:
     Parameters
     ----------
     seed : root of all random streams.
-    more : further facts the caller wants on record.
+    more : further entries.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def provenance(seed: int, **more: Any) -> dict[str, Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of this distribution and of all it requires at run time; empty where it is not installed."""
+    """Versions of this distribution and of its run-time dependencies; empty if it is not installed."""
     try:
         required = metadata.requires(DISTRIBUTION) or []
     except metadata.PackageNotFoundError:
@@ -71,16 +71,16 @@ def simd_tier() -> list[str]:
     try:
         found = config["SIMD Extensions"]
         return [str(name) for part in ("baseline", "found") for name in found.get(part, [])]
-    except (KeyError, TypeError, AttributeError):  # the layout of this table is numpy's own business
+    except (KeyError, TypeError, AttributeError):  # numpy does not document the layout of this table.
         return []
 
 
 def _git(root: Path) -> tuple[str | None, bool | None]:
     """Revision of the checkout whose top is ``root``, and whether its files differ from it; (None, None)
-    elsewhere.
+    if there is none.
 
-    An installed copy may lie inside somebody else's checkout (a venv in a project): only a checkout that
-    tracks this very package counts.
+    An installed copy may lie inside another project's checkout (a venv in a project), so only a checkout
+    that tracks this package counts.
     """
     try:
         _run_git(root, "ls-files", "--error-unmatch", "pipeline/__init__.py")

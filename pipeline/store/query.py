@@ -2,9 +2,9 @@
 
 Views ``devices`` and ``posterior`` (all runs, with ``run_id``), ``runs`` and ``columns``.  The files come
 from the manifests, never from a glob; their SHA-256 is checked before the first row is read (those of
-``posterior`` when the statement names it), the page checksums while reading: an answer rests on what was
-committed, or there is none.  The connection sees no other file, no network and no Python variable, its
-settings are locked, and one SELECT is all it takes.
+``posterior`` when the statement names it), the page checksums while reading, so no answer is computed
+from damaged files.  The connection has no access to other files, the network or Python variables, its
+settings are locked, and it accepts exactly one SELECT.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _LOCKS = (
     "allow_community_extensions = false",
     "enable_external_access = false",
 )
-_COLUMNS_QUERY = "`SELECT name, unit, meaning FROM columns` lists what there is"
+_COLUMNS_QUERY = "`SELECT name, unit, meaning FROM columns` lists all columns"
 
 
 def query(sql: str, results: Path, *, timeout_s: float = 60.0, memory_limit: str = "2GB") -> pa.Table:
@@ -52,17 +52,17 @@ def query(sql: str, results: Path, *, timeout_s: float = 60.0, memory_limit: str
 
     Returns
     -------
-    The answer.  Columns of the results keep their unit and meaning in the field metadata; a name that occurs
-    twice gets a number.
+    The answer.  Columns of the results keep their unit and meaning in the field metadata; repeated names
+    get a number.
 
     Raises
     ------
-    UsageError : no runs; not one SELECT; SQL that DuckDB does not understand, refuses or runs out of memory
-        on; an answer above 1 GiB; the time is over.
-    IntegrityError : results are not what was committed.
+    UsageError : no runs; not one SELECT; SQL that DuckDB rejects or that exceeds the memory limit; a
+        result above 1 GiB; the time limit is exceeded.
+    IntegrityError : results differ from what was committed.
     """
     if not timeout_s > 0.0:
-        raise UsageError("the timeout is not a time", value=timeout_s, allowed="more than 0 s")
+        raise UsageError("the timeout is not a positive time", value=timeout_s, allowed="more than 0 s")
     find_run(results)
     manifests = list_runs(results)
     _check_files(results, manifests, "devices")
@@ -79,14 +79,14 @@ def query(sql: str, results: Path, *, timeout_s: float = 60.0, memory_limit: str
 
 @contextmanager
 def _connection(memory_limit: str) -> Iterator[duckdb.DuckDBPyConnection]:
-    # No spilling to disk; once access is off the temporary folder can no longer be set.
+    # No spilling to disk: the temporary folder cannot be set once external access is off.
     connection = duckdb.connect(":memory:", config={"temp_directory": ""})
     try:
         connection.execute("SET memory_limit = $limit", {"limit": memory_limit})
     except duckdb.Error as error:
         connection.close()
         raise UsageError(
-            f"DuckDB does not take the memory limit ({error})", value=memory_limit, allowed="for instance 2GB"
+            f"DuckDB does not accept the memory limit ({error})", value=memory_limit, allowed="for instance 2GB"
         ) from None
     for setting in _LOCKS:
         connection.execute(f"SET {setting}")
@@ -97,7 +97,7 @@ def _connection(memory_limit: str) -> Iterator[duckdb.DuckDBPyConnection]:
 
 
 def _check_files(results: Path, manifests: Sequence[Manifest], kind: Kind) -> None:
-    """Raise IntegrityError unless all files of a kind are what was committed."""
+    """Raise IntegrityError unless all files of a kind match the manifest."""
     jobs = [(results / f"{PREFIX}{m.run_id}", entry) for m in manifests for entry in m.of_kind(kind)]
     with ThreadPoolExecutor(max_workers=4) as pool:  # hashing and reading release the GIL
         for _ in pool.map(lambda job: len(read_file(*job)), jobs):
@@ -105,7 +105,7 @@ def _check_files(results: Path, manifests: Sequence[Manifest], kind: Kind) -> No
 
 
 def _dataset(results: Path, manifests: Sequence[Manifest], kind: Kind) -> ds.Dataset:
-    """All committed files of a kind in the registered schema; ``run_id`` is known by file."""
+    """All committed files of a kind in the registered schema; ``run_id`` follows from the file."""
     files = [(m.run_id, results / f"{PREFIX}{m.run_id}" / e.name) for m in manifests for e in m.of_kind(kind)]
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     return ds.FileSystemDataset.from_paths(
@@ -127,14 +127,14 @@ def _one_select(connection: duckdb.DuckDBPyConnection, sql: str) -> duckdb.State
             f"found {len(statements)} SQL statements",
             value=sql,
             allowed="one",
-            next_step="ask one question at a time",
+            next_step="run one statement at a time",
         )
     if statements[0].type != duckdb.StatementType.SELECT:
         raise UsageError(
-            f"results are only read, and this is a statement of type {statements[0].type.name}",
+            f"queries only read results, but this is a statement of type {statements[0].type.name}",
             value=sql,
             allowed="one SELECT",
-            next_step="to keep an answer use --format csv, json or parquet; PIVOT needs its IN list",
+            next_step="to save a result use --format csv, json or parquet; PIVOT needs its IN list",
         )
     return statements[0]
 
@@ -146,7 +146,7 @@ def _answer(connection: duckdb.DuckDBPyConnection, statement: duckdb.Statement, 
         if done.wait(timeout_s):
             return
         late.set()
-        # Repeated: an interrupt between two steps of a statement is forgotten by DuckDB.
+        # Repeated, because DuckDB drops an interrupt that arrives between two steps of a statement.
         while not done.wait(0.05):
             connection.interrupt()
 
@@ -156,12 +156,12 @@ def _answer(connection: duckdb.DuckDBPyConnection, statement: duckdb.Statement, 
         return _read(pa.RecordBatchReader.from_stream(connection.sql(statement.query)))
     except GyroscreenError:
         raise
-    except Exception as error:  # DuckDB hands on whatever the Arrow scan raises: one door, one kind of error
+    except Exception as error:  # DuckDB passes on any exception of the Arrow scan; all become one typed error.
         if late.is_set():
             raise UsageError(
-                f"no answer within {timeout_s:g} s",
+                f"no result within {timeout_s:g} s",
                 value=sql,
-                next_step="ask for less (one run_id, fewer columns, no cross join), or allow more time",
+                next_step="request less (one run_id, fewer columns, no cross join), or allow more time",
             ) from None
         raise _refused(error, sql) from None
     finally:
@@ -175,7 +175,7 @@ def _read(reader: pa.RecordBatchReader) -> pa.Table:
         size += batch.nbytes
         if size > MAX_ANSWER_BYTES:
             raise UsageError(
-                f"the answer is larger than {MAX_ANSWER_BYTES >> 20} MiB",
+                f"the result is larger than {MAX_ANSWER_BYTES >> 20} MiB",
                 next_step="aggregate, add LIMIT, or read the tables with pipeline.store.read_run",
             )
         batches.append(batch)
@@ -183,25 +183,25 @@ def _read(reader: pa.RecordBatchReader) -> pa.Table:
 
 
 def _refused(error: Exception, sql: str) -> GyroscreenError:
-    """The typed error for what DuckDB or the Arrow scan said, with DuckDB's own hint."""
+    """The typed error for an exception of DuckDB or the Arrow scan, with DuckDB's own hint."""
     said = " ".join(line.strip() for line in str(error).split("\n\nLINE ")[0].splitlines() if line.strip())
     if isinstance(error, (pa.ArrowException, OSError)) or "checksum" in said or "CRC" in said:
         return IntegrityError(f"results cannot be read ({said})", next_step="run `gyroscreen verify`")
     if isinstance(error, duckdb.PermissionException):
         return UsageError(
-            f"a query reads stored results and nothing else ({said})",
+            f"a query can read stored results only ({said})",
             value=sql,
             allowed="the views devices, posterior, runs, columns",
         )
     if isinstance(error, duckdb.OutOfMemoryException):
-        return UsageError("the query needs more memory than it may take", value=sql, next_step=f"ask for less ({said})")
+        return UsageError("the query needs more memory than it may take", value=sql, next_step=f"request less ({said})")
     return UsageError(
         said, value=sql, allowed="one SELECT on devices, posterior, runs, columns", next_step=_COLUMNS_QUERY
     )
 
 
 def _with_units(table: pa.Table) -> pa.Table:
-    """Number names that occur twice; give columns of the results their unit and meaning back."""
+    """Number repeated names; restore the unit and meaning of results columns."""
     registered = {field.name: field for kind in ("posterior", "devices") for field in view_schema(kind)}
     seen: Counter[str] = Counter()
     fields = []

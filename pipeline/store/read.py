@@ -1,4 +1,4 @@
-"""Read runs: nothing is handed out whose SHA-256 is not that of the manifest."""
+"""Read runs; every file is checked against the SHA-256 in the manifest first."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def run_folders(results: Path) -> tuple[Path, ...]:
 
 
 def list_runs(results: Path) -> tuple[Manifest, ...]:
-    """Manifests of all runs, oldest first; empty where there are none.
+    """Manifests of all runs, oldest first; empty if there are none.
 
     Raises
     ------
-    IntegrityError : a manifest is damaged (leaving that run out in silence would falsify every yield).
+    IntegrityError : a manifest is damaged (leaving out that run silently would falsify yields).
     """
     return tuple(
         sorted((read_manifest(folder) for folder in run_folders(results)), key=lambda m: (m.created, m.run_id))
@@ -51,17 +51,17 @@ def list_runs(results: Path) -> tuple[Manifest, ...]:
 
 
 def find_run(results: Path, run_id: str | None = None) -> Path:
-    """Folder of a run; the newest without a name.
+    """Folder of a run; without a name, of the newest.
 
     Raises
     ------
     UsageError : there is no such run, or none at all.
-    IntegrityError : looking for the newest, a manifest is damaged.
+    IntegrityError : a manifest is damaged, so the newest run is not known.
     """
     folders = run_folders(results)
     if not folders:
         raise UsageError(
-            "there are no runs in the results folder",
+            "the results folder holds no runs",
             value=str(results),
             next_step="make one with `gyroscreen run`, or name the folder with --results",
         )

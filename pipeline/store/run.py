@@ -4,8 +4,8 @@
     report.html
 
 Commit of a block: stage, fsync, rename the tables; then stage, fsync, rename the manifest that lists them
-with their SHA-256. The manifest decides: a table that it does not list does not exist, whatever the folder
-holds.
+with their SHA-256. The manifest decides: a table that it does not list is not part of the run.
+Long because every way of writing to a run follows the same commit protocol and shares its lock.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class RunStore:
         return read_config(self.folder, self.manifest)
 
     def committed_blocks(self) -> frozenset[int]:
-        """Numbers of the blocks that need not be computed again."""
+        """Numbers of the committed blocks."""
         return self.manifest.blocks()
 
     def devices(self) -> pa.Table:
@@ -80,8 +80,8 @@ class RunStore:
         return None if entry is None else read_file(self.folder, entry)
 
     def commit_block(self, block: int, devices: pa.Table, posterior: pa.Table | None) -> None:
-        """Commit the tables of one block, whole or not at all.  A block that is committed already is left
-        as it is.
+        """Commit the tables of one block, atomically.  A block that is already committed is left
+        unchanged.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class RunStore:
         ------
         UsageError : a negative block, or the run is complete and has no such block.
         IntegrityError : a table is not in the registered schema, or a device occurs twice in the block.
-        IncompleteError : the disk would not take it; what was committed before is kept.
+        IncompleteError : writing failed; earlier commits are kept.
         """
         if block < 0:
             raise UsageError("a block has a number from 0", value=block)
@@ -107,7 +107,7 @@ class RunStore:
                 return
             if manifest.status == "complete":
                 raise UsageError(
-                    f"run {self.run_id} is complete and takes no further block",
+                    f"run {self.run_id} is complete and accepts no further blocks",
                     value=block,
                     next_step="start a new run",
                 )
@@ -131,7 +131,7 @@ class RunStore:
             )
 
     def amend_devices(self, values: Mapping[str, Mapping[str, Any]]) -> None:
-        """Set columns of single devices in committed blocks, all of them or, should the process die, none.
+        """Set columns of single devices in committed blocks, atomically: all, or none if the process dies.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class RunStore:
         Raises
         ------
         UsageError : a column that is not registered, or a value of the wrong type.
-        IncompleteError : the disk would not take it; the run is as it was.
+        IncompleteError : writing failed; the run is unchanged.
         """
         with self._writing():
             manifest = self.manifest
@@ -170,8 +170,8 @@ class RunStore:
 
         Raises
         ------
-        UsageError : not a plain file name, or one that the run keeps for itself.
-        IncompleteError : the disk would not take it.
+        UsageError : not a plain file name, or a reserved one.
+        IncompleteError : writing failed.
         """
         if not PAGE.fullmatch(name) or name in (MANIFEST, CONFIG):
             raise UsageError("not the name of a page of a run", value=name, allowed="for instance report.html")
@@ -179,20 +179,19 @@ class RunStore:
             manifest = self.manifest
             others = tuple(entry for entry in manifest.files if entry.name != name)
             if len(others) < len(manifest.files):
-                # Between two renames a listed page would differ from its hash: strike it off before
-                # replacing it.
+                # Between two renames a listed page would differ from its hash, so remove it from the manifest first.
                 self._put_manifest(replace(manifest, files=others))
             files.replace_file(self.folder, name, data)
             entry = FileEntry(name, "page", len(data), files.sha256(data))
             self._put_manifest(replace(manifest, files=(*others, entry)))
 
     def finish(self, status: Literal["complete", "stopped"], summary: Mapping[str, Any]) -> None:
-        """Close the run: digest of the whole ``devices`` table, summary, time.
+        """Close the run: store the digest of the whole ``devices`` table, the summary and the time.
 
         Raises
         ------
         IncompleteError : "complete" although blocks are missing between the first and the last.
-        IntegrityError : committed tables do not read back, or a device occurs twice.
+        IntegrityError : committed tables cannot be read back, or a device occurs twice.
         UsageError : the summary is not JSON.
         """
         with self._writing():
@@ -217,9 +216,9 @@ class RunStore:
             )
 
     def log(self, event: Mapping[str, Any]) -> None:
-        """Append one line to ``log.jsonl``, with the time; NaN becomes null, what JSON does not know text."""
+        """Append one line to ``log.jsonl``, with the time; NaN becomes null, other values that JSON lacks become text."""
         line = msgspec.json.encode({"time": _now(), **event}, enc_hook=str) + b"\n"
-        # One write to a file opened for appending: lines of several processes do not mix.
+        # A single write in append mode keeps the lines of several processes apart.
         with _disk(self.folder), (self.folder / LOG).open("ab", buffering=0) as file:
             file.write(line)
 
@@ -233,7 +232,7 @@ class RunStore:
 
 
 def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping[str, Any]) -> RunStore:
-    """Create the folder of a new run, whole or not at all.
+    """Create the folder of a new run atomically.
 
     Parameters
     ----------
@@ -244,7 +243,7 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
 
     Raises
     ------
-    ConfigError : the name is not one, the run exists, or the folder cannot be written.
+    ConfigError : invalid name, the run exists, or the folder cannot be written.
     """
     if not RUN_ID.fullmatch(run_id):
         raise ConfigError("not the name of a run", value=run_id, allowed="up to 100 letters, digits, '.', '_', '-'")
@@ -267,7 +266,7 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
         raise ConfigError(
             f"cannot write to the results folder ({error.strerror})",
             value=str(results),
-            next_step="give another folder with --out, or mend its permissions",
+            next_step="give another folder with --out, or fix its permissions",
         ) from None
     try:
         files.replace_file(nascent, CONFIG, config)
@@ -290,7 +289,7 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
 
 
 def open_run(results: Path, run_id: str | None = None) -> RunStore:
-    """Open a run to go on with it.
+    """Open a run to continue it.
 
     Parameters
     ----------
@@ -309,14 +308,14 @@ def open_run(results: Path, run_id: str | None = None) -> RunStore:
 
 @contextmanager
 def _disk(folder: Path) -> Iterator[None]:
-    """Turn what a disk may say into one typed error."""
+    """Convert errors of the file system into one typed error."""
     try:
         yield
     except OSError as error:
         raise IncompleteError(
             f"cannot write to the run ({error.strerror})",
             value=str(folder),
-            next_step="make room or mend permissions, then gyroscreen run --resume; committed blocks stay",
+            next_step="free disk space or fix permissions, then gyroscreen run --resume; committed blocks are kept",
         ) from None
 
 
@@ -326,5 +325,5 @@ def _encoded(manifest: Manifest) -> bytes:
     except (TypeError, ValueError) as error:
         raise UsageError(
             f"provenance or summary of run {manifest.run_id} is not JSON ({error})",
-            allowed="text, finite numbers, lists and tables of these",
+            allowed="strings, finite numbers, lists and tables of these",
         ) from None

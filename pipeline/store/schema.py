@@ -1,11 +1,11 @@
 """The registered schema: the columns of the results tables, their types, units and meanings.
 
 ``devices`` has one row a device, ``posterior`` one row a draw.  Columns are only ever added, never renamed
-or retyped, so that every run ever written stays readable.
+or retyped, so every older run stays readable.
 
-Missing values: NaN and ``None`` both become null.  NaN would poison SQL aggregates and compare false with
-everything; null says "not known" and every reader skips it.  Infinities are kept: an unbounded sd is a
-statement.
+Missing values: NaN and ``None`` both become null.  NaN would invalidate SQL aggregates, while null means
+"not known" and is skipped by aggregates.  Infinities are kept: an infinite sd means that the data do not
+determine the quantity.
 """
 
 from __future__ import annotations
@@ -87,13 +87,13 @@ _ROUTE = (
 )
 
 _QUALITY = (
-    _number("error", "1", "rms of (measured - model)/sigma, full band; 1 is explained down to the noise"),
+    _number("error", "1", "rms of (measured - model)/sigma, full band; 1 = explained down to the noise"),
     _number("relative_error", "1", "rms(measured - model)/rms(measured)"),
     _number("chi2_per_dof", "1", "chi2 of the in-band fit per degree of freedom"),
     _number(
         "theta_bias_bound_deg",
         "deg",
-        "largest bias of theta that an unmodelled effect of the residual's size could cause",
+        "upper bound of the bias of theta from an unmodelled effect as large as the residual",
     ),
     _number("rhat", "1", "largest R-hat over the parameters, between independent ensembles"),
     _number("ess", "1", "smallest effective sample size over the parameters"),
@@ -103,22 +103,22 @@ _QUALITY = (
 _DECISION = (
     _number("p_pass", "1", "posterior probability that the device conforms to all limits"),
     _text("verdict", "pass, fail or undecided"),
-    _text("failed_limits", "limits that it fails, comma separated"),
+    _text("failed_limits", "failed limits, comma separated"),
     _text("cause", "main cause of the loss"),
     _text("status", "ok, not_converged, fit_failed or misfit"),
     _text("status_reason", "why the status is not ok"),
-    _text("reference", "values of another instrument against the posterior, as quantity z=difference/combined sd"),
+    _text("reference", "reference values compared with the posterior, as quantity z=difference/combined sd"),
 )
 
 _TRIM = (
     _text("trim_voltages_v", "trim voltages in the order of the electrodes, comma separated [V]; null without [trim]"),
     _number("trim_at_limit", "1", "1 where a trim voltage is at its limit, else 0"),
-    _number("trimmed_theta_deg", "deg", "theta foretold after the trim, the gains' uncertainty included"),
+    _number("trimmed_theta_deg", "deg", "predicted theta after the trim, including the uncertainty of the gains"),
     _number("trimmed_theta_deg_sd", "deg", "standard deviation of trimmed_theta_deg"),
-    _number("trimmed_split_hz", "Hz", "split foretold after the trim, the gains' uncertainty included"),
+    _number("trimmed_split_hz", "Hz", "predicted split after the trim, including the uncertainty of the gains"),
     _number("trimmed_split_hz_sd", "Hz", "standard deviation of trimmed_split_hz"),
-    _number("trimmed_p_pass", "1", "probability of conformity foretold after the trim"),
-    _text("trimmed_verdict", "verdict foretold after the trim"),
+    _number("trimmed_p_pass", "1", "predicted probability of conformity after the trim"),
+    _text("trimmed_verdict", "predicted verdict after the trim"),
     _number("trimmed_true_split_hz", "Hz", "true split after the trim, with the true gains of its electrodes"),
     _number("trimmed_true_theta_deg", "deg", "true theta after the trim"),
     _number("trimmed_true_conforms", "1", "1 where the true device conforms to all limits after the trim, else 0"),
@@ -127,11 +127,11 @@ _TRIM = (
 _MISSING = (
     _text(
         "missing_effect",
-        "what its model lacks: effects joined by +, rivals of one class by |, or unknown; null: nothing",
+        "effects missing from its model: joined by +, members of one class by |, or unknown; null: none",
     ),
     _text("missing_effect_size", "fitted sizes of these effects, as parameter=value+-sd"),
-    _text("missing_effect_reason", "what was found of a device that was examined after the last block"),
-    _text("status_with_effects", "status with the effects that its lot needs in the model; null where not refitted"),
+    _text("missing_effect_reason", "finding of the examination after the last block"),
+    _text("status_with_effects", "status with the effects that its lot needs in the model; null if not refitted"),
     _number("p_pass_with_effects", "1", "probability of conformity with the effects that its lot needs in the model"),
     _text("verdict_with_effects", "verdict with the effects that its lot needs in the model"),
 )

@@ -1,7 +1,7 @@
-"""Verify stored results: is everything what was committed, and nothing else?
+"""Verify that stored results are exactly what was committed.
 
-A finding is fatal when committed results are damaged, missing or contradictory; a stray file is named, but
-readers take their files from the manifest and never see it.
+A finding is fatal when committed results are damaged, missing or contradictory; a stray file is reported,
+but readers ignore it because they take their files from the manifest.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _BLOCK = re.compile(r"(devices|posterior)-\d{5,}(-amended)?\.parquet")
 
 @dataclass(frozen=True)
 class IntegrityFinding:
-    """One thing that is not as it should be; ``fatal`` when results are touched by it."""
+    """One deviation; ``fatal`` if it affects results."""
 
     file: str
     what: str
@@ -45,7 +45,7 @@ class IntegrityFinding:
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """Every finding, and what was looked at."""
+    """All findings, and the number of runs, files and rows checked."""
 
     findings: tuple[IntegrityFinding, ...]
     runs: int
@@ -79,12 +79,12 @@ class VerifyReport:
             )
 
     def __str__(self) -> str:
-        looked_at = (
+        checked = (
             f"{self.runs} runs, {self.files} files, {self.bytes / 1e6:.1f} MB, "
             f"{self.devices} devices, {self.draws} draws"
         )
         verdict = "sound" if self.ok else f"{len(self.errors)} damaged"
-        return "\n".join([*(str(finding) for finding in self.findings), f"{looked_at}: {verdict}"])
+        return "\n".join([*(str(finding) for finding in self.findings), f"{checked}: {verdict}"])
 
 
 def verify(results: Path) -> VerifyReport:
@@ -102,7 +102,7 @@ def verify(results: Path) -> VerifyReport:
     findings = list(_strays(results, {folder.name for folder in folders}))
     if not folders and not findings:
         raise UsageError(
-            "there are no runs in the results folder",
+            "the results folder holds no runs",
             value=str(results),
             next_step="make one with `gyroscreen run`, or name the folder with --results",
         )
@@ -155,7 +155,7 @@ def _verify_run(folder: Path) -> VerifyReport:
 
 
 def _verify_file(folder: Path, entry: FileEntry) -> pa.Table | None:
-    """The table of a file that holds one; raise IntegrityError where it is not what was committed."""
+    """The table of a file that holds one; raise IntegrityError if it differs from what was committed."""
     data = read_file(folder, entry)
     if entry.kind == "devices":
         return decode_table(data, devices_schema(), str(folder / entry.name))
@@ -165,7 +165,7 @@ def _verify_file(folder: Path, entry: FileEntry) -> pa.Table | None:
 
 
 def _structure(folder: Path, manifest: Manifest) -> Iterator[IntegrityFinding]:
-    """What the manifest alone can contradict."""
+    """Contradictions within the manifest."""
     where = str(folder / MANIFEST)
     for name, times in Counter(entry.name for entry in manifest.files).items():
         if times > 1:
@@ -186,7 +186,7 @@ def _structure(folder: Path, manifest: Manifest) -> Iterator[IntegrityFinding]:
 
 
 def _contents(folder: Path, manifest: Manifest, devices: pa.Table) -> Iterator[IntegrityFinding]:
-    """What only the whole, undamaged table can contradict."""
+    """Contradictions between the manifest and the complete table."""
     twice = duplicates(devices)
     if twice:
         yield IntegrityFinding(str(folder), "devices with more than one row", "one row a device", ", ".join(twice[:5]))
@@ -201,7 +201,7 @@ def _strays(folder: Path, known: set[str]) -> Iterator[IntegrityFinding]:
         if path.name in known:
             continue
         if path.name.endswith(STAGED) or _BLOCK.fullmatch(path.name):
-            what = "left by an interrupted write, or put there by somebody; not part of any result"
+            what = "left by an interrupted write or added by hand; not part of any result"
         elif path.name.startswith(PREFIX):
             what = "a run's folder without a manifest; not part of any result"
         else:

@@ -1,4 +1,4 @@
-"""What the query views hold besides the tables: ``run_id``, the runs, and the columns with their units."""
+"""Content of the query views besides the tables: ``run_id``, the runs, and the columns with their units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RUNS: tuple[Column, ...] = (
     Column("runs", "blocks", "int64", "1", "committed blocks"),
     Column("runs", "seed", "string", "", "root seed of all random streams"),
     Column("runs", "version", "string", "", "version of gyroscreen that wrote it"),
-    Column("runs", "git_revision", "string", "", "revision of the checkout it ran from"),
+    Column("runs", "git_revision", "string", "", "git revision of the checkout"),
     Column("runs", "config_sha256", "string", "", "SHA-256 of run.toml"),
     Column("runs", "devices_digest", "string", "", "digest of the values of its devices table"),
 )
