@@ -121,7 +121,7 @@ def test_what_does_not_determine_a_model_is_refused() -> None:
     y, u = random_system(samples=300)
     with pytest.raises(IdentificationError, match="too short"):
         fit_arx(y, u, 70)
-    with pytest.raises(IdentificationError, match="do not determine"):
+    with pytest.raises(IdentificationError, match="does not determine"):
         fit_arx(y, u * [1.0, 0.0], 4)
     broken = y.copy()
     broken[7, 1] = np.nan

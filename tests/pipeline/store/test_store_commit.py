@@ -188,7 +188,7 @@ def test_stopped_runs_go_on_and_complete_ones_do_not(tmp_path: Path) -> None:
     assert (store.manifest.status, store.manifest.devices_digest) == ("running", None)
     store.finish("complete", {"yield": 0.5})
     assert store.manifest.summary == {"yield": 0.5}
-    with pytest.raises(UsageError, match="is complete and takes no further block: 2"):
+    with pytest.raises(UsageError, match="is complete and accepts no further blocks: 2"):
         store.commit_block(2, *block_tables(2))
 
 
@@ -204,14 +204,14 @@ def test_wrong_blocks_are_refused_before_anything_is_written(tmp_path: Path) -> 
     devices, posterior = block_tables(0)
     with pytest.raises(IntegrityError, match=r"devices is not in the registered schema: \['theta_deg'\]"):
         store.commit_block(0, devices.drop_columns(["theta_deg"]), None)
-    with pytest.raises(IntegrityError, match="has a device more than once"):
+    with pytest.raises(IntegrityError, match="lists a device more than once"):
         store.commit_block(0, devices.take([0, 1, 1]), None)
     with pytest.raises(IntegrityError, match="draws of devices that are not in the block"):
         store.commit_block(0, devices.slice(1), posterior)
     assert sorted(path.name for path in store.folder.iterdir()) == ["manifest.json", "run.toml"]
     store.commit_block(0, devices, None)
     store.commit_block(1, devices, None)
-    with pytest.raises(IntegrityError, match="has a device more than once"):
+    with pytest.raises(IntegrityError, match="lists a device more than once"):
         store.finish("complete", {})
 
 
@@ -234,7 +234,7 @@ def test_results_that_cannot_be_a_folder_are_a_config_error(tmp_path: Path) -> N
 def test_the_newest_run_is_the_default_and_missing_ones_are_named(tmp_path: Path) -> None:
     for results in (tmp_path, tmp_path / "nowhere"):
         assert list_runs(results) == ()
-        with pytest.raises(UsageError, match=r"no runs in the results folder.*gyroscreen run"):
+        with pytest.raises(UsageError, match=r"results folder holds no runs.*gyroscreen run"):
             read_run(results)
     for name in ("b", "a"):
         make_run(tmp_path, name)

@@ -133,7 +133,7 @@ def test_a_query_reads_results_and_nothing_else(results: Path, tmp_path: Path, s
 def test_endless_queries_end(results: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     endless = "SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE hash(a.range) % 7 = hash(b.range) % 3"
-    with pytest.raises(UsageError, match=r"no answer within 0.2 s"):
+    with pytest.raises(UsageError, match=r"no result within 0.2 s"):
         query(endless, results, timeout_s=0.2)
     with pytest.raises(UsageError, match="more memory than it may take"):
         query("SELECT list(range) FROM range(100000000)", results, memory_limit="100MB")
@@ -144,7 +144,7 @@ def test_endless_queries_end(results: Path, monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_limits_that_are_none_are_refused(results: Path) -> None:
-    with pytest.raises(UsageError, match="the timeout is not a time: nan"):
+    with pytest.raises(UsageError, match="the timeout is not a positive time: nan"):
         query("SELECT 1", results, timeout_s=float("nan"))
     with pytest.raises(UsageError, match=r"memory limit.*: 'much'"):
         query("SELECT 1", results, memory_limit="much")

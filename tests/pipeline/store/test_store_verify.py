@@ -171,7 +171,7 @@ def test_an_unfinished_run_with_gaps_is_sound(tmp_path: Path) -> None:
 
 
 def test_folders_without_runs_are_a_usage_error(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no runs in the results folder"):
+    with pytest.raises(UsageError, match="results folder holds no runs"):
         verify(tmp_path)
     with pytest.raises(UsageError, match="no such results folder"):
         verify(tmp_path / "nowhere")
