@@ -50,17 +50,17 @@ class CheckReport:
         return not any(finding.severity == "fault" for finding in self.findings)
 
     @property
-    def correct(self) -> Correction:
+    def correction(self) -> Correction:
         """All mends in one."""
         total = Correction()
         for finding in self.findings:
-            total = total.joined(finding.correct)
+            total = total.joined(finding.correction)
         return total
 
     @property
     def toml(self) -> str:
         """The lines of campaign.toml to write or replace; empty where nothing there mends anything."""
-        return self.correct.toml
+        return self.correction.toml
 
     def of_kind(self, kind: str) -> tuple[Finding, ...]:
         """Findings of one kind."""

@@ -55,7 +55,7 @@ class Finding:
     text : one sentence for the user, numbers with units.
     record, channel : where; ``None`` is the whole campaign.
     value, sd : the number behind it and its standard deviation, in ``unit``; ``None`` where there is none.
-    mend : keys of campaign.toml that mend it; empty where nothing there can.
+    correction : keys of campaign.toml that remove the fault; empty where no key can.
     """
 
     kind: str
@@ -66,16 +66,16 @@ class Finding:
     value: float | None = None
     sd: float | None = None
     unit: str = ""
-    correct: Correction = field(default_factory=Correction)
+    correction: Correction = field(default_factory=Correction)
 
     @property
     def toml(self) -> str:
         """The lines that mend it, or an empty string."""
-        return self.correct.toml
+        return self.correction.toml
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able."""
-        shown = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "mend"}
+        shown = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "correction"}
         return shown | {"toml": self.toml}
 
 

@@ -183,11 +183,13 @@ def roles(campaign: Campaign) -> list[Finding]:
     for record in campaign.records:
         if record.role == "noise" and is_driven(record):
             correct = Correction(record={record.file or record.name: {"role": "fit"}})
-            found.append(Finding("silence", "fault", 'is declared "noise" but is driven', record.name, correct=correct))
+            found.append(
+                Finding("silence", "fault", 'is declared "noise" but is driven', record.name, correction=correct)
+            )
         elif record.role != "noise" and not is_driven(record):
             correct = Correction(record={record.file or record.name: {"role": "noise"}})
             found.append(
-                Finding("silence", "fault", "no drive moves: the record is silent", record.name, correct=correct)
+                Finding("silence", "fault", "no drive moves: the record is silent", record.name, correction=correct)
             )
         elif record.role == "noise":
             parts = np.array_split(record.sense_v - record.sense_v.mean(axis=0), 5)

@@ -34,7 +34,7 @@ class DriveGroup:
     clock, conditions : of all of them.
     drives : R times (N, D) samples [V].
     waveforms : (W, N') at the clock's steps; gains (R, D, W).
-    twins : for each record the first one with the same drive samples.
+    same_drive_as : for each record the first one with the same drive samples.
     threads : how many records are integrated at once.
     """
 
@@ -43,7 +43,7 @@ class DriveGroup:
     drives: tuple[FloatArray, ...]
     waveforms: FloatArray
     gains: FloatArray
-    twins: tuple[int, ...]
+    same_drive_as: tuple[int, ...]
     threads: int = 1
 
     @property
@@ -106,9 +106,11 @@ def drive_group_of(
     )
 
 
-def alone(group: DriveGroup, record: int) -> DriveGroup:
+def single_record_group(group: DriveGroup, record: int) -> DriveGroup:
     """One record of a play."""
-    return replace(group, drives=(group.drives[record],), gains=group.gains[record : record + 1], twins=(0,), threads=1)
+    return replace(
+        group, drives=(group.drives[record],), gains=group.gains[record : record + 1], same_drive_as=(0,), threads=1
+    )
 
 
 def drive_groups_of(

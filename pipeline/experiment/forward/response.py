@@ -93,11 +93,11 @@ def nonlinear_response(
         u = interpolated(force_volts(system, group.drives[record]), group.clock)
         return _remainder(system, u, group.clock, known[record], fine)
 
-    return np.stack(_shared(one, sources(group, starts), group.threads))
+    return np.stack(_shared(one, response_sources(group, starts), group.threads))
 
 
 def linear_motions(system: System, group: DriveGroup, starts: Starts | None, substeps: int) -> list[Motion]:
-    """Linear trajectories of the records, those of twins once; arguments as in ``remainder_volts``."""
+    """Linear trajectories of the records, those of same_drive_as once; arguments as in ``remainder_volts``."""
     known = starts or (None,) * len(group.drives)
     clock, fine = group.clock, _fine(group.clock, substeps)
 
@@ -107,7 +107,7 @@ def linear_motions(system: System, group: DriveGroup, starts: Starts | None, sub
         begun = None if start is None else full_start(system, start)
         return linear_motion(system.mechanics, u, clock.step_s, clock.hold, begun, fine)
 
-    return _shared(one, sources(group, starts), group.threads)
+    return _shared(one, response_sources(group, starts), group.threads)
 
 
 def first_order_response(system: System, group: DriveGroup, motions: Sequence[Motion]) -> FloatArray:
@@ -120,19 +120,19 @@ def first_order_response(system: System, group: DriveGroup, motions: Sequence[Mo
         if system.forces:
             r += perturbed_motion(motion, [(effect.force, p) for effect, p in system.forces], system.laws, reads)
         if system.senses:
-            r += _bent(system, motion.state, group.clock.step_s / motion.steps.substeps)
+            r += _sense_law_volts(system, motion.state, group.clock.step_s / motion.steps.substeps)
         return _seen(system, r, group.clock, motion.steps.substeps)
 
     source = [next(k for k, other in enumerate(motions) if other is motion) for motion in motions]
     return np.stack(_shared(one, source, group.threads))
 
 
-def sources(group: DriveGroup, starts: Starts | None) -> list[int]:
+def response_sources(group: DriveGroup, starts: Starts | None) -> list[int]:
     """For each record the one whose answer it shares: its twin, where both start at rest."""
     known = starts or (None,) * len(group.drives)
     return [
         first if start is None and known[first] is None else record
-        for record, (first, start) in enumerate(zip(group.twins, known))
+        for record, (first, start) in enumerate(zip(group.same_drive_as, known))
     ]
 
 
@@ -159,13 +159,13 @@ def _remainder(system: System, u: FloatArray, clock: SampleClock, start: FloatAr
     march = partial(trajectory, system.mechanics, forces, system.laws, u, clock.step_s, clock.hold, begun, fine)
     if system.senses:
         linear, deviation = march()
-        r = deviation @ reads.T + _bent(system, linear + deviation, clock.step_s / fine)
+        r = deviation @ reads.T + _sense_law_volts(system, linear + deviation, clock.step_s / fine)
     else:
         _, r = march(reads=reads)
     return _seen(system, r, clock, fine)
 
 
-def _bent(system: System, state: FloatArray, step_s: float) -> FloatArray:
+def _sense_law_volts(system: System, state: FloatArray, step_s: float) -> FloatArray:
     """What pick-off laws add along a ``state`` (M, 2n), (M, S) [V]."""
     n = system.mechanics.stiffness.shape[1]
     x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ _reads(system).T

@@ -62,7 +62,7 @@ def _slope(f: Callable[[float], FloatArray], at: float, step: float, low: float,
     return (3.0 * f(at) - 4.0 * f(at - step) + f(at - 2.0 * step)) / (2.0 * step)
 
 
-def is_gridded(model: Model, name: str) -> bool:
+def is_integrated(model: Model, name: str) -> bool:
     """Whether a parameter is that of a force or a pick-off law."""
     effect = name.partition(".")[0]
     return effect in model.effects and bool(_GRIDDED_STAGES & set(model.effect(effect).stages))
@@ -105,7 +105,7 @@ def tuned_steps(
         return float(np.sqrt(np.mean((r - r0) ** 2))) / max(level, 1e-300)
 
     for i, name in enumerate(model.free):
-        if is_gridded(model, name):
+        if is_integrated(model, name):
             steps[i] = _tuned(
                 partial(share, i), float(steps[i]), 0.25 * (model.bounds(name)[1] - model.bounds(name)[0])
             )
@@ -154,10 +154,10 @@ def jacobian(
 
 
 #: dy/dx (R, N, S) of parameters of forces and pick-off laws, by their place among the free ones.
-Bent = Mapping[int, FloatArray]
+NonlinearColumns = Mapping[int, FloatArray]
 
 
-def bent_columns(
+def nonlinear_columns(
     model: Model,
     parameters: Mapping[str, float],
     group: DriveGroup,
@@ -165,7 +165,7 @@ def bent_columns(
     steps: FloatArray,
     places: Sequence[int],
     starts: Starts | None = None,
-) -> Bent:
+) -> NonlinearColumns:
     """What free parameters at ``places`` move in the remainder; arguments as in ``play_jacobian``."""
     if not places:
         return {}
@@ -198,11 +198,11 @@ def group_jacobian(
     *,
     starts: Starts | None = None,
     exact: bool = False,
-    bent: Bent | None = None,
+    nonlinear: NonlinearColumns | None = None,
 ) -> FloatArray:
     """dy/dx (P, R, N, S) of the records of a play; arguments as in ``jacobian``, one start a record.
 
-    ``bent`` gives the columns of forces and pick-off laws where they are known.
+    ``nonlinear`` gives the columns of forces and pick-off laws where they are known.
 
     Raises
     ------
@@ -210,12 +210,12 @@ def group_jacobian(
     """
     x0 = model.to_internal(model.complete(parameters))
     base = assemble(model, model.to_values(x0), instrument, group.conditions)
-    if bent is None:
+    if nonlinear is None:
         curved = exact and bool(base.forces or base.senses)
         free = enumerate(model.free)
-        asked = [i for i, name in free if is_gridded(model, name) or (curved and not _is_adc(model, name))]
-        bent = bent_columns(model, parameters, group, instrument, steps, asked, starts)
-    known = bent
+        asked = [i for i, name in free if is_integrated(model, name) or (curved and not _is_adc(model, name))]
+        nonlinear = nonlinear_columns(model, parameters, group, instrument, steps, asked, starts)
+    known = nonlinear
     serial = replace(group, threads=1)
     clipped = volts(base, group, starts) if base.adcs else None
     columns = np.zeros((x0.size, len(group.drives), group.drives[0].shape[0], base.sense_motion.shape[0]))
@@ -238,7 +238,7 @@ def group_jacobian(
         if _is_adc(model, name):
             columns[i] = _slope(partial(behind, i), x0[i], step, *own)
             return
-        if not is_gridded(model, name):
+        if not is_integrated(model, name):
             columns[i] = _slope(partial(linear, i), x0[i], step, *(own if "." in name else (-np.inf, np.inf)))
         if i in known:
             columns[i] += known[i]

@@ -21,7 +21,7 @@ from ...device.model import Model
 from ...device.parameters import Parameter
 from ...errors import ConfigError
 from ..instrument import Instrument
-from .drive_groups import DriveGroup, alone, highest_drive_energy
+from .drive_groups import DriveGroup, highest_drive_energy, single_record_group
 from .integrate import Motion
 from .response import Starts, converted, first_order_response, linear_motions, linear_volts, nonlinear_response
 from .sensitivity import SHARE, SLOPE_SUBSTEPS, STRONG
@@ -108,7 +108,7 @@ class Base:
         """The loudest record, one substep a sample: it tells how far a step goes."""
         record = highest_drive_energy(self.group.drives)
         starts = None if self.starts is None else [self.starts[record]]
-        return base_of(self.model, self.values, alone(self.group, record), self.instrument, starts, 1)
+        return base_of(self.model, self.values, single_record_group(self.group, record), self.instrument, starts, 1)
 
 
 def base_of(

@@ -15,7 +15,7 @@ from ...arrays import BoolArray, FloatArray
 from ...device.model import Model
 from ...errors import ConfigError
 from ...experiment.forward.drive_groups import highest_drive_energy
-from ...experiment.forward.sensitivity import STRONG, is_gridded
+from ...experiment.forward.sensitivity import STRONG, is_integrated
 from .linearized import LinearizedResiduals
 from .residuals import CampaignResiduals, Tasks
 
@@ -192,7 +192,7 @@ def descend(problem: CampaignResiduals, at: FitPoint, tasks: Tasks, dof: int) ->
     """From ``at`` down to where the fit stands still; with weak forces and pick-off laws most of the way without them."""
     values, loud = problem.model.to_values(at.x), _highest_drive_energy(tasks)
     steps = problem.steps(values, tasks.each[loud], at.starts[loud])
-    bends = any(is_gridded(problem.model, name) for name in problem.model.free)
+    bends = any(is_integrated(problem.model, name) for name in problem.model.free)
     if not bends or problem.strength(values, tasks.each[loud]) > STRONG:
         return _descend(problem, at, tasks, dof, steps)
     frozen = LinearizedResiduals(problem, values, tasks, at.starts, steps)

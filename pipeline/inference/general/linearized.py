@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from ...arrays import FloatArray
 from ...experiment.forward.drive_groups import DriveGroup
 from ...experiment.forward.response import Starts, linear_volts, nonlinear_response
-from ...experiment.forward.sensitivity import Bent, bent_columns, is_gridded
+from ...experiment.forward.sensitivity import NonlinearColumns, is_integrated, nonlinear_columns
 from ...experiment.forward.system import System
 from .residuals import CampaignResiduals, Task, Tasks
 
@@ -28,13 +28,13 @@ class LinearizedResiduals(CampaignResiduals):
         self.threads, self.model, self.sigma_v = whole.threads, whole.model, whole.sigma_v
         self.instrument, self.angular_gain = whole.instrument, whole.angular_gain
         self._x0 = self.model.to_internal(values)
-        own = [i for i, name in enumerate(self.model.free) if is_gridded(self.model, name)]
+        own = [i for i, name in enumerate(self.model.free) if is_integrated(self.model, name)]
         self._remainders: list[FloatArray] = []
-        self._slopes: list[Bent] = []
+        self._slopes: list[NonlinearColumns] = []
         for places, group in tasks.groups:
             begun = [starts[i] for i in places]
             self._remainders.append(nonlinear_response(self.system(values, group), group, begun))
-            self._slopes.append(bent_columns(self.model, values, group, self.instrument, steps, own, begun))
+            self._slopes.append(nonlinear_columns(self.model, values, group, self.instrument, steps, own, begun))
 
     def _volts(
         self, number: int, values: Mapping[str, float], system: System, group: DriveGroup, starts: Starts
@@ -45,7 +45,7 @@ class LinearizedResiduals(CampaignResiduals):
             y += moved[i] * column
         return y
 
-    def _bent(self, number: int) -> Bent:
+    def _nonlinear_columns(self, number: int) -> NonlinearColumns:
         return self._slopes[number]
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:

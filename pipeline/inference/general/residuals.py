@@ -19,7 +19,13 @@ from ...experiment.antialias import filter_poles
 from ...experiment.forward.drive_groups import DriveGroup, drive_group_of, drive_groups_of
 from ...experiment.forward.linear import free_response
 from ...experiment.forward.response import Starts, converted, linear_volts, nonlinear_response, volts
-from ...experiment.forward.sensitivity import Bent, channels_checked, group_jacobian, is_gridded, tuned_steps
+from ...experiment.forward.sensitivity import (
+    NonlinearColumns,
+    channels_checked,
+    group_jacobian,
+    is_integrated,
+    tuned_steps,
+)
 from ...experiment.forward.system import System, assemble, conditions_of
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign, Record
@@ -126,7 +132,7 @@ class CampaignResiduals:
         """Volts (R, N, S) of the play with this number, before the converter."""
         return volts(system, group, starts)
 
-    def _bent(self, number: int) -> Bent | None:
+    def _nonlinear_columns(self, number: int) -> NonlinearColumns | None:
         """Columns of forces and pick-off laws in the play with this number, where they are known."""
         return None
 
@@ -171,9 +177,9 @@ class CampaignResiduals:
         """(N S, P) of each record: what the free parameters move, in sigmas."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
         for number, (places, group) in enumerate(tasks.groups):
-            own, known = [starts[i] for i in places], self._bent(number)
+            own, known = [starts[i] for i in places], self._nonlinear_columns(number)
             found = group_jacobian(
-                self.model, values, group, self.instrument, steps, starts=own, exact=exact, bent=known
+                self.model, values, group, self.instrument, steps, starts=own, exact=exact, nonlinear=known
             )
 
             def white(k: int, found: FloatArray = found, places: Sequence[int] = places) -> FloatArray:
@@ -193,6 +199,6 @@ class CampaignResiduals:
 
     def resized(self, before: FloatArray, after: FloatArray) -> float:
         """By what share of themselves parameters of forces and pick-off laws differ at most between two x (P,)."""
-        own = [i for i, name in enumerate(self.model.free) if is_gridded(self.model, name)]
+        own = [i for i, name in enumerate(self.model.free) if is_integrated(self.model, name)]
         change, size = np.abs(after - before)[own], np.maximum(np.abs(before), np.abs(after))[own]
         return float(np.max(change / np.maximum(size, 1e-300), initial=0.0))

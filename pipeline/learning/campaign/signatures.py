@@ -16,7 +16,7 @@ from ...device.effect import Effect
 from ...device.model import Model
 from ...device.parameters import Parameter
 from ...errors import ConfigError
-from ...experiment.forward.response import sources
+from ...experiment.forward.response import response_sources
 from ...experiment.forward.signatures import Base, Signature, base_of, signatures
 from ...experiment.instrument import Instrument
 from ...experiment.record import Record
@@ -80,7 +80,7 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
                 hints = signature.steps
                 if number == 0:
                     found.append(replace(signature, columns=np.zeros(0)))
-                for k, (place, source) in enumerate(zip(places, sources(base.group, base.starts))):
+                for k, (place, source) in enumerate(zip(places, response_sources(base.group, base.starts))):
                     own = at.rows(place, signature.columns[:, k]) if source == k else columns[places[source]][-1]
                     columns[place].append(own)
     except ConfigError:

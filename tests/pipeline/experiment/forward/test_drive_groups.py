@@ -67,7 +67,7 @@ def test_records_played_together_are_those_played_alone(hold: str, effect: str |
     assert [len(places) for places, _ in groups] == [7, 1]
     # Up and down: two waveforms for all drives, directions and levels.
     assert groups[0][1].gains.shape == (7, 2, 2)
-    assert groups[0][1].twins[:3] == (0, 0, 2)
+    assert groups[0][1].same_drive_as[:3] == (0, 0, 2)
     for places, group in groups:
         system = assemble(model, values, instrument, group.conditions)
         together = converted(system, volts(system, group))

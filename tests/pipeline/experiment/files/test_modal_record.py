@@ -11,7 +11,7 @@ from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord, read_modal_record, write_modal_record
 from pipeline.experiment.instrument import AntiAlias
 
-EQ14 = Path(__file__).resolve().parents[4] / "shared" / "paper" / "eq14.toml"
+EQ14 = Path(__file__).resolve().parents[5] / "shared" / "paper" / "eq14.toml"
 
 
 def example(sd=True, shape=(2, 3)):

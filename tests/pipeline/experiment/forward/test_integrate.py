@@ -17,7 +17,7 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, perturbed_motion, trajectory
-from pipeline.experiment.forward.linear import Clock, linear_response, upper_poles
+from pipeline.experiment.forward.linear import SampleClock, linear_response, upper_poles
 from pipeline.experiment.forward.readout_filter import filtered
 from pipeline.experiment.instrument import AntiAlias
 
@@ -74,7 +74,7 @@ def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
 ) -> None:
     m = PLANT.mechanics(VALUES)
     readout = plain_readout(*filter_poles(AntiAlias()), 1, 2)
-    clock = Clock(1.0 / RATE, hold, 1)
+    clock = SampleClock(1.0 / RATE, hold, 1)
     _, deviation = trajectory(m, [(law, np.array([p]))], _laws(m), DRIVE, clock.step_s, hold, None)
     q, g = upper_poles(readout)
     found = filtered(q, g, readout.static, deviation[:, 3:] @ m.velocity_sense[0].T, clock.step_s, late_s, SUBSTEPS)

@@ -22,7 +22,7 @@ from pipeline.experiment.record import Campaign, Record
 FS = 10_000.0
 MS = np.array([[-1.0, -1.0], [1.0, -1.0]])
 MD = np.array([[-1.0, 1.0], [1.0, 1.0]])
-SILVERBOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "silverbox" / "SNLS80mV.mat"
+SILVERBOX = Path(__file__).resolve().parents[5] / "shared" / "data" / "silverbox" / "SNLS80mV.mat"
 
 
 def paper_device(theta_deg, split_hz=1.9, filtered=True):
@@ -148,7 +148,7 @@ def test_sound_campaign_gives_no_finding(device):
 
 
 @pytest.mark.parametrize(
-    ("sense", "drive", "mend"),
+    ("sense", "drive", "correction"),
     [
         ([1, -1], [1, 1], {"sense_polarity": [1, -1]}),
         ([-1, 1], [1, 1], {"sense_polarity": [-1, 1]}),
@@ -157,11 +157,11 @@ def test_sound_campaign_gives_no_finding(device):
         ([1, 1], [-1, 1], {"drive_polarity": [-1, 1]}),
     ],
 )
-def test_turned_channel_is_named_and_mended(sound, tmp_path, sense, drive, correct):
+def test_turned_channel_is_named_and_mended(sound, tmp_path, sense, drive, correction):
     fault = spoiled(sound, sense=lambda y: y * sense, drive=lambda v: v * drive)
     report, again = mended(fault, tmp_path)
     assert kinds(report) == {"polarity"}
-    assert msgspec.toml.decode(report.toml) == {"channels": correct}
+    assert msgspec.toml.decode(report.toml) == {"channels": correction}
     assert check(again).findings == ()
     assert np.array_equal(again.records[1].sense_v, sound.records[1].sense_v)
 
