@@ -1,71 +1,47 @@
-"""Models: a plant and effects by name, in TOML and out.
+"""A model: a plant, the effects on it, fixed values, priors, and the smooth coordinates of a fit.
 
-    plant = "gyro"                   # or { kind = "modal", modes = 1, sense = "velocity" | "displacement" }
-    effects = ["offdiagonal_damping"]
-    effect_folders = ["my-effects"]  # optional: users' own effects, relative to this file
-    [fixed]                          # optional: parameter = value
-    [prior]                          # optional: parameter = "normal(mean, sd)" | "uniform(low, high)"
-
-A parameter of an effect is called "effect.parameter" (quoted in TOML), but c12_per_s, which is a result quantity.
+A parameter of an effect is named "effect.parameter"; c12_per_s has no prefix, because it is a result quantity.
+Model files are described in :mod:`pipeline.device.model_toml`.  Shapes: P free parameters.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
 from .effect import Effect, find_effects
-from .parameters import Parameter
-from .plant import C12, GyroPlant, ModalPlant, Plant
+from .model_toml import ModelFields, model_toml, read_model
+from .parameters import Parameter, read_prior
+from .plant import C12, Plant, PlantSpec
 
-_PRIOR = re.compile(r"^(normal|uniform)\(\s*([^,\s]+)\s*,\s*([^,\s]+)\s*\)$")
-
-
-@dataclass(frozen=True)
-class PlantSpec:
-    """Which plant: "gyro", or "modal" with its number of modes and kind of pick-off, for ``senses`` x ``drives``."""
-
-    kind: Literal["gyro", "modal"] = "gyro"
-    modes: int = 1
-    sense: Literal["velocity", "displacement"] = "velocity"
-    senses: int = 1
-    drives: int = 1
-
-    def build(self) -> Plant:
-        """The plant itself."""
-        if self.kind == "gyro":
-            return GyroPlant()
-        return ModalPlant(self.modes, self.sense == "displacement", self.senses, self.drives)
+__all__ = ["DEFAULT_COMPARE_MODEL", "SCREENING_MODEL", "Model", "PlantSpec", "load_model"]
 
 
 @dataclass(frozen=True)
 class Model:
-    """A plant, the effects on it, what is fixed and what is known beforehand.
+    """A plant, the effects on it, fixed parameter values and priors.
 
     Parameters
     ----------
-    plant : which plant.
-    effects : names, in any order; they act in the order of the signal.
-    fixed : parameter -> value.
+    plant : the plant.
+    effects : names in any order; the effects act in the order of the signal path.
+    fixed : parameter -> value that a fit does not move.
     prior : parameter -> "normal(mean, sd)" or "uniform(low, high)".
-    effect_folders : folders of users' own effects.
+    effect_folders : folders with users' own effects.
 
     Raises
     ------
-    ConfigError : an effect is unknown, named twice or makes no sense for the plant; a parameter is unknown.
+    ConfigError : an effect is unknown, named twice or does not apply to the plant; a parameter is unknown.
     """
 
-    plant: PlantSpec = PlantSpec()
+    plant: PlantSpec = field(default_factory=PlantSpec)
     effects: tuple[str, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     prior: Mapping[str, str] = field(default_factory=dict)
@@ -88,56 +64,61 @@ class Model:
 
     @cached_property
     def library(self) -> dict[str, Effect]:
-        """All effects that this model could name."""
+        """All available effects by name: those of the package and those in ``effect_folders``."""
         return find_effects(tuple(Path(folder) for folder in self.effect_folders))
 
     @cached_property
     def built(self) -> Plant:
-        """The plant itself."""
+        """The plant object."""
         return self.plant.build()
 
     def effect(self, name: str) -> Effect:
-        """The effect ``name``, if it exists and makes sense for the plant."""
+        """The effect ``name``.
+
+        Raises
+        ------
+        ConfigError : there is no such effect, or it does not apply to the plant.
+        """
         effect = self.library.get(name)
         if effect is None:
             raise ConfigError("no such effect", value=name, allowed=", ".join(self.library))
         if not self.built.kinds & set(effect.plants):
             raise ConfigError(
-                f"effect makes no sense for a plant of kind {self.plant.kind!r}",
+                f"the effect does not apply to a plant of kind {self.plant.kind!r}",
                 value=name,
                 allowed=", ".join(self.candidates()),
             )
         return effect
 
     def candidates(self) -> tuple[str, ...]:
-        """Effects that make sense for the plant and are not in the model."""
+        """Names of the effects that apply to the plant and are not in the model."""
         kinds = self.built.kinds
         return tuple(n for n, e in self.library.items() if kinds & set(e.plants) and n not in self.effects)
 
     def ordered_effects(self) -> tuple[Effect, ...]:
-        """The model's effects, sorted by name: their order never depends on how they were added."""
+        """The effects of the model, sorted by name, so that the order in which they were added does not matter."""
         return tuple(self.effect(name) for name in sorted(self.effects))
 
     def parameters(self) -> tuple[tuple[str, Parameter], ...]:
-        """All parameters (name, Parameter) in a fixed order: the plant's, c12_per_s, then effect by effect."""
+        """All parameters as (name, Parameter): those of the plant, c12_per_s, then effect by effect."""
         found = [(parameter.name, parameter) for parameter in self.built.parameters]
         for effect in self.ordered_effects():
             found += [(effect.full_name(member), member) for member in effect.members(self.built.shape)]
-        # c12 shares the plant's smooth coordinates, so it follows them at once.
+        # c12 belongs to the smooth coordinates of the plant, so it must come directly after the plant's parameters.
         return tuple(sorted(found, key=lambda item: (len(item[0].split(".")), item[0] == C12)))
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """Names of the parameters that a fit moves, in order."""
+        """Names (P) of the parameters that a fit moves, in order."""
         return tuple(name for name, parameter in self.parameters() if parameter.fitted and name not in self.fixed)
 
     @cached_property
     def by_name(self) -> dict[str, Parameter]:
-        """Parameter of each name."""
+        """All parameters by name."""
         return dict(self.parameters())
 
     def complete(self, values: Mapping[str, float]) -> dict[str, float]:
-        """All parameters by name: ``values``, then what is fixed; an absent effect parameter is at its null.
+        """Values of all parameters: fixed values override ``values``; an effect parameter that is not given is at its null.
 
         Raises
         ------
@@ -157,7 +138,7 @@ class Model:
         return out
 
     def allowed(self, values: Mapping[str, float]) -> bool:
-        """Whether ``values`` (complete) lie in their ranges."""
+        """Whether all of ``values`` (from :meth:`complete`) lie within their bounds."""
         for name, value in values.items():
             low, high = self.bounds(name)
             if not low <= value <= high:
@@ -165,7 +146,7 @@ class Model:
         return True
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Range of a parameter, narrowed by a uniform prior."""
+        """(low, high) of a parameter: its range, narrowed by a uniform prior in the model."""
         parameter = self.by_name[name]
         kind, a, b = self.prior_of(name)
         if kind == "uniform" and name in self.prior:
@@ -181,27 +162,19 @@ class Model:
         """
         parameter = self.by_name[name]
         text = self.prior.get(name, parameter.prior)
-        if text == "uniform":
-            return "uniform", parameter.low, parameter.high
-        match = _PRIOR.match(str(text))
-        try:
-            if match is None:
-                raise ValueError
-            kind, a, b = match[1], float(match[2]), float(match[3])
-            if not (math.isfinite(a) and math.isfinite(b)) or (b <= 0.0 if kind == "normal" else b <= a):
-                raise ValueError
-        except ValueError:
-            raise ConfigError(
-                f"prior of {name} cannot be read", value=text, allowed='"normal(mean, sd)" or "uniform(low, high)"'
-            ) from None
-        return kind, a, b
+        return ("uniform", parameter.low, parameter.high) if text == "uniform" else read_prior(name, str(text))
 
     def with_effect(self, name: str) -> Model:
-        """This model and the effect ``name``; unchanged if it is there."""
+        """This model with the effect ``name`` added; unchanged if it has the effect already."""
         return self if name in self.effects else replace(self, effects=(*self.effects, name))
 
     def without_effect(self, name: str) -> Model:
-        """This model less the effect ``name``, its fixed values and priors."""
+        """This model without the effect ``name``, its fixed values and its priors.
+
+        Raises
+        ------
+        ConfigError : the effect is not in the model.
+        """
         if name not in self.effects:
             raise ConfigError("effect is not in the model", value=name, allowed=", ".join(self.effects) or "none")
         smaller = replace(self, effects=tuple(e for e in self.effects if e != name), fixed={}, prior={})
@@ -212,11 +185,11 @@ class Model:
         )
 
     def with_channels(self, senses: int, drives: int) -> Model:
-        """This model for records of ``senses`` x ``drives`` channels.
+        """This model for records with ``senses`` sense and ``drives`` drive channels.
 
         Raises
         ------
-        ConfigError : plant "gyro" and not 2 x 2.
+        ConfigError : the plant is "gyro" and the channels are not 2 x 2.
         """
         if self.plant.kind == "gyro":
             if (senses, drives) != (2, 2):
@@ -230,8 +203,6 @@ class Model:
             return self
         return replace(self, plant=replace(self.plant, senses=senses, drives=drives))
 
-    # Smooth coordinates of the free parameters.
-
     @cached_property
     def _plant_names(self) -> tuple[str, ...]:
         names = tuple(parameter.name for parameter in self.built.parameters)
@@ -239,11 +210,11 @@ class Model:
 
     @cached_property
     def _smooth(self) -> bool:
-        """The plant's smooth coordinates mix its parameters, so they serve only where none is fixed."""
+        # The smooth coordinates of the plant mix its parameters, so none of these may be fixed.
         return not any(name in self.fixed for name in self._plant_names)
 
     def to_internal(self, values: Mapping[str, float]) -> FloatArray:
-        """Smooth coordinates (P,) of the free parameters, in the order of ``free``."""
+        """Smooth coordinates (P,) of complete parameter ``values``, in the order of ``free``."""
         x = np.array([values[name] for name in self.free])
         if self._smooth:
             n = len(self._plant_names)
@@ -251,7 +222,7 @@ class Model:
         return x
 
     def to_values(self, x: FloatArray) -> dict[str, float]:
-        """All parameters by name from smooth coordinates (P,)."""
+        """Values of all parameters by name from smooth coordinates ``x`` (P,)."""
         free = x.copy()
         if self._smooth:
             n = len(self._plant_names)
@@ -259,7 +230,7 @@ class Model:
         return self.complete(dict(zip(self.free, free.tolist())))
 
     def steps(self, x: FloatArray) -> FloatArray:
-        """Steps (P,) for differences in the smooth coordinates."""
+        """Steps (P,) for finite differences in the smooth coordinates ``x`` (P,)."""
         values = self.to_values(x)
         n = len(self._plant_names)
         out = np.array([1e-2 * self.by_name[name].scale for name in self.free])
@@ -272,11 +243,11 @@ class Model:
                     out[i] = 1e-4 * max(abs(values[name]), 1e-6) * zeta
         return out
 
-    def turn(self, x: FloatArray) -> FloatArray:
-        """d(values of the free parameters)/dx (P, P) at smooth coordinates ``x``."""
-        turn = np.eye(x.size)
+    def values_jacobian(self, x: FloatArray) -> FloatArray:
+        """d(values of the free parameters)/dx (P, P) at smooth coordinates ``x`` (P,), by central differences."""
+        jacobian = np.eye(x.size)
         if not self._smooth:
-            return turn
+            return jacobian
         n = len(self._plant_names)
         step = self.built.steps(x[:n])
         for i in range(n):
@@ -286,54 +257,31 @@ class Model:
             if "theta_deg" in self._plant_names:
                 k = self._plant_names.index("theta_deg")
                 change[k] = (change[k] + 90.0) % 180.0 - 90.0
-            turn[:n, i] = change / (2.0 * step[i])
-        return turn
+            jacobian[:n, i] = change / (2.0 * step[i])
+        return jacobian
 
     def covariance_of_values(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Covariance (P, P) of the free parameters from that of the smooth coordinates, to first order."""
-        turn = self.turn(x)
-        return np.asarray(turn @ covariance @ turn.T)
+        """Covariance (P, P) of the free parameters, to first order from that of the smooth coordinates (P, P)."""
+        jacobian = self.values_jacobian(x)
+        return np.asarray(jacobian @ covariance @ jacobian.T)
 
     def to_toml(self) -> str:
-        """The model file."""
-        plant = self.plant
-        shown = '"gyro"'
-        if plant.kind == "modal":
-            channels = (
-                "" if plant.senses == plant.drives == 1 else f", senses = {plant.senses}, drives = {plant.drives}"
-            )
-            shown = f'{{ kind = "modal", modes = {plant.modes}, sense = "{plant.sense}"{channels} }}'
-        lines = [f"plant = {shown}", f"effects = {_list(self.effects)}"]
-        if self.effect_folders:
-            lines.append(f"effect_folders = {_list(self.effect_folders)}")
-        if self.fixed:
-            lines += ["", "[fixed]", *(f"{_key(k)} = {float(v)!r}" for k, v in self.fixed.items())]
-        if self.prior:
-            lines += ["", "[prior]", *(f"{_key(k)} = {_text(v)}" for k, v in self.prior.items())]
-        return "\n".join(lines) + "\n"
+        """The text of the model file."""
+        return model_toml(ModelFields(self.plant, self.effects, self.fixed, self.prior, self.effect_folders))
 
 
-def _text(value: str) -> str:
-    # JSON strings are TOML basic strings.
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _list(values: Iterable[str]) -> str:
-    return "[" + ", ".join(_text(value) for value in values) + "]"
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _text(name)
-
-
-#: The paper's own model (c12 = 0): where compare, diagnose and refine start.
+#: The paper's own model (c12 = 0): compare, diagnose and refine start from it.
 DEFAULT_COMPARE_MODEL = Model()
-#: The screening run's.
+#: The model of the screening run.
 SCREENING_MODEL = Model(effects=("offdiagonal_damping",))
 
 
 def load_model(path: str | Path, effect_folders: Iterable[str | Path] = ()) -> Model:
-    """The model file at ``path``, see ``model_file.load_model``."""
-    from .model_file import load_model as load
+    """The model in the file at ``path``, with more folders of effects.
 
-    return load(path, effect_folders)
+    Raises
+    ------
+    ConfigError : the file cannot be read, or does not describe a model.
+    """
+    found = read_model(Path(path), effect_folders)
+    return Model(found.plant, found.effects, found.fixed, found.prior, found.effect_folders)

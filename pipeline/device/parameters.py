@@ -1,27 +1,35 @@
-"""Parameters: one number of a model, with what is needed to fit, test and report it.
+"""Parameters: one number of a model, with everything that is needed to fit, test and report it.
 
-A parameter with ``per`` stands for a family, one member an index of the plant it meets:
+A parameter with ``per`` stands for a family of parameters, one for each index of the plant:
 
 | per           | members                                | names, for ``k2`` per rocking axis of the gyro |
 |---|---|---|
 | ""            | one                                    | the name itself |
-| "axis"        | one a coordinate that nonlinear laws act on | k2x, k2y |
-| "drive"       | one a drive                            | <name>_d1, <name>_d2 |
-| "path"        | one a sense and drive, row by row      | <name>_s1d1, <name>_s1d2, ... |
-| "direction"   | one where there are several senses     | the name itself |
+| "axis"        | one for each coordinate that nonlinear laws act on | k2x, k2y |
+| "drive"       | one for each drive                     | <name>_d1, <name>_d2 |
+| "path"        | one for each sense and drive, row by row | <name>_s1d1, <name>_s1d2, ... |
+| "direction"   | one if there are several senses, else none | the name itself |
+
+A "direction" is an angle [deg] of a vector of the senses: (cos a, sin a).  It is defined modulo 180 deg.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from ..errors import ConfigError
+
 Per = Literal["", "axis", "drive", "path", "direction"]
+
+_PRIOR = re.compile(r"^(normal|uniform)\(\s*([^,\s]+)\s*,\s*([^,\s]+)\s*\)$")
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What a family of parameters is spread over: numbers of senses and drives, names of the axes of nonlinear laws."""
+    """Indices of a plant: numbers of senses and drives, and suffixes of the axes that nonlinear laws act on."""
 
     senses: int
     drives: int
@@ -35,17 +43,17 @@ class Parameter:
     Parameters
     ----------
     name : symbol, unique within its effect or plant.
-    unit : of the value; "1" without dimension.
-    low, high : range that makes sense; a fit stays inside.
+    unit : unit of the value; "1" if dimensionless.
+    low, high : physical range; a fit stays inside.
     meaning : one line.
-    null : the value that is exactly no effect.
-    scale : a size that matters; the unit of steps and searches.
+    null : the value at which the effect is exactly absent.
+    scale : a typical size; steps and searches are made in units of it.
     prior : "uniform" over [low, high], or "normal(mean, sd)".
-    per : what a family is spread over.
-    grid : values to scan where the parameter does not exist at the null of its effect (a pole's frequency, a clip
+    per : the index of the plant over which a family runs.
+    grid : values to scan, for a parameter that is undefined at the null of its effect (the frequency of a mode, a clip
         level).
-    fitted : false where the grid is all there is (mains frequency).
-    quantity : name of the result quantity it is, if it is one.
+    fitted : false if only the values of the grid are possible (mains frequency).
+    quantity : name of the result quantity that the parameter is (c12_per_s), or none.
     """
 
     name: str
@@ -62,7 +70,7 @@ class Parameter:
     quantity: str = ""
 
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
-        """The parameters that this family stands for on a plant of ``shape``."""
+        """The members of the family on a plant of ``shape``."""
         if self.per == "axis":
             suffixes = shape.axes
         elif self.per == "drive":
@@ -72,3 +80,24 @@ class Parameter:
         else:
             return (self,) if self.per == "" or shape.senses > 1 else ()
         return tuple(replace(self, name=self.name + suffix, per="") for suffix in suffixes)
+
+
+def read_prior(name: str, text: str) -> tuple[str, float, float]:
+    """("normal", mean, sd) or ("uniform", low, high) from the text of the prior of parameter ``name``.
+
+    Raises
+    ------
+    ConfigError : the text has another form, a number is not finite, sd <= 0, or high <= low.
+    """
+    match = _PRIOR.match(text)
+    try:
+        if match is None:
+            raise ValueError
+        kind, a, b = match[1], float(match[2]), float(match[3])
+        if not (math.isfinite(a) and math.isfinite(b)) or (b <= 0.0 if kind == "normal" else b <= a):
+            raise ValueError
+    except ValueError:
+        raise ConfigError(
+            f"prior of {name} cannot be read", value=text, allowed='"normal(mean, sd)" or "uniform(low, high)"'
+        ) from None
+    return kind, a, b

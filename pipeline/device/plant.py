@@ -1,7 +1,8 @@
-"""Plants: what a model starts from, before effects.
+"""Plants: the linear device without effects.
 
-A plant gives named parameters, their mechanics, the motion that electrodes see, and smooth coordinates for fits:
-``theta_deg`` and the damping ratios of the gyro are singular at zero split, its cartesian parameters are not.
+A plant has named parameters, mechanics, the motion of its electrodes, and smooth coordinates for fits.  (At zero split
+``theta_deg`` and the damping ratios of the gyro are singular; the cartesian parameters are not.)
+Shapes: n coordinates, S senses, D drives, P parameters.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -22,41 +23,41 @@ C12 = "c12_per_s"
 
 
 class Plant(Protocol):
-    """What the engine asks of a plant; ``names`` are its parameters in order, c12_per_s last where the model has it."""
+    """Interface of a plant.  ``names``: its parameters in order, followed by c12_per_s if the model has it."""
 
     @property
     def kinds(self) -> frozenset[str]:
-        """The names under which effects declare that they make sense for it."""
+        """Names by which effects declare that they apply to this plant."""
         ...
 
     @property
     def shape(self) -> Shape:
-        """Numbers of senses and drives, axes of nonlinear laws."""
+        """Numbers of senses and drives, and axes of nonlinear laws."""
         ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """In a fixed order."""
+        """The parameters, in a fixed order."""
         ...
 
     def mechanics(self, values: Mapping[str, float]) -> Mechanics:
-        """Mechanics (a batch of one) of parameter ``values`` by name."""
+        """Mechanics (a batch of one) at parameter ``values`` by name."""
         ...
 
     def sense_motion(self) -> FloatArray:
-        """(S, n): motion of the sense electrodes [V s] from the coordinates."""
+        """Matrix (S, n) from the coordinates to the motion of the sense electrodes [V s]."""
         ...
 
     def drive_motion(self) -> FloatArray:
-        """(D, n): motion of the drive electrodes [V s] from the coordinates."""
+        """Matrix (D, n) from the coordinates to the motion of the drive electrodes [V s]."""
         ...
 
     def to_internal(self, physical: FloatArray) -> FloatArray:
-        """Smooth coordinates (P,) of ``names`` (P,)."""
+        """Smooth coordinates (P,) from values (P,) of ``names``."""
         ...
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """Values of ``names`` (P,) from smooth coordinates (P,)."""
+        """Values (P,) of ``names`` from smooth coordinates (P,)."""
         ...
 
     def steps(self, internal: FloatArray) -> FloatArray:
@@ -83,10 +84,10 @@ _WITHOUT_C12 = tuple(i for i, name in enumerate(PHYSICAL) if name != C12)
 
 @dataclass(frozen=True)
 class GyroPlant:
-    """The paper's gyro: eleven parameters, two drives, two senses; damping axes on the stiffness axes without c12.
+    """The gyro of the paper: eleven parameters, two drives, two senses; without c12 the damping axes are the stiffness axes.
 
-    Smooth coordinates: omega0, eps_c, eps_s, c0, then d_c, d_s with c12, or delta = (c11 - c22)/2 without, omega3, c33,
-    ln G_r, ln G_z, s, d (``pipeline.device.gyro``).
+    Smooth coordinates (``pipeline.device.gyro``): omega0, eps_c, eps_s, c0, then d_c, d_s with c12 or delta = (c11 - c22)/2
+    without c12, then omega3, c33, ln G_r, ln G_z, s, d.
     """
 
     kinds: frozenset[str] = frozenset({"gyro"})
@@ -94,7 +95,7 @@ class GyroPlant:
     parameters: tuple[Parameter, ...] = _GYRO_PARAMETERS
 
     def mechanics(self, values: Mapping[str, float]) -> Mechanics:
-        """Mechanics in (psi_x, psi_y, z) with c12 = 0: offdiagonal_damping adds it."""
+        """Mechanics in (psi_x, psi_y, z) with c12 = 0; the effect offdiagonal_damping adds c12."""
         return gyro_mechanics(np.array([[0.0 if name == C12 else values[name] for name in PHYSICAL]]))
 
     def sense_motion(self) -> FloatArray:
@@ -106,7 +107,7 @@ class GyroPlant:
         return np.concatenate([M_D.T, np.ones((2, 1))], axis=1)
 
     def to_internal(self, physical: FloatArray) -> FloatArray:
-        """Cartesian parameters, or the eleven that remain without c12."""
+        """Cartesian parameters (12,) with c12, or the eleven smooth coordinates without c12."""
         full = np.zeros(12)
         full[list(_WITHOUT_C12)] = physical[:11]
         if physical.size == 12:
@@ -119,7 +120,7 @@ class GyroPlant:
         return np.concatenate([x[:4], [delta], x[6:]])
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """The reverse of :meth:`to_internal`."""
+        """The inverse of :meth:`to_internal`."""
         if internal.size == 12:
             physical = to_physical(internal[None])[0]
             return np.append(physical[list(_WITHOUT_C12)], physical[PHYSICAL.index(C12)])
@@ -129,7 +130,7 @@ class GyroPlant:
         return np.asarray(to_physical(x[None])[0][list(_WITHOUT_C12)])
 
     def steps(self, internal: FloatArray) -> FloatArray:
-        """1e-4 rad/s or 1/s, 1e-5 of gains and imbalances: a width is about 1 rad/s, a record about 1 s."""
+        """1e-4 rad/s or 1/s, and 1e-5 for gains and imbalances: a resonance is about 1 rad/s wide, a record about 1 s long."""
         return np.array([1e-4] * (internal.size - 4) + [1e-5] * 4)
 
 
@@ -137,9 +138,8 @@ class GyroPlant:
 class ModalPlant:
     """H(s) = sum_k B_k s / (s^2 + 2 zeta_k omega_k s + omega_k^2), without the s for a displacement pick-off.
 
-    B_k (S, D) = gain<k>_s<a>d<b> [1/s; for displacement 1/s^2].  Coordinates q_(k,a): one a mode and sense, driven by
-    the
-    row a of B_k and seen by sense a alone.
+    B_k (S, D) = gain<k>_s<a>d<b> [1/s; for displacement 1/s^2].  Coordinates q_(k,a), one for each mode and sense: row a of
+    B_k drives it, and only sense a measures it.
     """
 
     modes: int
@@ -149,18 +149,18 @@ class ModalPlant:
 
     @property
     def kinds(self) -> frozenset[str]:
-        """ "resonator" with one drive and one sense."""
+        """{"modal"}, and "resonator" if there is one drive and one sense."""
         return frozenset({"modal", "resonator"} if self.senses == self.drives == 1 else {"modal"})
 
     @cached_property
     def shape(self) -> Shape:
-        """One axis a coordinate; a single mode has the gyro's letter x."""
+        """One axis for each coordinate; a single coordinate has the suffix x, as in the gyro."""
         n = self.modes * self.senses
         return Shape(self.senses, self.drives, ("x",) if n == 1 else tuple(f"_{i + 1}" for i in range(n)))
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """f, zeta and gains, mode by mode."""
+        """Frequency, damping ratio and gains, mode by mode."""
         unit = "1/s^2" if self.displacement else "1/s"
         out: list[Parameter] = []
         for k in range(1, self.modes + 1):
@@ -175,7 +175,7 @@ class ModalPlant:
         return tuple(out)
 
     def mechanics(self, values: Mapping[str, float]) -> Mechanics:
-        """Diagonal C and K."""
+        """Mechanics with diagonal C and K."""
         n = self.modes * self.senses
         damping, stiffness = np.zeros((1, n, n)), np.zeros((1, n, n))
         drive, sense = np.zeros((1, n, self.drives)), np.zeros((1, self.senses, n))
@@ -191,23 +191,23 @@ class ModalPlant:
         return Mechanics(damping, np.zeros((1, n, n)), stiffness, drive, velocity, position)
 
     def sense_motion(self) -> FloatArray:
-        """Each sense sees the sum of its own coordinates."""
+        """Each sense measures the sum of its own coordinates."""
         return np.tile(np.eye(self.senses), (1, self.modes))
 
     def drive_motion(self) -> FloatArray:
-        """Not known of a modal plant: no effect that needs it applies."""
+        """Zeros: a modal plant does not know the motion of its drive electrodes, and effects that need it do not apply."""
         return np.zeros((self.drives, self.modes * self.senses))
 
     def to_internal(self, physical: FloatArray) -> FloatArray:
-        """As they are: f, zeta and gains are smooth."""
+        """The identity: frequency, damping ratio and gains are smooth coordinates."""
         return physical
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """As they are."""
+        """The identity."""
         return internal
 
     def steps(self, internal: FloatArray) -> FloatArray:
-        """1e-4 of a width for f and of zeta, 1e-4 of the largest gain of the mode."""
+        """1e-4 of the half width for f, 1e-4 of zeta, and 1e-4 of the largest gain of the mode for all its gains."""
         width = 2 + self.senses * self.drives
         rows = internal.reshape(self.modes, width)
         out = np.empty_like(rows)
@@ -215,3 +215,20 @@ class ModalPlant:
         out[:, 1] = 1e-4 * np.maximum(np.abs(rows[:, 1]), 1e-7)
         out[:, 2:] = 1e-4 * np.maximum(np.max(np.abs(rows[:, 2:]), axis=1, keepdims=True), 1e-12)
         return out.reshape(-1)
+
+
+@dataclass(frozen=True)
+class PlantSpec:
+    """A choice of plant: "gyro", or "modal" with its number of modes, kind of pick-off and ``senses`` x ``drives`` channels."""
+
+    kind: Literal["gyro", "modal"] = "gyro"
+    modes: int = 1
+    sense: Literal["velocity", "displacement"] = "velocity"
+    senses: int = 1
+    drives: int = 1
+
+    def build(self) -> Plant:
+        """The plant object."""
+        if self.kind == "gyro":
+            return GyroPlant()
+        return ModalPlant(self.modes, self.sense == "displacement", self.senses, self.drives)

@@ -134,7 +134,7 @@ def _equations(
         back.append((inverse, cross, own))
     rows = _prior_rows(problem.model, problem.model.to_values(at.x))
     if np.any(rows[1]):
-        turned = rows[1][:, None] * problem.model.turn(at.x)
+        turned = rows[1][:, None] * problem.model.values_jacobian(at.x)
         normal += turned.T @ turned
         slope -= turned.T @ rows[0]
     return normal, slope, back

@@ -219,7 +219,7 @@ def _member(view: CampaignProblem, terms: Sequence[str], term: str, rival: str) 
     fitted, campaign = view.campaign_fit(swapped), view.campaign
     plain = replace(campaign.with_role("fit")[0], at_rest=True)
     steps = tuned_steps(fitted.model, fitted.values, plain, campaign.instrument, angular_gain=campaign.angular_gain)
-    return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.turn(fitted.x), steps)
+    return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.values_jacobian(fitted.x), steps)
 
 
 def _bounded(view: CampaignProblem, members: Sequence[_Member], experiment: Experiment) -> _Trial | None:

@@ -1,4 +1,4 @@
-"""Model files say what they mean, and everything else is one typed error."""
+"""Model files: written and read back unchanged; a wrong file is one ConfigError."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pipeline.errors import ConfigError
         Model(effects=("electrostatic_softening",), prior={"electrostatic_softening.1/g": "normal(10, 2.5)"}),
     ],
 )
-def test_a_model_survives_its_file(model: Model, tmp_path: Path) -> None:
+def test_a_model_is_unchanged_by_writing_and_reading_its_file(model: Model, tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
     path.write_text(model.to_toml(), encoding="utf-8")
     assert load_model(path) == model
@@ -41,7 +41,7 @@ def test_a_model_survives_its_file(model: Model, tmp_path: Path) -> None:
         ('effects = ["warp_drive"]', "no such effect"),
         ('effects = "cubic_stiffness"', "not a list"),
         ('effects = ["cubic_stiffness", "cubic_stiffness"]', "named twice"),
-        ('plant = { kind = "modal" }\neffects = ["angular_rate"]', "makes no sense"),
+        ('plant = { kind = "modal" }\neffects = ["angular_rate"]', "does not apply"),
         ("[fixed]\nf9_hz = 1.0", "no such parameter"),
         ('[fixed]\nf1_hz = "fast"', "not a finite number"),
         ('[prior]\nf1_hz = "normal(1)"', "cannot be read"),
@@ -50,7 +50,7 @@ def test_a_model_survives_its_file(model: Model, tmp_path: Path) -> None:
         ("plant = ", "cannot be read"),
     ],
 )
-def test_a_wrong_file_is_a_typed_error(text: str, match: str, tmp_path: Path) -> None:
+def test_a_wrong_model_file_is_a_config_error(text: str, match: str, tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=match):

@@ -14,10 +14,10 @@ from pipeline.device.operation.rebalance import (
     measured_biases_dps,
     operate,
     output_rate_dps,
-    scale_factor,
     self_oscillation_hz,
     settled,
 )
+from pipeline.device.operation.scale_factor import scale_factor
 from pipeline.errors import ConfigError
 
 COUNT = 50
