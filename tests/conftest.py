@@ -1,12 +1,24 @@
 """One BLAS thread for all tests, set before numpy is loaded: the matrices are small and the cores are few."""
 
 import os
+from dataclasses import replace
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
 # The same examples every time, and no deadline: a busy machine is not a failure.
 settings.register_profile("suite", deadline=None, derandomize=True)
 settings.load_profile("suite")
+
+
+@pytest.fixture
+def brief_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The standard campaign with records of 1 s."""
+    from workflows.simulate import standard_excitations
+    from workflows.studies.hidden import draw
+
+    brief = [(name, role, replace(e, duration_s=1.0)) for name, role, e in standard_excitations(1)]
+    monkeypatch.setattr(draw, "standard_excitations", lambda seed: brief)

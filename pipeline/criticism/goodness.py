@@ -21,10 +21,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from .agreement import agreement, partitions
-from .lines import beyond_neighbours
+from .lines import normalized_energy
 from .problem import FitResult, Region, Signatures, Spectrum
 from .projection import Baseline, project
-from .regions import place
+from .regions import description
 from .scores import cells_of, delta_chi2s
 from .tails import log_any, log_tail, normal_log_tail
 
@@ -152,14 +152,14 @@ def _regions(regions: Sequence[Region]) -> ResidualStructure | None:
         for region, value, count in zip(own, energy / level, dof):
             # Scaled so that mean and variance are right: chi2 of dof / spread^2, times spread^2.
             log_p.append(float(log_tail(value / spread**2, max(round(count / spread**2), 1))))
-            where.append(place(region))
+            where.append(description(region))
     return _strongest("region", log_p, where)
 
 
 def _lines(spectra: Sequence[Spectrum]) -> ResidualStructure | None:
     log_p, where = [], []
     for spectrum in spectra:
-        beyond = beyond_neighbours(spectrum)
+        beyond = normalized_energy(spectrum)
         top = int(np.argmax(beyond))
         log_p.append(float(log_any(log_tail(beyond[top], spectrum.dof), beyond.size)))
         where.append(f"line at {spectrum.frequency_hz[top]:.5g} Hz")

@@ -14,7 +14,7 @@ import numpy as np
 
 from .agreement import Agreement
 from .problem import FitResult
-from .regions import Where, explained
+from .regions import RegionShare, explained_by_region
 from .selection import ForwardSelection
 from .verdict import TermClass, Verdict, misfit
 
@@ -96,7 +96,7 @@ class Ladder:
     classes: tuple[TermClass, ...]
     wrong_form: Mapping[str, Agreement] = field(default_factory=dict)
     refused: Mapping[str, str] = field(default_factory=dict)
-    regions: tuple[tuple[Where, float], ...] = ()
+    regions: tuple[tuple[RegionShare, float], ...] = ()
     p_left: float = 1.0
     left: str = ""
     why: str = ""
@@ -110,7 +110,10 @@ class Ladder:
             "classes": [list(item.members) for item in self.classes if len(item.members) > 1],
             "wrong_form": {term: {"by": a.partition, "log_p": a.log_p} for term, a in self.wrong_form.items()},
             "refused": dict(self.refused),
-            "regions": [{**w.labels, "kind": w.family, "share": w.share, "explained": e} for w, e in self.regions],
+            "regions": [
+                {**item.labels, "kind": item.family, "share": item.share, "explained": explained}
+                for item, explained in self.regions
+            ],
             "p_left": self.p_left,
             "left": self.left,
             "why": self.why,
@@ -144,7 +147,7 @@ def build(
         found,
         wrong_form,
         selection.refused,
-        explained(selection.steps_tested[0].regions, last.regions),
+        explained_by_region(selection.steps_tested[0].regions, last.regions),
         last.goodness.p_value,
         f"{worst.test}: {worst.where}" if worst else "",
         selection.failed,

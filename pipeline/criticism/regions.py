@@ -1,10 +1,10 @@
-"""Where a model fails: the share of the excess misfit in each region, with an honest null.
+"""Where a model fails: the share of the excess misfit in each region, tested against noise.
 
-    excess_i = chi2_i / level - dof_i,     sd(excess_i) = sqrt(2 dof_i) where the noise alone is left
+    excess_i = chi2_i - dof_i
     share_i  = max(excess_i, 0) / sum over the family of max(excess_j, 0)
-    error_i  = sqrt(chi2_i / dof_i)
+    error_i  = sqrt(chi2_i / dof_i)                                              rms of the residual [sigma]
 
-A region is significant when its energy is improbable at ``alpha`` among all regions (Bonferroni).
+A region is significant if its energy is improbable under noise at ``ALPHA`` among all regions (Bonferroni).
 """
 
 from __future__ import annotations
@@ -17,10 +17,13 @@ import numpy as np
 from .problem import Region
 from .tails import log_any, log_tail
 
+#: Family-wise probability that noise alone makes a region significant.
+ALPHA = 0.003
+
 
 @dataclass(frozen=True)
-class Where:
-    """One region: its labels, its share of the family's excess, its error, and the family-wise p of its energy."""
+class RegionShare:
+    """A region, its share of the excess of its family, its error [sigma], and the family-wise p-value of its energy."""
 
     family: str
     labels: Mapping[str, object]
@@ -29,11 +32,17 @@ class Where:
     p_value: float
 
 
-def where(regions: Sequence[Region], alpha: float = 0.003, noise_dof: float = np.inf) -> tuple[Where, ...]:
-    """Regions that are significantly above the noise, the largest share first.
+def region_shares(
+    regions: Sequence[Region], alpha: float = ALPHA, noise_dof: float = np.inf
+) -> tuple[RegionShare, ...]:
+    """Regions with significantly more energy than noise, the largest share first.
 
-    ``noise_dof``: degrees of freedom behind the noise level; a region that is larger than that is judged by what the level
-    is known to, 1 / (1/dof + 1/noise_dof).
+    Parameters
+    ----------
+    regions : of any families; shares sum to one within a family.
+    alpha : family-wise significance level; infinite for all regions.
+    noise_dof : degrees of freedom of the noise level; the p-value then accounts for its uncertainty by the effective
+        1 / (1/dof + 1/noise_dof).
     """
     used = [region for region in regions if region.dof > 0.0]
     totals: dict[str, float] = {}
@@ -47,16 +56,38 @@ def where(regions: Sequence[Region], alpha: float = 0.003, noise_dof: float = np
             continue
         share = max(region.chi2 - region.dof, 0.0) / max(totals[region.family], 1e-300)
         error = float(np.sqrt(region.chi2 / region.dof))
-        found.append(Where(region.family, region.labels, float(share), error, p))
+        found.append(RegionShare(region.family, region.labels, float(share), error, p))
     return tuple(sorted(found, key=lambda item: -item.share))
 
 
-def place(region: Region) -> str:
-    """Where a region lies, in plain words: family, then its labels."""
-    return f"{region.family}, " + ", ".join(_told(name, value) for name, value in region.labels.items())
+def explained_share(excess_before: float, excess_after: float) -> float:
+    """1 - excess after / excess before: the share of a misfit that a new model explains; 0 where there was none.
+
+    It exceeds 1 where noise leaves less energy than its expectation.
+    """
+    return 1.0 - excess_after / excess_before if excess_before > 0.0 else 0.0
 
 
-def _told(name: str, value: object) -> str:
+def explained_by_region(
+    before: Sequence[Region], after: Sequence[Region], alpha: float = ALPHA
+) -> tuple[tuple[RegionShare, float], ...]:
+    """Every significant region of ``before`` with the ``explained_share`` of its excess in ``after``."""
+    new = {_key(region.family, region.labels): region for region in after}
+    pairs = []
+    for item in region_shares(before, alpha):
+        region = new.get(_key(item.family, item.labels))
+        if region is not None:
+            excess = (item.error**2 - 1.0) * region.dof
+            pairs.append((item, explained_share(excess, region.chi2 - region.dof)))
+    return tuple(pairs)
+
+
+def description(region: Region) -> str:
+    """A region in words: its family, then its labels."""
+    return f"{region.family}, " + ", ".join(_label_text(name, value) for name, value in region.labels.items())
+
+
+def _label_text(name: str, value: object) -> str:
     stem, _, unit = name.rpartition("_")
     units = {"hz": "Hz", "s": "s", "v": "V"}
     if isinstance(value, list | tuple):
@@ -66,21 +97,6 @@ def _told(name: str, value: object) -> str:
     return str(value) if isinstance(value, str) else f"{name.replace('_', ' ')} {value}"
 
 
-def explained(
-    before: Sequence[Region], after: Sequence[Region], alpha: float = 0.003
-) -> tuple[tuple[Where, float], ...]:
-    """For every region that was significant before: the share of its excess that a new model took away (1 is all)."""
-    left = {(region.family, _key(region)): region for region in after}
-    pairs = []
-    for item in where(before, alpha):
-        key = (item.family, tuple(sorted((k, str(v)) for k, v in item.labels.items())))
-        region = left.get(key)
-        if region is None:
-            continue
-        first = (item.error**2 - 1.0) * region.dof
-        pairs.append((item, 1.0 - (region.chi2 - region.dof) / first if first > 0.0 else 0.0))
-    return tuple(pairs)
-
-
-def _key(region: Region) -> tuple[tuple[str, str], ...]:
-    return tuple(sorted((k, str(v)) for k, v in region.labels.items()))
+def _key(family: str, labels: Mapping[str, object]) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Identifies the same region in the residuals of two models."""
+    return family, tuple(sorted((name, str(value)) for name, value in labels.items()))

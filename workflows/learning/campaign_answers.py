@@ -17,8 +17,9 @@ from pipeline.learning.campaign.hold import hold_hint, stand_ins_of
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.modal.problem import GAUGES
 from pipeline.learning.next_experiment.separating import Proposal, proposals, separating_text
-from pipeline.learning.where.regions import FAMILIES, FREQUENCY_KINDS, Layout, decomposed, layout_of
-from pipeline.learning.where.rows import by_kind, explained_by_kind, where_rest, where_rows, with_after
+from pipeline.learning.where.partition import CampaignPartition, campaign_partition
+from pipeline.learning.where.regions import FAMILIES, FREQUENCY_KINDS, by_kind, explained_by_kind, misfit_regions
+from pipeline.learning.where.rows import where_rest, where_rows, with_after
 
 from . import tables
 from .device_verdict import verdict_of
@@ -70,14 +71,14 @@ class Comparison(Answer):
         return self.view.campaign_fit(())
 
     @cached_property
-    def layout(self) -> Layout:
-        """How the residual is cut: by the first fit, the same for all models."""
-        return layout_of(self.fit, self.view.planes)
+    def partition(self) -> CampaignPartition:
+        """The partition of the residual, from the first fit; it is the same for all models."""
+        return campaign_partition(self.fit, self.view.partitions)
 
     def regions(self, fit: CampaignFit | None = None) -> list[Region]:
         """The residual of a fit (of this one without it) by every family."""
         conditions: Mapping[str, Mapping[str, str]] = {b.name: b.labels for b in self.view.fit(()).blocks}
-        return decomposed(fit or self.fit, self.layout, conditions)
+        return misfit_regions(fit or self.fit, self.partition, conditions)
 
     @property
     def noise(self) -> dict[str, Any]:

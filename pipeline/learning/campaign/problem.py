@@ -17,6 +17,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from ...criticism.lines import pooled_spectra
 from ...criticism.problem import (
     Candidate,
     FitResult,
@@ -37,9 +38,8 @@ from ...inference.general.fit import CampaignFit, RecordFit, fit_with_columns
 from ...inference.general.free_disturbances import free_shapes
 from ...inference.general.gauss_newton import Sensitivity, moved_share
 from ...inference.general.residuals import CampaignResiduals
-from ..where.lines import pooled
-from ..where.plane import Plane, planes_of, resonances_of
-from ..where.regions import regions_of, residual_spectra
+from ..where.partition import RecordPartition, record_partitions, residual_spectra, resonances_of
+from ..where.regions import structure_regions
 from .modes import NAME as MODE
 from .modes import Scan, grid_of, mode_candidate, scan_of
 from .rows import TOP_HZ, FourierRows, block_diagonal, labels_of, same_drive, spectra_of, strata_of
@@ -300,17 +300,17 @@ class CampaignProblem:
         return Signatures(candidates, tuple(blocks))
 
     @cached_property
-    def planes(self) -> dict[str, Plane]:
-        """How each record is cut, by the first fit that was made: the same cut for all models."""
-        return planes_of(self.campaign, self.campaign_fit(tuple(next(iter(self._fits)))))
+    def partitions(self) -> dict[str, RecordPartition]:
+        """The partition of each record by name, from the first fit; it is the same for all models."""
+        return record_partitions(self.campaign, self.campaign_fit(tuple(next(iter(self._fits)))))
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """Residual energy of each record and channel by time, resonance, harmonic of the drive and band, up to Nyquist."""
-        return regions_of(self.campaign_fit(fit.terms), self.planes)
+        return structure_regions(self.campaign_fit(fit.terms), self.partitions)
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
         """Residual energy of all records by frequency, up to Nyquist."""
-        return pooled(residual_spectra(self.campaign_fit(fit.terms), self.planes))
+        return pooled_spectra(residual_spectra(self.campaign_fit(fit.terms), self.partitions))
 
 
 def _ended(fitted: CampaignFit, name: str) -> bool:

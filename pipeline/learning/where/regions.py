@@ -1,158 +1,236 @@
-"""Where a model fails on a campaign: the residual cut by frequency, time, channel, level, direction and record.
+"""Residual energy of a campaign by region: one function per family of regions, on the partition of ``partition``.
 
-By frequency, in the full band up to Nyquist, every part of the whole is in one region (the cells of an orthonormal
-transform), so the shares of resonance, harmonic, line and broadband add up to one together.  The other families (time; level of
-the drive; response, the level of the motion; direction of the sweep; channel; record) cut the same residual along one line each
-and add up to one by themselves, never across.
+Two sets of regions are made from the same functions:
+
+    structure_regions   small regions of each record and channel, for the tests of structure in the residual
+    misfit_regions      the families of the answer; the energies of each family add up to the whole residual
 
 Shapes: N samples, S senses, K blocks, M bins; residuals in sigmas.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...criticism.problem import Region, Spectrum
+from ...criticism.problem import Region
+from ...criticism.regions import explained_share
 from ...experiment.noise.time_frequency import lapped
 from ...inference.general.fit import CampaignFit, RecordFit
-from .lines import lines_in, merged, pooled, spectrum_of, without_these
-from .plane import LEVELS, Place, Plane, short_blocks
+from .partition import LEVELS, CampaignPartition, RecordPartition, short_blocks
 
-#: Kinds that cut by frequency: their shares add up to one together.
+#: Kinds of regions of the family "frequency"; their shares add up to one together.
 FREQUENCY_KINDS = ("resonance", "harmonic", "line", "broadband")
-#: Families that add up to one by themselves, in the order in which they are told.
+#: Families of the answer, in its order; shares add up to one within a family.
 FAMILIES = ("frequency", "time", "level", "response", "direction", "channel", "record")
 _WINDOWS = 12
-#: Samples are clipped here for tests that heavy-tailed noise must not set off.
+#: Limit of a sample [sigma] in the energies of tests that must be robust to outliers.
 _CLIP = 4.0
 
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """The cut of a campaign: the plane of each record by name, and the lines [Hz]; the same for all models tried on it."""
-
-    planes: Mapping[str, Plane]
-    lines_hz: tuple[float, ...]
+Labels = Mapping[str, object]
 
 
-def layout_of(fit: CampaignFit, planes: Mapping[str, Plane]) -> Layout:
-    """``planes`` and the lines that the residual of ``fit`` shows in its fitted records, in one of them or in all together."""
-    fitted = fit.of_role("fit")
-    spectra = residual_spectra(fit, planes)
-    found: list[float] = []
-    for mine, spectrum in zip(fitted, spectra):
-        found += lines_in(spectrum, planes[mine.name].answers_hz)
-    answers = [band for mine in fitted for band in planes[mine.name].answers_hz]
-    for spectrum in pooled(spectra):
-        found += lines_in(spectrum, answers)
-    widths = (planes[mine.name].sample_rate_hz / mine.residual.shape[0] for mine in fitted)
-    return Layout(planes, tuple(merged(found, 1.5 * max(widths, default=0.0))))
+def structure_regions(fit: CampaignFit, partitions: Mapping[str, RecordPartition]) -> list[Region]:
+    """Resonances, harmonics, fine bands and time windows of each fitted record and channel.
 
-
-def residual_spectra(fit: CampaignFit, planes: Mapping[str, Plane]) -> list[Spectrum]:
-    """The residual of each fitted record by frequency."""
-    return [spectrum_of(mine.residual, planes[mine.name].sample_rate_hz) for mine in fit.of_role("fit")]
-
-
-def regions_of(fit: CampaignFit, planes: Mapping[str, Plane]) -> list[Region]:
-    """Regions for tests of structure: by time, fine band, resonance and harmonic of each fitted record and channel.
-
-    All are small beside the silence from which the noise level was learned, so that its error does no harm.
+    They have far fewer degrees of freedom than the silent record, so the uncertainty of the noise level does not matter.
     """
     out: list[Region] = []
     for mine in fit.of_role("fit"):
-        plane, scale = planes[mine.name], _scale(fit, mine)
-        bounded = np.clip(mine.residual, -_CLIP, _CLIP)
-        whole, robust = (lapped(y, plane.size) ** 2 for y in (mine.residual, bounded))
-        for channel in range(mine.residual.shape[1]):
-            base = {"record": mine.name, "channel": f"sense{channel + 1}"}
-            parts, least = (_summed(plane.cell, c[channel], len(plane.places)) for c in (whole, robust))
-            out += [
-                Region(place.kind, {**base, **_labels(place)}, chi2, dof * scale, less)
-                for place, chi2, dof, less in zip(plane.places, parts, plane.place_dof.tolist(), least)
-                if dof > 0.0 and place.kind in ("resonance", "harmonic")
-            ]
-            parts, least = (_summed(plane.band, c[channel].sum(axis=0), len(plane.bands)) for c in (whole, robust))
-            out += [
-                Region("band", {**base, "band_hz": list(band)}, chi2, dof * scale, less)
-                for band, chi2, dof, less in zip(plane.bands, parts, plane.band_dof.tolist(), least)
-            ]
-            for span, rows in _windows(mine, plane):
-                chi2, less = (float(np.sum(y[rows, channel] ** 2)) for y in (mine.residual, bounded))
-                out.append(Region("time", {**base, "time_s": span}, chi2, (rows.stop - rows.start) * scale, less))
+        partition, density = partitions[mine.name], _dof_per_sample(fit, mine)
+        clipped = np.clip(mine.residual, -_CLIP, _CLIP)
+        whole, robust = (_structure(mine.name, y, partition, density) for y in (mine.residual, clipped))
+        out += [replace(region, robust=other.chi2) for region, other in zip(whole, robust)]
     return out
 
 
-def decomposed(fit: CampaignFit, layout: Layout, conditions: Mapping[str, Mapping[str, str]]) -> list[Region]:
-    """The residual of the fitted records cut by every one of ``FAMILIES``.
+def _structure(name: str, residual: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
+    cells = lapped(residual, partition.size) ** 2
+    out: list[Region] = []
+    for channel in range(residual.shape[1]):
+        base = _base(name, channel)
+        areas = _by_area(base, cells[channel], partition, density)
+        out += [region for region in areas if region.family != "broadband"]
+        out += _by_band(base, cells[channel], partition, density)
+        out += _by_time(base, residual[:, channel], partition, density)
+    return out
+
+
+def misfit_regions(
+    fit: CampaignFit, partition: CampaignPartition, conditions: Mapping[str, Mapping[str, str]]
+) -> list[Region]:
+    """The residual of the fitted records, by every one of ``FAMILIES``.
 
     Parameters
     ----------
-    fit, layout : the model, and the cut.
+    fit : the model and its residuals.
+    partition : of the campaign.
     conditions : "level" and "direction" of each record by name.
     """
     out: list[Region] = []
-    pooled: dict[tuple[str, str], tuple[dict[str, object], list[float]]] = {}
     for mine in fit.of_role("fit"):
-        plane, scale = layout.planes[mine.name], _scale(fit, mine)
-        left, taken = without_these(mine.residual, plane.sample_rate_hz, layout.lines_hz)
-        cells = lapped(left, plane.size) ** 2
-        # Two degrees of freedom a line and channel are missing, spread thinly over the plane.
-        thin = scale * (1.0 - 2.0 * len(layout.lines_hz) / left.shape[0])
-        level = np.mean(short_blocks(mine.residual) ** 2, axis=1)
-        length = mine.residual.shape[0] // level.shape[0]
+        own, density = partition.records[mine.name], _dof_per_sample(fit, mine)
+        left, lines = _without_lines(mine.residual, own.sample_rate_hz, partition.lines_hz)
+        cells, blocks = lapped(left, own.size) ** 2, short_blocks(mine.residual)
+        mean_square = np.mean(blocks**2, axis=1)
+        # The lines took two degrees of freedom each per channel; the loss is spread evenly over the plane.
+        thinned = density * (1.0 - 2.0 * len(partition.lines_hz) / left.shape[0])
         for channel in range(left.shape[1]):
-            sense = f"sense{channel + 1}"
-            base: dict[str, object] = {"record": mine.name, "channel": sense}
-            half = 0.5 * plane.sample_rate_hz / left.shape[0]
-            for f, energy in zip(layout.lines_hz, taken[:, channel].tolist()):
-                band = [float(f - half), float(f + half)]
-                out.append(Region("frequency", {**base, "kind": "line", "band_hz": band}, energy, 2.0 * scale))
-            parts = _summed(plane.cell, cells[channel], len(plane.places))
-            out += [
-                Region("frequency", {**base, "kind": place.kind, **_labels(place)}, chi2, dof * thin)
-                for place, chi2, dof in zip(plane.places, parts, plane.place_dof.tolist())
-                if dof > 0.0
-            ]
-            for span, rows in _windows(mine, plane):
-                chi2 = float(np.sum(mine.residual[rows, channel] ** 2))
-                out.append(Region("time", {**base, "time_s": span}, chi2, (rows.stop - rows.start) * scale))
-            chi2, dof = float(np.sum(mine.residual[:, channel] ** 2)), left.shape[0] * scale
-            for family, label in (
-                ("level", float(conditions[mine.name]["level"])),
-                ("direction", conditions[mine.name]["direction"]),
-                ("channel", sense),
-                ("record", mine.name),
-            ):
-                _add(pooled, family, {family: label}, chi2, dof)
-            parts = _summed(plane.level[:, channel], level[:, channel] * length, LEVELS)
-            sizes = np.bincount(plane.level[:, channel], minlength=LEVELS) * length * scale
-            for k in np.flatnonzero(sizes).tolist():
-                span = [float(v) for v in plane.level_v[k : k + 2, channel]]
-                _add(pooled, "response", {"channel": sense, "response_v": span}, parts[k], float(sizes[k]))
-    out += [Region(family, label, *sums) for (family, _), (label, sums) in pooled.items()]
+            residual, base = mine.residual[:, channel], _base(mine.name, channel)
+            out += _by_line(base, lines[:, channel], partition.lines_hz, own.sample_rate_hz / left.shape[0], density)
+            areas = _by_area(base, cells[channel], own, thinned)
+            out += [replace(area, family="frequency", labels={**area.labels, "kind": area.family}) for area in areas]
+            out += _by_time(base, residual, own, density)
+            out += _by_response(channel, mean_square[:, channel] * blocks.shape[1], blocks.shape[1], own, density)
+            out += _by_label({**base, **conditions[mine.name]}, residual, density)
+    return _pooled(out)
+
+
+def by_kind(regions: Sequence[Region]) -> list[Region]:
+    """The family "frequency" summed over records and channels: by kind, order of the harmonic, resonant band and line."""
+    groups: dict[tuple[object, ...], list[Region]] = {}
+    for region in regions:
+        if region.family == "frequency":
+            kind = region.labels["kind"]
+            # Bands of harmonics and broadband areas differ between records with different drives.
+            band = None if kind in ("harmonic", "broadband") else str(region.labels["band_hz"])
+            groups.setdefault((kind, region.labels.get("harmonic"), band), []).append(region)
+    return [
+        Region("frequency", _joined(own), sum(r.chi2 for r in own), sum(r.dof for r in own)) for own in groups.values()
+    ]
+
+
+def explained(before: Sequence[Region], after: Sequence[Region]) -> float:
+    """Share of the excess of ``before`` that ``after`` no longer has, at most 1."""
+    return min(explained_share(*(sum(r.chi2 - r.dof for r in regions) for regions in (before, after))), 1.0)
+
+
+def explained_by_kind(before: Sequence[Region], after: Sequence[Region], kinds: Sequence[str]) -> dict[str, float]:
+    """``explained`` for each of ``kinds`` of the family "frequency"."""
+    out = {}
+    for kind in FREQUENCY_KINDS:
+        if kind in kinds:
+            own = [[r for r in regions if r.labels.get("kind") == kind] for regions in (before, after)]
+            out[kind] = explained(own[0], own[1])
     return out
 
 
-def _add(
-    pooled: dict[tuple[str, str], tuple[dict[str, object], list[float]]],
-    family: str,
-    label: dict[str, object],
-    chi2: float,
-    dof: float,
-) -> None:
-    _, sums = pooled.setdefault((family, repr(label)), (label, [0.0, 0.0]))
-    sums[0] += chi2
-    sums[1] += dof
+def _by_area(base: Labels, cells: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
+    """Areas of the time-frequency plane, their kind as family; ``cells`` (K, M) are energies of one channel."""
+    energy = _summed(partition.area_of_cell, cells, len(partition.areas))
+    out = []
+    for area, chi2, dof in zip(partition.areas, energy, partition.area_dof.tolist()):
+        if dof > 0.0:
+            order = {"harmonic": area.order} if area.order else {}
+            out.append(Region(area.kind, {**base, "band_hz": list(area.band_hz), **order}, chi2, dof * density))
+    return out
 
 
-def _scale(fit: CampaignFit, mine: RecordFit) -> float:
-    """Degrees of freedom a sample, less those that nuisances and parameters took."""
+def _by_band(base: Labels, cells: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
+    """Fine bands; ``cells`` (K, M) are energies of one channel."""
+    energy = _summed(partition.band_of_bin, cells.sum(axis=0), len(partition.bands))
+    return [
+        Region("band", {**base, "band_hz": list(band)}, chi2, dof * density)
+        for band, chi2, dof in zip(partition.bands, energy, partition.band_dof.tolist())
+    ]
+
+
+def _by_time(base: Labels, residual: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
+    """Equal windows of time of a residual (N,)."""
+    rate = partition.sample_rate_hz
+    edges = np.linspace(0, residual.size, _WINDOWS + 1).round().astype(int).tolist()
+    return [
+        Region(
+            "time",
+            {**base, "time_s": [first / rate, stop / rate]},
+            float(np.sum(residual[first:stop] ** 2)),
+            (stop - first) * density,
+        )
+        for first, stop in pairwise(edges)
+    ]
+
+
+def _by_line(
+    base: Labels, energies: FloatArray, lines_hz: Sequence[float], resolution_hz: float, density: float
+) -> list[Region]:
+    """Lines with their energies (one per line) in one channel."""
+    half = 0.5 * resolution_hz
+    return [
+        Region(
+            "frequency", {**base, "kind": "line", "band_hz": [float(f - half), float(f + half)]}, chi2, 2.0 * density
+        )
+        for f, chi2 in zip(lines_hz, energies.tolist())
+    ]
+
+
+def _by_response(
+    channel: int, energies: FloatArray, samples: int, partition: RecordPartition, density: float
+) -> list[Region]:
+    """Levels of the motion of one channel; ``energies`` (B,) of its short blocks of ``samples`` each."""
+    level, edges_v = partition.level_of_block[:, channel], partition.level_edges_v[:, channel].tolist()
+    energy = _summed(level, energies, LEVELS)
+    dof = np.bincount(level, minlength=LEVELS) * samples * density
+    sense = f"sense{channel + 1}"
+    return [
+        Region("response", {"channel": sense, "response_v": edges_v[k : k + 2]}, energy[k], float(dof[k]))
+        for k in np.flatnonzero(dof).tolist()
+    ]
+
+
+def _by_label(labels: Mapping[str, object], residual: FloatArray, density: float) -> list[Region]:
+    """The whole residual (N,) of one channel of one record, once by each of its labels."""
+    chi2, dof = float(np.sum(residual**2)), residual.size * density
+    values = {**labels, "level": float(str(labels["level"]))}
+    return [Region(name, {name: values[name]}, chi2, dof) for name in ("level", "direction", "channel", "record")]
+
+
+def _pooled(regions: Sequence[Region]) -> list[Region]:
+    """Regions of the same family and labels summed."""
+    out: dict[tuple[str, str], Region] = {}
+    for region in regions:
+        key = (region.family, repr(region.labels))
+        known = out.get(key)
+        out[key] = (
+            region if known is None else replace(known, chi2=known.chi2 + region.chi2, dof=known.dof + region.dof)
+        )
+    return list(out.values())
+
+
+def _joined(regions: Sequence[Region]) -> dict[str, object]:
+    """Labels of the union of regions: the band [Hz] that contains all of theirs, no record, no channel."""
+    bands = np.array([region.labels["band_hz"] for region in regions], dtype=np.float64)
+    band = [float(bands[:, 0].min()), float(bands[:, 1].max())]
+    return {**regions[0].labels, "record": None, "channel": None, "band_hz": band}
+
+
+def _without_lines(
+    residual: FloatArray, sample_rate_hz: float, frequencies_hz: Sequence[float]
+) -> tuple[FloatArray, FloatArray]:
+    """The residual (N, S) without sinusoids of these frequencies, and the energy (lines, S) of each, in sequence."""
+    samples = residual.shape[0]
+    t = np.arange(samples) / sample_rate_hz
+    left, energies = residual, np.zeros((len(frequencies_hz), residual.shape[1]))
+    basis = np.zeros((samples, 0))
+    for k, f in enumerate(frequencies_hz):
+        pair = np.stack([np.cos(2.0 * np.pi * f * t), np.sin(2.0 * np.pi * f * t)], axis=1)
+        pair, _ = np.linalg.qr(pair - basis @ (basis.T @ pair))
+        basis = np.concatenate([basis, pair], axis=1)
+        amplitudes = pair.T @ left
+        left = left - pair @ amplitudes
+        energies[k] = np.sum(amplitudes**2, axis=0)
+    return left, energies
+
+
+def _base(record: str, channel: int) -> dict[str, object]:
+    return {"record": record, "channel": f"sense{channel + 1}"}
+
+
+def _dof_per_sample(fit: CampaignFit, mine: RecordFit) -> float:
+    """Degrees of freedom per sample: 1 less what the nuisances of the record and the parameters of the model took."""
     parameters = len(fit.model.free)
     return mine.dof / mine.residual.size * (1.0 - parameters / max(fit.dof + parameters, 1))
 
@@ -160,15 +238,3 @@ def _scale(fit: CampaignFit, mine: RecordFit) -> float:
 def _summed(index: IntArray, energy: FloatArray, count: int) -> list[float]:
     sums: list[float] = np.bincount(index.reshape(-1), energy.reshape(-1), count).tolist()
     return sums
-
-
-def _windows(mine: RecordFit, plane: Plane) -> Iterator[tuple[list[float], slice]]:
-    """Equal windows: [from, to] in seconds, and the samples."""
-    edges = np.linspace(0, mine.residual.shape[0], _WINDOWS + 1).round().astype(int).tolist()
-    for first, stop in pairwise(edges):
-        yield [first / plane.sample_rate_hz, stop / plane.sample_rate_hz], slice(first, stop)
-
-
-def _labels(place: Place) -> dict[str, object]:
-    labels: dict[str, object] = {"harmonic": place.order} if place.order else {}
-    return {"band_hz": list(place.band_hz), **labels}

@@ -16,13 +16,11 @@ from typing import Any
 import numpy as np
 
 from ...criticism.problem import Region
-from ...criticism.regions import where
-from .regions import FAMILIES, FREQUENCY_KINDS
+from ...criticism.regions import ALPHA, region_shares
+from .regions import FAMILIES, explained
 
 #: Rows a family, and the least share of a row.
 _SHOWN, _LEAST = 12, 1e-3
-#: Family-wise probability of telling a region that is noise.
-ALPHA = 0.003
 _WHOLE = ("level", "direction", "channel", "record")
 _KEYS = ("record", "channel", "band_hz", "time_s", "harmonic", "level", "response_v", "direction")
 
@@ -34,7 +32,7 @@ def where_rows(regions: Sequence[Region], noise_dof: float) -> list[Row]:
 
     A family of a few regions that cut the whole campaign is told whole as soon as one of them is significant.
     """
-    found = where(regions, np.inf, noise_dof)
+    found = region_shares(regions, np.inf, noise_dof)
     rows: list[Row] = []
     for family in FAMILIES:
         own = [w for w in found if w.family == family]
@@ -52,27 +50,6 @@ def where_rest(rows: Sequence[Row]) -> dict[str, float]:
     return {family: max(1.0 - total, 0.0) for family, total in sums.items()}
 
 
-def by_kind(regions: Sequence[Region]) -> list[Region]:
-    """The cut by frequency with all records and channels together: kinds, harmonics by their order, bands and lines."""
-    pooled: dict[tuple[Any, ...], list[Region]] = {}
-    for region in regions:
-        if region.family == "frequency":
-            labels = region.labels
-            # Bands of a kind differ a little with the drive; harmonics are one whatever their band.
-            place = None if labels["kind"] in ("harmonic", "broadband") else str(labels["band_hz"])
-            pooled.setdefault((labels["kind"], labels.get("harmonic"), place), []).append(region)
-    return [
-        Region("frequency", _joined(own), sum(r.chi2 for r in own), sum(r.dof for r in own)) for own in pooled.values()
-    ]
-
-
-def _joined(regions: Sequence[Region]) -> dict[str, object]:
-    bands = np.array([region.labels["band_hz"] for region in regions], dtype=np.float64)
-    first = dict(regions[0].labels)
-    first.update(record=None, channel=None, band_hz=[float(bands[:, 0].min()), float(bands[:, 1].max())])
-    return first
-
-
 def with_after(rows: Sequence[Row], before: Sequence[Region], after: Sequence[Region]) -> list[Row]:
     """``rows`` of ``before`` with the error that ``after`` leaves there, and the share of the row's excess that it explains."""
     first, last = ({_key(r.family, r.labels): r for r in regions} for regions in (before, after))
@@ -83,23 +60,7 @@ def with_after(rows: Sequence[Row], before: Sequence[Region], after: Sequence[Re
         if old is None or new is None:
             out.append(row)
             continue
-        out.append({**row, "error_after": math.sqrt(new.chi2 / new.dof), "explained": explained_share([old], [new])})
-    return out
-
-
-def explained_share(before: Sequence[Region], after: Sequence[Region]) -> float:
-    """1 - excess after / excess before, at most 1."""
-    old, new = (sum(r.chi2 - r.dof for r in regions) for regions in (before, after))
-    return min(1.0 - new / old, 1.0) if old > 0.0 else 0.0
-
-
-def explained_by_kind(before: Sequence[Region], after: Sequence[Region], kinds: Sequence[str]) -> dict[str, float]:
-    """``explained_share`` of the kinds that the cut by frequency had."""
-    out = {}
-    for kind in FREQUENCY_KINDS:
-        if kind in kinds:
-            of = [[r for r in regions if r.labels.get("kind") == kind] for regions in (before, after)]
-            out[kind] = explained_share(of[0], of[1])
+        out.append({**row, "error_after": math.sqrt(new.chi2 / new.dof), "explained": explained([old], [new])})
     return out
 
 

@@ -12,7 +12,7 @@ from pipeline.criticism.agreement import agreement, partitions
 from pipeline.criticism.goodness import goodness
 from pipeline.criticism.problem import FitResult, Region, ResidualBlock, Signatures, Spectrum
 from pipeline.criticism.projection import baseline
-from pipeline.criticism.regions import explained, where
+from pipeline.criticism.regions import explained_by_region, region_shares
 
 NO_PROBES = Signatures((), ())
 ROWS = 1000
@@ -86,12 +86,12 @@ def test_the_sizes_of_parts_that_disagree_are_told_with_their_sd() -> None:
 def test_a_region_is_named_with_its_share_and_what_a_new_model_took_away() -> None:
     before = [Region("band", {"hz": i}, 100.0 + 300.0 * (i == 3) + 100.0 * (i == 5), 100.0) for i in range(8)]
     after = [Region("band", {"hz": i}, 100.0 + 30.0 * (i == 3), 100.0) for i in range(8)]
-    found = where(before)
+    found = region_shares(before)
     assert [item.labels["hz"] for item in found] == [3, 5]
     assert [item.share for item in found] == pytest.approx([0.75, 0.25])
     assert found[0].error == pytest.approx(2.0)
-    assert [gone for _, gone in explained(before, after)] == pytest.approx([0.9, 1.0])
-    assert where(after) == ()
+    assert [gone for _, gone in explained_by_region(before, after)] == pytest.approx([0.9, 1.0])
+    assert region_shares(after) == ()
 
 
 def _spectrum(rng: np.random.Generator, colour: np.ndarray, line: float = 0.0) -> Spectrum:
