@@ -1,5 +1,12 @@
-"""TOML files in and out: msgspec's complaints as :class:`ConfigError`, and the little TOML that the project
-writes.
+"""TOML files: read into checked tables, and written.
+
+    load(path, kind, ..)            file   -> kind
+    decode(text, kind, where)       bytes  -> kind
+    converted(tree, kind, where)    tables -> kind
+
+``kind`` is a msgspec struct that declares the keys, their types and their ranges.  Every fault is one
+:class:`ConfigError` that names the file, the key, the value found, what is allowed and the next step.  Numbers must be
+finite, except where the type is annotated with ``Meta(extra=MAY_BE_INFINITE)``.
 """
 
 from __future__ import annotations
@@ -7,151 +14,120 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
-from .errors import ConfigError, MeasurementError
+from .errors import ConfigError, GyroscreenError, MeasurementError
+from .toml_faults import MAY_BE_INFINITE as MAY_BE_INFINITE
+from .toml_faults import first_fault
 
 T = TypeVar("T", bound=msgspec.Struct)
 _MAX_BYTES = 2**24
 
 
-def read_text(path: Path) -> bytes:
-    """The bytes of a small file, or a :class:`MeasurementError`."""
+def read_bytes(
+    path: Path, what: str = "the file", next_step: str = "", error: type[GyroscreenError] = MeasurementError
+) -> bytes:
+    """The content of a TOML file of at most 16 MiB; ``error`` is raised if it cannot be read.
+
+    ``what`` names the kind of file in the message; ``next_step`` says what to do if it does not exist.
+    """
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise MeasurementError(
-                "too large for a TOML file",
+            raise error(
+                f"{what} is too large",
                 value=f"{path}: {path.stat().st_size} bytes",
                 allowed=f"{_MAX_BYTES} bytes",
                 next_step="check that this is the right file",
             )
         return path.read_bytes()
-    except OSError as error:
-        raise MeasurementError(
-            "the file cannot be opened",
-            value=f"{path}: {error.strerror}",
-            next_step="check the path and permissions",
-        ) from error
+    except OSError as reason:
+        raise error(
+            f"{what} cannot be read: {(reason.strerror or str(reason)).lower()}",
+            value=str(path),
+            next_step=next_step or "check the path and permissions",
+        ) from reason
 
 
-def read_table(path: Path, what: str, allowed: str, otherwise: str) -> dict[str, Any]:
-    """The top table of the TOML file that is called ``what``; whatever hinders is one :class:`ConfigError`.
+def load(path: Path, kind: type[T], what: str, otherwise: str) -> T:
+    """The TOML file ``path`` as ``kind``.
 
-    ``allowed`` tables and keys; ``otherwise`` says what to do where there is no such file.
+    ``what`` names the kind of file in messages; ``otherwise`` says what to do if there is no such file.
+
+    Raises
+    ------
+    ConfigError : the file cannot be read, is not TOML, or has a wrong key or value.
     """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason, next_step = (error.strerror or str(error)).lower(), f"check the path, or {otherwise}"
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason, next_step = f"not TOML in UTF-8: {error}", "correct the line that is named"
-    raise ConfigError(f"{what} cannot be read: {reason}", value=str(path), allowed=allowed, next_step=next_step)
+    text = read_bytes(path, what, f"check the path, or {otherwise}", ConfigError)
+    return decode(text, kind, path.name)
 
 
 def decode(text: bytes, kind: type[T], where: str) -> T:
-    """``text`` as ``kind``; whatever is wrong in it is one :class:`ConfigError`."""
+    """``text`` as ``kind``; ``where`` names the file in messages.
+
+    Raises
+    ------
+    ConfigError : not TOML, or a wrong key or value.
+    """
     try:
         tree = msgspec.toml.decode(text)
     except (ValueError, RecursionError) as error:  # msgspec.DecodeError, UnicodeDecodeError
         raise ConfigError(
             f"{where} is not TOML",
             value=str(error)[:120],
-            allowed="TOML 1.0",
+            allowed="TOML 1.0 in UTF-8",
             next_step="correct the line named",
         ) from error
     return converted(tree, kind, where)
 
 
 def converted(tree: Any, kind: type[T], where: str) -> T:
-    """A TOML table as ``kind``; whatever is wrong in it is one :class:`ConfigError`."""
+    """Plain tables as ``kind``; ``where`` names their file in messages.
+
+    Raises
+    ------
+    ConfigError : a wrong key or value.
+    """
     try:
-        return msgspec.convert(tree, kind)
+        found = msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
-        raise _explained(str(error), tree, kind, where) from error
-
-
-def _value_at(tree: Any, path: str) -> Any:
-    """The value at a msgspec path, or ``None`` where the path does not say which one of a list."""
-    for name, index in re.findall(r"\.([A-Za-z0-9_]+)|\[(\d*)", path):
-        if name and isinstance(tree, dict):
-            tree = tree.get(name)
-        elif index and isinstance(tree, list) and int(index) < len(tree):
-            tree = tree[int(index)]
-        else:
-            return None
-    return tree
-
-
-def _types_at(kind: Any, path: str) -> list[Any]:
-    """The types allowed at a msgspec path such as ``$.instrument`` or ``$.record[...]``."""
-    info = msgspec.inspect.type_info(kind)
-    for part in re.findall(r"\.([A-Za-z0-9_]+)|(\[)", path):
-        options = list(info.types) if isinstance(info, msgspec.inspect.UnionType) else [info]
-        if part[1]:
-            info = next((o.item_type for o in options if hasattr(o, "item_type")), info)
-        else:
-            structs = [o for o in options if isinstance(o, msgspec.inspect.StructType)]
-            match = [f.type for s in structs for f in s.fields if f.encode_name == part[0]]
-            if not match:
-                return []
-            info = match[0]
-    return list(info.types) if isinstance(info, msgspec.inspect.UnionType) else [info]
-
-
-def _fields(kind: Any, path: str) -> list[str]:
-    """Names of the keys allowed at a msgspec path."""
-    structs = [o for o in _types_at(kind, path) if isinstance(o, msgspec.inspect.StructType)]
-    return [field.encode_name for struct in structs for field in struct.fields]
-
-
-def _choices(kind: Any, path: str) -> list[str]:
-    """The strings allowed at a msgspec path, where they are listed."""
-    literals = [o for o in _types_at(kind, path) if isinstance(o, msgspec.inspect.LiteralType)]
-    return [str(value) for literal in literals for value in literal.values]
-
-
-def _explained(message: str, tree: Any, kind: type, where: str) -> ConfigError:
-    clause, _, path = message.partition(" - at `")
-    path = path.rstrip("`") or "$"
-    place = path.lstrip("$").lstrip(".") or "the top level"
-    if unknown := re.search(r"unknown field `(.*)`", clause):
-        allowed = _fields(kind, path)
-        near = difflib.get_close_matches(unknown[1], allowed, n=1)
-        return ConfigError(
-            f"{where}: unknown key at {place}",
-            value=unknown[1],
-            allowed=", ".join(allowed),
-            next_step=f"did you mean {near[0]}" if near else "remove it or correct its name",
-        )
-    if missing := re.search(r"missing required field `(.*)`", clause):
-        return ConfigError(
-            f"{where}: a key is missing at {place}",
-            value=missing[1],
-            allowed=", ".join(_fields(kind, path)),
-            next_step=f"write {missing[1]}" if missing[1] != "record" else 'write [[record]] and file = ".."',
-        )
-    found, choices = _value_at(tree, path), _choices(kind, path)
-    plain = "plain numbers in the unit of the key's name, strings from the documented choices"
-    return ConfigError(
-        f"{where}: wrong value at {place}",
-        value=clause if found is None else found,
-        allowed=", ".join(choices) or (plain if found is None else clause),
-        next_step=f"correct {place}",
-    )
-
-
-def finite(value: float | None, what: str, where: str) -> None:
-    """Raise :class:`ConfigError` for inf and nan, which TOML can write."""
-    if value is not None and not math.isfinite(value):
+        found, reason = None, str(error)
+    if found is not None and _finite(tree):
+        return found
+    fault = first_fault(tree, kind)
+    if fault is not None:
         raise ConfigError(
-            f"{where}: {what} is not finite",
-            value=value,
-            allowed="a finite number",
-            next_step=f"correct {what}",
+            f"{where}: {fault.what}", value=fault.value, allowed=fault.allowed, next_step=fault.next_step
+        ) from None
+    if found is None:
+        raise ConfigError(f"{where}: {reason}", next_step="correct this key") from None
+    return found
+
+
+def _finite(tree: Any) -> bool:
+    if isinstance(tree, dict):
+        return all(_finite(value) for value in tree.values())
+    if isinstance(tree, list | tuple):
+        return all(_finite(value) for value in tree)
+    return not isinstance(tree, float) or math.isfinite(tree)
+
+
+def check_known(name: str, known: Iterable[str], where: str, what: str = "key") -> None:
+    """Raise :class:`ConfigError` if ``name`` is not among ``known``.
+
+    For tables whose keys are names of things that are not listed in a struct.  ``where`` names file and table.
+    """
+    names = list(known)
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+        raise ConfigError(
+            f"{where}: unknown {what}",
+            value=name,
+            allowed=", ".join(names) or "none",
+            next_step=f"did you mean {near[0]}?" if near else "remove it or correct its name",
         )
 
 
@@ -170,11 +146,11 @@ def encoded(value: Any) -> str:
 
 
 def key(name: str) -> str:
-    """A bare key where TOML allows one."""
+    """``name`` as a TOML key, quoted where TOML requires it."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else encoded(name)
 
 
 def table(header: str, values: dict[str, Any]) -> str:
-    """``[header]`` and its lines; nothing where all values are ``None``."""
+    """``[header]`` and its lines; keys with ``None`` are left out, and an empty text if all values are ``None``."""
     lines = [f"{key(name)} = {encoded(value)}" for name, value in values.items() if value is not None]
     return "\n".join([header, *lines] if header else lines) + "\n" if lines else ""

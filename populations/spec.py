@@ -8,16 +8,13 @@ lot_pct = 0.5                     a parameter left out has its null value
 
 from __future__ import annotations
 
-import difflib
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from pipeline.errors import ConfigError
-from pipeline.toml_files import read_table
+from pipeline.toml_files import check_known, converted, load, table
 
 from .irregularity import Irregularity, IrregularityParameter, find
 from .layout import die_centres
@@ -78,160 +75,86 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
                 if parameter.assumption:
                     targets[parameter.assumption] = target
         data = msgspec.to_builtins(self)
+        where = f"population {self.name}"
         for name, value in values.items():
-            _check_key("assumption", name, value, targets)
-            table, key = targets[name]
-            (data["device"] if table == "device" else data["irregularity"][table])[key] = value
-        return _checked(data, Path())
+            check_known(name, targets, where, "assumption")
+            owner, key = targets[name]
+            (data["device"] if owner == "device" else data["irregularity"][owner])[key] = value
+        return _checked(converted(data, PopulationSpec, where), Path(), where)
 
     def to_toml(self) -> str:
         """TOML that reads back to an equal population."""
         data = msgspec.to_builtins(self)
         tables = {key: data.pop(key) for key in ("device", "wafer", "operating")}
         tables |= {f"irregularity.{name}": values for name, values in sorted(data.pop("irregularity").items())}
-        lines = [f"{key} = {_literal(value)}" for key, value in data.items()]
-        for name, values in tables.items():
-            lines += ["", f"[{name}]", *(f"{key} = {_literal(value)}" for key, value in values.items())]
-        return "\n".join(lines) + "\n"
+        # An irregularity without values is present, so its header is written.
+        parts = (table(f"[{name}]", values) or f"[{name}]\n" for name, values in tables.items())
+        return "\n".join([table("", data), *parts])
 
 
 def load_spec(path: Path | None = None) -> PopulationSpec:
-    """Read and check a population; ``None`` is the shipped cloverleaf.
+    """The population in the TOML file ``path``; ``None`` is the shipped cloverleaf.
 
-    Raises ConfigError on a missing or malformed file, an unknown key, a wrong type or unit, a value out of
-    range.
+    Raises
+    ------
+    ConfigError : the file cannot be read; an unknown key; a wrong type; a value out of range.
     """
     source = DEFAULT if path is None else path
-    otherwise = f"start from a copy of {DEFAULT.name} in populations/specs"
-    data = read_table(source, "population", ", ".join(PopulationSpec.__struct_fields__), otherwise)
-    return _checked(data, source.resolve().parent)
+    spec = load(source, PopulationSpec, "population", f"start from a copy of {DEFAULT.name} in populations/specs")
+    return _checked(spec, source.resolve().parent, source.name)
 
 
-def _checked(data: dict[str, Any], base: Path) -> PopulationSpec:
-    _check_struct("", data, PopulationSpec)
-    for table, kind in (("device", NominalDevice), ("wafer", Wafer), ("operating", Operating)):
-        _check_struct(table, data.get(table), kind)
-    _check_finite("", data)
-    _check_numbers(data.get("irregularity", {}))
-    try:
-        spec = msgspec.convert(data, PopulationSpec)
-    except msgspec.ValidationError as error:
-        text, _, where = str(error).partition(" - at `$")
-        raise ConfigError(
-            f"population key {where.strip('`.') or '(top level)'} is wrong",
-            value=_look_up(data, where.strip("`.")),
-            allowed=text.replace("`", ""),
-            next_step="correct it; its unit is the end of its name",
-        ) from error
+def _checked(spec: PopulationSpec, base: Path, where: str) -> PopulationSpec:
+    """``spec`` with absolute folders, after all checks that go beyond single values; ``where`` names its file."""
     folders = tuple(str((base / folder).resolve()) for folder in spec.irregularity_folders)
-    spec = msgspec.structs.replace(spec, irregularity_folders=folders)
     known = find(folders)
     for name, values in spec.irregularity.items():
-        _check_key("irregularity", name, values, known)
-        _check_values(known[name], values)
-    _check_device(spec.device)
+        check_known(name, known, where, "irregularity")
+        _check_values(known[name], values, f"{where}: [irregularity.{name}]")
+    _check_losses(spec.device, where)
     die_centres(spec.wafer)
-    return spec
+    return msgspec.structs.replace(spec, irregularity_folders=folders)
 
 
-def _check_struct(table: str, data: Any, kind: type[msgspec.Struct]) -> None:
-    if isinstance(data, dict):
-        for key, value in data.items():
-            _check_key(f"key in [{table}]" if table else "key at the top", key, value, kind.__struct_fields__)
-
-
-def _check_key(kind: str, name: str, value: Any, allowed: Iterable[str]) -> None:
-    names = list(allowed)
-    if name not in names:
-        near = difflib.get_close_matches(name, names, n=1)
-        raise ConfigError(
-            f"unknown {kind} of the population: {name}",
-            value=value,
-            allowed=", ".join(names) or "none",
-            next_step=f"did you mean {near[0]}?" if near else "remove it or correct its name",
-        )
-
-
-def _check_values(irregularity: Irregularity, values: Mapping[str, float]) -> None:
+def _check_values(irregularity: Irregularity, values: Mapping[str, float], where: str) -> None:
     parameters = {parameter.name: parameter for parameter in irregularity.parameters}
     for name, value in values.items():
-        _check_key(f"parameter of irregularity {irregularity.name}", name, value, parameters)
-        _check_range(irregularity.name, parameters[name], value)
+        check_known(name, parameters, where, "parameter")
+        parameter = parameters[name]
+        if not parameter.low <= value <= parameter.high:
+            raise ConfigError(
+                f"{where} {name} ({parameter.meaning}) is out of range",
+                value=value,
+                allowed=_range(parameter),
+                next_step=f"correct {name}; its unit is the end of its name",
+            )
     for parameter in irregularity.parameters:
         if parameter.null is None and parameter.name not in values:
             raise ConfigError(
-                f"irregularity {irregularity.name} lacks {parameter.name}, {parameter.meaning}",
-                allowed=f"{parameter.low:g} to {parameter.high:g} {parameter.unit}",
-                next_step=f"state it in [irregularity.{irregularity.name}]",
+                f"{where} lacks {parameter.name} ({parameter.meaning})",
+                allowed=_range(parameter),
+                next_step=f"write {parameter.name}",
             )
 
 
-def _check_range(owner: str, parameter: IrregularityParameter, value: float) -> None:
-    if not parameter.low <= value <= parameter.high:
-        raise ConfigError(
-            f"{owner}.{parameter.name} ({parameter.meaning}) is out of range",
-            value=value,
-            allowed=f"{parameter.low:g} to {parameter.high:g} {parameter.unit}",
-            next_step="correct it; its unit is the end of its name",
-        )
+def _range(parameter: IrregularityParameter) -> str:
+    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+    return f"{parameter.low:g} to {parameter.high:g}{unit}"
 
 
-def _check_device(device: NominalDevice) -> None:
+def _check_losses(device: NominalDevice, where: str) -> None:
+    """The gas must account for a part of the losses: 1/Q > 1/Q_anchor + 1/Q_thermoelastic."""
     other = 1.0 / device.quality_anchor + 1.0 / device.quality_thermoelastic
     for name in ("quality_rocking", "quality_updown"):
         if not 1.0 / getattr(device, name) > other:
             raise ConfigError(
-                f"device.{name} leaves no loss to the gas",
+                f"{where}: device.{name} leaves no loss to the gas",
                 value=getattr(device, name),
-                allowed=f"below {1.0 / other:.6g}, what anchor and thermoelastic loss alone give",
+                allowed=f"below {1.0 / other:.6g}, the Q of anchor and thermoelastic losses alone",
                 next_step="lower it, or raise quality_anchor or quality_thermoelastic",
             )
-
-
-def _check_numbers(tables: Any) -> None:
-    # msgspec does not name the key of a dict in its messages.
-    for name, values in tables.items() if isinstance(tables, dict) else ():
-        for key, value in values.items() if isinstance(values, dict) else ():
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ConfigError(
-                    f"population key irregularity.{name}.{key} is no number",
-                    value=value,
-                    allowed="a number in the unit at the end of its name",
-                    next_step="correct it",
-                )
-
-
-def _check_finite(where: str, data: Any) -> None:
-    if isinstance(data, dict):
-        for key, value in data.items():
-            _check_finite(f"{where}.{key}".lstrip("."), value)
-    elif isinstance(data, (list, tuple)):
-        for value in data:
-            _check_finite(where, value)
-    elif isinstance(data, float) and not math.isfinite(data):
-        raise ConfigError(
-            f"population key {where} is not finite",
-            value=data,
-            allowed="a finite number",
-            next_step="correct it",
-        )
 
 
 def _filled(irregularity: Irregularity, given: Mapping[str, float]) -> Mapping[str, float]:
     null = {parameter.name: parameter.null for parameter in irregularity.parameters if parameter.null is not None}
     return {**null, **given}
-
-
-def _look_up(data: Any, where: str) -> Any:
-    for key in where.split("."):
-        data = data.get(key.split("[")[0]) if isinstance(data, dict) else data
-    return data
-
-
-def _literal(value: Any) -> str:
-    if isinstance(value, str):
-        # A JSON string is a TOML basic string.
-        return msgspec.json.encode(value).decode()
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_literal(item) for item in value) + "]"
-    return repr(value)

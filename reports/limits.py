@@ -1,4 +1,4 @@
-"""Limits: what a device must be, and by which rule it is judged.
+"""Limits of the result quantities, and the rule by which a device is judged.
 
     [rule]
     name = "probability"
@@ -15,29 +15,28 @@ A value conforms when min <= value <= max; the limits themselves conform.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from pipeline.arrays import BoolArray, FloatArray
 from pipeline.axial import PERIOD_DEG, in_arc
 from pipeline.errors import ConfigError
 from pipeline.quantities import AXES, NAMES
-from pipeline.toml_files import read_table
+from pipeline.toml_files import check_known, converted, load
 
 
-@dataclass(frozen=True)
-class Rule:
+class Rule(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """pass where P(conform) >= pass_at, fail where P(conform) <= fail_at, undecided between."""
 
-    name: str = "probability"
-    pass_at: float = 0.95
-    fail_at: float = 0.05
+    name: Literal["probability"] = "probability"
+    pass_at: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.95
+    fail_at: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.05
 
     @property
     def explanation(self) -> str:
@@ -87,6 +86,20 @@ class Limit:
         return np.asarray(np.minimum(values - self.low, self.high - values) / scale)
 
 
+class BoundsTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """``[limits.<quantity>]``: one limit or both."""
+
+    min: float | None = None
+    max: float | None = None
+
+
+class LimitsTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """A limits file."""
+
+    rule: Rule = Rule()
+    limits: dict[str, BoundsTable] = {}
+
+
 @dataclass(frozen=True)
 class Limits:
     """All limits, in the order in which they were written, and the rule."""
@@ -109,113 +122,63 @@ def load_limits(table: Mapping[str, Any] | Path) -> Limits:
 
     Raises
     ------
-    ConfigError : the file cannot be read; an unknown key, rule or quantity; a limit that is empty, crossed
-        or not finite; an arc that is not shorter than 180 deg; thresholds that are not 0 <= fail_at <
-        pass_at <= 1.
+    ConfigError : the file cannot be read; an unknown key, rule or quantity; a limit that is empty, crossed or not
+        finite; an arc that is not shorter than 180 deg; thresholds that are not 0 <= fail_at < pass_at <= 1.
     """
     if isinstance(table, Path):
-        otherwise = "start from a copy of limits_default.toml in reports"
-        table = read_table(table, "limits file", "[rule] and [limits.<quantity>] tables", otherwise)
-    _known("limits table", table, ("rule", "limits"))
-    limits = _table("[limits]", table.get("limits", {}))
-    if not limits:
+        where = table.name
+        found = load(table, LimitsTable, "limits file", "start from a copy of reports/limits_default.toml")
+    else:
+        where = "limits"
+        found = converted(dict(table), LimitsTable, where)
+    if not found.limits:
         raise ConfigError(
-            "no limits are given",
+            f"{where}: no limits are given",
             allowed="at least one [limits.<quantity>] with min, max or both",
             next_step="add for example [limits.split_hz] max = 3.0",
         )
-    return Limits(
-        _rule(_table("[rule]", table.get("rule", {}))),
-        tuple(_limit(name, _table(f"[limits.{name}]", bounds)) for name, bounds in limits.items()),
-    )
+    return checked_limits(found.rule, found.limits, where)
 
 
-def _table(name: str, value: Any) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
+def checked_limits(rule: Rule, bounds: Mapping[str, BoundsTable], where: str) -> Limits:
+    """Limits from decoded tables; ``where`` names their file in messages.
+
+    Raises
+    ------
+    ConfigError : as :func:`load_limits`.
+    """
+    if not rule.fail_at < rule.pass_at:
         raise ConfigError(
-            f"{name} is not a table", value=value, allowed="a TOML table", next_step="write it as a table"
-        )
-    return value
-
-
-def _known(where: str, table: Mapping[str, Any], allowed: tuple[str, ...]) -> None:
-    for key in table:
-        if key not in allowed:
-            raise ConfigError(
-                f"unknown key in {where}",
-                value=key,
-                allowed=", ".join(allowed),
-                next_step=_nearest(key, allowed),
-            )
-
-
-def _nearest(word: object, words: tuple[str, ...]) -> str:
-    near = difflib.get_close_matches(str(word), words, n=1, cutoff=0.4)
-    return f"did you mean {near[0]}?" if near else "use one of the names allowed"
-
-
-def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ConfigError(
-            f"{where} is not a finite number",
-            value=value,
-            allowed="a finite number",
-            next_step="leave the key out where there is no limit",
-        )
-    return float(value)
-
-
-def _rule(table: Mapping[str, Any]) -> Rule:
-    _known("[rule]", table, ("name", "pass_at", "fail_at"))
-    name = table.get("name", Rule.name)
-    if name != Rule.name:
-        raise ConfigError(
-            "unknown decision rule",
-            value=name,
-            allowed=f'"{Rule.name}"',
-            next_step=f'write name = "{Rule.name}"',
-        )
-    pass_at = _number("[rule] pass_at", table.get("pass_at", Rule.pass_at))
-    fail_at = _number("[rule] fail_at", table.get("fail_at", Rule.fail_at))
-    if not 0.0 <= fail_at < pass_at <= 1.0:
-        raise ConfigError(
-            "thresholds of the rule are crossed or are not probabilities",
-            value={"pass_at": pass_at, "fail_at": fail_at},
+            f"{where}: the thresholds of [rule] are crossed",
+            value={"pass_at": rule.pass_at, "fail_at": rule.fail_at},
             allowed="0 <= fail_at < pass_at <= 1",
             next_step="for example pass_at = 0.95, fail_at = 0.05",
         )
-    return Rule(name, pass_at, fail_at)
+    return Limits(rule, tuple(_limit(name, table, where) for name, table in bounds.items()))
 
 
-def _limit(name: str, bounds: Mapping[str, Any]) -> Limit:
-    where = f"[limits.{name}]"
-    if name not in NAMES:
+def _limit(name: str, bounds: BoundsTable, where: str) -> Limit:
+    check_known(name, NAMES, f"{where}: [limits]", "quantity")
+    place = f"{where}: [limits.{name}]"
+    if bounds.min is None and bounds.max is None:
         raise ConfigError(
-            "limit on an unknown quantity",
-            value=name,
-            allowed=", ".join(NAMES),
-            next_step=_nearest(name, NAMES),
-        )
-    _known(where, bounds, ("min", "max"))
-    if not bounds:
-        raise ConfigError(
-            f"{where} limits nothing",
+            f"{place} limits nothing",
             allowed="min, max or both",
             next_step="give a limit or leave the table out",
         )
-    low = _number(f"{where} min", bounds["min"]) if "min" in bounds else -math.inf
-    high = _number(f"{where} max", bounds["max"]) if "max" in bounds else math.inf
+    low = -math.inf if bounds.min is None else bounds.min
+    high = math.inf if bounds.max is None else bounds.max
     if low > high:
         raise ConfigError(
-            f"{where} limits crossed: min is above max",
+            f"{place} limits are crossed: min is above max",
             value={"min": low, "max": high},
             allowed="min <= max; an arc across 90 deg is written min = 80, max = 100",
             next_step="exchange the two or correct one",
         )
     if name in AXES and not 0.0 < high - low < PERIOD_DEG:
         raise ConfigError(
-            f"{where} is not an arc of axes",
-            value={key: bounds[key] for key in bounds},
+            f"{place} is not an arc of axes",
+            value={"min": bounds.min, "max": bounds.max},
             allowed="both min and max, 0 < max - min < 180 deg",
             next_step="give both ends, going up from min to max",
         )

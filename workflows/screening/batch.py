@@ -24,7 +24,7 @@ from reports.run import lot_effects as lot_report
 from reports.run.page import render_run_report
 from reports.yields import yield_of_verdicts
 
-from ..config import RunConfig, to_struct_from_toml, to_toml_table
+from ..config import RunConfig, config_of_run, to_toml_table
 from ..machine import worker_count
 from .block import (
     BlockTables,
@@ -155,7 +155,7 @@ def resume(results: Path, run_id: str) -> tuple[RunPlan, RunStore]:
             f"warning: {', '.join(changed)} differ from when the run began; its table may differ in the last digits",
             file=sys.stderr,
         )
-    config = to_struct_from_toml(store.config_toml, f"run.toml of {store.run_id}")
+    config = config_of_run(store.config_toml, f"run.toml of {store.run_id}")
     return plan(config), store
 
 
@@ -206,7 +206,7 @@ def _examine(night: RunPlan, store: RunStore, client: Client, quiet: bool) -> No
 def write_report(results: Path, run_id: str) -> tuple[str, Path]:
     """Render the report of a run and store it beside its tables; returns the page and its path."""
     tables = read_run(results, run_id)
-    config = to_struct_from_toml(tables.config_toml, f"run.toml of {run_id}")
+    config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
     said = dict(population(config).assumptions()) if config.source.kind == "population" else None
     store = open_run(results, run_id)
     found = lot_effects(store)

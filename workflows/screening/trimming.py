@@ -20,7 +20,7 @@ from pipeline.inference.screening.summary import summarise
 from reports.decision import conforms, decide
 from reports.limits import Limits
 
-from ..config import TrimTable
+from ..config_tables import TrimTable
 
 _DRAWS = 500
 

@@ -27,7 +27,8 @@ from pipeline.inference.screening.fit import information_covariance
 from populations.draw import Draw, draw
 from reports.yields import clopper_pearson
 
-from ..config import NoiseTable, RunConfig, load_config
+from ..config import RunConfig, load_config
+from ..config_tables import NoiseTable
 from ..machine import worker_count
 from ..screening.block import identify_virtual, physical_of, population, shared_record, virtual_records
 from ..screening.cluster import cluster, in_parallel

@@ -1,59 +1,89 @@
-"""TOML tables that campaigns and modal records share."""
+"""TOML tables that campaigns, modal records and run configurations share, with one range for each key.
+
+Ranges: an ADC has 1 to 64 bits (a comparator to the widest integer of a record); a Butterworth filter has order 1 to 32,
+twice the highest order of an analog filter in practice; a demodulation phase error lies between -90 and 90 deg, where its
+tangent, which enters the rate bias, is finite.
+"""
 
 from __future__ import annotations
 
-import difflib
 from typing import Annotated, Literal
 
-import msgspec
-from msgspec import Meta
+from msgspec import Meta, Struct
 
-from ... import toml_files as toml
-from ...errors import ConfigError
 from ...quantities import NAMES
-from ..instrument import AntiAlias
+from ...toml_files import check_known
+from ..instrument import Adc, AntiAlias, Hold, Instrument
 
 Positive = Annotated[float, Meta(gt=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+FilterOrder = Annotated[int, Meta(ge=1, le=32)]
+AdcBits = Annotated[int, Meta(ge=1, le=64)]
+PhaseError = Annotated[float, Meta(gt=-90.0, lt=90.0)]
+StandardDeviation = Annotated[float, Meta(gt=0.0, description="an sd above 0")]
+#: quantity -> [value, sd]
+References = dict[str, tuple[float, StandardDeviation]]
 
 
-class AntiAliasTable(msgspec.Struct, forbid_unknown_fields=True):
-    order: Annotated[int, Meta(ge=1, le=32)]
+class AntiAliasTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The analog filter before the converter."""
+
+    order: FilterOrder
     corner_hz: Positive
     kind: Literal["butterworth"] = "butterworth"
 
     def built(self) -> AntiAlias:
-        """The filter that this table states."""
+        """The filter that this table describes."""
         return AntiAlias(self.kind, self.order, self.corner_hz)
 
 
-class DeviceTable(msgspec.Struct, forbid_unknown_fields=True):
+class AdcTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The converter: ``bits`` over +- ``full_scale_v``."""
+
+    bits: AdcBits
+    full_scale_v: Positive
+
+    def built(self) -> Adc:
+        """The converter that this table describes."""
+        return Adc(self.bits, self.full_scale_v)
+
+
+class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The instrument.  ``antialias`` and ``adc`` that are absent or ``false``: none."""
+
+    sample_rate_hz: Positive | None = None
+    hold: Hold = "zoh"
+    bias_v: float = 5.0
+    antialias: AntiAliasTable | Literal[False] | None = None
+    adc: AdcTable | Literal[False] | None = None
+
+    def built(self, sample_rate_hz: float) -> Instrument:
+        """The instrument that this table describes, at ``sample_rate_hz``."""
+        return Instrument(
+            sample_rate_hz,
+            self.hold,
+            self.bias_v,
+            self.antialias.built() if self.antialias else None,
+            self.adc.built() if self.adc else None,
+        )
+
+
+class DeviceTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The device: its id, and angular_gain = I_p / I_0p."""
+
     id: str = ""
     angular_gain: Positive | None = None
 
 
-class DemodulationTable(msgspec.Struct, forbid_unknown_fields=True):
-    phase_error_deg: float = 0.0
+class DemodulationTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Phase error of the demodulation, and the mode whose frequency is omega_0."""
+
+    phase_error_deg: PhaseError = 0.0
     drive: Literal["f1", "f2"] = "f1"
 
 
-def references(table: dict[str, tuple[float, float]], where: str) -> dict[str, tuple[float, float]]:
-    """[reference] with every quantity known and every sd positive, else :class:`ConfigError`."""
-    for name, (value, sd) in table.items():
-        if name not in NAMES:
-            near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.5)
-            raise ConfigError(
-                f"{where}: [reference] names no result quantity",
-                value=name,
-                allowed=", ".join(NAMES),
-                next_step=f"did you mean {near[0]}" if near else "choose one of them",
-            )
-        toml.finite(value, f"reference.{name}", where)
-        toml.finite(sd, f"sd of reference.{name}", where)
-        if sd <= 0.0:
-            raise ConfigError(
-                f"{where}: reference.{name} has no uncertainty",
-                value=sd,
-                allowed="[value, sd] with sd > 0",
-                next_step="state its sd",
-            )
+def references(table: References, where: str) -> dict[str, tuple[float, float]]:
+    """[reference] as a dictionary; raises :class:`ConfigError` for a name that is no result quantity."""
+    for name in table:
+        check_known(name, NAMES, f"{where}: [reference]", "quantity")
     return dict(table)

@@ -22,10 +22,11 @@ from ... import toml_files as toml
 from ...arrays import FloatArray
 from ...errors import ConfigError, MeasurementError, UsageError
 from ..instrument import AntiAlias
-from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, references
+from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, References, references
 from .readers import existing
 
-Matrix = list[list[float]]
+# A matrix that is not finite is a fault of the measurement, which _matrix reports.
+Matrix = list[list[Annotated[float, Meta(extra=toml.MAY_BE_INFINITE)]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +72,9 @@ class ModalTable(msgspec.Struct, forbid_unknown_fields=True):
     name: str | None = None
     rate_dps: float | None = None
     antialias: AntiAliasTable | None = None
-    device: DeviceTable = msgspec.field(default_factory=DeviceTable)
-    demodulation: DemodulationTable = msgspec.field(default_factory=DemodulationTable)
-    reference: dict[str, tuple[float, float]] = {}
+    device: DeviceTable = DeviceTable()
+    demodulation: DemodulationTable = DemodulationTable()
+    reference: References = {}
 
 
 class _Kind(msgspec.Struct):
@@ -130,12 +131,6 @@ def decode_modal_record(text: bytes, path: Path) -> ModalRecord | None:
         return None
     document = toml.decode(text, ModalTable, path.name)
     modes, where = document.mode, path.name
-    toml.finite(document.rate_dps, "rate_dps", where)
-    toml.finite(document.demodulation.phase_error_deg, "demodulation.phase_error_deg", where)
-    toml.finite(document.device.angular_gain, "device.angular_gain", where)
-    toml.finite(None if document.antialias is None else document.antialias.corner_hz, "antialias.corner_hz", where)
-    for mode in modes:
-        toml.finite(mode.frequency_hz, "frequency_hz", where)
     first = _matrix(modes[0].R1, None, "R1 of mode 1", where)
     shape = (first.shape[0], first.shape[1])
     name = document.name or document.device.id or path.stem
@@ -161,7 +156,7 @@ def read_modal_record(path: Path) -> ModalRecord:
     Raises :class:`ConfigError` for wrong TOML, keys or kind, :class:`MeasurementError` for what is missing or
     inconsistent.
     """
-    record = decode_modal_record(toml.read_text(existing(path)), path)
+    record = decode_modal_record(toml.read_bytes(existing(path)), path)
     if record is None:
         raise ConfigError(
             f"{path.name} is no modal record",

@@ -36,18 +36,18 @@ def test_a_model_is_unchanged_by_writing_and_reading_its_file(model: Model, tmp_
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ('plant = "gyros"', "plant cannot be read"),
-        ('plant = { kind = "modal", modes = 0 }', "plant.modes"),
+        ('plant = "gyros"', "plant is not valid: 'gyros'"),
+        ('plant = { kind = "modal", modes = 0 }', "plant.modes is not valid: 0; allowed: a whole number from 1 to 64"),
         ('effects = ["warp_drive"]', "no such effect"),
-        ('effects = "cubic_stiffness"', "not a list"),
+        ('effects = "cubic_stiffness"', "effects is not valid: 'cubic_stiffness'; allowed: a list"),
         ('effects = ["cubic_stiffness", "cubic_stiffness"]', "named twice"),
         ('plant = { kind = "modal" }\neffects = ["angular_rate"]', "does not apply"),
         ("[fixed]\nf9_hz = 1.0", "no such parameter"),
-        ('[fixed]\nf1_hz = "fast"', "not a finite number"),
+        ('[fixed]\nf1_hz = "fast"', "fixed.f1_hz is not valid: 'fast'; allowed: a number"),
         ('[prior]\nf1_hz = "normal(1)"', "cannot be read"),
         ('[prior]\nf1_hz = "uniform(2, 1)"', "cannot be read"),
         ("colour = 1", "unknown key"),
-        ("plant = ", "cannot be read"),
+        ("plant = ", "is not TOML"),
     ],
 )
 def test_a_wrong_model_file_is_a_config_error(text: str, match: str, tmp_path: Path) -> None:

@@ -98,8 +98,16 @@ GOOD = '[[record]]\nfile = "a.csv"\n'
         (GOOD + "rol = 'fit'\n", ConfigError, ["record[0]", "rol", "did you mean role"]),
         (GOOD + "role = 'training'\n", ConfigError, ["role", "training"]),
         ("[instrument]\nsample_rate_khz = 10.0\n" + GOOD, ConfigError, ["did you mean sample_rate_hz"]),
-        ("[instrument]\nsample_rate_hz = '10 kHz'\n" + GOOD, ConfigError, ["instrument.sample_rate_hz", "str"]),
-        ("[instrument]\nsample_rate_hz = -1.0\n" + GOOD, ConfigError, ["instrument.sample_rate_hz", "0.0"]),
+        (
+            "[instrument]\nsample_rate_hz = '10 kHz'\n" + GOOD,
+            ConfigError,
+            ["instrument.sample_rate_hz", "10 kHz", "a number above 0"],
+        ),
+        (
+            "[instrument]\nsample_rate_hz = -1.0\n" + GOOD,
+            ConfigError,
+            ["instrument.sample_rate_hz", "-1.0", "a number above 0"],
+        ),
         ("[instrument]\nbias_v = nan\n" + GOOD, ConfigError, ["bias_v", "finite"]),
         ("[instrument]\nhold = 'first'\n" + GOOD, ConfigError, ["hold", "first"]),
         ("[instrument]\nantialias = { order = 8 }\n" + GOOD, ConfigError, ["antialias", "corner_hz"]),

@@ -20,7 +20,7 @@ from pipeline.criticism.prevalence import prevalence
 from pipeline.criticism.shared import Evidence, Shared, shared
 from reports.run.lot_effects import LotEffect, LotEffects, ParameterSize
 
-from ...config import DiagnosisTable
+from ...config_tables import DiagnosisTable
 from .device import DeviceExamination, Request, columns_of, sizes_of
 from .scope import (
     SEEN,

@@ -1,0 +1,213 @@
+"""The tables of a run configuration, each with its defaults: those of the paper's experiment.
+
+Units are the ends of the keys' names.  Tables of the instrument and of the demodulation extend those that campaigns use;
+the ranges are the same, and a key that is left out has the paper's value.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from pipeline.device.operation.trim import Target
+from pipeline.device.operation.trim_electrodes import Electrodes, standard_electrodes
+from pipeline.experiment.excitation import Chirp, Excitation, Multisine
+from pipeline.experiment.files.common_tables import (
+    AdcBits,
+    AdcTable,
+    AntiAliasTable,
+    DemodulationTable,
+    FilterOrder,
+    InstrumentTable,
+    NotNegative,
+    PhaseError,
+    Positive,
+)
+from pipeline.experiment.instrument import Instrument
+from pipeline.inference.gate import Gate
+from pipeline.inference.screening.sample import SamplerSettings
+from pipeline.toml_files import MAY_BE_INFINITE
+
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+#: An upper limit of something; inf switches it off.
+Threshold = Annotated[float, Meta(gt=0.0, extra=MAY_BE_INFINITE)]
+
+
+class RunTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Number of devices, seed, devices per block, and workers (0: one per core)."""
+
+    devices: Annotated[int, Meta(ge=1, le=10_000_000)] = 200
+    seed: Annotated[int, Meta(ge=0)] = 1
+    block: Annotated[int, Meta(ge=1, le=10_000)] = 25
+    workers: Annotated[int, Meta(ge=0, le=1024)] = 0
+
+
+class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """A population (``spec``: a shipped name or a TOML file; ``values``: its named assumptions), or measured campaigns.
+
+    ``path`` is the folder that contains the campaign folders.
+    """
+
+    kind: Literal["population", "campaigns"] = "population"
+    spec: str = "cloverleaf"
+    values: dict[str, float] = {}
+    path: str | None = None
+
+
+class ExperimentTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The excitation, the silent record before it, and effects that virtual devices have in addition to the model's."""
+
+    kind: Literal["chirp", "multisine"] = "chirp"
+    start_hz: tuple[Positive, ...] = (400.0, 700.0)
+    stop_hz: tuple[Positive, ...] = (700.0, 400.0)
+    amplitude_v: tuple[NotNegative, ...] = (2.0, 2.0)
+    duration_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 3.0
+    period_s: Positive = 3.0
+    silence_s: Positive = 1.0
+    effects: tuple[str, ...] = ()
+
+    def excitation(self) -> Excitation:
+        """The excitation that the table describes."""
+        if self.kind == "chirp":
+            return Chirp(self.start_hz, self.stop_hz, self.amplitude_v, self.duration_s)
+        low = min(*self.start_hz, *self.stop_hz)
+        high = max(*self.start_hz, *self.stop_hz)
+        return Multisine(low, high, self.amplitude_v, self.duration_s, self.period_s)
+
+
+class RunAntiAliasTable(AntiAliasTable, frozen=True, forbid_unknown_fields=True):
+    """The analog filter before the converter; the default is the paper's."""
+
+    order: FilterOrder = 8
+    corner_hz: Positive = 4800.0
+
+
+class RunAdcTable(AdcTable, frozen=True, forbid_unknown_fields=True):
+    """The converter; the default is the paper's."""
+
+    bits: AdcBits = 16
+    full_scale_v: Positive = 10.0
+
+
+class RunInstrumentTable(InstrumentTable, frozen=True, forbid_unknown_fields=True):
+    """The instrument; the default is the paper's.  ``antialias = false`` and ``adc = false``: none."""
+
+    sample_rate_hz: Positive = 10_000.0
+    antialias: RunAntiAliasTable | Literal[False] = RunAntiAliasTable()
+    adc: RunAdcTable | Literal[False] = RunAdcTable()
+
+    def instrument(self) -> Instrument:
+        """The instrument that the table describes."""
+        return self.built(self.sample_rate_hz)
+
+
+class NoiseTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """White noise: sigma in volts, or the SNR of each device (rms of the signal in the window over sigma)."""
+
+    sigma_v: Positive | None = None
+    snr_db: Annotated[float, Meta(ge=-400.0, extra=MAY_BE_INFINITE)] | None = None
+
+
+class HumTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Mains hum: amplitudes of the harmonics 1, 2, .. of ``frequency_hz``; an empty list means no hum."""
+
+    frequency_hz: Literal[50, 60] = 60
+    amplitude_v: tuple[NotNegative, ...] = (0.005, 0.002, 0.003, 0.001, 0.002, 0.0005, 0.001, 0.0005, 0.0005)
+
+
+class RunDemodulationTable(DemodulationTable, frozen=True, forbid_unknown_fields=True):
+    """Phase error of the demodulation, and the mode whose frequency is omega_0."""
+
+    phase_error_deg: PhaseError = 1.0
+
+
+class IdentificationTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """ARX order and window of the paper's route, and the band of the likelihood."""
+
+    order: Annotated[int, Meta(ge=10, le=80)] = 40
+    window_s: Positive = 2.0
+    low_hz: Positive = 400.0
+    high_hz: Positive = 700.0
+
+
+class PosteriorTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Size of the emcee ensembles, criteria of convergence, and the number of stored draws per device."""
+
+    ensembles: Annotated[int, Meta(ge=4, le=64)] = 4
+    walkers: Annotated[int, Meta(ge=24, le=4096)] = 96
+    steps: Annotated[int, Meta(ge=4, le=100_000)] = 8
+    rhat_max: Annotated[float, Meta(gt=1.0, extra=MAY_BE_INFINITE)] = 1.01
+    ess_min: NotNegative = 1000.0
+    stored_draws: Annotated[int, Meta(ge=0)] = 100
+
+    def settings(self) -> SamplerSettings:
+        """Settings of the sampler."""
+        return SamplerSettings(self.ensembles, self.walkers, self.steps, rhat_max=self.rhat_max, ess_min=self.ess_min)
+
+
+class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The goodness-of-fit gate."""
+
+    error_max: Threshold = 1.1
+    theta_bias_max_deg: Threshold = 0.5
+
+    def gate(self) -> Gate:
+        """The gate that the table describes."""
+        return Gate(self.error_max, self.theta_bias_max_deg)
+
+
+class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Electrostatic trim after the test: pairs of trim electrodes and the target; without the table there is no trim.
+
+    ``softening_hz_per_v2`` is the frequency shift of the mode along the azimuth of a pair; its relative sd is ``gain_sd``.
+    """
+
+    azimuth_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)
+    softening_hz_per_v2: Annotated[float, Meta(lt=0.0)] = -0.03
+    gain_sd: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.05
+    most_v: Threshold = 15.0
+    split_hz: NotNegative | None = 0.0
+    theta_deg: float | None = None
+
+    def electrodes(self) -> Electrodes:
+        """The electrodes that the table describes."""
+        return standard_electrodes(self.azimuth_deg, self.softening_hz_per_v2, gain_sd=self.gain_sd, most_v=self.most_v)
+
+    def target(self) -> Target:
+        """The split and theta that the trim aims at."""
+        return Target(self.split_hz, self.theta_deg)
+
+
+class EffectTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """An effect that virtual devices have, whether or not the screening model contains it.
+
+    ``size``: parameter -> mean and sd of a normal distribution over the affected devices, clipped to the effect's range.
+    Affected are a ``share`` of the devices, or the ids in ``devices``; if ``lots`` is given, only in those lots.
+    """
+
+    size: dict[str, tuple[float, NotNegative]]
+    share: Share = 1.0
+    devices: tuple[str, ...] = ()
+    lots: tuple[str, ...] = ()
+
+
+class DiagnosisTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The examination of misfits after the last block.
+
+    At most ``most`` devices with status misfit are examined, and ``sample`` devices with status ok (absent: 2 % of them, at
+    least 12), so that an effect that is too weak to flag any single device can be found.  ``alpha`` is the family-wise
+    probability of a false detection.
+    """
+
+    enabled: bool = True
+    most: Annotated[int, Meta(ge=1)] = 200
+    sample: Annotated[int, Meta(ge=0)] | None = None
+    alpha: Annotated[float, Meta(gt=0.0, lt=0.5)] = 0.003
+
+
+class TargetsTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Gates on the whole run.  A gate that fails sets the exit code 1 and has no other effect."""
+
+    yield_min: Share | None = None
+    strict_convergence: bool = False
