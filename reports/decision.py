@@ -3,7 +3,7 @@
     P(conform) = share of the draws that meet all limits together
     pass      P(conform) >= pass_at
     fail      P(conform) <= fail_at
-    undecided in between, and wherever the identification is not "ok"
+    undecided in between, and whenever the identification status is not "ok"
 
 Shapes: B devices, n draws each.
 """
@@ -27,14 +27,14 @@ VERDICTS: tuple[Verdict, ...] = ("pass", "fail", "undecided")
 
 @dataclass(frozen=True, eq=False)
 class Decisions:
-    """What was decided about B devices.
+    """Decisions about B devices.
 
     Parameters
     ----------
     p_pass : (B,) posterior probability of conformity; nan where it is unknown.
     verdict : B times "pass", "fail" or "undecided".
     failed_limits : B comma-separated lists of the quantities whose own probability of conformity is at most
-        one half, the least probable first; empty where there is none.
+        one half, the least probable first; empty if there is none.
     """
 
     p_pass: FloatArray
@@ -43,7 +43,7 @@ class Decisions:
 
 
 def conforms_each(limits: Limits, values: Mapping[str, FloatArray]) -> dict[str, BoolArray]:
-    """Whether each limit is met: quantity -> (...) like its values; nan conforms to nothing.
+    """Whether each limit is met: quantity -> (...) like its values; nan never conforms.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def conforms_each(limits: Limits, values: Mapping[str, FloatArray]) -> dict[str,
 
 
 def conforms(limits: Limits, values: Mapping[str, FloatArray]) -> BoolArray:
-    """Whether all limits are met together: (...) like the values; nan conforms to nothing."""
+    """Whether all limits are met together: (...) like the values; nan never conforms."""
     return np.asarray(np.logical_and.reduce(list(conforms_each(limits, values).values())))
 
 
@@ -69,15 +69,15 @@ def decide(limits: Limits, draws: Mapping[str, FloatArray], status: Sequence[str
     """P(conform) = mean over draws of all limits met, and the verdict of the rule.
 
     A draw that is nan in a limited quantity may or may not conform.  P(conform) then lies between the
-    share of draws that surely conform and the share that may; the verdict is given where both ends agree
-    on it, and p_pass is nan where they differ.
+    share of draws that certainly conform and the share that possibly conform.  The verdict is given if both
+    bounds agree on it, and p_pass is nan if they differ.
 
     Parameters
     ----------
     limits : limits and rule.
     draws : quantity -> (B, n) posterior draws in the units of the results columns; every limited quantity;
-        (B, 1) for a quantity that is known exactly, or not at all (nan).
-    status : B times "ok" or why the identification is not; only "ok" is judged.
+        (B, 1) for a quantity that is known exactly or unknown (nan).
+    status : B statuses; only devices with status "ok" are judged.
 
     Raises
     ------
@@ -112,13 +112,13 @@ def _failed(names: tuple[str, ...], probability: FloatArray) -> str:
 
 
 def _one_shape(limits: Limits, draws: Mapping[str, FloatArray], devices: int) -> dict[str, FloatArray]:
-    """The draws of the limited quantities, those with a single draw repeated."""
+    """The draws of the limited quantities; single draws are repeated."""
     values = {name: np.asarray(draws[name], dtype=np.float64) for name in limits.quantities if name in draws}
     shapes = {name: array.shape for name, array in values.items()}
     n = max((shape[-1] for shape in shapes.values() if shape), default=1)
     if any(shape not in ((devices, n), (devices, 1)) for shape in shapes.values()) or n == 0:
         raise UsageError(
-            "draws do not have one shape",
+            "the draws have different shapes",
             value=shapes,
             allowed=f"({devices}, n) for every limited quantity, n >= 1, one row a status",
             next_step="stack the draws of each device as a row",

@@ -1,4 +1,4 @@
-"""The ``devices`` table as arrays: nulls and absent columns become nan and "".
+"""The ``devices`` table as arrays: nulls and absent columns become nan or "".
 
 Shapes: B devices.  Units are those of the results columns.
 """
@@ -14,7 +14,7 @@ from pipeline.arrays import BoolArray, FloatArray
 
 
 def wafer_name(lot: str, wafer: str) -> str:
-    """A wafer's name with its lot in front, unless it already begins with it: ("L1", "W2") and ("L1", "L1-W2")."""
+    """Wafer name prefixed with its lot, unless it already begins with the lot: ("L1", "W2") and ("L1", "L1-W2")."""
     rest = wafer.removeprefix(lot)
     named = rest != wafer and not rest[:1].isalnum()
     return wafer if named else f"{lot} {wafer}".strip()
@@ -22,7 +22,7 @@ def wafer_name(lot: str, wafer: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Devices:
-    """Columns of a ``devices`` table, those that are there: a measured batch has no truth, maybe no wafer."""
+    """The columns present in a ``devices`` table: a measured batch has no truth and may have no wafer."""
 
     table: pa.Table
 

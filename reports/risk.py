@@ -3,8 +3,8 @@
     consumer's (global) = P(accepted and not conforming)
     producer's (global) = P(rejected and conforming)
 
-JCGM 106:2012, section 9.  Predicted from the posteriors, counted against a virtual truth, or, for a normal
-process and a normal measurement, integrated.
+JCGM 106:2012, section 9.  Predicted from the posteriors, counted against a virtual truth, or integrated
+for a normal process and a normal measurement.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class CountedRisk:
 def normal_risk(
     process_sd: float, measurement_sd: float, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> Risk:
-    """Risks of accepting where the measured y is in the acceptance interval; x ~ N(0, u0), y given x ~
+    """Risks of a rule that accepts if the measured y lies in the acceptance interval; x ~ N(0, u0), y given x ~
     N(x, u).
 
         consumer's = int over x outside the tolerance of N(x; 0, u0) P(y accepted | x) dx,   producer's
@@ -65,7 +65,7 @@ def normal_risk(
     def wrong_fail(x: float) -> float:
         return float(stats.norm.pdf(x, scale=process_sd)) * (1.0 - accepted(x))
 
-    # Ten sd hold all of the probability that a double can tell from 0.
+    # The probability beyond ten sd is below the resolution of a double.
     reach = 10.0 * process_sd
     low, high = np.clip(tolerance, -reach, reach)
     outside = _integral(wrong_pass, -reach, low) + _integral(wrong_pass, high, reach)
@@ -77,7 +77,7 @@ def _integral(integrand: Callable[[float], float], low: float, high: float) -> f
 
 
 def expected_risk(p_pass: FloatArray, verdicts: Sequence[str]) -> Risk:
-    """consumer's = sum over passed (1 - p) / n, producer's = sum over failed p / n, n the devices with a p.
+    """consumer's = sum over passed (1 - p) / n, producer's = sum over failed p / n, n = number of devices with a p.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
-"""The yield and what it is worth.
+"""The yield and its uncertainty.
 
     yield = passed / devices; an undecided device is neither, so yield is bounded by passed / n and (passed
     + undecided) / n
 
-Three uncertainties, told apart:
+Three separate uncertainties:
 
-- measurement: which of these very devices conform.  The number is a sum of independent Bernoulli(p_pass), a
+- measurement: which of these devices conform.  The number is a sum of independent Bernoulli(p_pass), a
   Poisson-binomial variable: mean sum p, variance sum p (1 - p).
-- sampling: how far these devices, as independent draws, stand for the process: binomial.
+- sampling: how well these devices, as independent draws, represent the process: binomial.
 - clustering: devices of a wafer (or lot) are not independent draws of the process.  With G groups of n_g
   devices and passed x_g,  var(y) = G/(G-1) sum_g (x_g - y n_g)^2 / n^2  (between-group linearisation), and
   the interval is Clopper-Pearson at the effective number  n* = y (1 - y)/var(y) (t_{n-1}/t_{G-1})^2  (Korn
@@ -43,12 +43,12 @@ class Interval:
 
 @dataclass(frozen=True)
 class Measurement:
-    """How many of these devices conform, as the posteriors see it.
+    """The number of conforming devices according to the posteriors.
 
     Parameters
     ----------
     judged : devices with a probability of conformity.
-    unknown : devices without one; they are in no figure here.
+    unknown : devices without one; they are excluded from all figures here.
     mean, sd : of the number of conforming devices among the judged.
     low, high : central interval of that number at ``LEVEL``.
     """
@@ -69,11 +69,11 @@ class Clustering:
     ----------
     by : "wafer" or "lot".
     groups : number of groups G.
-    between_sd : sd of the groups' true yields, the binomial part of their scatter taken out.
+    between_sd : sd of the groups' true yields, after removal of their binomial scatter.
     design_effect : var(yield) over its binomial value; 1 for independent devices.
-    effective : n*, the number of independent devices that would tell as much.
-    interval : of the process yield, groups drawn at random; ``None`` with one group, which says nothing
-    about it.
+    effective : n*, the number of independent devices that would carry the same information.
+    interval : of the process yield, groups drawn at random; ``None`` with one group, which contains
+    no information about it.
     """
 
     by: str
@@ -140,7 +140,7 @@ def wilson(count: float, n: float, level: float = LEVEL) -> Interval:
     share, z2 = count / n, z * z
     centre = (share + z2 / (2.0 * n)) / (1.0 + z2 / n)
     half = z / (1.0 + z2 / n) * np.sqrt(share * (1.0 - share) / n + z2 / (4.0 * n * n))
-    # At 0 and n the ends are 0 and 1 exactly, which rounding misses.
+    # At 0 and n the exact ends are 0 and 1; rounding would miss them.
     low = 0.0 if count <= 0 else float(centre - half)
     high = 1.0 if count >= n else float(centre + half)
     return Interval(low, high, "Wilson", level)
@@ -181,7 +181,7 @@ def yield_of(passed: int, failed: int, undecided: int = 0, level: float = LEVEL)
 
 
 def yield_of_verdicts(verdicts: Sequence[str], level: float = LEVEL) -> Yield:
-    """The yield of a list of verdicts; whatever is neither "pass" nor "fail" is undecided."""
+    """The yield of a list of verdicts; any other value than "pass" or "fail" counts as undecided."""
     passed, failed = verdicts.count("pass"), verdicts.count("fail")
     return yield_of(passed, failed, len(verdicts) - passed - failed, level)
 
@@ -190,7 +190,7 @@ def poisson_binomial(probability: FloatArray) -> FloatArray:
     """P(K = k), k = 0..n, of a sum of independent Bernoulli(p_i): coefficients of prod (1 - p_i + p_i x)."""
     factors = [np.array([1.0 - p, p]) for p in probability]
     while len(factors) > 1:
-        # Halves of equal degree keep the products cheap and their rounding small.
+        # Products of equal degree are cheap and accurate.
         pairs = [signal.convolve(a, b) for a, b in zip(factors[::2], factors[1::2], strict=False)]
         factors = pairs + ([factors[-1]] if len(factors) % 2 else [])
     return np.clip(factors[0], 0.0, 1.0) if factors else np.ones(1)
@@ -217,13 +217,13 @@ def measurement_uncertainty(p_pass: FloatArray, level: float = LEVEL) -> Measure
 
 
 def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: float = LEVEL) -> Clustering:
-    """The yield of the process when whole groups are its independent draws.
+    """The yield of the process, with whole groups as independent draws.
 
     Parameters
     ----------
     verdicts : B verdicts; undecided counts as not passed.
     groups : B names of the group of each device.
-    by : what a group is, "wafer" or "lot".
+    by : kind of group, "wafer" or "lot".
     """
     names = sorted(set(groups))
     passed = np.array([verdict == "pass" for verdict in verdicts], dtype=np.float64)
@@ -237,11 +237,11 @@ def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: f
     binomial = share * (1.0 - share) / n
     variance = g / (g - 1.0) * float(np.sum((count - share * size) ** 2)) / n**2
     if binomial == 0.0:
-        # All alike: no scatter to estimate, only the number of devices speaks.
+        # Without scatter between groups only the number of devices determines the interval.
         return Clustering(by, g, 0.0, None, n, clopper_pearson(share * n, n, level))
     tail = 0.5 * (1.0 + level)
     student = float(stats.t.ppf(tail, n - 1.0)) / float(stats.t.ppf(tail, g - 1.0))
-    # A variance below the binomial one is luck of few groups: groups never tell more than their devices.
+    # With few groups the variance can fall below the binomial one by chance; the binomial variance is the minimum.
     effective = n * min(1.0, binomial / variance if variance > 0.0 else 1.0) * student**2
     interval = clopper_pearson(share * effective, effective, level)
     return Clustering(
@@ -255,7 +255,7 @@ def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: f
 
 
 def _between_sd(share: float, size: FloatArray, count: FloatArray) -> float:
-    """Sd of the groups' true yields by analysis of variance; 0 where their scatter is binomial."""
+    """Sd of the groups' true yields by analysis of variance; 0 if their scatter is binomial."""
     n, g = float(size.sum()), size.size
     group_share = count / size
     between = float(np.sum(size * (group_share - share) ** 2)) / (g - 1.0)

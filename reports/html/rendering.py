@@ -1,7 +1,7 @@
 """From frozen content to HTML: the environment that every page shares.
 
-Autoescape is on; only figures, which :func:`reports.html.style.to_svg` has made, enter as markup.
-Numbers are formatted here and nowhere else: a value is rounded by its sd, a share shown in percent.
+Autoescape is on; only figures from :func:`reports.html.style.to_svg` enter as markup.
+All numbers are formatted here: values are rounded according to their sd, shares are shown in percent.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _DASH = "–"
 
 
 def environment() -> jinja2.Environment:
-    """Templates with autoescape, strict about names, and the filters of this module."""
+    """Template environment with autoescape, strict names and the filters of this module."""
     env = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -52,20 +52,20 @@ def unit(quantity: str) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number with so many significant digits; a dash where there is none."""
+    """A number with ``digits`` significant digits; a dash if it is not known."""
     if value is None or math.isnan(value):
         return _DASH
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    # Four to six digits before the point read better written out than as a power of ten.
+    # Numbers of four to six digits are easier to read without a power of ten.
     if 10.0**digits <= abs(value) < 1e6:
         return _typeset(f"{value:.0f}")
-    # A mantissa of one digit keeps the point of the alternate form.
+    # The alternate form leaves a trailing point after a one-digit mantissa.
     return _typeset(f"{value:#.{digits}g}".replace(".e", "e").rstrip("."))
 
 
 def measured(value: float, sd: float) -> str:
-    """value ± sd, the sd with two significant digits, the value with as many decimals."""
+    """value ± sd; the sd has two significant digits, the value the same number of decimals."""
     if not math.isfinite(value):
         return _DASH
     if not (math.isfinite(sd) and sd > 0.0):
@@ -75,7 +75,7 @@ def measured(value: float, sd: float) -> str:
 
 
 def interval(low: float, high: float, sd: float) -> str:
-    """low to high, with the decimals that the sd warrants."""
+    """low to high, with decimals according to the sd."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return _DASH
     spread = sd if math.isfinite(sd) and sd > 0.0 else abs(high - low)
@@ -89,7 +89,7 @@ def _decimals(sd: float) -> int:
 
 
 def _fixed(value: float, sd: float, decimals: int) -> str:
-    # Beyond eight decimals a small number reads better as a power of ten, with the same last digit.
+    # Beyond eight decimals a small number is easier to read as a power of ten with the same last digit.
     if decimals > 8 and value != 0.0:
         digits = max(0, math.floor(math.log10(abs(value))) + decimals)
         return _typeset(f"{value:.{digits}e}")

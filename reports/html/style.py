@@ -1,9 +1,8 @@
-"""Look of all figures, and their way into a page.
+"""Style of all figures, and their conversion to inline SVG.
 
-Colours are told apart by colour-blind readers and in grey print (Okabe and Ito 2008); verdicts also differ
-by marker. Text stays text (it is searchable and takes the font of the page); ids are made from the
-figure's name and content, so that the same figure gives the same bytes and two figures of one page never
-share an id.
+Colours are distinguishable for colour-blind readers and in grey print (Okabe and Ito 2008); verdicts also differ
+by marker. Text remains text, so it is searchable and uses the font of the page.  Ids derive from the figure's
+name and content, so the same figure gives the same bytes and two figures of a page never share an id.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ COLOURS: Mapping[str, str] = MappingProxyType({"pass": "#0072b2", "fail": "#d55e
 EDGES: Mapping[str, str] = MappingProxyType({"pass": "#0072b2", "fail": "#d55e00", "undecided": "#7a5c00"})
 MARKERS: Mapping[str, str] = MappingProxyType({"pass": "o", "fail": "X", "undecided": "D"})
 HATCHES: Mapping[str, str] = MappingProxyType({"pass": "", "fail": "////", "undecided": ".."})
-# Most points that a scatter draws: beyond it the page grows and nothing more is seen.
+# Maximum number of points in a scatter plot: more would only enlarge the page.
 POINTS = 700
 # Width of a figure [inch at 72 points]: that of the page.
 WIDTH = 10.25
@@ -67,21 +66,21 @@ _RC: Mapping[str, Any] = MappingProxyType(
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The settings of all figures, for as long as one is drawn."""
-    # From matplotlib's own defaults, so that a user's matplotlibrc cannot change a page.
+    """Context with the settings of all figures."""
+    # Start from matplotlib's defaults, so that a user's matplotlibrc cannot change a page.
     settings: Any = dict(matplotlib.rcParamsDefault) | {"backend": "agg"} | dict(_RC)
     with matplotlib.rc_context(settings):
         yield
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:
-    """The figure as an inline ``<svg>`` element: no prolog, no metadata, no addresses, ids of its own.
+    """The figure as an inline ``<svg>`` element: no prolog, metadata or addresses, and unique ids.
 
     Parameters
     ----------
     figure : drawn within :func:`style`.
     name : unique in the page; letters, digits and hyphens.
-    description : what the figure shows, for those who cannot see it; plain text.
+    description : what the figure shows, as alternative text; plain text.
     """
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)

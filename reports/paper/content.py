@@ -1,7 +1,7 @@
-"""What the page of the paper shows: printed numbers beside ours, and the arrays of its figures.
+"""Content of the page of the paper: printed and recomputed numbers, and the arrays of its figures.
 
-A printed number agrees when it differs by no more than half a unit of its last digit, and is consistent when it differs by
-no more than that and what its inputs leave open.  Every other one carries the reason.
+A printed number agrees when it differs by no more than half a unit of its last digit, and is consistent when the rounding of
+its inputs explains the rest of the difference.  All others carry a reason.
 
 Shapes: N samples, F frequencies, S = 2 senses, D = 2 drives.  Units in the names.
 """
@@ -20,14 +20,14 @@ class PrintedNumber:
 
     Parameters
     ----------
-    name, where : what it is, and the equation, table or section that prints it.
+    name, where : the quantity, and the equation, table or section that prints it.
     printed : as printed.
-    ours : computed from what the paper itself prints before it; ``None`` where it is an input.
-    record : the same by the whole chain from a simulated record of eq. (14); ``None`` where a record has no say.
+    ours : computed from earlier printed values of the paper; ``None`` for an input.
+    record : the same, identified from a simulated record of eq. (14); ``None`` if a record does not determine it.
     unit : of all of them.
-    remark : why they differ, where they do.
-    relation : "=", or "<" and ">" where the print states a bound.
-    spread : how far the compared number can move within the rounding of its inputs, or by the noise of the record (3 sd).
+    remark : the reason of a difference.
+    relation : "=", or "<" and ">" for a printed bound.
+    spread : possible change of the compared number from the rounding of its inputs, or from the noise of the record (3 sd).
     """
 
     name: str
@@ -54,31 +54,31 @@ class PrintedNumber:
 
     @property
     def compared(self) -> float:
-        """What stands beside the print: ours, or else the record's."""
+        """The number compared with the print: ours, or else the record's."""
         found = self.ours if self.ours is not None else self.record
         return float("nan") if found is None else found
 
     @property
     def deviation(self) -> float:
-        """Compared less printed."""
+        """Compared minus printed."""
         return self.compared - self.value
 
     @property
     def agrees(self) -> bool:
-        """Whether the deviation is the rounding of the print, or the bound holds."""
+        """Whether the deviation is within the rounding of the print, or the bound holds."""
         if self.relation != "=":
             return self.deviation < 0.0 if self.relation == "<" else self.deviation > 0.0
         return abs(self.deviation) <= self.half_digit * (1.0 + 1e-9)
 
     @property
     def consistent(self) -> bool:
-        """Whether it is that, or what the inputs leave open."""
+        """Whether the deviation is within the rounding of the print and of the inputs."""
         return self.agrees or abs(self.deviation) <= self.half_digit * (1.0 + 1e-9) + self.spread
 
 
 @dataclass(frozen=True)
 class NumberGroup:
-    """Numbers of one section of the page; ``has_record`` where at least one comes from a record too."""
+    """Numbers of one section of the page; ``has_record`` where at least one also comes from a record."""
 
     title: str
     note: str
@@ -116,7 +116,7 @@ class ResponseView:
 class HankelView:
     """Hankel singular values (K,) of the order-40 model and of eq. (14), and the printed ones (8,).
 
-    ``error_bound`` of six states over the whole axis, ``band_error`` what they leave around the modes, both as H-infinity norms.
+    ``error_bound`` of six states over all frequencies, ``band_error`` around the modes; both are H-infinity norms.
     """
 
     model: FloatArray
@@ -128,7 +128,7 @@ class HankelView:
 
 @dataclass(frozen=True, eq=False)
 class OrderView:
-    """Against the order (n,), one set a window: theta (n, 4) [deg], split (n,) [Hz] and in-band phase change (n,) [deg]."""
+    """Against the order (n,), one set per window: theta (n, 4) [deg], split (n,) [Hz] and in-band phase change (n,) [deg]."""
 
     order: FloatArray
     window_s: tuple[float, ...]
@@ -141,7 +141,7 @@ class OrderView:
 
 @dataclass(frozen=True, eq=False)
 class StepsView:
-    """Two-step route and one-step fit: |error of theta| [deg] over split (n,) [Hz], a row a damping share (m, n).
+    """Two-step route and one-step fit: |error of theta| [deg] over split (n,) [Hz], one row per damping share (m, n).
 
     share (m,) is c12 / sqrt(c11 c22); ``limit`` the route's error without noise; ``sd`` the posterior's own.
     """
@@ -156,7 +156,7 @@ class StepsView:
 
 @dataclass(frozen=True)
 class ChainRow:
-    """One quantity of the virtual device: truth, and what balanced and modal truncation and the one-step fit make of it."""
+    """One quantity of the virtual device: truth, balanced truncation, modal truncation and one-step fit."""
 
     name: str
     unit: str
@@ -169,7 +169,7 @@ class ChainRow:
 
 @dataclass(frozen=True)
 class BiasRow:
-    """One coefficient of eq. (3) to (6): as printed, as corrected, and as the simulated loops show it."""
+    """One coefficient of eq. (3) to (6): as printed, as corrected, and from the simulated loops."""
 
     equation: str
     name: str

@@ -1,4 +1,4 @@
-"""The page of the paper: its figures redrawn, its printed numbers beside ours.
+"""The page of the paper: its figures redrawn, its printed numbers recomputed.
 
 PaperContent --figures, template--> HTML, one self-contained file
 """
@@ -52,7 +52,7 @@ def printed(row: PrintedNumber) -> str:
 
 
 def ours(value: float | None, row: PrintedNumber) -> str:
-    """A number with one digit more than the print has."""
+    """A number with one digit more than the print."""
     if value is None or not math.isfinite(value):
         return "–"
     mantissa, _, exponent = row.printed.partition("e")

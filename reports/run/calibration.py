@@ -1,4 +1,4 @@
-"""Calibration on this very run: posteriors against the virtual truth as packaged.
+"""Calibration of this run: posteriors against the virtual truth as packaged.
 
     z = (estimate - truth)/sd,  inside: q05 <= truth <= q95 (an arc for an axis)
 
@@ -32,9 +32,9 @@ class Coverage:
     Parameters
     ----------
     quantity : its name.
-    devices, inside : counted, and those whose truth lies inside the 90 % interval.
+    devices, inside : number of devices, and of those whose truth lies inside the 90 % interval.
     interval : Clopper-Pearson interval of the coverage.
-    band : central 95 % of the binomial counts at 0.90, as shares; outside it the intervals are suspect.
+    band : central 95 % of the binomial counts at 0.90, as shares; outside it the intervals are doubtful.
     z_median : median of z; 0 expected.
     z_rms : rms of z; 1 expected.
     beyond_3 : share of abs(z) > 3; 0.0027 expected of a normal posterior.
@@ -56,7 +56,7 @@ class Coverage:
 
     @property
     def in_band(self) -> bool:
-        """Whether the coverage is what chance allows of a nominal 0.90."""
+        """Whether the coverage is consistent with a nominal 0.90."""
         return self.band[0] <= self.share <= self.band[1]
 
 
@@ -67,8 +67,8 @@ class VerdictCheck:
     Parameters
     ----------
     table : (verdict, truth conforms, truth does not) counts.
-    expected, expected_sd : conforming devices that the posteriors foretell among those with a p_pass.
-    found : those that do conform.
+    expected, expected_sd : number of conforming devices predicted by the posteriors, among those with a p_pass.
+    found : number that do conform.
     counted, predicted : consumer's and producer's risk, from the truth and from the posteriors.
     """
 
@@ -117,7 +117,7 @@ def _coverage(devices: Devices, quantity: str) -> Coverage | None:
 
 
 def check_verdicts(devices: Devices, limits: Limits) -> VerdictCheck | None:
-    """Verdicts against the truth; ``None`` where no device has a truth for every limit."""
+    """Verdicts against the truth; ``None`` if no device has a truth for every limit."""
     truth = {name: devices.number(f"true_{name}") for name in limits.quantities}
     known = np.logical_and.reduce([np.isfinite(values) for values in truth.values()])
     if not known.any():

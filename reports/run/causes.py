@@ -1,4 +1,4 @@
-"""Causes of loss: which limits fail, and whether fabrication or packaging is to blame.
+"""Causes of loss: the failed limits, and the losses in fabrication and in packaging.
 
 Counts are devices.  "Failed" are the devices whose verdict is "fail"; the stages compare the virtual truth
 as fabricated (fab_) and as packaged (true_) with the limits, whatever the verdict.
@@ -28,7 +28,7 @@ class FailedLimit:
     failed : failed devices that break it.
     alone : those that break no other.
     share : Clopper-Pearson interval of failed / all failed devices.
-    below, above : on which side the estimates lie (both 0 for an axis, which has no sides).
+    below, above : number of estimates on each side (both 0 for an axis, which has no sides).
     """
 
     limit: Limit
@@ -41,7 +41,7 @@ class FailedLimit:
 
 @dataclass(frozen=True)
 class Pareto:
-    """Failed limits, most frequent first; ``jointly`` devices fail though no single limit is improbable."""
+    """Failed limits, most frequent first; ``jointly`` devices fail although no single limit is improbable."""
 
     failed: int
     limits: tuple[FailedLimit, ...]
@@ -56,7 +56,7 @@ class StageLoss:
     ----------
     both : conform at both stages.
     packaging : conform as fabricated, not as packaged: lost in packaging.
-    recovered : the other way: packaging brought them inside.
+    recovered : the opposite: conform as packaged only.
     fabrication : conform at neither: lost in fabrication.
     unknown : truth of a stage is not known.
     """
@@ -97,7 +97,7 @@ def pareto(devices: Devices, limits: Limits) -> Pareto:
 
 
 def stage_losses(devices: Devices, limits: Limits) -> tuple[StageLoss, ...]:
-    """All limits together first, then each; empty where no device has a truth at both stages."""
+    """All limits together first, then each; empty if no device has a truth at both stages."""
     rows = []
     known_all = np.ones(len(devices), dtype=np.bool_)
     fab_all, true_all = known_all.copy(), known_all.copy()

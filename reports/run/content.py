@@ -39,7 +39,7 @@ from .worst import WorstDevice, worst_devices
 
 
 class StoredRun(Protocol):
-    """What a page needs of a run: verified tables, manifest and configuration."""
+    """The parts of a run that its page needs: verified tables, manifest and configuration."""
 
     @property
     def devices(self) -> pa.Table:
@@ -47,7 +47,7 @@ class StoredRun(Protocol):
 
     @property
     def posterior(self) -> pa.Table | None:
-        """The ``posterior`` table, where draws were kept."""
+        """The ``posterior`` table, if draws were kept."""
 
     @property
     def manifest(self) -> Any:
@@ -55,12 +55,12 @@ class StoredRun(Protocol):
 
     @property
     def config_toml(self) -> str:
-        """The configuration as it was run."""
+        """The configuration of the run."""
 
 
 @dataclass(frozen=True)
 class Headline:
-    """What is read in ten seconds: sentences, the empty ones left out by the page."""
+    """The summary at the top of the page; empty sentences are omitted."""
 
     cause: str
     share: str
@@ -88,7 +88,7 @@ class CommittedFile:
 
 @dataclass(frozen=True)
 class RunContent:
-    """Everything that the page says, in its order."""
+    """All content of the page, in its order."""
 
     run_id: str
     headline: Headline
@@ -129,14 +129,14 @@ def run_content(
     run : tables in the registered schema (absent or null columns are left out of the page), manifest,
     configuration.
     limits : the limits and rule by which the run was judged.
-    population_summary : what the population says of itself, shown as it is; nested tables become dotted
+    population_summary : description of the population, shown unchanged; nested tables become dotted
     names.
 
-    lot_effects : what was found of its misfits, or ``None``.
+    lot_effects : findings about its misfits, or ``None``.
 
     Raises
     ------
-    ConfigError : the limits name a quantity that the results do not hold.
+    ConfigError : the limits name a quantity that is not in the results.
     """
     devices = Devices(run.devices)
     _check_limits(devices, limits)
@@ -185,7 +185,7 @@ def run_content(
 
 
 def facts(table: Mapping[str, Any], prefix: str = "") -> tuple[Fact, ...]:
-    """A nested mapping as lines, names dotted; empty and null values left out."""
+    """A nested mapping as lines with dotted names; empty and null values are omitted."""
     lines: list[Fact] = []
     for name, value in table.items():
         if isinstance(value, Mapping):
@@ -208,7 +208,7 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _files(entries: Any) -> tuple[CommittedFile, ...]:
-    # Pages are left out: this page is one of them and cannot hold its own hash.
+    # Pages are omitted: this page cannot contain its own hash.
     rows = [_mapping(entry) for entry in entries]
     return tuple(
         CommittedFile(
@@ -225,8 +225,8 @@ def _check_limits(devices: Devices, limits: Limits) -> None:
     absent = [name for name in limits.quantities if name not in devices.table.column_names]
     if absent:
         raise ConfigError(
-            "limits on quantities that the results do not hold",
+            "limits on quantities that are not in the results",
             value=absent,
             allowed="columns of the devices table",
-            next_step="report with the limits of the run",
+            next_step="use the limits of the run",
         )

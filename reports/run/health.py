@@ -1,4 +1,4 @@
-"""Health of the identification: convergence, misfit, and the paper's route beside the posterior."""
+"""Health of the identification: convergence, misfit, and comparison of the paper's route with the posterior."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Spread:
 class RouteDifference:
     """An estimate of theta [deg] or split [Hz] against the posterior and against the truth.
 
-    The medians and 90 % points are of absolute differences, turns between axes for theta; nan where there
+    The medians and 90 % points are of absolute differences (for theta, of angles between axes); nan if there
     is nothing to compare with.
     """
 
@@ -56,7 +56,7 @@ class RouteDifference:
 
 
 def status_counts(devices: Devices) -> tuple[StatusCount, ...]:
-    """Status and reason, most frequent first, "ok" on top; reasons that differ in numbers only are one, with dots."""
+    """Status and reason, most frequent first, "ok" first of all; reasons that differ only in numbers are merged."""
     groups: dict[tuple[str, str], list[str]] = {}
     for status, reason in zip(devices.text("status"), devices.text("status_reason"), strict=True):
         groups.setdefault((status, _NUMBER.sub("…", reason)), []).append(reason)
@@ -68,7 +68,7 @@ def status_counts(devices: Devices) -> tuple[StatusCount, ...]:
 
 
 def spreads(devices: Devices) -> tuple[Spread, ...]:
-    """Spread of the diagnostics over the devices, those without any value left out."""
+    """Spread of the diagnostics over the devices, without those that have no value."""
     names = ("error", "chi2_per_dof", "relative_error", "theta_bias_bound_deg", "rhat", "ess", "acceptance")
     rows = []
     for name in names:

@@ -1,7 +1,7 @@
 """Which effects a lot needs beside the screening model, and the yield without and with them.
 
 The findings come from the run (``lot_effects.json`` beside its tables); the yields are counted from the devices table: a device
-that was refitted with the lot's effects in its model has the verdict of that fit, every other one keeps its own.
+that was refitted with the lot's effects in its model has the verdict of that fit, all others keep theirs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MOST_LISTED = 40
 
 @dataclass(frozen=True)
 class ParameterSize:
-    """Size of one parameter among the devices that carry the effect: mean with its sd, and the sd from device to device."""
+    """Size of one parameter among the devices that have the effect: mean with its sd, and the sd between devices."""
 
     name: str
     unit: str
@@ -39,13 +39,13 @@ class LotEffect:
 
     Parameters
     ----------
-    effect, rivals : its name, and effects that these records cannot tell from it.
+    effect, rivals : its name, and effects that these records cannot distinguish from it.
     lot : the lot that needs it; "" is the whole run.
-    lots : of the whole run, the lots that have it, where others are seen to lack it; else empty.
-    share, low, high : of the devices that carry it, with the 95 % interval.
+    lots : for the whole run, the lots that have it if other lots demonstrably lack it; else empty.
+    share, low, high : share of devices that have it, with its 95 % interval.
     sizes : of its parameters.
-    log_p, log_p_without : of all devices together, and without the most telling tenth.
-    devices : how many devices said so.
+    log_p, log_p_without : log p of all devices together, and without the 10 % of devices with the strongest evidence.
+    devices : number of devices with scores.
     """
 
     effect: str
@@ -63,7 +63,7 @@ class LotEffect:
 
 @dataclass(frozen=True)
 class LotEffects:
-    """What came of examining a run's misfits.
+    """Result of the examination of a run's misfits.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class LotEffects:
     sampled, ok : devices with status ok that were examined, of how many.
     refitted : devices refitted with the effects.
     effects : that the lots need.
-    nearest, log_p_nearest : of the other effects the one for which all together say most, and its log p, every effect counted.
+    nearest, log_p_nearest : the most significant of the other effects, and its family-wise log p.
     """
 
     alpha: float
@@ -91,21 +91,21 @@ class LotEffects:
 
     @staticmethod
     def from_json(data: bytes) -> LotEffects:
-        """From such bytes.
+        """Inverse of :meth:`to_json`.
 
         Raises
         ------
-        IntegrityError : not what ``to_json`` writes.
+        IntegrityError : the bytes do not come from ``to_json``.
         """
         try:
             return msgspec.json.decode(data, type=LotEffects)
         except msgspec.MsgspecError as error:
-            raise IntegrityError(f"{FILE} lacks what it should hold ({error})", next_step="run again") from None
+            raise IntegrityError(f"{FILE} is incomplete ({error})", next_step="run again") from None
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """A flagged device that the lot's effects do not explain: what it lacks by itself, and why that is said."""
+    """A misfit that the lot's effects do not explain: what it lacks by itself, and the reason."""
 
     device_id: str
     lot: str
@@ -116,7 +116,7 @@ class Misfit:
 
 @dataclass(frozen=True)
 class NeededEffects:
-    """The section of the page: findings, yields, what single devices lack, and those that nothing explains."""
+    """The section of the page: findings, yields, what single devices lack, and unexplained misfits."""
 
     found: LotEffects
     without: Yield
@@ -165,7 +165,7 @@ def needed_effects(devices: Devices, found: LotEffects | None) -> NeededEffects 
 
 
 def counted(rows: tuple[Misfit, ...]) -> tuple[tuple[str, int], ...]:
-    """How many devices lack what, most frequent first."""
+    """Number of devices for each missing effect, most frequent first."""
     return tuple(sorted(Counter(row.missing for row in rows).items(), key=lambda item: (-item[1], item[0])))
 
 

@@ -18,7 +18,7 @@ from ..limits import Limits
 from .content import RunContent, StoredRun, run_content
 from .figures import corner_plots, run_figures
 from .lot_effects import LotEffects, counted, probability, with_sd
-from .worst import Estimate
+from .worst import WorstEstimate
 
 MOST_GROUPS = 60
 
@@ -53,14 +53,14 @@ def render_run_report(
 
     Parameters
     ----------
-    run : tables in the registered schema, manifest and configuration; no devices and null columns are fine.
+    run : tables in the registered schema, manifest and configuration; there may be no devices, and null columns.
     limits : the limits and rule by which the run was judged.
-    population_summary : what the population says of itself; nested tables become dotted names.
-    lot_effects : what was found of its misfits.
+    population_summary : description of the population; nested tables become dotted names.
+    lot_effects : findings about its misfits.
 
     Raises
     ------
-    ConfigError : the limits name a quantity that the results do not hold.
+    ConfigError : the limits name a quantity that is not in the results.
     """
     content = run_content(run, limits, population_summary, lot_effects)
     devices = Devices(run.devices)
@@ -86,8 +86,8 @@ def render_run_report(
     )
 
 
-def _truth(estimate: Estimate) -> str:
-    """The truth with the decimals of the estimate."""
+def _truth(estimate: WorstEstimate) -> str:
+    """The true value, with the decimals of the estimate."""
     return measured(estimate.truth, estimate.sd).partition(" ±")[0]
 
 

@@ -1,7 +1,7 @@
 """Yield before and after electronic tuning.
 
-A device without a trim keeps its verdict.  What is foretold comes from posteriors and the uncertainty of the trim gains;
-the truth is that of virtual devices.
+A device without a trim keeps its verdict.  Predictions come from posteriors and the uncertainty of the trim gains; the truth
+is that of virtual devices.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ..yields import Yield, yield_of, yield_of_verdicts
 
 @dataclass(frozen=True)
 class TrimYield:
-    """``before`` and ``foretold`` from verdicts; ``truth_before`` and ``truth_after`` of virtual devices, else ``None``.
+    """``before`` and ``predicted`` from verdicts; ``truth_before`` and ``truth_after`` of virtual devices, else ``None``.
 
     devices trimmed, how many of them with a voltage at its limit, and the median split [Hz] before and after.
     """
 
     before: Yield
-    foretold: Yield
+    predicted: Yield
     truth_before: Yield | None
     truth_after: Yield | None
     trimmed: int
@@ -36,7 +36,7 @@ class TrimYield:
 
 
 def true_conformity(devices: Devices, limits: Limits) -> BoolArray | None:
-    """(B,) whether the truth of each virtual device conforms; ``None`` where a truth is not known."""
+    """(B,) whether the truth of each virtual device conforms; ``None`` if a truth is not known."""
     truth = {name: devices.number(f"true_{name}") for name in limits.quantities}
     if any(not np.all(np.isfinite(values)) for values in truth.values()):
         return None

@@ -13,7 +13,7 @@ from ..limits import Limits
 
 
 @dataclass(frozen=True)
-class Estimate:
+class WorstEstimate:
     """One quantity of one device: value, sd, 90 % interval and the truth; nan where unknown."""
 
     quantity: str
@@ -26,12 +26,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class WorstDevice:
-    """One device, why it is here, and what is known of it.
+    """One device, the reason for its selection, and its results.
 
     Parameters
     ----------
-    device_id, lot, wafer, die_mm : which it is and where it was made; nan where unknown.
-    why : in words.
+    device_id, lot, wafer, die_mm : identity and place of manufacture; nan if unknown.
+    why : reason for its selection.
     verdict, status, reason, failed_limits : as in the results.
     p_pass, error : probability of conformity; rms of the residual over sigma.
     margin : distance of the estimates to the nearest limit (see ``Limit.margin``), negative outside.
@@ -50,17 +50,17 @@ class WorstDevice:
     p_pass: float
     error: float
     margin: float
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[WorstEstimate, ...]
 
 
 def margins(devices: Devices, limits: Limits) -> FloatArray:
-    """(B,) smallest margin over the limits whose quantity is known; nan where none is."""
+    """(B,) smallest margin over the limits whose quantity is known; nan if none is known."""
     each = np.array([limit.margin(devices.number(limit.quantity)) for limit in limits.limits])
     return np.where(np.isnan(each).all(axis=0), np.nan, np.where(np.isnan(each), np.inf, each).min(axis=0))
 
 
 def worst_devices(devices: Devices, limits: Limits, each: int = 2) -> tuple[WorstDevice, ...]:
-    """The devices that say most about the run, no device twice.
+    """The most informative devices of the run, without repetition.
 
     Up to ``each`` of the not identified (largest error), the undecided (p_pass nearest 1/2), the failed
     and the passed (smallest margin).
@@ -71,7 +71,7 @@ def worst_devices(devices: Devices, limits: Limits, each: int = 2) -> tuple[Wors
     groups = (
         ("not identified: {status}", ~ok, -np.nan_to_num(error, nan=np.inf)),
         (
-            "undecided: too close to a limit to tell",
+            "undecided: too close to a limit",
             ok & undecided,
             np.abs(np.nan_to_num(p_pass, nan=0.5) - 0.5),
         ),
@@ -110,7 +110,7 @@ def _describe(devices: Devices, limits: Limits, k: int, why: str, margin: float)
         error=number("error"),
         margin=margin,
         estimates=tuple(
-            Estimate(
+            WorstEstimate(
                 name,
                 number(name),
                 number(f"{name}_sd"),

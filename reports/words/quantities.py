@@ -1,4 +1,4 @@
-"""Sentences of the head of the page, from counts.  No HTML."""
+"""Names of quantities and sentences of the head of the nightly report, from counts.  No HTML."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pipeline.quantities import QUANTITIES
 
 if TYPE_CHECKING:
-    # For annotations alone: a page of a campaign says nothing of yields, whose statistics take long to load.
+    # For annotations only: pages without yields need not load their statistics, which is slow.
     from ..limits import Limit
     from ..run.causes import FailedLimit, Pareto, StageLoss
     from ..run.health import StatusCount
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 UNITS = {quantity.name: "" if quantity.unit == "1" else quantity.unit for quantity in QUANTITIES}
 
-# The sign stays with its number at the end of a line.
+# A non-breaking space keeps the sign with its number.
 PERCENT = "\u00a0%"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -51,7 +51,7 @@ def label(quantity: str) -> str:
 
 
 def with_unit(value: float, quantity: str) -> str:
-    """A limit with its unit, as it was written."""
+    """A limit with its unit."""
     return f"{value:.6g} {UNITS.get(quantity, '')}".replace("-", "−").strip()
 
 
@@ -67,7 +67,7 @@ def limit_words(limit: Limit) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent, with the digits that tell it from 0 and 100 %."""
+    """A share in percent, with enough digits to distinguish it from 0 and 100 %."""
     if math.isnan(share):
         return "–"
     digits = 1 if 0.001 <= share <= 0.999 or share in (0.0, 1.0) else 2
@@ -100,18 +100,18 @@ def main_cause(total: Yield, bars: Pareto) -> str:
         return "No device failed."
     first = bars.limits[0]
     if first.failed == 0:
-        return "Several limits together, none of them improbable on its own."
+        return "Several limits in combination; none of them alone."
     return f"{label(first.limit.quantity).capitalize()} {side(first)}"
 
 
 def cause_sentence(bars: Pareto) -> str:
-    """How many failed devices the main cause explains, with the interval of its share; empty where none failed."""
+    """How many failed devices the main cause explains, with the interval of its share; empty if none failed."""
     if bars.failed == 0 or bars.limits[0].failed == 0:
         return ""
     first = bars.limits[0]
     of = "the one failed device" if bars.failed == 1 else f"the {bars.failed} failed devices"
     share = percent_range(first.share.low, first.share.high)
-    alone = f", {first.alone} of them nothing else" if bars.failed > 1 else ""
+    alone = f", {first.alone} of them no other limit" if bars.failed > 1 else ""
     return (
         f"{first.failed} of {of} break this limit ({percent(first.failed / bars.failed)}, "
         f"95{PERCENT} interval {share}){alone}."
@@ -119,22 +119,22 @@ def cause_sentence(bars: Pareto) -> str:
 
 
 def stage_sentence(stages: Sequence[StageLoss]) -> str:
-    """How many of the truly lost devices fabrication and packaging lost; empty without a truth."""
+    """How many of the truly non-conforming devices were lost in fabrication and in packaging; empty without a truth."""
     if not stages:
         return ""
     whole = stages[0]
     lost = whole.fabrication + whole.packaging
     if lost == 0:
-        return "In truth no device is lost, neither in fabrication nor in packaging."
+        return "According to the virtual truth, no device is lost in fabrication or packaging."
     back = f" Packaging brought {whole.recovered} back inside the limits." if whole.recovered else ""
     return (
-        f"In truth {whole.fabrication} of {lost} lost devices were already outside the limits as fabricated, "
+        f"According to the virtual truth, {whole.fabrication} of {lost} lost devices were outside the limits as fabricated and "
         f"{whole.packaging} ({percent(whole.packaging / lost)}) were lost in packaging.{back}"
     )
 
 
 def undecided_sentence(total: Yield, statuses: Sequence[StatusCount]) -> str:
-    """Why devices are undecided; empty where none is."""
+    """Why devices are undecided; empty if none is."""
     if total.undecided == 0:
         return ""
     unsound = sum(row.devices for row in statuses if row.status != "ok")
@@ -147,7 +147,7 @@ def undecided_sentence(total: Yield, statuses: Sequence[StatusCount]) -> str:
     if close > 0:
         parts.insert(0, f"{close} too close to a limit")
     return (
-        f"Undecided: {', '.join(parts)}. Whichever way they fall, the yield of these devices lies between "
+        f"Undecided: {', '.join(parts)}. However they are decided, the yield of these devices lies between "
         f"{percent(total.bounds[0])} and {percent(total.bounds[1])}."
     )
 
@@ -157,10 +157,10 @@ def process_sentence(clusters: Sequence[Clustering]) -> str:
     told = [one for one in clusters if one.groups >= 3 and one.interval is not None]
     if not told:
         few = [f"{one.groups} {one.by}{'s' if one.groups > 1 else ''}" for one in clusters]
-        return f"{' and '.join(few)}: too few to tell how far the process scatters between them." if few else ""
+        return f"{' and '.join(few)}: too few to estimate the scatter of the process between them." if few else ""
     best = told[-1]
     assert best.interval is not None
     return (
-        f"For the process, {best.by}s as its independent draws ({best.groups} {best.by}s): "
+        f"For the process, with {best.by}s as independent draws ({best.groups} {best.by}s): "
         f"{percent_range(best.interval.low, best.interval.high)}."
     )

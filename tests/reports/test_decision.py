@@ -78,11 +78,11 @@ def test_no_devices_is_no_error_and_missing_or_ragged_draws_are() -> None:
     assert decide(SPLIT, {"split_hz": np.empty((0, 10))}, []).verdict == ()
     with pytest.raises(UsageError, match="no values of a limited quantity"):
         decide(BOTH, {"split_hz": np.ones((1, 10))}, ["ok"])
-    with pytest.raises(UsageError, match="one shape"):
+    with pytest.raises(UsageError, match="different shapes"):
         decide(SPLIT, {"split_hz": np.ones((2, 10))}, ["ok"])
-    with pytest.raises(UsageError, match="one shape"):
+    with pytest.raises(UsageError, match="different shapes"):
         decide(SPLIT, {"split_hz": np.ones((1, 0))}, ["ok"])
-    with pytest.raises(UsageError, match="one shape"):
+    with pytest.raises(UsageError, match="different shapes"):
         decide(BOTH, {"split_hz": np.ones((1, 10)), "theta_deg": np.ones((1, 9))}, ["ok"])
 
 

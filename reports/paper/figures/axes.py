@@ -18,7 +18,7 @@ _SHADES = (ACCENT, COLOURS["fail"], TRUTH)
 
 
 def thetas(estimates: Mapping[str, FloatArray], name: str = "thetas") -> str:
-    """The four estimates of theta, a row a source."""
+    """The four estimates of theta, one row per source."""
     with style():
         figure = Figure(figsize=(WIDTH, 2.4), layout="constrained")
         axes = figure.subplots()
@@ -57,7 +57,7 @@ def orders(view: OrderView, name: str = "orders") -> str:
             panels[0].plot(view.order, error, marker=marker, ls=dash, color=colour, ms=4, label=label)
             gap = 1e3 * np.abs(split - view.true_split_hz)
             panels[1].plot(view.order, gap, marker=marker, ls=dash, color=colour, ms=4)
-            # The reference itself differs from itself by nothing, which no logarithm shows.
+            # The reference order has zero change, which a logarithmic axis cannot show.
             other = view.order < view.order[-1]
             panels[2].plot(view.order[other], phase[other], marker=marker, ls=dash, color=colour, ms=4)
         for axes, label in zip(

@@ -22,7 +22,7 @@ _COLUMNS = 700
 
 
 def _envelope(time_s: FloatArray, volts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Time, least and greatest of as many pieces as a figure has columns."""
+    """Time, minimum and maximum of as many segments as the figure has pixel columns."""
     size = max(1, volts.size // _COLUMNS)
     count = volts.size // size
     pieces = volts[: count * size].reshape(count, size)
@@ -79,7 +79,7 @@ def broadband(view: ResponseView, name: str = "figure-5") -> str:
 
 
 def zoomed(view: ResponseView, name: str = "figure-6") -> str:
-    """Magnitude and phase around the rocking modes and around the up-down mode: order 40, six states two ways, eq. (14)."""
+    """Magnitude and phase around the rocking modes and around the up-down mode: order 40, six states by two methods, eq. (14)."""
     gap = int(np.argmax(np.diff(view.narrow_hz))) + 1
     parts = (slice(0, gap), slice(gap, None))
     with style():

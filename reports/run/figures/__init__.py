@@ -1,4 +1,4 @@
-"""The figures of a run's page, from its devices and its content: name -> SVG text, "" where nothing can be drawn."""
+"""The figures of a run's page, from its devices and its content: name -> SVG text, "" if there is nothing to draw."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .route import route_scatter
 from .wafermap import stacked_map, wafer_maps
 from .yields import Span, yield_spans
 
-# Where a chirp leaves doubt, it is among these.
+# The quantities with the strongest posterior correlations after a chirp.
 CORNER = {"theta_deg": "Δ theta", "split_hz": "Δ split", "c12_per_s": "Δ c12", "sense_imbalance": "Δ imbal."}
 
 
@@ -65,7 +65,7 @@ def _corner(k: int, device: WorstDevice, posterior: pa.Table) -> str:
         values, truth = rows.number(name), truths.get(name, float("nan"))
         if not np.isfinite(values).any():
             continue
-        # From the centre, in thousands of the unit: digits that all draws share would crowd the ticks.
+        # Relative to the centre and scaled by powers of a thousand: digits that all draws share would crowd the ticks.
         centre = mean_axis(values) if name in AXES else float(np.nanmean(values))
         values = difference(values, centre) if name in AXES else values - centre
         truth = float(difference(truth, centre)) if name in AXES else truth - centre
@@ -80,7 +80,7 @@ def _corner(k: int, device: WorstDevice, posterior: pa.Table) -> str:
 
 
 def _thousands(sd: float) -> int:
-    """Exponent in steps of three that leaves the sd between 0.2 and 200."""
+    """Power of ten, a multiple of three, that scales the sd to between 0.2 and 200."""
     return 3 * int(np.floor((np.log10(sd) + 0.7) / 3.0)) if sd > 0.0 else 0
 
 

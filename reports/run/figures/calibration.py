@@ -15,7 +15,7 @@ from ..calibration import NOMINAL, Coverage
 
 
 def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") -> str:
-    """Coverage of the 90 % intervals of each (label, coverage), over the band that chance allows."""
+    """Coverage of the 90 % intervals of each (label, coverage), with the 95 % binomial band."""
     with style():
         height = 0.26 * len(rows) + 0.8
         figure = Figure(figsize=(WIDTH, height))

@@ -17,13 +17,13 @@ from ...html.style import ACCENT, TRUTH, style, to_svg
 def corner_plot(
     labels: Sequence[str], draws: FloatArray, truths: Sequence[float], name: str, description: str
 ) -> str | None:
-    """One- and two-dimensional marginals; ``None`` where fewer than two quantities vary or draws are too few.
+    """One- and two-dimensional marginals; ``None`` if fewer than two quantities vary or there are too few draws.
 
     Parameters
     ----------
     labels : Q labels.
-    draws : (n, Q) posterior draws; an axis is given relative to its centre, so that it does not wrap.
-    truths : Q true values in the same terms; nan where unknown.
+    draws : (n, Q) posterior draws; an axis is relative to its centre, so that it does not wrap.
+    truths : Q true values in the same form; nan if unknown.
     """
     draws = draws[np.isfinite(draws).all(axis=1)]
     if draws.shape[0] < 20:
@@ -33,7 +33,7 @@ def corner_plot(
         return None
     chosen = [int(k) for k in np.flatnonzero(moving)]
     sample = draws[:, chosen]
-    # The central 99.5 % with some room; truths far outside are left to the table beside the plot.
+    # The central 99.5 % with a margin; truths far outside appear only in the table beside the plot.
     low, high = np.quantile(sample, [0.0025, 0.9975], axis=0)
     room = 0.15 * np.maximum(high - low, 1e-12)
     with style():

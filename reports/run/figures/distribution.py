@@ -83,7 +83,7 @@ def _histogram(axes: Axes, values: FloatArray, verdict: np.ndarray, limit: Limit
     if values.size:
         low, high = _window(values, limit)
         edges = np.linspace(low, high, int(np.clip(2.5 * values.size ** (1 / 3), 8, 40)) + 1)
-        # What lies beyond the window is counted in its last bars, so that no device is missing.
+        # Values beyond the window count in its last bars, so every device is shown.
         inside = np.clip(values, low, high)
         base = np.zeros(edges.size - 1)
         for kind in COLOURS:
@@ -102,7 +102,7 @@ def _histogram(axes: Axes, values: FloatArray, verdict: np.ndarray, limit: Limit
 
 
 def _window(values: FloatArray, limit: Limit | None) -> tuple[float, float]:
-    """The 1 to 99 % points stretched to hold the limits near them, within the values."""
+    """The 1 to 99 % range, extended to nearby limits but not beyond the values."""
     q01, q99 = np.quantile(values, [0.01, 0.99])
     span = max(q99 - q01, 1e-9 * max(abs(q01), abs(q99), 1e-12))
     low, high = q01 - 0.1 * span, q99 + 0.1 * span
@@ -154,7 +154,7 @@ def _plane(
     theta_limit: Limit | None,
     limit: Limit | None,
 ) -> None:
-    """The anisotropy vector: independent errors of the springs scatter about a point of this plane."""
+    """The anisotropy vector: independent spring errors scatter about a point in this plane."""
     step = max(1, -(-theta.size // POINTS))
     theta, split, verdict = theta[::step], split[::step], verdict[::step]
     reach = 1.1 * float(split.max()) if split.size else 1.0

@@ -1,4 +1,4 @@
-"""The paper's route beside the posterior: error of theta and of the split against the split."""
+"""The paper's route and the posterior: error of theta and of the split against the split."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def route_scatter(
                 axes.plot(x, y, ls="none", marker=marker, ms=3.2, mew=0.7, color=colour, alpha=0.8, label=legend)
             if axes.lines and any(line.get_xdata().size for line in axes.lines):
                 axes.set(xscale="log", yscale="log")
-                # Labels between the decades would run into each other.
+                # Labels between the decades would overlap.
                 axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
                 axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
                 axes.xaxis.set_minor_formatter(NullFormatter())

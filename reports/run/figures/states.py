@@ -1,4 +1,4 @@
-"""Colours of what a model left before, and of what is left after effects were added."""
+"""Colours of the residual before and after effects were added."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ MOST = 12
 def wafer_maps(
     x_mm: FloatArray, y_mm: FloatArray, verdicts: Sequence[str], wafers: Sequence[str], name: str = "wafer-maps"
 ) -> str:
-    """Small multiples, a wafer each, in order of name, the first ``MOST`` of them.
+    """One small map per wafer in order of name, at most ``MOST``.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
 
 
 def _by_radius(axes: Axes, r_mm: FloatArray, passed: BoolArray, radius: float) -> None:
-    # Rings of equal area hold about as many dies each.
+    # Rings of equal area hold about equal numbers of dies.
     edges = radius * np.sqrt(np.linspace(0.0, 1.0, 6))
     ring = np.clip(np.searchsorted(edges, r_mm, side="right") - 1, 0, 4)
     for k in range(5):

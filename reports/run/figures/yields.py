@@ -1,4 +1,4 @@
-"""The yield's uncertainties, one under the other on one scale."""
+"""The uncertainties of the yield on one scale."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...html.style import ACCENT, MUTED, RULE, WIDTH, style, to_svg
 
 @dataclass(frozen=True)
 class Span:
-    """low <= value <= high (shares), by what; ``question`` heads a group of spans."""
+    """low <= value <= high (shares), from one source; ``question`` is the heading of its group."""
 
     question: str
     label: str

@@ -183,15 +183,15 @@ def test_the_content_of_the_synthetic_run_is_what_it_was(synthetic_run: Callable
     assert content.headline.cause == "Quadrature rate outside −600 to 600 deg/s"
     assert content.headline.share == (
         f"88 of the 99 failed devices break this limit (88.9{percent}, 95{percent} interval 81.0 to 94.3{percent}), "
-        "31 of them nothing else."
+        "31 of them no other limit."
     )
     assert content.headline.stage == (
-        f"In truth 76 of 107 lost devices were already outside the limits as fabricated, 31 (29.0{percent}) were lost "
-        "in packaging. Packaging brought 9 back inside the limits."
+        f"According to the virtual truth, 76 of 107 lost devices were outside the limits as fabricated and 31 (29.0{percent}) "
+        "were lost in packaging. Packaging brought 9 back inside the limits."
     )
     assert content.headline.undecided == (
-        "Undecided: 11 too close to a limit, 10 not converged, 3 misfit. Whichever way they fall, the yield of these "
-        f"devices lies between 38.5{percent} and 50.5{percent}."
+        "Undecided: 11 too close to a limit, 10 not converged, 3 misfit. However they are decided, the yield of "
+        f"these devices lies between 38.5{percent} and 50.5{percent}."
     )
     assert [(one.by, one.groups) for one in content.clusters] == [("wafer", 4), ("lot", 2)]
     assert [file.name for file in content.files] == ["devices-00000.parquet"]

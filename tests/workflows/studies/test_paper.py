@@ -8,10 +8,10 @@ import pytest
 
 from reports.paper.content import PaperContent, PrintedNumber
 from reports.paper.page import deviation, ours, printed, render_paper
-from workflows.studies.paper.devices import TermSizes
+from workflows.studies.paper.devices import StudySizes
 from workflows.studies.paper.page import write_paper
 
-SMALL = TermSizes(orders=(20, 40), splits_hz=(0.1, 1.9), shares=(0.0, 0.5), noises=4)
+SMALL = StudySizes(orders=(20, 40), splits_hz=(0.1, 1.9), shares=(0.0, 0.5), noises=4)
 
 
 @pytest.fixture(scope="module")
