@@ -40,10 +40,10 @@ def stream(
     json : one object at the end instead of lines.
     campaign : folder whose campaign.toml gives instrument, noise and demodulation.
     sigma_v : noise of both senses [V]; else from the campaign's silent record, else from the silence before the drive.
-    limits : limits and rule (TOML); the shipped ones without it.
+    limits : limits and rule (TOML); default: the shipped ones.
     every_s : time between estimates [s].
     order : of the lattice.
-    patience_s : a file that has not grown for so long has ended [s].
+    patience_s : a file that has not grown for this time has ended [s].
     decide : stop at the first verdict.
     """
     for name, value in (
@@ -54,7 +54,7 @@ def stream(
         if not value > 0.0:
             raise UsageError(f"{name} must be positive", value=value, allowed="above 0", next_step="correct it")
     if not 10 <= order <= 80:
-        raise UsageError("no such order of the lattice", value=order, allowed="10 to 80", next_step="use 40")
+        raise UsageError("invalid order of the lattice", value=order, allowed="10 to 80", next_step="use 40")
     folder = source if campaign is None and source.is_dir() else campaign
     known = None if folder is None else read_measurement(folder)
     if known is not None and not isinstance(known, Campaign):
@@ -84,7 +84,7 @@ def stream(
             "the record ended before the drive started",
             value=str(source),
             allowed="a record in which both drives act",
-            next_step="check that something writes it, or raise --patience",
+            next_step="check that the file is being written, or raise --patience",
         )
     verdict = {
         "verdict": "undecided" if decided is None else decided.verdict,

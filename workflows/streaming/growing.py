@@ -1,4 +1,4 @@
-"""A record that is still being written, as blocks of samples: lines of a growing file or of standard input, or a whole file.
+"""A record as blocks of samples: from a growing file, from standard input, or from a complete file.
 
 The header names the columns: time_s, drive1_V, drive2_V, sense1_V, sense2_V in any order; others are ignored.  Only whole
 lines are read, so a writer may be interrupted at any byte.
@@ -28,7 +28,7 @@ _POLL_S = 0.05
 
 @dataclass(frozen=True)
 class _Table:
-    """Where the lines come from, their column names, separator and decimal point, and how many lines were read."""
+    """Source of the lines, their column names, separator and decimal point, and the number of lines read."""
 
     name: str
     columns: tuple[str, ...]
@@ -44,11 +44,11 @@ def record_blocks(source: Path | TextIO, sample_rate_hz: float | None, patience_
     ----------
     source : file (CSV may grow; other formats are whole) or an open text stream, read until it closes.
     sample_rate_hz : declared f_s; ``None`` takes it from the time stamps of the first block.
-    patience_s : a file that has not grown for so long has ended [s].
+    patience_s : a file that has not grown for this time has ended [s].
 
     Raises
     ------
-    MeasurementError : a line that is no sample, a gap in time, or no columns of a record.
+    MeasurementError : a line that is not a sample, a gap in time, or missing columns.
     """
     if isinstance(source, Path) and existing(source).suffix.lower() not in _TEXT:
         if source.suffix.lower() not in FORMATS:
@@ -74,7 +74,7 @@ def _cut(record: Record) -> Iterator[Record]:
 
 
 def _growing(path: Path, patience_s: float) -> Iterator[str]:
-    """Whole lines of a file as they are written; the end of the file is the end after ``patience_s`` without growth."""
+    """Complete lines of a file as they are written; the file has ended after ``patience_s`` without growth."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rest, waited = "", 0.0
@@ -109,14 +109,14 @@ def _header(lines: Iterator[str], name: str) -> tuple[_Table, list[str]]:
             f"{name}: the first line does not name the columns of a record",
             value=header[:80],
             allowed="time_s,drive1_V,drive2_V,sense1_V,sense2_V, each once",
-            next_step="write the names on the first line",
+            next_step="write the column names on the first line",
         )
     decimal = "," if delimiter != "," and "," in first else "."
     return _Table(name, columns, delimiter, decimal), [first] if first.strip() else []
 
 
 def _batched(held: list[str], lines: Iterator[str]) -> Iterator[list[str]]:
-    """Lists of BLOCK lines; the last is longer rather than too short to be a record of its own."""
+    """Lists of BLOCK lines; the last may be longer, so that no block is too short for a record."""
     waiting, rows = list[str](), held
     for line in lines:
         if not line.strip():
@@ -144,7 +144,7 @@ def _block(
             numbers[i] = np.array(text.split(table.delimiter), dtype=np.float64)
         except ValueError:
             raise MeasurementError(
-                f"{table.name}: line {table.rows + 2 + i} is no sample",
+                f"{table.name}: line {table.rows + 2 + i} is not a sample",
                 value=row.strip()[:80],
                 allowed=f"{len(table.columns)} numbers: {', '.join(table.columns)}",
                 next_step="correct the line, or stop the record before it",
@@ -157,6 +157,6 @@ def _block(
             f"{table.name}: time jumps before line {table.rows + 2}",
             value=f"{first - last_time:.6g} s",
             allowed=f"{1.0 / record.sample_rate_hz:.6g} s",
-            next_step="stop the record before the gap: gaps cannot be filled in",
+            next_step="stop the record before the gap: gaps cannot be filled",
         )
     return record, last

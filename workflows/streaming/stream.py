@@ -25,13 +25,13 @@ from reports.decision import Verdict, decide
 from reports.limits import Limits
 
 _SEED = 1
-#: Share of an interval below which the samples left at the end are not worth an estimate of their own.
+#: Share of an interval below which the remaining samples at the end give no estimate of their own.
 _REST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What is known before the record starts; ``instrument`` ``None``: the default at the rate of the time stamps."""
+    """Prior knowledge of the bench; ``instrument`` ``None``: the default at the sample rate of the time stamps."""
 
     settings: StreamSettings
     instrument: Instrument | None
@@ -42,7 +42,7 @@ class Bench:
 
 @dataclass(frozen=True, eq=False)
 class StreamStep:
-    """One estimate: what the data so far say, the verdict they warrant, and the lattice's own theta and split."""
+    """One estimate from the data so far, its verdict, and theta and split of the lattice."""
 
     snapshot: Snapshot
     p_pass: float
@@ -51,17 +51,17 @@ class StreamStep:
 
 
 def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
-    """Instrument, noise, wiring and demodulation of ``campaign``, so far as it knows them and ``settings`` does not.
+    """Instrument, noise, wiring and demodulation from ``settings``, else from ``campaign``.
 
     Raises
     ------
-    ConfigError : a lag between the channels, which a stream cannot mend.
+    ConfigError : a lag between the channels, which a stream cannot correct.
     """
     if campaign is None:
         return Bench(settings, None, Channels(), RateSettings(), Gate())
     if campaign.channels.lag_samples:
         raise ConfigError(
-            "a stream cannot mend a lag",
+            "a stream cannot correct a lag between channels",
             value=campaign.channels.lag_samples,
             allowed="lag_samples = 0",
             next_step="identify the whole record instead, without --stream",
@@ -81,7 +81,7 @@ def verdict_of(snapshot: Snapshot, limits: Limits) -> tuple[float, Verdict]:
 
 
 def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[StreamStep]:
-    """Estimates of a record while it grows, one where each is due, and one at its end.
+    """Estimates of a growing record at regular intervals, and one at its end.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Study: are the estimates as good as the data allow, and the intervals honest?
+"""Study of the efficiency of the estimates and the coverage of the intervals.
 
 On virtual devices at a signal-to-noise ratio of 60 dB (rms of the 2 s window over white sigma):
 
@@ -41,7 +41,7 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class Row:
-    """One device: true split, status, errors in sds of the bound, whether the truth is inside, size of the posterior."""
+    """One device: true split, status, errors in units of the Cramer-Rao sd, coverage, size of the posterior."""
 
     split_hz: float
     status: str
@@ -80,7 +80,7 @@ def study_config(seed: int, devices: int) -> RunConfig:
 
 
 def with_small_splits(drawn: Draw, seed: int) -> Draw:
-    """The same devices with split log-uniform in 0.02 to 0.5 Hz, device by device."""
+    """The same devices, each with a split drawn log-uniformly from 0.02 to 0.5 Hz."""
     uniform = [
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPLIT_STREAM, int(n)))).uniform()
         for n in drawn.index
@@ -112,7 +112,7 @@ def bound_sd(config: RunConfig, physical: FloatArray, sigma_v: FloatArray) -> tu
 
 
 def study_block(job: tuple[RunConfig, Splits], span: tuple[int, int]) -> list[Row]:
-    """Rows of the devices first .. first + count - 1."""
+    """Rows of the devices first .. first + count - 1, where span = (first, count)."""
     config, splits = job
     first, count = span
     with threadpool_limits(limits=1):

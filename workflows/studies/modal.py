@@ -1,9 +1,9 @@
-"""How often noise alone would make a ladder of a modal record as long as the one that was found.
+"""How often noise alone produces a ladder of a modal record as long as the one that was found.
 
     record*  =  model of a rung at its fitted parameters + noise of that rung's own level, residues and poles
-    count    =  rungs that the loop climbs from there, where nothing is missing
+    count    =  rungs that the loop adds although nothing is missing
 
-All that the loop does is inside: the choice of the best of all candidates, pairs, one rung after another.
+The simulation contains the whole loop: selection of the best candidate, pairs, successive rungs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..learning.modal_answers import refine_modal
 
 
 def redrawn(view: ModalProblem, fit: FitResult, rng: np.random.Generator) -> ModalRecord:
-    """A record of the fitted model with noise of the level that the fit leaves (or that was declared)."""
+    """A record of the fitted model plus noise at the level of the fit's residual, or at the declared level."""
     modes = view.modes({name: value for name, (value, _) in fit.parameters.items()})
     unit, pole_unit = view.noise(fit)
     c = modes.c + unit[:, 1] * rng.standard_normal(modes.c.shape)
@@ -45,14 +45,14 @@ def rungs_by_chance(
     seed: int = 1,
     model: Model = DEFAULT_COMPARE_MODEL,
 ) -> tuple[int, ...]:
-    """Rungs climbed beyond the true model on ``draws`` records of ``model`` with ``effects``, fitted to ``record``.
+    """Number of rungs added beyond the true model on ``draws`` records of ``model`` with ``effects``, fitted to ``record``.
 
     Parameters
     ----------
     record : measured; its fit is the truth of the draws.
-    effects : of the rung that is taken for the truth.
+    effects : of the rung that serves as the truth.
     draws, seed : of the simulation.
-    model : where the ladder begins.
+    model : the first model of the ladder.
     """
     for effect in effects:
         model = model.with_effect(effect)

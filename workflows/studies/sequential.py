@@ -1,14 +1,14 @@
-"""Study: how short may the test be?
+"""Study of the test duration: sequential test against a fixed one.
 
-Virtual devices of the default population are chirped as ever; a look at the data so far is taken every tenth of a second, and
+Virtual devices of the default population are chirped as in a run, with an interim analysis every tenth of a second:
 
-    sequential   stops at the first look at which P(conform) >= 1 - a (pass) or <= a (fail); undecided at the end of the record
+    sequential   stops at the first interim analysis with P(conform) >= 1 - a (pass) or <= a (fail); else undecided
     fixed T      decides once, after T seconds, by the same rule
 
-    wrong pass   passed, though the truth does not conform (consumer's risk);   wrong fail likewise (producer's risk)
+    wrong pass   passed although the truth does not conform (consumer's risk);   wrong fail likewise (producer's risk)
 
-P(conform) is a posterior probability at every look, so looking often does not by itself raise the error rates above a.
-The lattice's models are those of ``fit_arx`` on the same samples, which is quicker when the whole record is there already.
+P(conform) is a posterior probability, so repeated analyses do not by themselves raise the average error rate above a.
+``fit_arx`` on the same samples gives the model of the lattice and is faster for complete records.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ from ..screening.cluster import cluster, in_parallel
 from ..streaming.stream import verdict_of
 from .coverage import Share
 
-#: The looks [s], the last at the end of the record.
-LOOKS: tuple[float, ...] = tuple(round(0.1 * k, 1) for k in range(3, 31))
+#: Times of the interim analyses [s]; the last is the end of the record.
+ANALYSIS_TIMES_S: tuple[float, ...] = tuple(round(0.1 * k, 1) for k in range(3, 31))
 FIXED: tuple[float, ...] = (2.0, 3.0)
-#: A device is followed until P(conform) is this near to 0 or 1: stricter rules can be tried on the same looks.
+#: A device is followed until P(conform) is this close to 0 or 1, so that stricter rules can use the same analyses.
 _SURE = 0.001
 _STRICTER: tuple[float, ...] = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 _BLOCK = 10
-_STREAM_LOOK = 107
+_STREAM_ANALYSIS = 107
 
 
 @dataclass(frozen=True)
-class Looks:
-    """One device: whether it conforms, P(conform) at each look until it was sure, and at the fixed times (nan: unknown)."""
+class InterimResults:
+    """One device: whether it conforms, P(conform) at each interim analysis, and at the fixed times (nan: unknown)."""
 
     conforms: bool
     p_pass: tuple[float, ...]
@@ -74,7 +74,7 @@ def _band(config_key: bytes, samples: int) -> tuple[Band, FloatArray]:
     return band, nuisance_basis(band, config.line_hz())
 
 
-def _look(
+def _analyse(
     config: RunConfig, fit_v: FloatArray, filtered: FloatArray, sigma_v: FloatArray, samples: int, gain: float,
     previous: FloatArray | None, seed: np.random.SeedSequence,
 ) -> Snapshot:  # fmt: skip
@@ -96,24 +96,24 @@ def _look(
     return snapshot(data, sigma_v, previous, starts, rate_of(config, gain), config.gate.gate(), seed)
 
 
-def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, limits: Limits) -> Looks:
-    """All looks at device i of a draw until P(conform) is sure, and those of the fixed tests."""
+def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, limits: Limits) -> InterimResults:
+    """All interim analyses of device i of a draw until P(conform) is close to 0 or 1, and those of the fixed tests."""
     instrument = config.instrument.instrument()
     silent, fit_v, _ = virtual_records(config, drawn, i)
     sigma_v = silent_sigma(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
     drive = shared_record(config).record.drive_v
     b = config.identification
     filtered = bandpass(np.concatenate([fit_v, drive], axis=1), instrument.sample_rate_hz, b.low_hz, b.high_hz)
-    seeds = np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM_LOOK, int(drawn.index[i])))
+    seeds = np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM_ANALYSIS, int(drawn.index[i])))
     p_pass: list[float] = []
     fixed: dict[float, float] = {}
     previous: FloatArray | None = None
-    for time_s, seed in zip(LOOKS, seeds.spawn(len(LOOKS))):
+    for time_s, seed in zip(ANALYSIS_TIMES_S, seeds.spawn(len(ANALYSIS_TIMES_S))):
         sure = bool(p_pass) and min(p_pass[-1], 1.0 - p_pass[-1]) <= _SURE
         if sure and time_s not in FIXED:
             continue
         samples = round(time_s * instrument.sample_rate_hz)
-        found = _look(config, fit_v, filtered, sigma_v, samples, angular_gain, previous, seed)
+        found = _analyse(config, fit_v, filtered, sigma_v, samples, angular_gain, previous, seed)
         previous = found.x
         p, _ = verdict_of(found, limits)
         if not sure:
@@ -124,10 +124,10 @@ def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, 
     rate = rate_of(config, angular_gain)
     truth = quantities_of(physical, angular_gain, rate.phase_error_deg, rate.drive)
     truth["split_hz"] = np.asarray(drawn.true["split_hz"][i])
-    return Looks(bool(conforms(limits, truth)), tuple(p_pass), fixed)
+    return InterimResults(bool(conforms(limits, truth)), tuple(p_pass), fixed)
 
 
-def study_block(config: RunConfig, span: tuple[int, int]) -> list[Looks]:
+def study_block(config: RunConfig, span: tuple[int, int]) -> list[InterimResults]:
     """The devices first .. first + count - 1."""
     first, count = span
     with threadpool_limits(limits=1):
@@ -136,8 +136,8 @@ def study_block(config: RunConfig, span: tuple[int, int]) -> list[Looks]:
         return [examine_device(config, drawn, i, float(spec.angular_gain), config.judged_by()) for i in range(count)]
 
 
-def run_sequential_study(devices: int, seed: int, workers: int) -> list[Looks]:
-    """The looks at all devices, in the order in which their blocks were done.
+def run_sequential_study(devices: int, seed: int, workers: int) -> list[InterimResults]:
+    """The interim analyses of all devices, in the order in which their blocks finished.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def run_sequential_study(devices: int, seed: int, workers: int) -> list[Looks]:
         raise UsageError("no devices to study", value=devices, allowed="1 or more")
     config = load_config(None, {"seed": seed, "devices": devices})
     spans = [(first, min(_BLOCK, devices - first)) for first in range(0, devices, _BLOCK)]
-    found: list[Looks] = []
+    found: list[InterimResults] = []
     with cluster(min(worker_count(workers), len(spans)), None) as client:
         for rows in in_parallel(client, study_block, config, spans):
             found += rows
@@ -156,7 +156,7 @@ def run_sequential_study(devices: int, seed: int, workers: int) -> list[Looks]:
 
 @dataclass(frozen=True)
 class Test:
-    """What a test did: mean duration [s], and shares of all devices."""
+    """Result of a test: mean duration [s], and shares of all devices."""
 
     mean_s: float
     wrong_pass: Share
@@ -170,7 +170,7 @@ def _verdict(p: float, a: float) -> Verdict:
     return "fail" if p <= a else "undecided"
 
 
-def _tested(rows: Sequence[Looks], verdicts: Sequence[Verdict], seconds: Sequence[float]) -> Test:
+def _tested(rows: Sequence[InterimResults], verdicts: Sequence[Verdict], seconds: Sequence[float]) -> Test:
     n = len(rows)
     wrong_pass = sum(v == "pass" and not row.conforms for v, row in zip(verdicts, rows))
     wrong_fail = sum(v == "fail" and row.conforms for v, row in zip(verdicts, rows))
@@ -178,25 +178,25 @@ def _tested(rows: Sequence[Looks], verdicts: Sequence[Verdict], seconds: Sequenc
     return Test(float(np.mean(seconds)), Share(wrong_pass, n), Share(wrong_fail, n), Share(undecided, n))
 
 
-def fixed_test(rows: Sequence[Looks], time_s: float, a: float) -> Test:
+def fixed_test(rows: Sequence[InterimResults], time_s: float, a: float) -> Test:
     """One decision after ``time_s`` seconds, one of ``FIXED``, at the thresholds a and 1 - a."""
     return _tested(rows, [_verdict(row.fixed[time_s], a) for row in rows], [time_s] * len(rows))
 
 
-def sequential_test(rows: Sequence[Looks], a: float) -> Test:
-    """The decision at the first look beyond a or 1 - a."""
+def sequential_test(rows: Sequence[InterimResults], a: float) -> Test:
+    """The decision at the first interim analysis beyond a or 1 - a."""
     verdicts: list[Verdict] = []
     seconds = []
     for row in rows:
-        decided = [(_verdict(p, a), t) for p, t in zip(row.p_pass, LOOKS) if _verdict(p, a) != "undecided"]
-        verdict, time_s = decided[0] if decided else ("undecided", LOOKS[-1])
+        decided = [(_verdict(p, a), t) for p, t in zip(row.p_pass, ANALYSIS_TIMES_S) if _verdict(p, a) != "undecided"]
+        verdict, time_s = decided[0] if decided else ("undecided", ANALYSIS_TIMES_S[-1])
         verdicts.append(verdict)
         seconds.append(time_s)
     return _tested(rows, verdicts, seconds)
 
 
-def as_good_as(rows: Sequence[Looks], fixed: Test) -> tuple[float, Test] | None:
-    """The loosest threshold a at which the sequential test errs no more often than ``fixed``, both ways; and that test."""
+def as_good_as(rows: Sequence[InterimResults], fixed: Test) -> tuple[float, Test] | None:
+    """The loosest threshold a at which neither error rate of the sequential test exceeds that of ``fixed``; and that test."""
     for a in _STRICTER:
         test = sequential_test(rows, a)
         if test.wrong_pass.count <= fixed.wrong_pass.count and test.wrong_fail.count <= fixed.wrong_fail.count:
@@ -204,13 +204,13 @@ def as_good_as(rows: Sequence[Looks], fixed: Test) -> tuple[float, Test] | None:
     return None
 
 
-def figures(rows: Sequence[Looks], a: float) -> dict[str, Any]:
-    """The figures of the study by name, the rule's thresholds being a and 1 - a."""
+def figures(rows: Sequence[InterimResults], a: float) -> dict[str, Any]:
+    """The figures of the study by name, for the thresholds a and 1 - a."""
     two = fixed_test(rows, 2.0, a)
     out: dict[str, Any] = {"devices": len(rows), "conforming": Share(sum(r.conforms for r in rows), len(rows))}
     tests = {"sequential": sequential_test(rows, a), "fixed 2 s": two, "fixed 3 s": fixed_test(rows, 3.0, a)}
     if (same := as_good_as(rows, two)) is not None:
-        tests[f"sequential at {same[0]:g}, errs no more than fixed 2 s"] = same[1]
+        tests[f"sequential at {same[0]:g}, no more errors than fixed 2 s"] = same[1]
     for name, test in tests.items():
         out[f"{name}: mean duration, s"] = test.mean_s
         out[f"{name}: wrong pass"] = test.wrong_pass

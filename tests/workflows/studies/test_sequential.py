@@ -4,17 +4,25 @@ import math
 
 from reports.limits import DEFAULT_LIMITS
 from workflows.config import load_config
-from workflows.studies.sequential import LOOKS, Looks, as_good_as, figures, fixed_test, sequential_test, study_block
+from workflows.studies.sequential import (
+    ANALYSIS_TIMES_S,
+    InterimResults,
+    as_good_as,
+    figures,
+    fixed_test,
+    sequential_test,
+    study_block,
+)
 
 NAN = math.nan
 
 
-def rows() -> list[Looks]:
+def rows() -> list[InterimResults]:
     return [
-        Looks(True, (NAN, 0.97, 0.999), {2.0: 1.0, 3.0: 1.0}),
-        Looks(False, (0.96, 0.5, 0.0), {2.0: 0.0, 3.0: 0.0}),
-        Looks(False, (0.5, 0.01, 0.0), {2.0: 0.0, 3.0: 0.0}),
-        Looks(True, (0.5,) * len(LOOKS), {2.0: 0.5, 3.0: 0.5}),
+        InterimResults(True, (NAN, 0.97, 0.999), {2.0: 1.0, 3.0: 1.0}),
+        InterimResults(False, (0.96, 0.5, 0.0), {2.0: 0.0, 3.0: 0.0}),
+        InterimResults(False, (0.5, 0.01, 0.0), {2.0: 0.0, 3.0: 0.0}),
+        InterimResults(True, (0.5,) * len(ANALYSIS_TIMES_S), {2.0: 0.5, 3.0: 0.5}),
     ]
 
 

@@ -86,7 +86,7 @@ def test_theta_and_split_come_with_their_uncertainty_and_the_verdict_with_its_ti
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda rows: [*rows[:700], "0.07,what,0,0,0\n", *rows[700:1200]], "line 701 is no sample"),
+        (lambda rows: [*rows[:700], "0.07,what,0,0,0\n", *rows[700:1200]], "line 701 is not a sample"),
         (lambda rows: [*rows[:700], *rows[900:2000]], "samples are missing"),
         (lambda rows: [*rows[:513], *rows[600:2000]], "time jumps"),
         (lambda rows: rows[1:1000], "does not name the columns"),
