@@ -136,6 +136,12 @@ class TermParameter:
     reach: float = np.inf
     side: int = 0
 
+    @classmethod
+    def with_range(cls, name: str, unit: str, null: float, low: float, high: float) -> TermParameter:
+        """A parameter with the declared range [low, high]."""
+        side = 1 if low == null else (-1 if high == null else 0)
+        return cls(name, unit, null, max(abs(high - null), abs(low - null)), side)
+
 
 @dataclass(frozen=True)
 class Candidate:

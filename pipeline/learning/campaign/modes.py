@@ -1,11 +1,13 @@
-"""The scan for one more mode: its frequency and damping do not exist at its null, and a narrow mode wants a fine grid.
+"""The scan for an additional mode over a grid of frequency and damping ratio, which do not exist at its null.
 
-    H(s) = s / (s^2 + 2 zeta w s + w^2)            (w / (..) where the pick-off sees displacement)
-    Z_{r,d} = sum_w gain[r, d, w] G H b_w,   T = s^T (Z~^T Z~)^-1 s / gamma         free for every drive and sense
+    H(s) = s / (s^2 + 2 zeta w s + w^2)            (w / (..) if the pick-off senses displacement)
+    Z_{r,d} = sum_w gain[r, d, w] G H b_w,   delta_chi2 = s^T (Z~^T Z~)^-1 s,   s = Z~^T r~        free for every drive and sense
 
-in the bins around the mode, the baseline projected out: a fall of chi2 with S D degrees of freedom a point of the grid.
-Complex bins are held as pairs of real numbers, the real part of z^* x is then a product of real matrices.
-Shapes: R records, N samples, F bins, S senses, D drives, W waveforms, p columns of the baseline.
+G is the anti-alias filter and b_w the spectrum of waveform w; the baseline is projected out of Z and r.  A grid point has
+S D degrees of freedom.  Only the bins around the mode are used, so that a narrow mode can have a fine grid.
+Complex bins are held as pairs of real numbers, so that the real part of z^* x is a product of real matrices.
+
+Shapes: R records, N samples, F bins, S senses, D drives, W waveforms, P poles, K grid points, p columns of the baseline.
 """
 
 from __future__ import annotations
@@ -22,51 +24,73 @@ from ...criticism.problem import FitResult, LocalCandidate
 from ...criticism.projection import Baseline, baseline
 from ...device.readout import plain_readout
 from ...experiment.antialias import filter_poles
-from ...experiment.forward.drive_groups import DriveGroup
+from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of
 from ...experiment.forward.modal_bank import hold_gains
 from ...experiment.instrument import Instrument
+from ...experiment.record import Campaign
 
 NAME = "parasitic_mode"
-#: zeta, step of the grid as a share of the frequency, margins around the driven band (share of its edges).
+#: Wide and narrow modes: zeta, relative step of the grid, margin around the driven band (as a share of its edges).
 _WIDE = (1e-2, 0.02, 1e9)
 _NARROW = (1.5e-3, 0.003, 0.05)
 _LOW_HZ = 300.0
-#: Bins in which a waveform has this share of its strongest are driven.
+#: Share of Nyquist up to which a mode is scanned: nearer to it a mode cannot be distinguished from its alias.
+_BELOW_NYQUIST = 0.95
+#: A bin is driven if a waveform has at least this share of its largest amplitude there.
 _DRIVEN = 0.05
-#: A mode is followed to where it has this share of its peak.
-_SEEN = 2e-2
-#: Neighbours of the grid that are scored at once: they share most of their bins.
-_TOGETHER = 4
-#: Points of the grid that are followed at once.
-_AT_ONCE = 16
+#: Share of the peak down to which the response of a mode is kept.
+_KEPT = 2e-2
+#: Neighbouring grid points that are scored together, because they share most of their bins.
+_SCORED = 4
+#: Grid points whose responses are computed together.
+_COMPUTED = 16
 
 
 @dataclass(frozen=True, eq=False)
 class ScanPoint:
-    """A mode of the grid: its first bin, and its answer (W, bins) there to each waveform, scaled like the rows."""
+    """A mode of the grid: frequency, damping ratio, first bin, and response (W, bins) to each waveform, scaled as the rows."""
 
     f_hz: float
     zeta: float
     first: int
-    answer: ComplexArray
+    response: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """The grid of one play and the places of its records."""
+    """The grid for one drive group: indices of its records, gains (R, D, W) of the waveforms, grid points."""
 
     places: tuple[int, ...]
     gains: FloatArray
     points: tuple[ScanPoint, ...]
 
     @property
-    def mixed(self) -> FloatArray:
-        """(W, D R): how much of each waveform a drive plays in each record."""
+    def mixing(self) -> FloatArray:
+        """(W, D R): the amplitude of each waveform in each drive of each record."""
         return np.asarray(self.gains.transpose(2, 1, 0).reshape(self.gains.shape[2], -1))
 
 
-def grid_of(groups: Sequence[DriveGroup], top_hz: float) -> list[tuple[float, float]]:
-    """(f, zeta) of the grid: wide modes up to ``top_hz``, narrow ones in the driven band."""
+def mode_scans(campaign: Campaign, bins: Sequence[int], top_hz: float, displacement: bool) -> tuple[Scan, ...]:
+    """The scan of each drive group of the fit records.
+
+    Parameters
+    ----------
+    campaign : its fit records.
+    bins : number of bins above zero of each fit record.
+    top_hz : highest frequency of a mode [Hz].
+    displacement : whether the pick-off senses displacement rather than velocity.
+    """
+    records = campaign.with_role("fit")
+    groups = drive_groups_of(records, campaign.instrument, campaign.angular_gain)
+    top_hz = min(top_hz, _BELOW_NYQUIST * 0.5 * records[0].sample_rate_hz)
+    grid = _grid([group for _, group in groups], top_hz)
+    return tuple(
+        _scan(places, group, campaign.instrument, bins[places[0]], grid, displacement) for places, group in groups
+    )
+
+
+def _grid(groups: Sequence[DriveGroup], top_hz: float) -> list[tuple[float, float]]:
+    """(f [Hz], zeta): wide modes up to ``top_hz``, narrow ones in the driven band."""
     low, high = np.inf, 0.0
     for group in groups:
         frequency = np.fft.rfftfreq(group.waveforms.shape[1], group.clock.step_s)
@@ -82,7 +106,7 @@ def grid_of(groups: Sequence[DriveGroup], top_hz: float) -> list[tuple[float, fl
     return found
 
 
-def scan_of(
+def _scan(
     places: tuple[int, ...],
     group: DriveGroup,
     instrument: Instrument,
@@ -90,37 +114,37 @@ def scan_of(
     grid: Sequence[tuple[float, float]],
     displacement: bool,
 ) -> Scan:
-    """What the modes of ``grid`` answer in the first ``bins`` bins above zero of a play."""
+    """The response of every mode of ``grid`` in the first ``bins`` bins above zero of a drive group."""
     samples = group.drives[0].shape[0]
     omega = 2.0 * np.pi * np.arange(1, bins + 1) * group.sample_rate_hz / samples
-    seen = np.ones(bins, dtype=np.complex128)
+    transfer = np.ones(bins, dtype=np.complex128)
     if instrument.antialias is not None:
-        seen = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
-    seen = seen * np.sqrt(2.0 / samples)
+        transfer = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
+    transfer = transfer * np.sqrt(2.0 / samples)
     points: list[ScanPoint] = []
     w, zeta = 2.0 * np.pi * np.array([f for f, _ in grid]), np.array([z for _, z in grid])
     poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
     residues = (w if displacement else poles) / (2j * poles.imag)
     z, now, following = hold_gains(poles, group.clock.step_s, group.clock.hold)
-    # Samples are taken at every ``stride``-th step: their spectrum is the mean of its images.
-    images = np.arange(group.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
-    turn = np.exp(2j * np.pi * images / group.waveforms.shape[1])
-    drives = [fft(waveform)[images] for waveform in group.waveforms]
+    # The samples are every ``stride``-th step of the clock, so their spectrum is the mean of its aliases.
+    aliases = np.arange(group.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
+    phasor = np.exp(2j * np.pi * aliases / group.waveforms.shape[1])
+    drives = [fft(waveform)[aliases] for waveform in group.waveforms]
     held = real_parts(z), real_parts(now), real_parts(following)
-    ends = [re + 1j * im for re, im in (_ends(*held, waveform) for waveform in group.waveforms)]
-    # A few at a time: most of an answer is below what is kept.
-    answers = np.empty((_AT_ONCE, len(ends), bins), dtype=np.complex128)
-    for first in range(0, w.size, _AT_ONCE):
-        of = slice(first, first + _AT_ONCE)
+    ends = [re + 1j * im for re, im in (_end_states(*held, waveform) for waveform in group.waveforms)]
+    # A few at a time, because most of a response is below what is kept.
+    responses = np.empty((_COMPUTED, len(ends), bins), dtype=np.complex128)
+    for first in range(0, w.size, _COMPUTED):
+        of = slice(first, first + _COMPUTED)
         for k, (end, drive) in enumerate(zip(ends, drives)):
             v0 = group.waveforms[k][0]
-            out = answers[: z[of].size, k]
-            _answered(z[of], now[of], following[of], end[of], residues[of], turn, drive, v0, seen, out)
-        for (f, damping), answer in zip(grid[of], answers):
-            size = np.max(np.abs(answer), axis=0, initial=0.0)
-            strong = np.flatnonzero(size > _SEEN * size.max())
+            out = responses[: z[of].size, k]
+            _respond(z[of], now[of], following[of], end[of], residues[of], phasor, drive, v0, transfer, out)
+        for (f, damping), response in zip(grid[of], responses):
+            size = np.max(np.abs(response), axis=0, initial=0.0)
+            strong = np.flatnonzero(size > _KEPT * size.max())
             begin, end_bin = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
-            points.append(ScanPoint(f, damping, begin, np.ascontiguousarray(answer[:, begin:end_bin])))
+            points.append(ScanPoint(f, damping, begin, np.ascontiguousarray(response[:, begin:end_bin])))
     return Scan(places, group.gains, tuple(points))
 
 
@@ -128,8 +152,8 @@ _FAST = {"contract", "reassoc", "nsz"}
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _ends(z: FloatArray, now: FloatArray, following: FloatArray, waveform: FloatArray) -> FloatArray:
-    """State (2, P) one step after x[n + 1] = z x[n] + now v[n] + following v[n + 1] has played a waveform from rest.
+def _end_states(z: FloatArray, now: FloatArray, following: FloatArray, waveform: FloatArray) -> FloatArray:
+    """State (2, P) one step after the end of a waveform that x[n + 1] = z x[n] + now v[n] + following v[n + 1] starts at rest.
 
     Real parts come before imaginary ones; v = 0 after the end.
     """
@@ -144,25 +168,25 @@ def _ends(z: FloatArray, now: FloatArray, following: FloatArray, waveform: Float
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _answered(
+def _respond(
     z: ComplexArray,
     now: ComplexArray,
     following: ComplexArray,
     ends: ComplexArray,
     residues: ComplexArray,
-    turn: ComplexArray,
+    phasor: ComplexArray,
     drive: ComplexArray,
     first_v: float,
-    seen: ComplexArray,
+    transfer: ComplexArray,
     out: ComplexArray,
 ) -> None:
-    """Spectrum (P, F) of 2 Re(residue x), for x of ``_ends``.
+    """Writes the spectrum (P, F) of 2 Re(residue x) to ``out``, for x of ``_end_states``.
 
         X (e^iw - z) = now V + e^iw (following (V - v[0]) - x[N])
 
-    turn, drive: e^iw and V at the images (m, F) of the bins; ``seen`` (F,) multiplies.
+    phasor, drive: e^iw and V at the aliases (m, F) of the bins; transfer (F,): factor of each bin.
     """
-    images, bins = turn.shape
+    aliases, bins = phasor.shape
     for p in range(z.size):
         # Both poles of the pair over one real denominator.
         a, b, c = residues[p] * now[p], residues[p] * following[p], residues[p] * ends[p]
@@ -172,33 +196,32 @@ def _answered(
         d1, d0 = 2.0 * z[p].real, (z[p] * back).real
         for f in range(bins):
             total = 0.0 + 0.0j
-            for m in range(images):
-                e, v = turn[m, f], drive[m, f]
+            for m in range(aliases):
+                e, v = phasor[m, f], drive[m, f]
                 rise = e * (v - first_v)
                 above = (a1 * e - a0) * v + (b1 * e - b0) * rise - (c1 * e - c0) * e
                 below = e * e - d1 * e + d0
                 total += above * np.conj(below) / (below.real * below.real + below.imag * below.imag)
-            out[p, f] = total * seen[f] / images
+            out[p, f] = total * transfer[f] / aliases
 
 
 def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: FloatArray) -> LocalCandidate:
-    """The fall of chi2 that one more mode brings at each point of the grid."""
+    """The decrease of chi2 by an additional mode at each grid point; ``sigma_v`` (S,) is the noise level [V]."""
     base = baseline(fit)
-    ready = [_by_bin(base, scan.places, senses) for scan in scans]
+    stacked = [_by_bin(base, scan.places, senses) for scan in scans]
     drives, p = scans[0].gains.shape[1], base.upper.shape[0]
-
     points = scans[0].points
 
-    def at(first: int) -> tuple[FloatArray, FloatArray]:
-        """Fall and noise level of the points of a group."""
-        together = slice(first, first + _TOGETHER)
+    def scored(first: int) -> tuple[FloatArray, FloatArray]:
+        """Decrease of chi2 and noise level (K,) of the grid points scored together."""
+        together = slice(first, first + _SCORED)
         size = len(points[together])
         score, overlap = np.zeros((size, drives, senses)), np.zeros((size, drives, senses, p))
         gram, level, weight = np.zeros((size, drives, drives)), np.zeros((size, senses)), np.zeros((size, 1))
-        for scan, (residual, basis, gamma) in zip(scans, ready):
-            begin, answer = _side_by_side(scan.points[together])
-            part = slice(begin, begin + answer.shape[1])
-            mixed = (answer @ scan.mixed).reshape(size, answer.shape[1], drives, -1)
+        for scan, (residual, basis, gamma) in zip(scans, stacked):
+            begin, response = _side_by_side(scan.points[together])
+            part = slice(begin, begin + response.shape[1])
+            mixed = (response @ scan.mixing).reshape(size, response.shape[1], drives, -1)
             z = np.ascontiguousarray(np.moveaxis(mixed, 2, 1)).view(np.float64).reshape(size, drives, -1)
             flat, energy = z.reshape(size * drives, -1), np.sum(z**2, axis=1)
             score += (flat @ residual[part].reshape(-1, senses)).reshape(score.shape)
@@ -207,9 +230,9 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
             level += energy @ gamma[part].reshape(-1, senses)
             weight += energy.sum(axis=1, keepdims=True)
         levels = np.max(level / np.maximum(weight, 1e-300), axis=1)
-        return _falls(score, overlap, gram, sigma_v), np.maximum(levels, 1.0)
+        return _delta_chi2(score, overlap, gram, sigma_v), np.maximum(levels, 1.0)
 
-    found = [at(first) for first in range(0, len(points), _TOGETHER)]
+    found = [scored(first) for first in range(0, len(points), _SCORED)]
     delta_chi2s, levels = (np.concatenate(part).tolist() for part in zip(*found))
     return LocalCandidate(
         NAME,
@@ -221,17 +244,20 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
 
 
 def _side_by_side(points: Sequence[ScanPoint]) -> tuple[int, ComplexArray]:
-    """First bin and answers (K, F, W) of neighbours in the bins of any of them."""
+    """First bin and responses (K, F, W) of neighbouring grid points, in the bins of any of them."""
     first = min(point.first for point in points)
-    last = max(point.first + point.answer.shape[1] for point in points)
-    out = np.zeros((len(points), last - first, points[0].answer.shape[0]), dtype=np.complex128)
+    last = max(point.first + point.response.shape[1] for point in points)
+    out = np.zeros((len(points), last - first, points[0].response.shape[0]), dtype=np.complex128)
     for own, point in zip(out, points):
-        own[point.first - first : point.first - first + point.answer.shape[1]] = point.answer.T
+        own[point.first - first : point.first - first + point.response.shape[1]] = point.response.T
     return first, out
 
 
-def _falls(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> FloatArray:
-    """s^T (Z~^T Z~)^-1 s over drives and senses of K points, (K,); the columns of sense k in units of 1/sigma_k."""
+def _delta_chi2(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> FloatArray:
+    """s^T (Z~^T Z~)^-1 s over drives and senses (K,); the columns of sense k are in units of 1/sigma_k.
+
+    score (K, D, S), overlap (K, D, S, p) with the baseline, gram (K, D, D) before the projection.
+    """
     count, drives, senses = score.shape
     width = drives * senses
     o = (overlap / sigma_v[:, None]).reshape(count, width, -1)
@@ -248,9 +274,9 @@ def _falls(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: Fl
 def _by_bin(base: Baseline, places: Sequence[int], senses: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residual (F, R, 2, S), basis (F, R, 2, S p) and noise level (F, R, 2, S) of some blocks, bin by bin."""
 
-    def stacked(blocks: Sequence[FloatArray]) -> FloatArray:
+    def by_bin(blocks: Sequence[FloatArray]) -> FloatArray:
         """(2 F S, ..) of each record -> (F, R, 2, S ..)."""
         rows = [blocks[i].reshape(2, blocks[i].shape[0] // (2 * senses), -1) for i in places]
         return np.ascontiguousarray(np.moveaxis(np.stack(rows), 2, 0))
 
-    return stacked(base.residual), stacked(base.basis), stacked(base.gamma)
+    return by_bin(base.residual), by_bin(base.basis), by_bin(base.gamma)

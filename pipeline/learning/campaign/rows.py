@@ -1,8 +1,9 @@
-"""The rows of a record: its whitened Fourier coefficients, their noise strata, and what its drive is called.
+"""A fitted campaign as a ``FitResult`` of criticism: whitened Fourier coefficients of its residuals and Jacobian.
 
-A record of N samples becomes, channel by channel, the coefficients sqrt(2/N) (Re, Im) Y(w)/sigma of the bins above zero up to
-``TOP_HZ``: a unitary picture of that part of the data.
-Shapes: N samples, S senses, F bins; rows 2 F, columns S.
+A record becomes, channel by channel, the coefficients sqrt(2/N) (Re, Im) Y(w)/sigma of its bins above zero up to ``TOP_HZ``.
+This is a unitary transform of that part of the data; the bin at zero is the free offset.
+
+Shapes: N samples, S senses, F bins, P free parameters; a block of residuals is (2 F, S), its rows in C order.
 """
 
 from __future__ import annotations
@@ -14,17 +15,24 @@ import numpy as np
 from scipy.fft import rfft
 
 from ...arrays import FloatArray, IntArray
+from ...criticism.problem import FitResult, ResidualBlock
 from ...experiment.record import Campaign, Record
+from ...inference.general.fit import CampaignFit, RecordFit
+from ...inference.general.gauss_newton import Sensitivity
+from ..where.partition import resonances_of
+from .modes import NAME as MODE
 
-#: Above this every effect of the library is as good as silent for drives below 700 Hz.
+#: Upper end of the rows [Hz]: drives below 700 Hz excite hardly anything above it, for any effect of the library.
 TOP_HZ = 2500.0
-#: Lower edges of the bands in which the noise has one level.
+#: Lower edges [Hz] of the bands in which the noise has one level.
 _STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
+#: Two modes overlap if their frequencies differ by less than this many half-widths.
+_APART = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class FourierRows:
-    """Which bins of a record count, and how they are scaled."""
+    """The transform of one record of ``samples`` samples to rows: its ``bins`` (F,) and their frequencies [Hz]."""
 
     samples: int
     bins: IntArray
@@ -44,6 +52,11 @@ class FourierRows:
             out[(*place[:-1], slice(self.bins.size, None), place[-1])] = c.imag
         return out
 
+    def columns(self, jacobian: FloatArray, senses: int) -> FloatArray:
+        """(N S, k) -> (2 F S, k): the rows of each column."""
+        k = jacobian.shape[1]
+        return self(jacobian.T.reshape(k, self.samples, senses)).reshape(k, -1).T
+
 
 def spectra_of(record: Record) -> FourierRows:
     """Bins above zero, up to ``TOP_HZ`` and below Nyquist."""
@@ -55,13 +68,88 @@ def spectra_of(record: Record) -> FourierRows:
 
 
 def strata_of(spectra: FourierRows, senses: int) -> IntArray:
-    """Noise stratum of each row: band of frequency and channel."""
+    """(2 F S,) noise stratum of each row: frequency band and channel."""
     band = np.digitize(spectra.frequency_hz, _STRATA_HZ) - 1
     both = np.concatenate([band, band])
     return np.asarray((both[:, None] * senses + np.arange(senses)).reshape(-1))
 
 
-def block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
+def fit_result(
+    fitted: CampaignFit,
+    sensitivities: Sequence[Sensitivity],
+    terms: tuple[str, ...],
+    campaign: Campaign,
+    spectra: Sequence[FourierRows],
+    strata: tuple[IntArray, ...],
+) -> FitResult:
+    """The fit of a campaign with some effects, as criticism takes it.
+
+    Parameters
+    ----------
+    fitted, sensitivities : the fit, and for each fit record its columns (N S, P) and those of its initial state, in sigmas.
+    terms : effects in the model beside the given ones.
+    campaign : its records.
+    spectra, strata : of each fit record.
+    """
+    free, noise_known = fitted.model.free, fitted.noise.source != "local"
+    columns = {
+        term: tuple(i for i, name in enumerate(free) if name.startswith(f"{term}.") or _is_quantity(term, name))
+        for term in terms
+    }
+    derived = {}
+    if fitted.theta_deg is not None and fitted.split_hz is not None:
+        derived = {"theta_deg": fitted.theta_deg, "split_hz": fitted.split_hz}
+    blocks = tuple(_block(record, fitted, campaign) for record in campaign.with_role("fit"))
+    return FitResult(
+        fitted.converged and bool(np.isfinite(fitted.chi2)),
+        terms,
+        fitted.parameters,
+        blocks,
+        _jacobians(fitted, sensitivities, spectra),
+        derived=derived,
+        held=tuple(_block(record, fitted, campaign) for record in campaign.with_role("validate")),
+        columns=columns,
+        shifts={term: tuple(_shift(fitted, free[i]) for i in columns[term]) for term in terms},
+        strata=strata,
+        noise_known=noise_known,
+        nuisances=sum(block.nuisances for block in blocks),
+        error={k: v for k, v in fitted.error.items() if v is not None and noise_known},
+        relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
+        noise_bounded=not noise_known,
+        at_limit=tuple(
+            term
+            for term in terms
+            if any(_at_limit(fitted, free[i]) for i in columns[term]) or (term == MODE and _overlaps_resonance(fitted))
+        ),
+    )
+
+
+def _jacobians(
+    fitted: CampaignFit, sensitivities: Sequence[Sensitivity], spectra: Sequence[FourierRows]
+) -> tuple[FloatArray, ...]:
+    """For each fit record (2 F S, P + all initial states): columns of the parameters, then of the initial states."""
+    to_coordinates, senses = _coordinate_jacobian(fitted), fitted.records[0].residual.shape[1]
+    jacobians, starts = [], []
+    for transform, (j, f) in zip(spectra, sensitivities):
+        jacobians.append(transform.columns(j, senses) @ to_coordinates)
+        starts.append(np.zeros((jacobians[-1].shape[0], 0)) if f is None else transform.columns(f, senses))
+    if any(f.shape[1] for f in starts):
+        jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, _block_diagonal(starts))]
+    return tuple(jacobians)
+
+
+def _coordinate_jacobian(fitted: CampaignFit) -> FloatArray:
+    """d smooth coordinates / d parameters (P, P) at the fit."""
+    model, values = fitted.model, fitted.values
+    out = np.zeros((len(model.free), len(model.free)))
+    for i, name in enumerate(model.free):
+        size = max(abs(values[name]), model.by_name[name].scale) * 1e-6
+        pair = [model.to_internal({**values, name: values[name] + sign * size}) for sign in (1.0, -1.0)]
+        out[:, i] = (pair[0] - pair[1]) / (2.0 * size)
+    return out
+
+
+def _block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
     """Columns of single records (n_b, k_b) as columns of all of them (n_b, sum k)."""
     edges = np.cumsum([0, *(part.shape[1] for part in parts)])
     out = []
@@ -72,12 +160,31 @@ def block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
     return out
 
 
-def same_drive(a: Record, b: Record) -> bool:
+def _block(record: Record, fitted: CampaignFit, campaign: Campaign) -> ResidualBlock:
+    mine = next(r for r in fitted.records if r.name == record.name)
+    repeats = [r.name for r in campaign.records if r.role == record.role and _same_drive(r, record)]
+    return ResidualBlock(
+        record.name,
+        spectra_of(record)(mine.residual),
+        _labels(record, campaign),
+        repeat=repeats[0] if len(repeats) > 1 else None,
+        nuisances=_free_amplitudes(mine),
+    )
+
+
+def _free_amplitudes(mine: RecordFit) -> int:
+    """Free amplitudes of a record other than its offsets (the bins at zero) and its initial state (columns of J)."""
+    samples, senses = mine.residual.shape
+    start = 0 if mine.start is None else mine.start.size
+    return samples * senses - mine.dof - senses - start
+
+
+def _same_drive(a: Record, b: Record) -> bool:
     return a.drive_v.shape == b.drive_v.shape and bool(np.array_equal(a.drive_v, b.drive_v))
 
 
-def labels_of(record: Record, campaign: Campaign) -> Mapping[str, str]:
-    """Level, direction and drives of a record, in words that group records."""
+def _labels(record: Record, campaign: Campaign) -> Mapping[str, str]:
+    """Level (relative to the highest of the campaign), sweep direction and active drives of a record."""
     peaks = np.max(np.abs(record.drive_v), axis=0)
     most = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records) or 1.0
     on = [d for d in range(peaks.size) if peaks[d] > 0.01 * most]
@@ -95,3 +202,26 @@ def labels_of(record: Record, campaign: Campaign) -> Mapping[str, str]:
         "direction": direction,
         "drives": "+".join(str(d + 1) for d in on) or "none",
     }
+
+
+def _shift(fitted: CampaignFit, name: str) -> float:
+    """Distance of a parameter from its null; 0 if the parameter does not exist at the null."""
+    parameter = fitted.model.by_name[name]
+    return 0.0 if parameter.grid else fitted.values[name] - parameter.null
+
+
+def _at_limit(fitted: CampaignFit, name: str) -> bool:
+    """Whether a parameter lies at an end of its range that is not its null."""
+    low, high = fitted.model.bounds(name)
+    value, null = fitted.values[name], fitted.model.by_name[name].null
+    return value in (low, high) and value != null
+
+
+def _overlaps_resonance(fitted: CampaignFit) -> bool:
+    """Whether the additional mode lies in the resonance of a plant mode: it then only corrects that mode's residue."""
+    f, zeta = (fitted.values[f"{MODE}.{name}"] for name in ("f", "zeta"))
+    return any(abs(f - other) < _APART * (zeta * f + width) for other, width in resonances_of(fitted.values))
+
+
+def _is_quantity(term: str, name: str) -> bool:
+    return term == "offdiagonal_damping" and name == "c12_per_s"

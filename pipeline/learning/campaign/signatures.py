@@ -1,17 +1,22 @@
-"""Signatures of absent effects in the rows of a campaign, and the candidates that they make.
+"""Signatures of absent effects in the rows of a campaign, the candidates that they make, and generic probes.
 
-Shapes: N samples, S senses, F bins, K columns; rows of a record 2 F S.
+    Z = d model / d parameter / sigma      at the null of the effect, by differences of simulated records
+
+Shapes: N samples, S senses, F bins, k columns of one effect, K of all; the rows of a record are 2 F S.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...criticism.problem import Candidate, TermParameter
+from ...arrays import FloatArray, IntArray
+from ...criticism.problem import Candidate, LocalCandidate, Signatures, TermParameter
+from ...criticism.projection import stratum_grams
 from ...device.effect import Effect
 from ...device.model import Model
 from ...device.parameters import Parameter
@@ -21,25 +26,111 @@ from ...experiment.forward.signatures import Base, Signature, base_of, signature
 from ...experiment.instrument import Instrument
 from ...experiment.record import Record
 from ...inference.general.fit import CampaignFit
-from ...inference.general.residuals import Tasks
+from ...inference.general.free_disturbances import free_shapes
+from ...inference.general.gauss_newton import moved_share
+from ...inference.general.residuals import CampaignResiduals, Tasks
+from .rows import FourierRows
 
 #: Clip levels that are scanned, as shares of the largest sample.
-_LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
-#: A direction enters as (cos a, sin a), so two of them span all.
+_CLIP_LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
+#: A direction enters as (cos a, sin a), so the signatures at two angles span those at all.
 _AXES_DEG = (0.0, 90.0)
+#: Columns for which memory is reserved at once.
+_COLUMNS = 100
 
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """A fitted model from which signatures are taken: the places of its records, play by play, and those records.
+    """A fitted model at which signatures are computed.
 
-    ``rows`` takes volts (k, N, S) of the record at a place to its rows (k, 2 F S); ``peak_v`` is the largest sample.
+    Parameters
+    ----------
+    model : of the fit.
+    groups : for each drive group the indices of its records and its simulated records.
+    rows : takes an index of a record and volts (k, N, S) to rows (k, 2 F S).
+    peak_v : the largest measured sample [V].
     """
 
     model: Model
     groups: tuple[tuple[tuple[int, ...], Base], ...]
     rows: Callable[[int, FloatArray], FloatArray]
     peak_v: float
+
+
+@dataclass(frozen=True, eq=False)
+class KnownSignatures:
+    """Signatures of some effects, and the predicted records at which they were computed.
+
+    Parameters
+    ----------
+    candidates : those of the requested effects that make sense for the model.
+    requested : names of the effects.
+    blocks : for each fit record Z (2 F S, K).
+    grams : Z' Z by noise stratum.
+    predicted_v : (N, S) of each fit record [V] by name.
+    """
+
+    candidates: tuple[Candidate, ...]
+    requested: frozenset[str]
+    blocks: tuple[FloatArray, ...]
+    grams: FloatArray
+    predicted_v: Mapping[str, FloatArray]
+
+    def moved(self, fitted: CampaignFit) -> float:
+        """Relative change (rms) of the predicted fit records since the signatures were computed."""
+        now = fitted.of_role("fit")
+        return moved_share([self.predicted_v[record.name] for record in now], [record.predicted_v for record in now])
+
+
+def known_signatures(
+    problem: CampaignResiduals,
+    fitted: CampaignFit,
+    names: Sequence[str],
+    records: Sequence[Record],
+    spectra: Sequence[FourierRows],
+    strata: Sequence[IntArray],
+    executor: Executor,
+) -> KnownSignatures:
+    """Signatures of the effects ``names`` at a fit; they are computed in parallel by ``executor``.
+
+    ``records``, ``spectra`` and ``strata`` are those of the fit records.
+    """
+    tasks = problem.tasks(records, fitted.values)
+
+    def rows(index: int, y: FloatArray) -> FloatArray:
+        # A free offset is the bin at zero, which is not among the rows.
+        free = tasks.each[index].basis.shape[1] > 1
+        white = problem.whiten(y, tasks.each[index]) if free else y / problem.sigma_v
+        return spectra[index](white).reshape(y.shape[0], -1)
+
+    tangent = tangent_of(fitted, tasks, problem.instrument, records, rows)
+    sizes = [2 * s.bins.size * record.sense_v.shape[1] for s, record in zip(spectra, records)]
+    candidates, blocks = _stacked(executor.map(partial(signature_of, tangent), names), sizes)
+    predicted = {r.name: r.predicted_v for r in fitted.of_role("fit")}
+    return KnownSignatures(candidates, frozenset(names), blocks, stratum_grams(blocks, strata), predicted)
+
+
+def _stacked(
+    signatures: Iterable[tuple[Candidate, list[list[FloatArray]]] | None], sizes: Sequence[int]
+) -> tuple[tuple[Candidate, ...], tuple[FloatArray, ...]]:
+    """Candidates with their cells in common blocks (rows, K), one per record; ``sizes`` are the numbers of rows."""
+    candidates: list[Candidate] = []
+    # Each column is contiguous in memory; pages that are never written to take none.
+    buffers = [np.empty((_COLUMNS, size)) for size in sizes]
+    width = 0
+    for found in signatures:
+        if found is None:
+            continue
+        candidate, columns = found
+        cells = tuple(slice(c.start + width, c.stop + width) for c in candidate.cells)
+        candidates.append(replace(candidate, cells=cells))
+        more = sum(part.shape[0] for part in columns[0])
+        if width + more > buffers[0].shape[0]:
+            buffers = [np.concatenate([old, np.empty((more + _COLUMNS, old.shape[1]))]) for old in buffers]
+        for buffer, own in zip(buffers, columns):
+            np.concatenate(own, out=buffer[width : width + more])
+        width += more
+    return tuple(candidates), tuple(buffer[:width].T for buffer in buffers)
 
 
 def tangent_of(
@@ -49,7 +140,7 @@ def tangent_of(
     records: Sequence[Record],
     rows: Callable[[int, FloatArray], FloatArray],
 ) -> Tangent:
-    """The tangent at a fit; ``tasks`` of its fit ``records`` at its values."""
+    """The tangent at a fit; ``tasks`` are those of its fit ``records`` at its values, ``rows`` as in ``Tangent``."""
     known = {r.name: r.start for r in fitted.records}
     starts = [known[record.name] for record in records]
     groups = tuple(
@@ -61,16 +152,16 @@ def tangent_of(
 
 
 def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArray]]] | None:
-    """The candidate and its columns (k, rows), part by part, of each record; ``None`` where the effect makes no sense."""
+    """The candidate, and for each record its columns (k, 2 F S) by grid point; ``None`` if the effect does not apply."""
     effect = at.model.library[name]
     members = effect.members(at.model.built.shape)
-    turned = next((m.name for m in members if m.per == "direction" or (m.name == "a" and m.grid)), None)
+    angle = next((m.name for m in members if m.per == "direction" or (m.name == "a" and m.grid)), None)
     grid: dict[str, tuple[float, ...]] = {}
-    if turned is not None and len(members) > 1:
-        grid[turned] = _AXES_DEG
+    if angle is not None and len(members) > 1:
+        grid[angle] = _AXES_DEG
     if effect.stages == ("adc",) and len(members) == 1:
-        # A clip level above all samples changes nothing, and one far below them would be plain to see.
-        grid[members[0].name] = tuple(1.0 / (at.peak_v * share) for share in _LEVELS)
+        # A clip level above all samples changes nothing; one far below them would be obvious.
+        grid[members[0].name] = tuple(1.0 / (at.peak_v * share) for share in _CLIP_LEVELS)
     columns: list[list[FloatArray]] = [[] for _ in range(sum(len(places) for places, _ in at.groups))]
     found: list[Signature] = []
     hints: dict[str, float] = {}
@@ -85,28 +176,58 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
                     columns[place].append(own)
     except ConfigError:
         return None
-    return _candidate(effect, members, found, turned), columns
+    return _candidate(effect, members, found, angle), columns
 
 
 def _candidate(
-    effect: Effect, members: Sequence[Parameter], found: Sequence[Signature], turned: str | None
+    effect: Effect, members: Sequence[Parameter], found: Sequence[Signature], angle: str | None
 ) -> Candidate:
-    """The candidate whose columns are those of ``found``, one after the other; directions of one point share a cell."""
+    """The candidate whose columns are those of ``found`` in sequence; the directions of one grid point share a cell."""
     own = [m for m in members if m.name in found[0].names]
-    parameters = [
-        TermParameter(
-            effect.full_name(m),
-            m.unit,
-            m.null,
-            max(abs(m.high - m.null), abs(m.low - m.null)),
-            1 if m.low == m.null else (-1 if m.high == m.null else 0),
-        )
-        for m in own
-    ]
-    together = len(_AXES_DEG) if turned is not None and len(found) % len(_AXES_DEG) == 0 and len(found) > 1 else 1
+    parameters = [TermParameter.with_range(effect.full_name(m), m.unit, m.null, m.low, m.high) for m in own]
+    together = len(_AXES_DEG) if angle is not None and len(found) % len(_AXES_DEG) == 0 and len(found) > 1 else 1
     if together > 1:
         parameters = [replace(p, name=f"{p.name} at {a:g} deg") for a in _AXES_DEG for p in parameters]
     width = len(own) * together
     cells = tuple(slice(i * width, (i + 1) * width) for i in range(len(found) // together))
-    grid = tuple({k: float(v) for k, v in s.point.items() if k != turned} for s in found[::together])
+    grid = tuple({k: float(v) for k, v in s.point.items() if k != angle} for s in found[::together])
     return Candidate(effect.name, tuple(parameters), cells, grid)
+
+
+def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: str) -> LocalCandidate:
+    """The disturbance ``name``, whose amplitudes are free in every fit record and channel."""
+    residuals = {r.name: r.residual for r in fitted.records}
+    shapes = free_shapes(
+        fitted.model.library[name],
+        fitted.model.built.shape,
+        [residuals[record.name] for record in records],
+        [record.sample_rate_hz for record in records],
+    )
+    return LocalCandidate(
+        name,
+        tuple(shape.fall for shape in shapes),
+        tuple(shape.dof for shape in shapes),
+        tuple({f"{name}.{k}": v for k, v in shape.point.items()} for shape in shapes),
+        levels=tuple(shape.level for shape in shapes),
+    )
+
+
+def probe_signatures(
+    problem: CampaignResiduals, fitted: CampaignFit, records: Sequence[Record], spectra: Sequence[FourierRows]
+) -> Signatures:
+    """Generic shapes that almost any missing effect resembles: powers, drifts and crosstalk of the predicted records."""
+    blocks = []
+    count = 0
+    for record, transform in zip(records, spectra):
+        y = next(r for r in fitted.records if r.name == record.name).predicted_v
+        t = np.arange(y.shape[0])[:, None] / record.sample_rate_hz
+        slope = np.gradient(y, axis=0)
+        shapes = [y * t, y**2, y**3, np.abs(y) * y, y**2 * slope, slope, slope * t, y[:, ::-1], np.sign(y)]
+        rows = transform(problem.whiten(np.stack(shapes), problem.task(record, fitted.values)))
+        # Each shape acts in each channel separately.
+        separate = rows[:, None] * np.eye(y.shape[1])[:, None, :]
+        blocks.append(separate.reshape(len(shapes) * y.shape[1], -1).T)
+        count = blocks[-1].shape[1]
+    unit = (TermParameter("amplitude"),)
+    candidates = tuple(Candidate(f"shape {i}", unit, (slice(i, i + 1),)) for i in range(count))
+    return Signatures(candidates, tuple(blocks))
