@@ -1,3 +1,1 @@
-"""What ``check`` looks at: levels, lines and converter of each channel; wiring, lag and hold from the
-response.
-"""
+"""Tests of a campaign before any fit: levels, drives and clock from the samples; wiring, lag and hold from the response."""

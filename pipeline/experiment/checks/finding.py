@@ -1,4 +1,4 @@
-"""What a check found, and the TOML lines that mend it."""
+"""A finding of ``check``, and the lines of campaign.toml that correct it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...toml_files import table
+from ...toml_files import encoded, table
 from ..record import Channels
 
-#: "fault": the campaign must be mended or measured again; "warning": a fit would suffer; "note": good to
-#: know.
+#: "fault": correct the campaign or measure again; "warning": a fit would lose accuracy; "note": for information.
 Severity = Literal["fault", "warning", "note"]
 
 
@@ -20,8 +19,10 @@ Severity = Literal["fault", "warning", "note"]
 class Correction:
     """Keys of campaign.toml to write or replace.
 
-    ``instrument`` and ``channels``: key -> value under that table; ``record``: file -> key -> value in its
-    [[record]].
+    Parameters
+    ----------
+    instrument, channels : key -> value in that table.
+    record : file -> key -> value in the [[record]] of that file.
     """
 
     instrument: dict[str, Any] = field(default_factory=dict)
@@ -32,29 +33,42 @@ class Correction:
         return bool(self.instrument or self.channels or self.record)
 
     def joined(self, other: Correction) -> Correction:
-        """Both mends in one; a key that both write takes ``other``'s value."""
+        """Both corrections in one; where both write a key, ``other`` wins."""
         names = self.record | other.record
         records = {name: self.record.get(name, {}) | other.record.get(name, {}) for name in names}
         return Correction(self.instrument | other.instrument, self.channels | other.channels, records)
 
     @property
     def toml(self) -> str:
-        """The lines to write."""
+        """The lines of campaign.toml."""
         parts = [table("[instrument]", self.instrument), table("[channels]", self.channels)]
         parts += [table("[[record]]", {"file": name, **keys}) for name, keys in self.record.items()]
         return "\n".join(part for part in parts if part)
 
+    @property
+    def advice(self) -> str:
+        """The same as a clause: ``write sense_polarity = [1, -1] under [channels]``; empty without keys."""
+        places = [("under [instrument]", self.instrument), ("under [channels]", self.channels)]
+        places += [(f"in the [[record]] of {name}", keys) for name, keys in self.record.items()]
+        clauses = [
+            f"{' and '.join(f'{name} = {encoded(value)}' for name, value in keys.items())} {where}"
+            for where, keys in places
+            if keys
+        ]
+        return f"write {', and '.join(clauses)}" if clauses else ""
+
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found.
+    """One observation about a campaign.
 
     Parameters
     ----------
-    kind : such as "polarity", "swap", "lag", "hold", "clipping"; what kinds there are says ``check``.
-    text : one sentence for the user, numbers with units.
-    record, channel : where; ``None`` is the whole campaign.
-    value, sd : the number behind it and its standard deviation, in ``unit``; ``None`` where there is none.
+    kind : "polarity", "swap", "lag", "hold", "clipping", ...; the table in ``check`` lists all kinds.
+    severity : how much it matters.
+    text : what was observed, the evidence with units, and what to write into campaign.toml or to check on the bench.
+    record, channel : where it was observed; ``None`` means the whole campaign.
+    value, sd : the measured quantity and its standard deviation, in ``unit``; ``None`` where there is none.
     correction : keys of campaign.toml that remove the fault; empty where no key can.
     """
 
@@ -70,11 +84,11 @@ class Finding:
 
     @property
     def toml(self) -> str:
-        """The lines that mend it, or an empty string."""
+        """The lines of campaign.toml that correct it, or an empty string."""
         return self.correction.toml
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
+        """The finding as a JSON object."""
         shown = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "correction"}
         return shown | {"toml": self.toml}
 
@@ -88,14 +102,21 @@ def _composed(
 ) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
     p, o = polarity or (1,) * count, order or tuple(range(1, count + 1))
     mp, mo = more_polarity or (1,) * count, more_order or tuple(range(1, count + 1))
-    # Column f of the files sits at place o.index(f) of the records that were looked at.
+    # File column f is channel o.index(f) of the records that were checked.
     signs = tuple(p[f] * mp[o.index(f + 1)] for f in range(count))
     places = tuple(o[k - 1] for k in mo)
     return (signs if -1 in signs else None), (places if places != tuple(range(1, count + 1)) else None)
 
 
 def composed(done: Channels, more: Channels, drives: int, senses: int) -> Channels:
-    """The one mend of the files that does ``done`` and then ``more`` (see ``mend.mend``)."""
+    """The single correction of the files that equals ``done`` followed by ``more``.
+
+    Parameters
+    ----------
+    done : applied when the files were read (see ``files.channels.correct``).
+    more : to be applied to the records that resulted.
+    drives, senses : numbers of channels.
+    """
     sense_polarity, sense_order = _composed(
         done.sense_polarity, done.sense_order, more.sense_polarity, more.sense_order, senses
     )
@@ -113,8 +134,9 @@ def composed(done: Channels, more: Channels, drives: int, senses: int) -> Channe
 
 
 def channel_correction(done: Channels, more: Channels, drives: int, senses: int) -> Correction:
-    """The [channels] keys that change when ``more`` is done after ``done``; a key back at its default says
-    so.
+    """The [channels] keys that change when ``more`` follows ``done``; arguments as in ``composed``.
+
+    A key that returns to its default is written out with the default.
     """
     new = composed(done, more, drives, senses)
     default: dict[str, Any] = {

@@ -1,6 +1,8 @@
 """Mains hum: lines at the multiples of 50 or 60 Hz.
 
-a_h = 2 |sum w y exp(-j 2 pi h f t)| / sum w,    local level: rms of the same at h f +- (4 .. 18)/T
+    a_h = 2 |sum w y exp(-j 2 pi h f t)| / sum w        local level: rms of the same at h f +- (4 .. 18)/T
+
+w is a Hann window over the record of duration T.  Shapes: N samples, S senses, H harmonics, F frequencies.  Units: Hz, V.
 """
 
 from __future__ import annotations
@@ -9,30 +11,29 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ..record import Campaign, Record
+from .drives import is_driven
 from .finding import Finding
-from .levels import is_driven
 
 MAINS_HZ = (50.0, 60.0)
 _HARMONICS = 10
-#: Some 80 lines are looked at in a campaign; this many local rms levels keep false alarms below 1e-5 for all
-#: of them.
+#: A line is significant above this many local levels: false-alarm probability below 1e-5 for the 80 lines tested.
 _THRESHOLD = 5.0
-#: Wide enough for some 20 independent frequencies; the window spreads a line over 2.
+#: Offsets of the neighbours from a line [1/T]: about 20 independent frequencies, outside the window's main lobe.
 _NEIGHBOURS = np.concatenate([np.arange(-18.0, -3.0), np.arange(4.0, 19.0)])
 _MIN_DURATION_S = 0.5
 
 
 def _amplitudes(y: FloatArray, frequencies_hz: FloatArray, sample_rate_hz: float) -> FloatArray:
-    """a (F, S) [V] of y (N, S)."""
+    """Amplitudes (F, S) [V] of y (N, S) at ``frequencies_hz`` (F,)."""
     window = np.hanning(y.shape[0])
-    # A whole kernel matrix would be large; the lines are few.
+    # One frequency at a time: the matrix of all exponentials would be large.
     t = np.arange(y.shape[0]) / sample_rate_hz
     sums = [np.abs((window * np.exp(-2j * np.pi * f * t)) @ y) for f in frequencies_hz]
     return np.array(sums) * (2.0 / window.sum())
 
 
 def _lines(record: Record, mains_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Frequencies (H,), amplitudes (H, S) and local levels (H, S) of the harmonics where the drive is quiet."""
+    """Frequencies (H,) [Hz], amplitudes and local levels (H, S) [V] of the harmonics at which no drive acts."""
     y = record.sense_v - record.sense_v.mean(axis=0)
     rate, duration = record.sample_rate_hz, record.duration_s
     harmonics: FloatArray = mains_hz * np.arange(1.0, _HARMONICS + 1.0)
@@ -47,15 +48,13 @@ def _lines(record: Record, mains_hz: float) -> tuple[FloatArray, FloatArray, Flo
 
 
 def hum(campaign: Campaign) -> list[Finding]:
-    """Lines of the mains in the longest silent record, or, without one, beside the drive in the longest
-    record.
-    """
+    """Mains lines in the longest silent record; without one, in the longest record, where no drive acts."""
     silent = [record for record in campaign.records if not is_driven(record)]
     record = max(silent or campaign.records, key=lambda r: r.duration_s)
     if record.duration_s < _MIN_DURATION_S:
         return []
     found = {mains: _lines(record, mains) for mains in MAINS_HZ}
-    # Multiples of 300 Hz belong to both: the mains with more significant lines has them.
+    # Multiples of 300 Hz belong to both mains frequencies; the one with more significant lines gets them.
     counts = {m: int(np.sum(np.any(a > _THRESHOLD * local, axis=1))) for m, (_, a, local) in found.items()}
     mains = max(counts, key=lambda m: (counts[m], float(np.sum(found[m][1] ** 2))))
     frequencies, amplitude, local = found[mains]
@@ -65,13 +64,15 @@ def hum(campaign: Campaign) -> list[Finding]:
         if strong.size == 0:
             continue
         largest = strong[np.argmax(amplitude[strong, k])]
-        lines = ", ".join(f"{frequencies[h]:g} Hz {amplitude[h, k] * 1e3:.3g} mV" for h in strong)
+        lines = ", ".join(f"{amplitude[h, k] * 1e3:.3g} mV at {frequencies[h]:g} Hz" for h in strong)
+        above = amplitude[largest, k] / local[largest, k]
         findings.append(
             Finding(
                 "hum",
                 "warning",
-                f"{mains:g} Hz mains hum in sense{k + 1}: {lines}; mend the wiring, or add the effect"
-                " mains_hum to the model (gyroscreen model add mains_hum MODEL.toml)",
+                f"sense{k + 1} shows {mains:g} Hz mains hum: {lines} (the strongest line is {above:.3g} times its"
+                " surroundings). Improve grounding and shielding, or add the effect mains_hum to the model (gyroscreen"
+                " model add mains_hum MODEL.toml).",
                 record.name,
                 f"sense{k + 1}",
                 float(amplitude[largest, k]),

@@ -3,12 +3,12 @@
     Y_i(w) = sum_j (sum_p r_pij / (j w - p) + smooth_ij(w)) U_j(w) + start_i(w) - end_i(w) exp(-j w T)
     start, end = sum_p c_p / (j w - p) + smooth(w)
 
-exact for linear modes and records of any length T: what rings before the start and after the end is in the
-last two terms.  The poles come first, from a rational fit with a common denominator (Sanathanan-Koerner),
-then the rest is linear.
+This is exact for linear modes and records of any length T: the last two terms hold the free motion at the start and at the
+end of the record.  A rational fit with a common denominator gives the poles (Sanathanan and Koerner, IEEE Trans. Automat.
+Contr. 8 (1963) 56); for given poles the other unknowns are linear.
 
-Shapes: P poles, S senses, D drives, R records, K bins.  Residues [1/s] are those of the samples, hold,
-filter, delay and converter included.
+Shapes: P poles, S senses, D drives, R records, K bins.  Frequencies and poles in rad/s.  Residues [1/s] are those of the
+samples: they contain hold, filter, delay and ADC.
 """
 
 from __future__ import annotations
@@ -27,17 +27,24 @@ _MAX_SAMPLES = 2**16
 _MAX_RECORDS = 4
 #: Bins with less than this share of the strongest drive power are left out.
 _DRIVEN = 1e-3
-#: Half the width of the band around the centre of the response, relative.
+#: Half the width of the band, relative to the centre frequency of the response.
 _BAND = 0.3
+#: Chebyshev terms of each smooth part.
 _SMOOTH = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What the band holds.
+    """Poles and residues of the driven band.
 
-    poles (P,) [rad/s]; residues (P, S, D) [1/s] with covariance (S, P*D, P*D); start (R, P, S) initial
-    amplitudes [V] with start_sd; relative_error of the fit in the band; records: names of those used.
+    Parameters
+    ----------
+    poles : (P,) [rad/s].
+    residues : (P, S, D) [1/s].
+    covariance : (S, P*D, P*D) of the residues of each sense.
+    start_v, start_sd_v : (R, P, S) amplitudes of the free motion at the first sample, and their sd [V].
+    relative_error : norm of the residual over norm of the spectra in the band.
+    records : (R,) names of the records used.
     """
 
     poles: ComplexArray
@@ -49,7 +56,7 @@ class Response:
     records: tuple[str, ...]
 
     def summed(self, which: list[int]) -> tuple[ComplexArray, FloatArray]:
-        """Sum (S, D) of the residues of some poles and the sd (S, D) of its real or imaginary part."""
+        """Sum (S, D) of the residues of the poles ``which``, and the sd (S, D) of its real or imaginary part [1/s]."""
         drives = self.residues.shape[2]
         total = self.residues[which].sum(axis=0)
         sd = np.empty(total.shape)
@@ -62,7 +69,7 @@ class Response:
 
 @dataclass(frozen=True, eq=False)
 class _DrivenBand:
-    """Spectra of one record at the frequencies used: w (K,) [rad/s], U (K, D), Y (K, S)."""
+    """Spectra of one record at the frequencies used: w (K,) [rad/s]; drive U (K, D) and sense Y (K, S), unscaled DFTs."""
 
     w: FloatArray
     U: ComplexArray
@@ -87,7 +94,7 @@ def _spectra(record: Record, padded: int, band_hz: tuple[float, float]) -> _Driv
 
 
 def band_hz(records: list[Record]) -> tuple[float, float] | None:
-    """Driven band around the centre of the response; ``None`` where nothing is driven."""
+    """Edges [Hz] of the driven band around the centre of the response; ``None`` where nothing is driven."""
     edges = []
     for record in records:
         full = _spectra(record, 1, (0.0, record.sample_rate_hz / 2.0))
@@ -105,7 +112,7 @@ def band_hz(records: list[Record]) -> tuple[float, float] | None:
 
 
 def _denominator(bands: list[_DrivenBand], order: int, centre: float, half: float) -> ComplexArray | None:
-    """Chebyshev coefficients (order + 1,) of A in A Y = B U + T, by repeated weighted least squares."""
+    """Chebyshev coefficients (order + 1,) of A in A Y = B U + T, by iterated weighted least squares (Sanathanan-Koerner)."""
     senses = bands[0].Y.shape[1]
     x = [(band.w - centre) / half for band in bands]
     bases = [chebyshev.chebvander(part, order + 1) for part in x]
@@ -147,43 +154,47 @@ def _poles(bands: list[_DrivenBand], order: int) -> ComplexArray | None:
         return None
     w = centre + half * chebyshev.chebroots(a)
     poles = 1j * w
-    # Noise can throw the pole of a weak mode over the axis; its mirror image has the same modulus on it.
+    # Noise can make the pole of a weak mode unstable; its mirror image has the same modulus on the imaginary axis.
     return np.asarray(-np.abs(poles.real) + 1j * poles.imag)
 
 
 def _columns(band: _DrivenBand, poles: ComplexArray, centre: float, half: float) -> tuple[ComplexArray, ComplexArray]:
-    """Columns of residues and smooth parts (K, P*D + 3*D), and of start and end (K, 2*(P + 3))."""
+    """Columns of the residues and smooth parts (K, P*D + 3*D), and of the start and end terms (K, 2*(P + 3))."""
     resonances = 1.0 / (1j * band.w[:, None] - poles)
     smooth = chebyshev.chebvander((band.w - centre) / half, _SMOOTH - 1)
-    ours = (resonances[:, :, None] * band.U[:, None, :]).reshape(band.w.size, -1)
-    rest = (smooth[:, :, None] * band.U[:, None, :]).reshape(band.w.size, -1)
-    free = np.concatenate([resonances, smooth], axis=1)
-    late = np.exp(-1j * band.w * band.duration_s)[:, None]
-    return np.concatenate([ours, rest], axis=1), np.concatenate([free, free * late], axis=1)
+    driven = (resonances[:, :, None] * band.U[:, None, :]).reshape(band.w.size, -1)
+    background = (smooth[:, :, None] * band.U[:, None, :]).reshape(band.w.size, -1)
+    start = np.concatenate([resonances, smooth], axis=1)
+    at_end = np.exp(-1j * band.w * band.duration_s)[:, None]
+    return np.concatenate([driven, background], axis=1), np.concatenate([start, start * at_end], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
-class _Linear:
-    """Least squares for given poles: solution (columns, S), spread of its columns, variance of what is left (S,)."""
+class _LinearFit:
+    """Least-squares solution for given poles.
+
+    solution (columns, S); covariance (columns, columns) at unit noise variance; variance (S,) of the residual; ``common``
+    columns are shared by all records, ``own`` belong to each record.
+    """
 
     solution: ComplexArray
-    spread: ComplexArray
+    covariance: ComplexArray
     variance: FloatArray
     relative_error: float
     common: int
     own: int
 
 
-def _linear(bands: list[_DrivenBand], poles: ComplexArray) -> _Linear:
+def _linear_fit(bands: list[_DrivenBand], poles: ComplexArray) -> _LinearFit:
     low, high = min(float(band.w[0]) for band in bands), max(float(band.w[-1]) for band in bands)
     parts = [_columns(band, poles, (low + high) / 2.0, (high - low) / 2.0) for band in bands]
     rows = np.cumsum([0, *[band.w.size for band in bands]])
     common, own = parts[0][0].shape[1], parts[0][1].shape[1]
     matrix = np.zeros((rows[-1], common + own * len(bands)), dtype=np.complex128)
-    for r, (ours, free) in enumerate(parts):
+    for r, (shared, ends) in enumerate(parts):
         at = slice(rows[r], rows[r + 1])
-        matrix[at, :common] = ours
-        matrix[at, common + r * own : common + (r + 1) * own] = free
+        matrix[at, :common] = shared
+        matrix[at, common + r * own : common + (r + 1) * own] = ends
     scale = np.sqrt(np.mean(np.abs(matrix) ** 2, axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
     Y = np.concatenate([band.Y for band in bands])
@@ -193,10 +204,10 @@ def _linear(bands: list[_DrivenBand], poles: ComplexArray) -> _Linear:
     solution = inverse @ (u[:, good].conj().T @ Y)
     residual = Y - matrix @ solution
     power = np.sum(np.abs(residual) ** 2, axis=0)
-    return _Linear(
+    return _LinearFit(
         solution,
         inverse @ inverse.conj().T,
-        # Zero-padded bins come in pairs: half of them are independent.
+        # With twofold zero padding only half of the bins are independent.
         2.0 * power / max(rows[-1] - 2 * matrix.shape[1], 1),
         float(np.sqrt(np.sum(power) / np.sum(np.abs(Y) ** 2))),
         common,
@@ -205,33 +216,37 @@ def _linear(bands: list[_DrivenBand], poles: ComplexArray) -> _Linear:
 
 
 def respond(records: list[Record], order: int) -> Response | None:
-    """Poles and residues of ``order`` modes from the driven ``records``; ``None`` where the band cannot tell."""
+    """Poles and residues of ``order`` modes from driven ``records``.
+
+    The longest records are used, at most ``_MAX_RECORDS``.  ``None`` where no record is driven, the bins are too few for the
+    unknowns, or no stable poles are found.
+    """
     used = sorted(records, key=lambda r: -r.duration_s)[:_MAX_RECORDS]
     band = band_hz(used) if used else None
     if band is None or not _enough(used, band, order):
         return None
     whole = [_spectra(r, 1, band) for r in used]
-    # Modes closer than a bin can be missed by one set of records and seen by another.
+    # Two modes closer than a bin can be unresolved by all records together and resolved by one of them.
     groups = [whole, *([[one] for one in whole] if len(whole) > 1 else [])]
     candidates = [poles for group in groups if (poles := _poles(group, order)) is not None]
-    sound = [poles for poles in candidates if np.all(np.isfinite(poles)) and np.all(poles.real < 0.0)]
-    if not sound:
+    stable = [poles for poles in candidates if np.all(np.isfinite(poles)) and np.all(poles.real < 0.0)]
+    if not stable:
         return None
-    # Half bins tell what rings at the start from what rings at the end.
+    # Bins at half the spacing separate free motion at the start from free motion at the end.
     bands = [_spectra(r, 2, band) for r in used]
-    fits = [_linear(bands, poles) for poles in sound]
+    fits = [_linear_fit(bands, poles) for poles in stable]
     best = min(range(len(fits)), key=lambda k: fits[k].relative_error)
-    poles, fit = sound[best], fits[best]
+    poles, fit = stable[best], fits[best]
     senses, drives, count = bands[0].Y.shape[1], bands[0].U.shape[1], poles.size
     span = count * drives
-    places = [[fit.common + r * fit.own + p for p in range(count)] for r in range(len(bands))]
-    start_sd = np.sqrt(np.array([[np.real(fit.spread[k, k]) * fit.variance / 2.0 for k in at] for at in places]))
+    rows = [[fit.common + r * fit.own + p for p in range(count)] for r in range(len(bands))]
+    start_sd = np.sqrt(np.array([[np.real(fit.covariance[k, k]) * fit.variance / 2.0 for k in at] for at in rows]))
     rate = used[0].sample_rate_hz
     return Response(
         poles=poles,
         residues=fit.solution[:span].reshape(count, drives, senses).transpose(0, 2, 1),
-        covariance=fit.variance[:, None, None] * fit.spread[None, :span, :span],
-        start_v=fit.solution[np.array(places)] * (2.0 / rate),
+        covariance=fit.variance[:, None, None] * fit.covariance[None, :span, :span],
+        start_v=fit.solution[np.array(rows)] * (2.0 / rate),
         start_sd_v=start_sd * (2.0 / rate),
         relative_error=fit.relative_error,
         records=tuple(r.name for r in used),
@@ -239,7 +254,7 @@ def respond(records: list[Record], order: int) -> Response | None:
 
 
 def _enough(records: list[Record], band: tuple[float, float], order: int) -> bool:
-    """More bins than unknowns, in every record."""
+    """Whether each record and all of them together have more bins than unknowns."""
     unknowns = (order + 2) * (records[0].drive_v.shape[1] + len(records)) + order
     bins = [(band[1] - band[0]) * min(r.duration_s, _MAX_SAMPLES / r.sample_rate_hz) for r in records]
     return min(bins) > 4 * (order + 4) and sum(bins) > 2 * unknowns

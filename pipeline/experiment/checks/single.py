@@ -1,9 +1,10 @@
-"""Lag of a one-drive device, from the phase of its frequency response on both sides of a resonance.
+"""Lag of a device with one drive, from the phase of its frequency response on both sides of a resonance.
 
     arg H(f) = base - 2 pi f tau - zeta g(f/f_0) - (pi above f_0),   g(r) = 2 r / (1 - r^2)
 
-base is 0 or pi for a displacement pick-off, +-pi/2 for a velocity pick-off, so twice the phase is known modulo 2 pi.
-H = S_yu / S_uu by Welch's method, the declared hold and filter taken out; weights from the coherence.
+base is 0 or pi for a displacement pick-off and +-pi/2 for a velocity pick-off, so twice the phase is known modulo 2 pi.
+H = S_yu / S_uu by Welch's method, divided by the declared hold and filter; the weights follow from the coherence (Bendat and
+Piersol, Random Data, ch. 9).  Frequencies in hertz, lags in samples.
 """
 
 from __future__ import annotations
@@ -20,14 +21,17 @@ from .wiring import hold_factor
 
 _MAX_LAG = 60.0
 _STEP = 0.1
-#: Nearer to the resonance than this, relative, damping and nonlinearity turn the phase.
+#: Relative distance from the resonance within which damping and nonlinearity dominate the phase.
 _NEAR = 0.1
-#: Least agreement of the phases (1 is perfect) for a lag to be told.
+#: Smallest weighted mean of cos(phase error) (1 is perfect) at which the lag counts as measured.
 _AGREEMENT = 0.9
 
 
 def single_lag(record: Record, sense: int, instrument: Instrument) -> tuple[float, float] | None:
-    """Lag and sd [samples] of ``sense`` (from 0) against the only drive; ``None`` where it cannot be told."""
+    """Lag and its sd [samples] of ``sense`` (counted from 0) behind the only drive.
+
+    ``None`` where the drive is constant, fewer than 8 frequencies are driven and coherent, or their phases fit no lag.
+    """
     u, y = record.drive_v[:, 0], record.sense_v[:, sense]
     segment = min(2048, u.size // 8)
     if segment < 64 or not np.any(u != u[0]):
@@ -50,19 +54,19 @@ def single_lag(record: Record, sense: int, instrument: Instrument) -> tuple[floa
     f, phase, weight = f[away], np.angle(H[away]), (coherent / (1.0 - coherent))[away]
     weight = np.minimum(weight, 100.0 * np.median(weight))
     lags = np.arange(-_MAX_LAG, _MAX_LAG, _STEP)
-    turning = np.exp(2j * (phase[None, :] + 2.0 * np.pi * f * lags[:, None] / rate))
-    score = np.abs(np.real(turning @ weight)) / np.sum(weight)
+    phasors = np.exp(2j * (phase[None, :] + 2.0 * np.pi * f * lags[:, None] / rate))
+    score = np.abs(np.real(phasors @ weight)) / np.sum(weight)
     best = float(lags[np.argmax(score)])
     if score.max() < _AGREEMENT:
         return None
-    # Around the best lag the phase is linear in lag and damping.
-    left = phase + 2.0 * np.pi * f * best / rate
-    base = 0.5 * float(np.angle(np.sum(weight * np.exp(2j * left)).real + 0j))
-    left = np.angle(np.exp(2j * (left - base))) / 2.0
+    # Near the best lag the phase is linear in the rest of the lag and in the damping.
+    residual = phase + 2.0 * np.pi * f * best / rate
+    base = 0.5 * float(np.angle(np.sum(weight * np.exp(2j * residual)).real + 0j))
+    residual = np.angle(np.exp(2j * (residual - base))) / 2.0
     ratio = f / peak
     design = np.stack([-2.0 * np.pi * f / rate, -2.0 * ratio / (1.0 - ratio**2)], axis=1)
     root = np.sqrt(weight)[:, None]
-    solution = np.linalg.lstsq(design * root, left * root[:, 0], rcond=None)[0]
-    rest = (left - design @ solution) * root[:, 0]
-    spread = np.linalg.inv((design * root).T @ (design * root)) * np.sum(rest**2) / max(f.size - 2, 1)
-    return best + float(solution[0]), float(np.sqrt(spread[0, 0]))
+    solution = np.linalg.lstsq(design * root, residual * root[:, 0], rcond=None)[0]
+    error = (residual - design @ solution) * root[:, 0]
+    covariance = np.linalg.inv((design * root).T @ (design * root)) * np.sum(error**2) / max(f.size - 2, 1)
+    return best + float(solution[0]), float(np.sqrt(covariance[0, 0]))
