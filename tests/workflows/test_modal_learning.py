@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, kstest
 
-from pipeline.criticism.fit_tests import look
+from pipeline.criticism.fit_tests import fit_tests
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, PlantSpec
 from pipeline.errors import MeasurementError
 from pipeline.experiment.files.modal_record import ModalRecord, read_modal_record, write_modal_record
@@ -117,7 +117,7 @@ def test_noise_alone_is_significant_as_often_as_the_tests_say():
     rng, smallest = np.random.default_rng(7), []
     for _ in range(30):
         view = ModalProblem(record_of({}, 0.03, rng), DEFAULT_COMPARE_MODEL)
-        seen = look(view, view.fit(()), replace(rules_for(view.record), draws=2000))
+        seen = fit_tests(view, view.fit(()), replace(rules_for(view.record), draws=2000))
         smallest.append(seen.scores[0].p_value)
     assert kstest(smallest, "uniform").pvalue > 0.01
     assert binomtest(sum(p < 0.05 for p in smallest), 30, 0.05, alternative="greater").pvalue > 0.01
@@ -159,7 +159,7 @@ def test_only_effects_that_move_poles_or_residues_are_candidates():
     }  # fmt: skip
     assert view.declared == ("angular_rate",)
     assert {"capacitive_feedthrough", "resistive_feedthrough", "cubic_stiffness", "mains_hum"} < set(view.unseen)
-    assert any("turned together" in one for one in view.unseen)
+    assert any("common rotation" in one for one in view.unseen)
     assert "angular_rate" in {
         term.name for term in ModalProblem(replace(made, rate_dps=None), DEFAULT_COMPARE_MODEL).terms
     }

@@ -15,7 +15,7 @@ from pipeline.criticism.selection import ForwardSelection
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.campaign.hold import hold_hint, stand_ins_of
 from pipeline.learning.campaign.problem import CampaignProblem
-from pipeline.learning.modal.problem import GAUGES
+from pipeline.learning.modal.terms import GAUGES
 from pipeline.learning.next_experiment.separating import Proposal, proposals, separating_text
 from pipeline.learning.where.partition import CampaignPartition, campaign_partition
 from pipeline.learning.where.regions import FAMILIES, FREQUENCY_KINDS, by_kind, explained_by_kind, misfit_regions
