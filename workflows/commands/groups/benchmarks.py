@@ -1,0 +1,101 @@
+"""Declaration of the commands of `gyroscreen benchmark`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import Devices, Json, Seed, Workers
+
+app = typer.Typer(help="Measure the performance that the documentation claims.", no_args_is_help=True)
+
+
+@app.command()
+def coverage(
+    devices: Devices = 1000,
+    splits: Annotated[
+        str, typer.Option(help="'population', or 'small': log-uniform from 0.02 to 0.5 Hz.")
+    ] = "population",
+    seed: Seed = 2026,
+    workers: Workers = 0,
+    json: Json = False,
+) -> None:
+    """Coverage of 90 % intervals, and error over the CRLB.
+
+    The virtual devices are measured at 60 dB.
+    """
+    from ..benchmark import coverage as command
+
+    command(devices, splits, seed, workers, json)
+
+
+@app.command()
+def throughput(devices: Devices = 100, json: Json = False) -> None:
+    """Devices per second on one core, and peak memory.
+
+    Each device is simulated and identified, with its posterior.
+    """
+    from ..benchmark import throughput as command
+
+    command(devices, json)
+
+
+@app.command()
+def sequential(devices: Devices = 500, seed: Seed = 2026, workers: Workers = 0, json: Json = False) -> None:
+    """Test duration and error rates of the sequential test.
+
+    The sequential test is compared with tests of fixed duration.
+    """
+    from ..sequential import sequential as command
+
+    command(devices, seed, workers, json)
+
+
+@app.command()
+def lattice(
+    order: Annotated[int, typer.Option(help="Order of the ARX model.")] = 40,
+    seconds: Annotated[float, typer.Option(help="Length of the record [s].")] = 3.0,
+    json: Json = False,
+) -> None:
+    """Speed of the lattice filter on one core, over 10 kHz."""
+    from ..sequential import lattice as command
+
+    command(order, seconds, json)
+
+
+@app.command()
+def silverbox(
+    data: Annotated[Path, typer.Argument(help="Folder that contains SNLS80mV.mat, the Silverbox measurement.")],
+    hold: Annotated[str, typer.Option(help="Hold of the drive DAC: zoh, foh or bandlimited.")] = "bandlimited",
+    json: Json = False,
+) -> None:
+    """Refine a model of a measured one-drive resonator.
+
+    Prints the rms error in mV of each rung on the Silverbox measurement.
+    """
+    from ..silverbox import silverbox as command
+
+    command(data, hold, json)
+
+
+@app.command("hidden-effects")
+def hidden_effects(
+    kind: Annotated[str, typer.Option(help="none, one, weak, outside, left-out, two, .. or all.")] = "all",
+    campaigns: Annotated[int | None, typer.Option(help="Campaigns per kind; default: the full study.")] = None,
+    only: Annotated[int | None, typer.Option(help="Number of one campaign of the kind; prints it in full.")] = None,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "hidden"
+    ),
+    json: Json = False,
+) -> None:
+    """Hide effects by an independent simulator; count verdicts.
+
+    Prints error rates, the power by SNR and the confusion matrices of diagnose and refine.
+    """
+    from ..hidden import hidden_effects as command
+
+    command(kind, campaigns, only, seed, workers, out, json)

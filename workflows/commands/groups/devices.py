@@ -1,0 +1,131 @@
+"""Declaration of the commands for one device: identify, check, simulate, compare, diagnose, refine, demo, effects, paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import CampaignFolder, EffectFolders, Json, Measurement, PageFolder, StartModel
+
+
+def identify(
+    measurement: Measurement,
+    model: Annotated[Path | None, typer.Option(help="Model file; default: the model of the screening run.")] = None,
+    stream: Annotated[
+        bool, typer.Option("--stream", help="Follow a record that is being written ('-': stdin).")
+    ] = False,
+    campaign: Annotated[
+        Path | None, typer.Option(help="With --stream: campaign with the instrument and noise.")
+    ] = None,
+    sigma_v: Annotated[float | None, typer.Option(help="With --stream: noise sd of the sense channels [V].")] = None,
+    limits: Annotated[Path | None, typer.Option(help="With --stream: limits and rule (TOML).")] = None,
+    decide: Annotated[bool, typer.Option("--decide", help="With --stream: stop once pass or fail is decided.")] = False,
+    json: Json = False,
+) -> None:
+    """Identify one device: theta, split and the other quantities."""
+    if stream:
+        from ..stream import stream as follow
+
+        follow(measurement, json, campaign, sigma_v, limits, decide=decide)
+        return
+    from ..identify import identify as command
+
+    command(measurement, model, json)
+
+
+def check(campaign: CampaignFolder, json: Json = False) -> None:
+    """Check a campaign before any fit.
+
+    Prints the TOML lines that correct polarity, channel order, lag and offset.
+    """
+    from ..identify import check as command
+
+    command(campaign, json)
+
+
+def simulate(
+    out_dir: Annotated[Path, typer.Argument(help="Folder for the campaign.")],
+    config: Annotated[Path | None, typer.Option(help="Run configuration with instrument, noise and hum.")] = None,
+    device: Annotated[str, typer.Option(help="Plant parameters, for example theta_deg=12,split_hz=1.5.")] = "",
+    effect: Annotated[list[str] | None, typer.Option(help="NAME or NAME:param=value,..; can be repeated.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the device, the effect sizes and the noise.")] = 1,
+    effects: EffectFolders = None,
+) -> None:
+    """Simulate the standard campaign of one virtual device.
+
+    The true parameters are written to truth.json.
+    """
+    from ..model import simulate as command
+
+    command(out_dir, config, device, effect or [], seed, effects or [])
+
+
+def compare(
+    campaign: Measurement,
+    model: StartModel = None,
+    out: PageFolder = None,
+    effects: EffectFolders = None,
+    json: Json = False,
+) -> None:
+    """Fit a model to a campaign and show where it fails."""
+    from ..learn import compare as command
+
+    command(campaign, model, out, effects or [], json)
+
+
+def diagnose(
+    campaign: Measurement,
+    model: StartModel = None,
+    out: PageFolder = None,
+    effects: EffectFolders = None,
+    json: Json = False,
+) -> None:
+    """Find the physical effect that the model lacks, if any."""
+    from ..learn import diagnose as command
+
+    command(campaign, model, out, effects or [], json)
+
+
+def refine(
+    campaign: Measurement,
+    model: StartModel = None,
+    out: PageFolder = None,
+    effects: EffectFolders = None,
+    json: Json = False,
+) -> None:
+    """Diagnose, add the effect and refit, until none is missing."""
+    from ..learn import refine as command
+
+    command(campaign, model, out, effects or [], json)
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("demo"),
+    seed: Annotated[int | None, typer.Option(help="Seed of the device and its effect; default: random.")] = None,
+) -> None:
+    """Hide an effect in a virtual device and let refine find it."""
+    from ..learn import demo as command
+
+    command(out, seed)
+
+
+def effects(
+    name: Annotated[str | None, typer.Argument(help="One effect in full; default: a list of all.")] = None,
+    effects: EffectFolders = None,
+) -> None:
+    """List the effects that a model can contain."""
+    from ..model import effects as command
+
+    command(name, effects or [])
+
+
+def paper(out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("paper"), json: Json = False) -> None:
+    """Reproduce the figures and numbers of the paper on one page."""
+    from ..paper import paper as command
+
+    command(out, json)
+
+
+COMMANDS = (identify, paper, check, simulate, compare, diagnose, refine, demo, effects)

@@ -1,0 +1,24 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Write one JSON object to stdout and nothing else.")]
+Results = Annotated[Path, typer.Option("--results", help="Folder that contains the runs.")]
+DEFAULT_RESULTS = Path("results")
+
+CampaignFolder = Annotated[Path, typer.Argument(help="A campaign folder or a record file.")]
+Measurement = Annotated[Path, typer.Argument(help="A campaign folder, a record file or a modal record (TOML).")]
+StartModel = Annotated[Path | None, typer.Option("--model", help="Model file; default: the paper's model.")]
+PageFolder = Annotated[Path | None, typer.Option("--out", help="Write the page and its files to this folder.")]
+EffectFolders = Annotated[
+    list[Path] | None, typer.Option("--effects", help="Folder with your own effects; can be repeated.")
+]
+
+Seed = Annotated[int, typer.Option(help="Seed of all random streams.")]
+Workers = Annotated[int, typer.Option(help="Number of local worker processes; 0: one per core.")]
+Devices = Annotated[int, typer.Option(help="Number of virtual devices.")]

@@ -1,0 +1,63 @@
+"""Declaration of the commands of the screening run: run, query, report, verify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import DEFAULT_RESULTS, Json, Results, Workers
+
+
+def run(
+    config: Annotated[Path | None, typer.Argument(help="Run configuration (TOML); default: 200 devices.")] = None,
+    devices: Annotated[int | None, typer.Option(help="Number of virtual devices.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all random streams.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = DEFAULT_RESULTS,
+    workers: Workers = 0,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a running dask scheduler.")] = None,
+    resume: Annotated[str | None, typer.Option(help="Id of an incomplete run, or 'latest'.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and print the configuration; run nothing.")] = False,
+    json: Json = False,
+) -> None:
+    """Identify and judge a batch of devices.
+
+    The devices are drawn from a population and simulated, or they are measured campaigns.  The run writes its results and a
+    report.
+    """
+    from ..run import run as command
+
+    command(config, devices, seed, out, workers, scheduler, resume, dry_run, json)
+
+
+def query(
+    sql: Annotated[str, typer.Argument(help="One SELECT on the views devices, posterior, runs, columns.")],
+    results: Results = DEFAULT_RESULTS,
+    format: Annotated[str, typer.Option(help="table, csv, json or parquet.")] = "table",
+) -> None:
+    """Run one SQL query on the results."""
+    from ..results import query as command
+
+    command(sql, results, format)
+
+
+def report(
+    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    results: Results = DEFAULT_RESULTS,
+    out: Annotated[Path | None, typer.Option(help="Also write the page to this file.")] = None,
+) -> None:
+    """Write the report of a run again."""
+    from ..results import report as command
+
+    command(run, results, out)
+
+
+def verify(results: Results = DEFAULT_RESULTS, json: Json = False) -> None:
+    """Check that no stored result has changed since it was written."""
+    from ..results import verify as command
+
+    command(results, json)
+
+
+COMMANDS = (run, query, report, verify)
