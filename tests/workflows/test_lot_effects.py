@@ -15,11 +15,11 @@ from reports.run.lot_effects import LotEffects
 from reports.run.page import render_run_report
 from workflows.cli import call
 from workflows.config import load_config
-from workflows.screening.batch import plan, start
 from workflows.screening.block import DeviceBlock, virtual_block
 from workflows.screening.lot.device import examine_device
 from workflows.screening.lot.effects import examine
 from workflows.screening.lot.scope import devices_of
+from workflows.screening.plan import plan, start
 
 # Chirps of one second: three times cheaper than the paper's, and a cubic stiffness of 8e9 is then a misfit.
 NIGHT = """
@@ -148,7 +148,7 @@ def test_what_a_user_writes_wrongly_is_said_before_the_first_device(tmp_path):
     for text, words in (
         ("[effects.warp_drive]\nsize = {}\n", "no such effect"),
         ("[effects.cubic_stiffness]\nsize = { k4 = [1.0, 0.0] }\n", "no such parameter"),
-        ("[effects.mains_hum]\nsize = {}\n", "cannot give"),
+        ("[effects.mains_hum]\nsize = {}\n", "cannot contain"),
     ):
         with pytest.raises(ConfigError, match=words):
             plan(config_of(tmp_path, 2, text))

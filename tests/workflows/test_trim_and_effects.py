@@ -5,8 +5,8 @@ import pytest
 
 from pipeline.errors import ConfigError
 from workflows.config import load_config
-from workflows.screening.batch import plan
 from workflows.screening.block import DeviceBlock, virtual_block
+from workflows.screening.plan import plan
 
 
 def rows(tmp_path, text, count=6):
@@ -44,5 +44,5 @@ def test_an_effect_outside_the_model_is_flagged_as_misfit(tmp_path):
 def test_an_effect_that_no_irregularity_sizes_is_refused(tmp_path):
     path = tmp_path / "run.toml"
     path.write_text('[experiment]\neffects = ["loop_delay"]\n')
-    with pytest.raises(ConfigError, match="no irregularity"):
+    with pytest.raises(ConfigError, match="does not draw sizes"):
         plan(load_config(path))

@@ -12,7 +12,9 @@ from threadpoolctl import threadpool_limits
 from populations.draw import draw
 
 from ..config import load_config
-from ..screening.block import DeviceBlock, identify_virtual, population, virtual_block
+from ..screening.block import DeviceBlock, virtual_block
+from ..screening.settings import population
+from ..screening.virtual_device import identify_virtual
 from ..studies.coverage import Share, figures, run_study
 
 
@@ -22,7 +24,7 @@ def coverage(devices: int, splits: str, seed: int, workers: int, json: bool) -> 
 
 
 def show(found: dict[str, Any], json: bool) -> None:
-    """Figures by name, as lines or as one JSON object."""
+    """Print figures by name, as lines or as one JSON object."""
     if json:
         plain = {k: {"count": v.count, "total": v.total} if isinstance(v, Share) else v for k, v in found.items()}
         print(json_.dumps(plain))
@@ -34,7 +36,7 @@ def show(found: dict[str, Any], json: bool) -> None:
 def throughput(devices: int, json: bool) -> None:
     """See ``gyroscreen benchmark throughput --help``."""
     config = load_config(None, {"devices": devices})
-    virtual_block(config, DeviceBlock(0, 0, 2))  # compiled code and shared transforms are loaded once a worker
+    virtual_block(config, DeviceBlock(0, 0, 2))  # loads compiled code and shared transforms, as each worker does once
     spec = population(config)
     gain = float(spec.angular_gain)
     with threadpool_limits(limits=1):

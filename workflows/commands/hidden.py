@@ -23,8 +23,8 @@ def hidden_effects(
         row = examine(hide(kind, only, seed))
         print(json_.dumps(row, indent=None if json else 2, default=float))
         return
-    for done, asked in run_study(order, out, workers):
-        print(f"\r{done} of {asked} campaigns", end="", file=sys.stderr, flush=True)
+    for done, total in run_study(order, out, workers):
+        print(f"\r{done} of {total} campaigns", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     rows = [r for r in rows_in(out, tuple(order.numbers), seed) if r["number"] in order.numbers[r["kind"]]]
     print(json_.dumps(_plain(rows)) if json else "\n".join(lines(rows)))
@@ -46,7 +46,7 @@ def _key(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Figures, power curve, confusion matrices, and every answer worth a look, as text."""
+    """Error rates, power curve, confusion matrices and every unexpected answer, as lines of text."""
     out = [f"{name:68s} {v:.2f}" if isinstance(v, float) else f"{name:68s} {v}" for name, v in figures(rows).items()]
     out += ["", "One effect hidden, diagnose, by SNR"]
     for low, high, counts in power(rows):
@@ -59,12 +59,14 @@ def lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         out += ["", f"Hidden -> found, {step}"]
         for hidden, found in confusion(rows, step).items():
             out.append(f"  {hidden:54s} {', '.join(f'{name} {n}' for name, n in found.items())}")
-    strange = [row for row in rows if odd(row)]
-    out += ["", "Worth a look (run again with --kind KIND --only NUMBER --seed SEED)" if strange else "Nothing odd."]
-    for row in strange:
+    unexpected = [row for row in rows if odd(row)]
+    repeat = "Unexpected answers (repeat one with --kind KIND --only NUMBER --seed SEED)"
+    out += ["", repeat if unexpected else "No unexpected answers."]
+    for row in unexpected:
         snr = ", ".join(f"{value:.1f}" for value in row["snr"])
         steps = [step for step in ("diagnose", "refine") if row[step]]
-        said = "; ".join(f"{step} {answer(row, step)}: {found_as(row, step)}" for step in steps)
+        answers = "; ".join(f"{step} {answer(row, step)}: {found_as(row, step)}" for step in steps)
         hidden = " + ".join(row["hidden"]) or "nothing"
-        out.append(f"  {row['kind']} {row['number']} seed {row['seed']}  {hidden} (SNR {snr})  {row['failed'] or said}")
+        result = row["failed"] or answers
+        out.append(f"  {row['kind']} {row['number']} seed {row['seed']}  {hidden} (SNR {snr})  {result}")
     return out

@@ -30,14 +30,20 @@ def simulate(
     out: Path, config: Path | None, device: str, effects: Sequence[str], seed: int, folders: Sequence[Path]
 ) -> None:
     """See ``gyroscreen simulate --help``."""
-    made = virtual(campaign_config(config), parse_values(device), effects, seed, [str(f) for f in folders])
-    write_campaign(made.campaign, out)
-    truth = {"effects": list(made.model.effects), "parameters": made.parameters, "seed": seed}
+    simulated = virtual(campaign_config(config), parse_values(device), effects, seed, [str(f) for f in folders])
+    campaign = simulated.campaign
+    write_campaign(campaign, out)
+    truth = {"effects": list(simulated.model.effects), "parameters": simulated.parameters, "seed": seed}
     try:
         (out / "truth.json").write_text(json_.dumps(truth, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"cannot write the truth ({error.strerror})", value=str(out)) from None
-    print(f"{out}: {len(made.campaign.records)} records of {made.campaign.device_id}; the truth is in truth.json")
+        raise _unwritable("truth.json", out, error) from None
+    print(f"{out}: {len(campaign.records)} records of {campaign.device_id}; the true parameters are in truth.json")
+
+
+def _unwritable(what: str, path: Path, error: OSError) -> UsageError:
+    reason = (error.strerror or str(error)).lower()
+    return UsageError(f"{what} cannot be written: {reason}", value=str(path), next_step="choose another path")
 
 
 def effects(name: str | None, folders: Sequence[Path]) -> None:
@@ -49,7 +55,9 @@ def effects(name: str | None, folders: Sequence[Path]) -> None:
             print(f"{key:{width}}  {effect.law}")
         return
     if name not in library:
-        raise ConfigError("no such effect", value=name, allowed=", ".join(library))
+        raise ConfigError(
+            "no such effect", value=name, allowed=", ".join(library), next_step="list all: gyroscreen effects"
+        )
     print(_described(library[name]))
 
 
@@ -78,7 +86,7 @@ def show(path: Path) -> None:
 def change(effect: str, path: Path, add: bool, folders: Sequence[Path]) -> None:
     """Add or drop an effect; ``add`` creates the file."""
     if not path.exists() and not add:
-        raise ConfigError("no such model file", value=str(path), next_step="gyroscreen model add EFFECT creates it")
+        raise ConfigError("no such model file", value=str(path), next_step="create it: gyroscreen model add EFFECT")
     model = load_model(path) if path.exists() else Model()
     known = (*model.effect_folders, *(str(folder) for folder in folders))
     if known != model.effect_folders:
@@ -87,7 +95,7 @@ def change(effect: str, path: Path, add: bool, folders: Sequence[Path]) -> None:
     try:
         path.write_text(changed.to_toml(), encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"the model file cannot be written ({error.strerror})", value=str(path)) from None
+        raise _unwritable("the model file", path, error) from None
     print(f"{path}: effects = {', '.join(changed.effects) or 'none'}")
 
 
@@ -96,7 +104,10 @@ def export(measurement: Path, out: Path | None) -> None:
     found = read_measurement(measurement)
     if isinstance(found, ModalRecord):
         raise UsageError(
-            "a modal record already is a model", value=str(measurement), allowed="a campaign or a record of samples"
+            "a modal record is already a model",
+            value=str(measurement),
+            allowed="a campaign folder or a record file",
+            next_step="export a campaign",
         )
     if not found.with_role("fit"):
         found = replace(found, records=tuple(replace(r, role="fit") for r in found.records))

@@ -12,7 +12,7 @@ from ..studies.paper.page import write_paper
 
 
 def paper(out: Path, json: bool) -> None:
-    """Redraw the paper as one page in the folder ``out``."""
+    """See ``gyroscreen paper --help``."""
     path, content, seconds = write_paper(out, say=lambda what: print(f"  {what}", file=sys.stderr))
     numbers = content.numbers
     if json:
@@ -25,7 +25,5 @@ def paper(out: Path, json: bool) -> None:
         ]  # fmt: skip
         print(json_.dumps({"page": str(path), "seconds": seconds, "numbers": rows}))
         return
-    again = sum(row.consistent for row in numbers)
-    print(
-        f"{path}: {again} of {len(numbers)} printed numbers come out again, the others are explained; {seconds:.0f} s"
-    )
+    same = sum(row.consistent for row in numbers)
+    print(f"{path}: {same} of {len(numbers)} printed numbers are reproduced, the others are explained; {seconds:.0f} s")

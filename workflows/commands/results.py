@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 from pipeline.errors import IntegrityError, UsageError
-from pipeline.store.query import query as answer
+from pipeline.store.query import query as run_query
 from pipeline.store.query import write_table
 from pipeline.store.read import list_runs
 from pipeline.store.verify import verify as verify_results
@@ -20,30 +20,36 @@ FORMATS = ("table", "csv", "json", "parquet")
 def query(sql: str, results: Path, format: str) -> None:
     """See ``gyroscreen query --help``."""
     if format not in FORMATS:
-        raise UsageError("unknown format", value=format, allowed=", ".join(FORMATS))
-    table = answer(sql, results)
+        raise UsageError("unknown --format", value=format, allowed=", ".join(FORMATS), next_step="choose one of these")
+    table = run_query(sql, results)
     write_table(table, cast(Literal["table", "csv", "json", "parquet"], format), sys.stdout.buffer)
     sys.stdout.flush()
 
 
 def report(run: str | None, results: Path, out: Path | None) -> None:
     """See ``gyroscreen report --help``."""
-    from ..screening.batch import write_report
+    from ..screening.outcome import write_report
 
     runs = list_runs(results)
     if not runs:
-        raise UsageError("no run in this folder", value=str(results), next_step="gyroscreen run")
+        raise UsageError("the folder contains no run", value=str(results), next_step="gyroscreen run")
     known = [manifest.run_id for manifest in runs]
     chosen = run or known[-1]
     if chosen not in known:
-        raise UsageError("no such run", value=chosen, allowed=", ".join(known[-5:]))
+        raise UsageError(
+            "no such run", value=chosen, allowed=", ".join(known[-5:]), next_step="name one of the latest runs"
+        )
     page, path = write_report(results, chosen)
     if out is not None:
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             out.write_text(page, encoding="utf-8")
         except OSError as error:
-            raise UsageError(f"cannot write the page ({error.strerror})", value=str(out)) from None
+            raise UsageError(
+                f"the page cannot be written: {(error.strerror or str(error)).lower()}",
+                value=str(out),
+                next_step="choose another file with --out",
+            ) from None
         path = out
     print(path)
 
@@ -57,11 +63,11 @@ def verify(results: Path, json: bool) -> None:
     else:
         for finding in found.findings:
             print(finding)
-        verdict = "all as committed" if found.ok else f"{len(fatal)} findings of damage"
+        verdict = "unchanged since it was written" if found.ok else f"damaged, {len(fatal)} findings"
         print(f"{verdict}: {found.runs} runs, {found.files} files, {found.devices} devices, {found.draws} draws")
     if fatal:
         raise IntegrityError(
-            "results are not what was committed",
+            "the results have changed since they were written",
             value=fatal[0].file,
-            next_step="see the findings above; run the damaged runs again from their run.toml",
+            next_step="see the findings above; repeat the damaged runs with their run.toml",
         )

@@ -12,7 +12,9 @@ import tomli_w
 from pipeline.errors import UsageError
 
 from ..config import load_config, to_toml_table
-from ..screening.batch import RunPlan, RunResult, check_targets, plan, resume, run_batch, start, without_none
+from ..screening.batch import run_batch
+from ..screening.outcome import RunResult, check_targets
+from ..screening.plan import RunPlan, plan, resume, start, without_none
 
 
 def run(
@@ -28,34 +30,36 @@ def run(
 ) -> None:
     """See ``gyroscreen run --help``."""
     if workers < 0:
-        raise UsageError("workers must not be negative", value=workers, allowed="0 (one a core) or more")
+        raise UsageError(
+            "--workers is negative", value=workers, allowed="0 (one per core) or more", next_step="correct --workers"
+        )
     if resume_run is not None:
         if config is not None or devices is not None or seed is not None:
             raise UsageError(
-                "a resumed run keeps its own configuration",
+                "--resume continues a run with its own configuration",
                 allowed="--resume without CONFIG, --devices and --seed",
-                next_step="leave them out, or start a new run",
+                next_step="leave them out, or start a new run without --resume",
             )
-        night, store = resume(out, resume_run)
+        planned, store = resume(out, resume_run)
     else:
         overrides: dict[str, Any] = {k: v for k, v in (("devices", devices), ("seed", seed)) if v is not None}
-        night = plan(load_config(config, overrides))
+        planned = plan(load_config(config, overrides))
         if dry_run:
-            _show_plan(night, json)
+            _show_plan(planned, json)
             return
-        store = start(night, out)
-    result = run_batch(night, store, out, workers, scheduler, quiet=json)
+        store = start(planned, out)
+    result = run_batch(planned, store, out, workers, scheduler, quiet=json)
     print(json_.dumps(result.to_dict()) if json else _summary(result, out))
-    check_targets(night, result)
+    check_targets(planned.config.targets, result)
 
 
-def _show_plan(night: RunPlan, json: bool) -> None:
-    table = without_none(to_toml_table(night.config))
+def _show_plan(planned: RunPlan, json: bool) -> None:
+    table = without_none(to_toml_table(planned.config))
     if json:
-        print(json_.dumps({"devices": night.devices, "blocks": len(night.blocks), "config": table}))
+        print(json_.dumps({"devices": planned.devices, "blocks": len(planned.blocks), "config": table}))
         return
     print(tomli_w.dumps(table).rstrip())
-    print(f"\n{night.devices} devices in {len(night.blocks)} blocks; nothing was run", file=sys.stderr)
+    print(f"\n{planned.devices} devices in {len(planned.blocks)} blocks; dry run: nothing was run", file=sys.stderr)
 
 
 def _summary(result: RunResult, out: Path) -> str:
@@ -67,7 +71,7 @@ def _summary(result: RunResult, out: Path) -> str:
         f"yield {100 * result.yield_share:.1f} % (95 % interval {100 * low:.1f} to {100 * high:.1f} %): {verdicts}",
         f"main cause of loss: {result.main_cause or 'none'}",
         f"status: {statuses}; {result.devices} devices in {result.seconds:.1f} s",
-        *([f"effects the lot needs: {', '.join(result.lot_effects)}"] if result.lot_effects else []),
+        *([f"effects missing in the model: {', '.join(result.lot_effects)}"] if result.lot_effects else []),
         f"results: {result.folder}",
         f"report:  {result.report}",
         f'query:   gyroscreen query "SELECT verdict, count(*) AS n FROM devices GROUP BY verdict"{where}',

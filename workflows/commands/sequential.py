@@ -18,24 +18,24 @@ _BLOCK = 500
 
 
 def sequential(devices: int, seed: int, workers: int, json: bool) -> None:
-    """Mean duration and error rates of the sequential test against fixed ones, on virtual devices."""
+    """See ``gyroscreen benchmark sequential --help``."""
     show(figures(run_sequential_study(devices, seed, workers), DEFAULT_LIMITS.rule.fail_at), json)
 
 
 def lattice(order: int, seconds: float, json: bool) -> None:
-    """How many times faster than 10 kHz the lattice runs on one core, two drives and two senses."""
+    """See ``gyroscreen benchmark lattice --help``; two drives and two senses."""
     random = np.random.default_rng(1)
     blocks = max(2, round(seconds * _RATE_HZ / _BLOCK))
     y, u = random.standard_normal((2, blocks * _BLOCK, 2))
-    state = advance(start_lattice(2, 2, order, np.full(4, 1e-8)), y[:_BLOCK], u[:_BLOCK])  # compiled now
+    state = advance(start_lattice(2, 2, order, np.full(4, 1e-8)), y[:_BLOCK], u[:_BLOCK])  # compiles before the timing
     with threadpool_limits(limits=1):
         wall, cpu = time.perf_counter(), time.process_time()
         for k in range(1, blocks):
             state = advance(state, y[k * _BLOCK : (k + 1) * _BLOCK], u[k * _BLOCK : (k + 1) * _BLOCK])
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        began = time.perf_counter()
+        start = time.perf_counter()
         arx_of(state)
-        solved = time.perf_counter() - began
+        solved = time.perf_counter() - start
     samples = (blocks - 1) * _BLOCK
     show(
         {

@@ -15,11 +15,11 @@ from ..studies.silverbox import refine_silverbox, table
 def silverbox(data: Path, hold: str, json: bool) -> None:
     """See ``gyroscreen benchmark silverbox --help``."""
     if hold not in HOLDS:
-        raise UsageError("no such hold", value=hold, allowed=", ".join(HOLDS))
+        raise UsageError("unknown --hold", value=hold, allowed=", ".join(HOLDS), next_step="choose one of these")
     found = refine_silverbox(data, hold)
-    said = found.to_dict()
     if json:
-        told = {key: said[key] for key in ("verdict", "effects", "classes", "refused", "hints", "noise")}
-        print(json_.dumps(plain({"hold": hold, "rungs": table(found), **told})))
+        answer = found.to_dict()
+        kept = {key: answer[key] for key in ("verdict", "effects", "classes", "refused", "hints", "noise")}
+        print(json_.dumps(plain({"hold": hold, "rungs": table(found), **kept})))
         return
     print(found)

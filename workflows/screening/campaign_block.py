@@ -1,4 +1,4 @@
-"""A block of measured campaigns: read, identified, judged, like a block of virtual devices."""
+"""A block of measured campaigns: read, identified and judged like a block of virtual devices."""
 
 from __future__ import annotations
 
@@ -7,23 +7,45 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from threadpoolctl import threadpool_limits
 
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
+from pipeline.experiment.files.common_tables import DeviceTable
 from pipeline.inference.screening.campaign import identify_campaign, reference_comparison
 from pipeline.inference.screening.device import DeviceResult, RateSettings
+from pipeline.toml_files import decode, read_bytes
 
 from ..config import RunConfig
-from .block import BlockTables, DeviceBlock, settings_of, tables_of
+from .block import BlockTables, DeviceBlock, failed_result, tables_of
+from .settings import CAMPAIGN_STREAM, device_seed, settings_of
 from .trimming import trimmed_columns
 
-_CAMPAIGN_STREAM = 103
+FILE = "campaign.toml"
+
+
+class _CampaignHead(Struct):
+    device: DeviceTable = DeviceTable()
+
+
+def campaign_folders(path: Path) -> tuple[Path, ...]:
+    """Folders directly below ``path`` that contain a campaign.toml, sorted by name."""
+    return tuple(sorted(file.parent for file in path.glob(f"*/{FILE}")))
+
+
+def declared_id(folder: Path) -> str:
+    """The device id of a campaign; the name of its folder if campaign.toml states none or cannot be read."""
+    try:
+        head = decode(read_bytes(folder / FILE), _CampaignHead, FILE)
+    except GyroscreenError:
+        return folder.name
+    return head.device.id or folder.name
 
 
 def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceResult]:
     device_id = folder.name
-    seed = np.random.SeedSequence(config.run.seed, spawn_key=(_CAMPAIGN_STREAM, n))
+    seed = device_seed(config, CAMPAIGN_STREAM, n)
     try:
         campaign = read_campaign(folder)
         device_id = campaign.device_id
@@ -37,15 +59,13 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
             more = trimmed_columns(config.trim, config.judged_by(), result, None, rate, seed.spawn(1)[0])
             result = replace(result, columns={**result.columns, **more})
     except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-        # One unreadable campaign is a row that says so, not the end of the night.
-        reason = f"{error}"
-        columns: dict[str, float | str | None] = {"status": "fit_failed", "status_reason": reason}
-        result = DeviceResult(columns, {}, "fit_failed", reason, None)
+        # One unreadable campaign must not stop the run; its row states the reason.
+        result = failed_result(f"{error}")
     return device_id, result
 
 
 def campaign_block(config: RunConfig, block: DeviceBlock, folders: Sequence[Path]) -> BlockTables:
-    """Read, identify and judge the campaigns in ``folders``, the devices of ``block``."""
+    """Read, identify and judge the campaigns in ``folders``, which are the devices of ``block``."""
     with threadpool_limits(limits=1):
         found = [_identified(config, folder, block.first + i) for i, folder in enumerate(folders)]
         return tables_of(

@@ -30,8 +30,9 @@ from reports.yields import clopper_pearson
 from ..config import RunConfig, load_config
 from ..config_tables import NoiseTable
 from ..machine import worker_count
-from ..screening.block import identify_virtual, physical_of, population, shared_record, virtual_records
 from ..screening.cluster import cluster, in_parallel
+from ..screening.settings import population
+from ..screening.virtual_device import identify_virtual, physical_of, shared_record, virtual_records
 
 Splits = Literal["population", "small"]
 _SPLIT_STREAM = 104

@@ -41,8 +41,9 @@ from reports.limits import Limits
 
 from ..config import RunConfig, load_config
 from ..machine import worker_count
-from ..screening.block import physical_of, population, rate_of, shared_record, virtual_records
 from ..screening.cluster import cluster, in_parallel
+from ..screening.settings import population, rate_of
+from ..screening.virtual_device import physical_of, shared_record, virtual_records
 from ..streaming.stream import verdict_of
 from .coverage import Share
 

@@ -38,7 +38,8 @@ from populations.draw import draw
 from reports.decision import decide
 
 from ...config import RunConfig
-from ..block import population, rate_of, shared_record, virtual_records
+from ..settings import population, rate_of
+from ..virtual_device import shared_record, virtual_records
 
 _SCREENING, _HUM = "offdiagonal_damping", "mains_hum"
 _DRAWS, _STREAM = 400, 109

@@ -1,0 +1,135 @@
+"""The outcome of a run: its summary, its report, and the gates that the user set on it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import GateError
+from pipeline.store.read import read_run
+from pipeline.store.run import RunStore, open_run
+from reports.run import lot_effects as lot_report
+from reports.run.page import render_run_report
+from reports.yields import yield_of_verdicts
+
+from ..config import config_of_run
+from ..config_tables import TargetsTable
+from .settings import population
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """Folder of a run, its devices by verdict and status, its yield with the 95 % interval, and its duration [s]."""
+
+    run_id: str
+    folder: Path
+    devices: int
+    verdicts: dict[str, int]
+    statuses: dict[str, int]
+    yield_share: float
+    yield_interval: tuple[float, float]
+    lot_effects: tuple[str, ...]
+    main_cause: str | None
+    seconds: float
+    report: Path | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "run_id": self.run_id,
+            "folder": str(self.folder),
+            "devices": self.devices,
+            "verdicts": self.verdicts,
+            "statuses": self.statuses,
+            "yield": self.yield_share,
+            "yield_interval": list(self.yield_interval),
+            "lot_effects": list(self.lot_effects),
+            "main_cause": self.main_cause,
+            "seconds": round(self.seconds, 3),
+            "report": None if self.report is None else str(self.report),
+        }
+
+
+def write_report(results: Path, run_id: str) -> tuple[str, Path]:
+    """Render the report of a run and store it in the run's folder; returns the page and its path."""
+    tables = read_run(results, run_id)
+    config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
+    summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
+    store = open_run(results, run_id)
+    found = lot_effects(store)
+    page = render_run_report(tables, config.judged_by(), population_summary=summary, lot_effects=found)
+    store.write_file("report.html", page.encode("utf-8"))
+    return page, store.folder / "report.html"
+
+
+def lot_effects(store: RunStore) -> lot_report.LotEffects | None:
+    """The findings on the misfits of a run; ``None`` if they were not examined."""
+    data = store.page(lot_report.FILE)
+    return None if data is None else lot_report.LotEffects.from_json(data)
+
+
+def finish(store: RunStore, results: Path, started: float) -> RunResult:
+    """Mark the run complete, write the report and summarise the run; ``started`` is its start in monotonic time [s]."""
+    tables = read_run(results, store.run_id)
+    devices = tables.devices
+    verdicts = _counts(devices.column("verdict").to_pylist(), ("pass", "fail", "undecided"))
+    statuses = _counts(devices.column("status").to_pylist(), ("ok", "not_converged", "misfit", "fit_failed"))
+    found = yield_of_verdicts([str(v) for v in devices.column("verdict").to_pylist()])
+    causes = _counts(c for cell in devices.column("failed_limits").to_pylist() if cell for c in str(cell).split(","))
+    main = max(causes, key=lambda name: causes[name]) if causes else None
+    interval = (found.clopper_pearson.low, found.clopper_pearson.high)
+    seconds = time.monotonic() - started
+    examined = lot_effects(store)
+    needed = () if examined is None else tuple(sorted({effect.effect for effect in examined.effects}))
+    summary = {"verdicts": verdicts, "statuses": statuses, "lot_effects": list(needed), "seconds": round(seconds, 3)}
+    store.finish("complete", summary)
+    _, path = write_report(results, store.run_id)
+    store.log({"event": "finish", "verdicts": verdicts, "statuses": statuses})
+    return RunResult(
+        store.run_id,
+        store.folder,
+        devices.num_rows,
+        verdicts,
+        statuses,
+        verdicts["pass"] / max(devices.num_rows, 1),
+        interval,
+        needed,
+        main,
+        time.monotonic() - started,
+        path,
+    )
+
+
+def _counts(values: Iterable[Any], always: tuple[str, ...] = ()) -> dict[str, int]:
+    """Number of each value; the values ``always`` come first and are counted even if they do not occur."""
+    out = dict.fromkeys(always, 0)
+    for value in values:
+        out[str(value)] = out.get(str(value), 0) + 1
+    return out
+
+
+def check_targets(targets: TargetsTable, result: RunResult) -> None:
+    """Check the gates that the user set on the whole run.
+
+    Raises
+    ------
+    GateError : the yield is below targets.yield_min, or a device did not converge under targets.strict_convergence.
+    """
+    if targets.yield_min is not None and result.yield_share < targets.yield_min:
+        raise GateError(
+            "the yield is below targets.yield_min",
+            value=round(result.yield_share, 4),
+            allowed=f"at least {targets.yield_min:g}",
+            next_step=f"see {result.report}",
+        )
+    failed = result.statuses["not_converged"] + result.statuses["fit_failed"]
+    if targets.strict_convergence and failed:
+        raise GateError(
+            "devices without a converged posterior",
+            value=failed,
+            allowed="none, because targets.strict_convergence is set",
+            next_step="gyroscreen query \"SELECT device_id, status_reason FROM devices WHERE status <> 'ok'\"",
+        )

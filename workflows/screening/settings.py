@@ -1,0 +1,55 @@
+"""What a run configuration means for one device: population, identification settings, rate settings, random streams.
+
+Random streams: SeedSequence(seed, spawn_key=(stream, n)) for device n, so a result depends neither on the worker nor on
+the block.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+import populations
+from pipeline.inference.screening.device import IdentificationSettings, RateSettings
+from populations.spec import PopulationSpec, load_spec
+
+from ..config import RunConfig
+
+NOISE_STREAM, POSTERIOR_STREAM, CAMPAIGN_STREAM, TRIM_STREAM, EFFECT_STREAM = 101, 102, 103, 107, 108
+
+
+def device_seed(config: RunConfig, stream: int, n: int) -> np.random.SeedSequence:
+    """Random stream ``stream`` of device ``n``."""
+    return np.random.SeedSequence(config.run.seed, spawn_key=(stream, n))
+
+
+@lru_cache(maxsize=4)
+def _population(spec: str, values: tuple[tuple[str, float], ...]) -> PopulationSpec:
+    path = Path(spec)
+    if path.suffix != ".toml":
+        path = Path(populations.__file__).parent / "specs" / f"{spec}.toml"
+    found = load_spec(path)
+    return found.with_values(dict(values)) if values else found
+
+
+def population(config: RunConfig) -> PopulationSpec:
+    """The population that [source] names, with its assumptions set.
+
+    Raises
+    ------
+    ConfigError : the population cannot be read.
+    """
+    return _population(config.source.spec, tuple(sorted(config.source.values.items())))
+
+
+def settings_of(config: RunConfig) -> IdentificationSettings:
+    """Identification settings of a configuration."""
+    i = config.identification
+    return IdentificationSettings(i.order, i.window_s, i.low_hz, i.high_hz, config.line_hz())
+
+
+def rate_of(config: RunConfig, angular_gain: float | None) -> RateSettings:
+    """Rate settings of a configuration; ``angular_gain`` is I_p / I_0p."""
+    return RateSettings(angular_gain, config.demodulation.phase_error_deg, config.demodulation.drive)

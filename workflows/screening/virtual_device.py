@@ -1,0 +1,157 @@
+"""One virtual device: its volts, its silent and its chirp record, and its identification.
+
+Shapes: N samples, two drives and two senses, B devices of a draw.  Volts unless stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from zlib import crc32
+
+import msgspec
+import numpy as np
+
+from pipeline.arrays import FloatArray
+from pipeline.device.gyro import PHYSICAL, gyro_modes
+from pipeline.device.model import Model
+from pipeline.errors import ConfigError
+from pipeline.experiment.antialias import behind_filter
+from pipeline.experiment.excitation import drive_samples
+from pipeline.experiment.forward.modal_bank import respond
+from pipeline.experiment.forward.record import forward
+from pipeline.experiment.noise.lines import silent_sigma
+from pipeline.experiment.noise.measure import measured
+from pipeline.experiment.record import Record
+from pipeline.identification.bandpass import window_slice
+from pipeline.inference.screening.device import DeviceResult, FitRecord, identify_device, prepare
+from populations.draw import Draw, draw
+
+from ..config import RunConfig
+from .settings import EFFECT_STREAM, NOISE_STREAM, POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
+
+_SCREENING_EFFECT = "offdiagonal_damping"
+
+
+def physical_of(values: Mapping[str, FloatArray]) -> FloatArray:
+    """Physical parameters (B, 12) from arrays (B,) by quantity name."""
+    return np.stack([values[name] for name in PHYSICAL], axis=-1)
+
+
+@lru_cache(maxsize=2)
+def _shared(config_key: bytes) -> FitRecord:
+    config = msgspec.msgpack.decode(config_key, type=RunConfig)
+    instrument = config.instrument.instrument()
+    drive = drive_samples(config.experiment.excitation(), instrument.sample_rate_hz)
+    record = Record("chirp", instrument.sample_rate_hz, drive, np.zeros_like(drive), role="fit")
+    return prepare(record, instrument, settings_of(config))
+
+
+def shared_record(config: RunConfig) -> FitRecord:
+    """Drive, band and nuisance basis, which all virtual devices of a run share."""
+    return _shared(msgspec.msgpack.encode(config))
+
+
+def virtual_model(config: RunConfig) -> Model:
+    """The model of the virtual devices: the plant with c12, and the effects in [experiment] and [effects].
+
+    Raises
+    ------
+    ConfigError : an effect that does not exist or that the population does not draw; an unknown parameter in a size.
+    """
+    named = config.experiment.effects
+    model = Model(effects=tuple(dict.fromkeys((_SCREENING_EFFECT, *named, *config.effects))))
+    for name, table in config.effects.items():
+        effect = model.effect(name)
+        own = [member.name for member in effect.members(model.built.shape)]
+        if name in named or name == _SCREENING_EFFECT or effect.disturbance is not None:
+            raise ConfigError(
+                "[effects] cannot contain this effect",
+                value=name,
+                allowed="effects of the device or its read-out that are not in experiment.effects",
+                next_step=f"remove [effects.{name}]",
+            )
+        for parameter in table.size:
+            if parameter not in own:
+                raise ConfigError(
+                    f"[effects.{name}] size: no such parameter of the effect",
+                    value=parameter,
+                    allowed=", ".join(own),
+                    next_step="correct its name",
+                )
+    drawn = draw(population(config), config.run.seed, 0, 1).effects
+    for name in named:
+        if name not in drawn:
+            raise ConfigError(
+                "experiment.effects: the population does not draw sizes of this effect",
+                value=name,
+                allowed=", ".join(sorted(drawn)),
+                next_step=f"give sizes in [effects.{name}]",
+            )
+    return model
+
+
+def effect_sizes(config: RunConfig, model: Model, n: int, device_id: str, lot: str) -> dict[str, float]:
+    """Sizes by parameter that [effects] gives to device ``n``; empty if the device has none of them."""
+    out: dict[str, float] = {}
+    for name, table in sorted(config.effects.items()):
+        key = (EFFECT_STREAM, n, crc32(name.encode()))
+        random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=key))
+        affected = random.random() < table.share if not table.devices else device_id in table.devices
+        if not affected or (table.lots and lot not in table.lots):
+            continue
+        for parameter, (mean, sd) in sorted(table.size.items()):
+            full = f"{name}.{parameter}"
+            out[full] = float(np.clip(mean + sd * random.standard_normal(), *model.bounds(full)))
+    return out
+
+
+def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
+    """Pick-off volts (N, 2) of device ``i`` of a draw, before hum, noise and ADC, with the effects of the configuration."""
+    instrument = config.instrument.instrument()
+    shared = shared_record(config).record
+    physical = physical_of(drawn.true)[i : i + 1]
+    if not config.experiment.effects and not config.effects:
+        bank = behind_filter(gyro_modes(physical), instrument.antialias)
+        return respond(bank, shared.drive_v, instrument.sample_rate_hz, instrument.hold)[0]
+    model = virtual_model(config)
+    values = dict(zip(PHYSICAL, physical[0].tolist()))
+    for name, parameters in drawn.effects.items():
+        if name in config.experiment.effects:
+            values |= {f"{name}.{parameter}": float(value[i]) for parameter, value in parameters.items()}
+    values |= effect_sizes(config, model, int(drawn.index[i]), drawn.device_id[i], drawn.lot[i])
+    return forward(model, values, shared, instrument)
+
+
+def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray, FloatArray, float]:
+    """Silent and fit record, each (N, 2), of device ``i`` of a draw, and the noise sigma."""
+    instrument = config.instrument.instrument()
+    volts = virtual_volts(config, drawn, i)
+    sigma = config.noise.sigma_v or 0.001
+    if config.noise.snr_db is not None:
+        window = window_slice(volts, instrument.sample_rate_hz, config.identification.window_s)
+        sigma = float(np.sqrt(np.mean(volts[window] ** 2)) * 10.0 ** (-config.noise.snr_db / 20.0))
+    random = np.random.default_rng(device_seed(config, NOISE_STREAM, int(drawn.index[i])))
+    hum, rate = config.hum_source(), instrument.sample_rate_hz
+    quiet = np.zeros((round(config.experiment.silence_s * rate), 2))
+    silent = measured(quiet, rate, sigma, hum, instrument.adc, random)
+    return silent, measured(volts, rate, sigma, hum, instrument.adc, random), sigma
+
+
+def identify_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> DeviceResult:
+    """Simulate the records of device ``i`` of a draw and identify it."""
+    instrument = config.instrument.instrument()
+    shared = shared_record(config)
+    silent, fit, _ = virtual_records(config, drawn, i)
+    sigma = silent_sigma(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
+    record = Record("chirp", instrument.sample_rate_hz, shared.record.drive_v, fit, role="fit")
+    return identify_device(
+        [FitRecord(record, shared.band, shared.nuisance)],
+        sigma,
+        instrument,
+        settings_of(config),
+        config.posterior.settings(),
+        config.gate.gate(),
+        rate_of(config, angular_gain),
+        device_seed(config, POSTERIOR_STREAM, int(drawn.index[i])),
+    )
