@@ -107,8 +107,8 @@ def test_one_odd_device_is_diagnosed_by_itself_and_not_promoted(tmp_path):
     assert rows[3]["missing_effect_size"].startswith("cubic_stiffness.k3=")
     assert all(row["verdict_with_effects"] is None for row in rows)
     page = page_of(config, found, table)
-    assert "None that the devices share" in page
-    assert "Misfits with an effect of their own" in page
+    assert "No effect is shared by the devices" in page
+    assert "Misfits with an individual effect" in page
 
 
 def test_an_effect_that_no_single_device_shows_is_found_from_all_together(tmp_path):
