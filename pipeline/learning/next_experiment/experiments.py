@@ -1,13 +1,13 @@
-"""Experiments that may tell apart what a campaign cannot, all of them within what its device and instrument have seen.
+"""Candidate experiments that may separate the members of a class, within what the device and the instrument have done before.
 
-drive      no louder than the loudest record
-response   predicted, below full scale of the converter (the level is lowered to it)
-band       up to 0.9 of the anti-alias corner, and to where the loop looks
-clock      sample rate and hold of the campaign
+drive       at most the highest level of the existing records
+response    predicted, below full scale of the converter (otherwise the level is reduced)
+band        up to 0.9 of the anti-alias corner, and up to the highest frequency of the rows
+clock       sample rate and hold of the campaign
 
-The shapes are those of the paper's chirp: sweeps, the drives crossed, together up or down, against one another or alone, at
-a lower level; slow ones around the resonances, wide ones, noise of random phases, dwelling on resonances; another bias or a
-known rate where an effect depends on them.
+Shapes of the excitation: chirps with the drives crossed, in phase, in antiphase and alone, also at a lower level; slow chirps
+around the resonances, wide chirps, random-phase multisines, dwells on resonances.  Bias and rate are varied if an effect depends
+on them.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from ..campaign.rows import TOP_HZ
 #: Effects whose law holds the bias, and the share of the bias that is tried.
 _BIASED = {"electrostatic_softening", "drive_nonlinearity"}
 _LESS_BIAS = 0.7
+#: Relative level of the low-level experiment.
 _LOWER = 0.35
-#: Share of the corner and of Nyquist that is still driven, and of full scale that is still answered.
+#: Usable share of the anti-alias corner and of Nyquist, and of full scale.
 _USABLE, _FULL = 0.9, 0.9
 _LOWEST_HZ = 50.0
-#: Margins around the resonances [Hz], rates that are tried [deg/s], bounds of the duration [s].
+#: Margin around the resonances [Hz], rates [deg/s], limits of the duration [s].
 _MARGIN_HZ = 10.0
 _RATES_DPS = (0.0, 100.0)
 _SHORTEST_S, _LONGEST_S = 1.0, 5.0
@@ -41,13 +42,13 @@ _BIN_HZ = 10.0
 
 @dataclass(frozen=True)
 class Experiment:
-    """One record to be taken.
+    """One record to be measured.
 
     Parameters
     ----------
-    shape : in words, without level and duration.
+    shape : of the excitation in words, without level and duration.
     excitation : of the drives.
-    bias_v, rate_dps : declared conditions; ``None`` is the instrument's bias, an unknown rate.
+    bias_v, rate_dps : declared conditions [V], [deg/s]; ``None``: the bias of the instrument, an unknown rate.
     """
 
     shape: str
@@ -57,7 +58,7 @@ class Experiment:
 
     @property
     def level_v(self) -> float:
-        """Amplitude of the loudest drive [V]."""
+        """Highest amplitude of any drive [V]."""
         return max((abs(a) for a in getattr(self.excitation, "amplitude_v", ())), default=0.0)
 
     @property
@@ -72,20 +73,20 @@ class Experiment:
 
     def scaled(self, factor: float) -> Experiment:
         """Every amplitude times ``factor``."""
-        loud = self.excitation
-        if not isinstance(loud, Chirp | Multisine):
+        full = self.excitation
+        if not isinstance(full, Chirp | Multisine):
             return self
-        return replace(self, excitation=replace(loud, amplitude_v=tuple(factor * a for a in loud.amplitude_v)))
+        return replace(self, excitation=replace(full, amplitude_v=tuple(factor * a for a in full.amplitude_v)))
 
     def lasting(self, duration_s: float) -> Experiment:
-        """The same, slower: ``duration_s`` [s]."""
+        """The same excitation stretched to ``duration_s`` [s]."""
         slow = self.excitation
         if isinstance(slow, Multisine):
             slow = replace(slow, period_s=slow.period_s * duration_s / slow.duration_s)
         return replace(self, excitation=replace(slow, duration_s=duration_s))
 
     def record(self, campaign: Campaign) -> Record:
-        """The record before it is taken: its sense samples are zero."""
+        """The record before it is measured: its sense samples are zero."""
         rate = campaign.instrument.sample_rate_hz
         drive = drive_samples(self.excitation, rate)
         sense = np.zeros((drive.shape[0], campaign.records[0].sense_v.shape[1]))
@@ -93,7 +94,7 @@ class Experiment:
 
 
 def within(experiment: Experiment, peak_v: float, adc: Adc | None) -> Experiment:
-    """``experiment``, its level lowered where the answer of ``peak_v`` [V] would come too near full scale."""
+    """``experiment``, with its level reduced if a response of ``peak_v`` [V] would come too near full scale."""
     if adc is None or peak_v <= _FULL * adc.full_scale_v:
         return experiment
     return experiment.scaled(0.98 * _FULL * adc.full_scale_v / peak_v)
@@ -102,13 +103,13 @@ def within(experiment: Experiment, peak_v: float, adc: Adc | None) -> Experiment
 def experiments(
     campaign: Campaign, model: Model, values: Mapping[str, float], terms: Sequence[str]
 ) -> tuple[Experiment, ...]:
-    """What may be tried on the device of ``campaign``, the plainest first.
+    """The experiments that may be tried on the device of a campaign, the simplest first.
 
     Parameters
     ----------
-    campaign : its loudest drive, its driven band and its usual duration are kept to.
-    model, values : of a fit; its resonances.
-    terms : members of the class; bias and rate are varied where one of them depends on it.
+    campaign : highest drive level, driven band and typical duration are those of its records.
+    model, values : a fit, for its resonances.
+    terms : members of the class; bias and rate are varied if one of them depends on it.
     """
     driven = [r for r in campaign.records if r.role in ("fit", "validate") and np.any(r.drive_v)]
     drives = driven[0].drive_v.shape[1]
@@ -133,20 +134,20 @@ def experiments(
 
 
 def _common(driven: Sequence[Record]) -> Experiment:
-    """Bias and rate that all records declare alike."""
+    """Bias and rate that all records have in common."""
     biases, rates = {r.bias_v for r in driven}, {r.rate_dps for r in driven}
     return Experiment("", Chirp(), biases.pop() if len(biases) == 1 else None, rates.pop() if len(rates) == 1 else None)
 
 
 def _top(campaign: Campaign) -> float:
-    """Highest frequency that may be driven [Hz]."""
+    """Highest usable drive frequency [Hz]."""
     filter_ = campaign.instrument.antialias
     corner = campaign.instrument.sample_rate_hz / 2.0 if filter_ is None else filter_.corner_hz
     return min(_USABLE * min(corner, campaign.instrument.sample_rate_hz / 2.0), TOP_HZ)
 
 
 def _band(driven: Sequence[Record]) -> tuple[float, float]:
-    """Band [Hz] that holds all but 2 % of the energy of the drives, on a grid of 10 Hz."""
+    """Band [Hz] that contains all but 2 % of the energy of the drives, rounded outwards to 10 Hz."""
     low, high = np.inf, 0.0
     for record in driven:
         power: FloatArray = np.sum(np.abs(np.fft.rfft(record.drive_v, axis=0)) ** 2, axis=1)
@@ -157,7 +158,7 @@ def _band(driven: Sequence[Record]) -> tuple[float, float]:
 
 
 def _sweeps(low: float, high: float, level: float, duration: float, drives: int) -> list[Experiment]:
-    """The drives crossed, together up and down, against one another and alone."""
+    """Chirps: drives crossed, in phase (up and down), in antiphase, and one at a time."""
 
     def chirp(shape: str, ups: Sequence[bool], factors: Sequence[float]) -> Experiment:
         start, stop = tuple(low if up else high for up in ups), tuple(high if up else low for up in ups)
@@ -202,7 +203,7 @@ def _wide(campaign: Campaign, level: float, duration: float, drives: int) -> lis
 
 
 def _resonant(lines: Sequence[float], level: float, duration: float, drives: int) -> list[Experiment]:
-    """Slow around all resonances, and dwelling on single ones."""
+    """A slow chirp across all resonances, and dwells on single ones."""
     if not lines:
         return []
     low, high = max(round(lines[0] - _MARGIN_HZ), 1.0), float(round(lines[-1] + _MARGIN_HZ))

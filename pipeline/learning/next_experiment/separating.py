@@ -1,8 +1,10 @@
-"""The record that would separate the members of a class, as drive samples with a predicted SNR.
+"""The separating record of a class: the next experiment that would distinguish its members, with a predicted SNR.
 
-Every experiment that device and instrument allow (``separating_experiments``) is predicted by the fit with each member of the
-class; ``pipeline.criticism.separation`` says how well they are told apart once all parameters are refitted on old and new
-records.  The best is proposed; where it is not sure to do, it is made slower and longer.
+Every experiment that the device and the instrument allow (``experiments``) is predicted by the fit with each member of the
+class.  ``criticism.separation`` gives the SNR with which the members are distinguished after all parameters are refitted to
+the old and new records.  The best experiment is proposed; if its SNR is not high enough, a longer one is tried.
+
+Shapes: N samples, D drives, S senses, P free parameters.
 """
 
 from __future__ import annotations
@@ -27,28 +29,29 @@ from ...inference.general.residuals import nuisance_columns
 from ..campaign.problem import CampaignProblem
 from .experiments import Experiment, experiments, within
 
-#: SNR from which a record is said to separate, and from which the loop sees it surely and nothing longer is tried.
+#: SNR from which a record separates two effects, and from which no longer record is tried.
 LEAST, SURE = 5.0, 8.0
-#: From here on no better one is looked for; nor after so many with the largest bounds.
+#: SNR from which no better experiment is searched, and the number of experiments for which the exact SNR is computed.
 _PLENTY, _MOST = 12.0, 8
 _LONGER_S = (10.0, 30.0)
-#: A slower sweep may gain more than the root of its duration, but hardly by more than this.
+#: A longer sweep may gain more than the root of its duration, but hardly by more than this factor.
 _GAIN = 2.0
-#: How often a level is lowered until the converter holds the answer.
-_LOWERED = 4
-_GIVE_OUT = "give --out DIR to have the drive file"
+#: How often the level is reduced until the response fits into the range of the converter.
+_REDUCTIONS = 4
+_GIVE_OUT = "give --out DIR to write the drive file"
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """The best record to separate a class.
+    """The best record to separate the members of a class.
 
     Parameters
     ----------
     members : of the class.
-    experiment : what to play.
-    drive_v : (N, D) [V]; ``sample_rate_hz`` [Hz].
-    separation : predicted SNR of every pair.
+    experiment : excitation and conditions.
+    drive_v : (N, D) drive samples [V].
+    sample_rate_hz : of the drive samples [Hz].
+    separation : predicted SNR of every pair of members.
     hold : of the instrument.
     """
 
@@ -61,18 +64,18 @@ class Proposal:
 
     @property
     def pair(self) -> tuple[str, str]:
-        """The pair that ``snr`` is said of: the worst that is told apart, or the best where none is."""
+        """The pair to which ``snr`` belongs: the worst that is separated, or the best if none is."""
         reached = [pair for pair in self.separation.pairs if pair[1] >= LEAST]
         return (reached[0] if reached else self.separation.pairs[-1])[0]
 
     @property
     def snr(self) -> float:
-        """Predicted SNR of telling ``pair`` apart."""
+        """Predicted SNR with which ``pair`` is separated."""
         return dict(self.separation.pairs)[self.pair]
 
     @property
     def separates(self) -> bool:
-        """Whether at least one pair is told apart."""
+        """Whether at least one pair is separated."""
         return self.snr >= LEAST
 
     @property
@@ -81,31 +84,31 @@ class Proposal:
         return f"separating-{'-'.join(self.members)}.parquet"
 
     def text(self, written: bool = False) -> str:
-        """What ``separating_record`` says; names the file only where it was ``written``."""
+        """The text of ``separating_record`` in the JSON; it names the drive file only if that was ``written``."""
         if not self.separates:
             if self.snr < 0.01:
                 return f"none with this instrument (best: {self.experiment.words}, SNR below 0.01)"
-            need = f"{LEAST:g} needs {LEAST / self.snr:.2g} times less noise, or a stronger effect"
+            need = f"an SNR of {LEAST:g} needs {LEAST / self.snr:.2g} times less noise, or a stronger effect"
             return f"none with this instrument (best: {self.experiment.words}, SNR {self.snr:.2g}; {need})"
-        said = f"{self.experiment.words}: predicted SNR {self.snr:.3g}"
+        text = f"{self.experiment.words}: predicted SNR {self.snr:.3g}"
         if len(self.separation.pairs) > 1:
-            said += f" for {' against '.join(self.pair)}"
-            left = [" from ".join(pair) for pair, snr in self.separation.pairs if snr < LEAST]
-            said += f", not enough for {', '.join(left)}" if left else " and more for the others"
-        return f"{self.file}: {said}" if written else f"{said} ({_GIVE_OUT})"
+            text += f" for {' against '.join(self.pair)}"
+            missed = [" from ".join(pair) for pair, snr in self.separation.pairs if snr < LEAST]
+            text += f"; it does not separate {', '.join(missed)}" if missed else ", more for the other pairs"
+        return f"{self.file}: {text}" if written else f"{text} ({_GIVE_OUT})"
 
     def stanza(self) -> str:
-        """The lines for campaign.toml, and how to come by the record."""
+        """The lines for campaign.toml, with comments on how to measure the record."""
         head = [
             f"# {self.text(written=True)}",
-            f"# Play the drive columns at {self.sample_rate_hz:g} Hz (hold {self.hold!r}) from rest, add what was measured",
-            "# as columns sense1_V, .., put the file beside campaign.toml with the lines below, and diagnose again.",
+            f"# Play the drive columns at {self.sample_rate_hz:g} Hz (hold {self.hold!r}), starting at rest.  Add the measured",
+            "# samples as columns sense1_V, ..; put the file beside campaign.toml, add the lines below to it, diagnose again.",
         ]
         conditions = {"rate_dps": self.experiment.rate_dps, "bias_v": self.experiment.bias_v}
         return "\n".join(head) + "\n" + toml.table("[[record]]", {"file": self.file, "role": "fit", **conditions})
 
     def write(self, folder: Path) -> Path | None:
-        """The drive file and, beside it, the lines for campaign.toml; nothing where nothing separates.
+        """Writes the drive file and, beside it, the lines for campaign.toml; writes nothing if no pair is separated.
 
         Raises
         ------
@@ -125,20 +128,31 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """The fit with one member in place, what the old records say of it, d values / d coordinates, and steps of differences."""
+    """The fit with one member of the class.
+
+    Parameters
+    ----------
+    term : its name.
+    fitted, chi2 : the fit, and its chi2 on the old records.
+    known : (P, P) square root of the information of the old records.
+    jacobian : (P, P) d values / d smooth coordinates.
+    steps : (P,) of the finite differences.
+    """
 
     term: str
     fitted: CampaignFit
     chi2: float
     known: FloatArray
-    turn: FloatArray
+    jacobian: FloatArray
     steps: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """An experiment at a level that the converter allows, what each member would answer (in sigmas), and what it would tell
-    (or a bound on it)."""
+    """An experiment within the range of the converter, its record, the prediction of each member, and its separation.
+
+    ``signals`` are (N S,) in sigmas; ``found`` is exact, or an upper bound.
+    """
 
     experiment: Experiment
     record: Record
@@ -147,89 +161,90 @@ class _Trial:
 
     @property
     def merit(self) -> tuple[float, float]:
-        """More pairs told apart; then the best of those that are not yet, or the worst where all are."""
+        """Number of separated pairs; then the SNR of the best pair that is not separated, or of the worst if all are."""
         left = [snr for _, snr in self.found.pairs if snr < LEAST]
         return float(self.found.apart(LEAST)), left[-1] if left else self.found.least
 
 
-def proposals(view: CampaignProblem, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
-    """The separating record of every class of more than one member."""
-    found = (separating_record(view, terms, one) for one in classes if len(one.members) > 1)
+def proposals(problem: CampaignProblem, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
+    """The separating record of every class of more than one member; arguments as in ``separating_record``."""
+    found = (separating_record(problem, terms, one) for one in classes if len(one.members) > 1)
     return tuple(one for one in found if one is not None)
 
 
 def separating_text(found: Sequence[Proposal], written: bool) -> str | None:
-    """``separating_record`` of the JSON: one text, ``None`` where there is no class."""
+    """``separating_record`` of the JSON as one text; ``None`` if there is no class."""
     if len(found) == 1:
         return found[0].text(written)
     return "; ".join(f"{' or '.join(one.members)}: {one.text(written)}" for one in found) or None
 
 
-def separating_record(view: CampaignProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
-    """The record that would separate the members of a class; ``None`` where fewer than two could be fitted.
+def separating_record(problem: CampaignProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
+    """The record that would separate the members of a class; ``None`` if fewer than two of them can be fitted.
 
     Parameters
     ----------
-    view : the campaign, with its fits.
-    terms : in the fit that the class was found at.
+    problem : the campaign, with its fits.
+    terms : effects in the fit at which the class was found.
     found : the class.
     """
-    members = [m for term in found.members if (m := _member(view, terms, found.term, term)) is not None]
+    members = [m for term in found.members if (m := _member(problem, terms, found.term, term)) is not None]
     if len(members) < 2:
         return None
     names = tuple(m.term for m in members)
     first = members[0].fitted
-    asked = experiments(view.campaign, first.model, first.values, names)
-    bounds = [trial for one in asked if (trial := _bounded(view, members, one)) is not None]
-    best = _best(view, members, bounds, None)
+    tried = experiments(problem.campaign, first.model, first.values, names)
+    bounds = [trial for one in tried if (trial := _bounded(problem, members, one)) is not None]
+    best = _best(problem, members, bounds, None)
     for duration in _LONGER_S:
         if best is None or best.found.least >= SURE:
             break
         longer = duration / best.experiment.excitation.duration_s
         if longer > 1.0 and _GAIN * np.sqrt(longer) * best.merit[1] >= LEAST:
-            slower = _bounded(view, members, best.experiment.lasting(duration))
-            best = _best(view, members, [] if slower is None else [slower], best)
+            slower = _bounded(problem, members, best.experiment.lasting(duration))
+            best = _best(problem, members, [] if slower is None else [slower], best)
     if best is None:
         return None
     forces = any(effect.force is not None for m in members for effect in m.fitted.model.ordered_effects())
     if forces and best.found.least < _PLENTY:
-        best = _told(view, members, best, exact=True)
-    hold = view.campaign.instrument.hold
+        best = _separated(problem, members, best, exact=True)
+    hold = problem.campaign.instrument.hold
     return Proposal(names, best.experiment, best.record.drive_v, best.record.sample_rate_hz, best.found, hold)
 
 
 def _best(
-    view: CampaignProblem, members: Sequence[_Member], bounds: Sequence[_Trial], best: _Trial | None
+    problem: CampaignProblem, members: Sequence[_Member], bounds: Sequence[_Trial], best: _Trial | None
 ) -> _Trial | None:
-    """The best of some experiments and ``best``; those whose bound is no better need no derivatives."""
+    """The best of some experiments and ``best``; an experiment whose bound is no better needs no derivatives."""
     for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:_MOST]:
         if best is not None and (bound.merit <= best.merit or best.found.least >= _PLENTY):
             break
-        trial = _told(view, members, bound)
+        trial = _separated(problem, members, bound)
         if best is None or trial.merit > best.merit:
             best = trial
     return best
 
 
-def _member(view: CampaignProblem, terms: Sequence[str], term: str, rival: str) -> _Member | None:
+def _member(problem: CampaignProblem, terms: Sequence[str], term: str, rival: str) -> _Member | None:
+    """The fit in which ``rival`` replaces ``term``; ``None`` if it fails."""
     swapped = tuple(rival if name == term else name for name in terms)
-    fit = view.fit(swapped, None if rival == term else view.fit(tuple(terms)))
+    fit = problem.fit(swapped, None if rival == term else problem.fit(tuple(terms)))
     if not fit.ok:
         return None
-    fitted, campaign = view.campaign_fit(swapped), view.campaign
+    fitted, campaign = problem.campaign_fit(swapped), problem.campaign
     plain = replace(campaign.with_role("fit")[0], at_rest=True)
     steps = tuned_steps(fitted.model, fitted.values, plain, campaign.instrument, angular_gain=campaign.angular_gain)
     return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.values_jacobian(fitted.x), steps)
 
 
-def _bounded(view: CampaignProblem, members: Sequence[_Member], experiment: Experiment) -> _Trial | None:
-    """A bound on what an experiment would tell; ``None`` where a member cannot be at its conditions."""
-    adc = view.campaign.instrument.adc
+def _bounded(problem: CampaignProblem, members: Sequence[_Member], experiment: Experiment) -> _Trial | None:
+    """An upper bound on the separation of an experiment; ``None`` if a member cannot exist at its conditions."""
+    adc = problem.campaign.instrument.adc
     try:
-        for _ in range(_LOWERED):
-            record = experiment.record(view.campaign)
-            answers = [_answer(view.campaign, member, record) for member in members]
-            lower = within(experiment, max(float(np.max(np.abs(y))) for y in answers), adc)
+        for _ in range(_REDUCTIONS):
+            record = experiment.record(problem.campaign)
+            responses = [_response(problem.campaign, member, record) for member in members]
+            lower = within(experiment, max(float(np.max(np.abs(y))) for y in responses), adc)
             if lower is experiment:
                 break
             experiment = lower
@@ -237,28 +252,29 @@ def _bounded(view: CampaignProblem, members: Sequence[_Member], experiment: Expe
             return None
     except ConfigError:
         return None
-    signals = tuple(_white(view, member, record, y[:, :, None])[:, 0] for member, y in zip(members, answers))
+    signals = tuple(_white(problem, member, record, y[:, :, None])[:, 0] for member, y in zip(members, responses))
     found = separation([Prediction(m.term, s, m.chi2, m.known) for m, s in zip(members, signals)])
     return _Trial(experiment, record, signals, found)
 
 
-def _told(view: CampaignProblem, members: Sequence[_Member], trial: _Trial, exact: bool = False) -> _Trial:
-    """What an experiment would tell with all parameters refitted."""
+def _separated(problem: CampaignProblem, members: Sequence[_Member], trial: _Trial, exact: bool = False) -> _Trial:
+    """The trial with its separation after all parameters are refitted."""
     predictions = [
-        Prediction(m.term, signal, m.chi2, m.known, _columns(view, m, trial.record, exact))
+        Prediction(m.term, signal, m.chi2, m.known, _columns(problem, m, trial.record, exact))
         for m, signal in zip(members, trial.signals)
     ]
     return replace(trial, found=separation(predictions))
 
 
-def _answer(campaign: Campaign, member: _Member, record: Record) -> FloatArray:
+def _response(campaign: Campaign, member: _Member, record: Record) -> FloatArray:
+    """(N, S) predicted sense samples [V]."""
     model, values = member.fitted.model, member.fitted.values
     return forward(model, values, record, campaign.instrument, angular_gain=campaign.angular_gain)
 
 
-def _columns(view: CampaignProblem, member: _Member, record: Record, exact: bool) -> FloatArray:
-    """(N S, P) what the parameters of a member's fit move in a new record, in sigmas."""
-    fitted, campaign = member.fitted, view.campaign
+def _columns(problem: CampaignProblem, member: _Member, record: Record, exact: bool) -> FloatArray:
+    """(N S, P) change of a new record with the parameters of a member's fit, in sigmas."""
+    fitted, campaign = member.fitted, problem.campaign
     columns = jacobian(
         fitted.model,
         fitted.values,
@@ -268,15 +284,15 @@ def _columns(view: CampaignProblem, member: _Member, record: Record, exact: bool
         exact=exact,
         steps=member.steps,
     )
-    white, free = _white(view, member, record, columns), columns.shape[2]
+    white, free = _white(problem, member, record, columns), columns.shape[2]
     # Columns of the old rows beyond the free parameters are initial states of single records.
     wide = np.zeros((white.shape[0], member.known.shape[1]))
-    wide[:, :free] = np.linalg.solve(member.turn.T, white.T).T
+    wide[:, :free] = np.linalg.solve(member.jacobian.T, white.T).T
     return wide
 
 
-def _white(view: CampaignProblem, member: _Member, record: Record, y: FloatArray) -> FloatArray:
-    """Volts (N, S, k) as rows (N S, k) in sigmas, what is free in every record and channel projected out."""
-    n = nuisance_columns(member.fitted.model, member.fitted.values, record, view.campaign.instrument)
-    white = (y / view.noise.sigma_v[:, None]).reshape(y.shape[0], -1)
+def _white(problem: CampaignProblem, member: _Member, record: Record, y: FloatArray) -> FloatArray:
+    """Volts (N, S, k) as rows (N S, k) in sigmas, with the nuisances of every channel projected out."""
+    n = nuisance_columns(member.fitted.model, member.fitted.values, record, problem.campaign.instrument)
+    white = (y / problem.noise.sigma_v[:, None]).reshape(y.shape[0], -1)
     return np.asarray((white - n @ (n.T @ white)).reshape(-1, y.shape[2]))

@@ -1,4 +1,4 @@
-"""The separating record does what it promises: its SNR is that of the refits, and the class is gone once it is measured."""
+"""The separating record: its predicted SNR is that of refits, and it separates the class once it is measured."""
 
 import json
 import tomllib
@@ -21,90 +21,90 @@ from workflows.simulate import campaign_config, simulate
 
 
 def one_chirp(effect):
-    """What a single chirp tells, and the truth."""
+    """A simulated device with one effect, and its campaign reduced to one chirp, one validation record and silence."""
     made = simulate(campaign_config(None), {}, [effect], 3)
     kept = tuple(r for r in made.campaign.records if r.name in ("silence", "chirp", "validate-swapped"))
     return made, replace(made.campaign, records=kept)
 
 
-def answer(made, record):
+def response(made, record):
     instrument, gain = made.campaign.instrument, made.campaign.angular_gain
     return forward(made.model, made.parameters, record, instrument, angular_gain=gain)
 
 
 @pytest.fixture(scope="module")
 def drifting():
-    """A gain drift in one chirp without noise, seen as such and as mismatch; and the record that separates them."""
+    """A gain drift in one chirp without noise, its fits as gain drift and as mismatch, and their separating record."""
     made, campaign = one_chirp("gain_drift:gamma=0.00045")
-    quiet = tuple(r if r.role == "noise" else replace(r, sense_v=answer(made, r)) for r in campaign.records)
+    quiet = tuple(r if r.role == "noise" else replace(r, sense_v=response(made, r)) for r in campaign.records)
     campaign = replace(campaign, records=quiet)
-    view = view_of(campaign)
+    problem = view_of(campaign)
     fits = {}
     for name in ("gain_drift", "electrode_mismatch"):
-        fits[name] = view.fit((name,))
+        fits[name] = problem.fit((name,))
     found = TermClass("gain_drift", ("gain_drift", "electrode_mismatch"), ())
-    return made, view, fits, separating_record(view, ("gain_drift",), found)
+    return made, problem, fits, separating_record(problem, ("gain_drift",), found)
 
 
-def test_the_predicted_snr_is_that_of_the_refits(drifting):
-    _, view, fits, proposal = drifting
-    campaign = view.campaign
+def test_the_predicted_snr_is_that_of_refits_on_old_and_new_records(drifting):
+    _, problem, fits, proposal = drifting
+    campaign = problem.campaign
     record = proposal.experiment.record(campaign)
     assert np.array_equal(record.drive_v, proposal.drive_v)
     rises = []
     for right, wrong in (proposal.members, proposal.members[::-1]):
-        true, other = view.campaign_fit((right,)), view.campaign_fit((wrong,))
-        answered = forward(true.model, true.values, record, campaign.instrument, angular_gain=campaign.angular_gain)
-        whole = replace(campaign, records=(*campaign.records, replace(record, sense_v=answered)))
-        # The new rows are the right fit's own, so its refit is its fit.
-        refit = fit_campaign(other.model, whole, view.noise, other.values)
+        true, other = problem.campaign_fit((right,)), problem.campaign_fit((wrong,))
+        predicted = forward(true.model, true.values, record, campaign.instrument, angular_gain=campaign.angular_gain)
+        whole = replace(campaign, records=(*campaign.records, replace(record, sense_v=predicted)))
+        # The new record is the prediction of the right fit, so its refit is its fit.
+        refit = fit_campaign(other.model, whole, problem.noise, other.values)
         rises.append(refit.chi2 - fits[right].chi2)
-    # The smaller of the two ways round is promised; the new rows are linearised at the fit of the old ones.
+    # The smaller SNR of the two ways round is predicted; the new rows are linearized at the fit of the old ones.
     assert proposal.snr > LEAST
     assert proposal.snr == pytest.approx(np.sqrt(min(rises)), rel=0.05)
 
 
-def test_the_old_records_alone_do_not_separate_them(drifting):
+def test_the_old_records_alone_do_not_separate_the_class(drifting):
     _, _, fits, proposal = drifting
     assert fits["electrode_mismatch"].chi2 - fits["gain_drift"].chi2 < (proposal.snr / 2.0) ** 2
 
 
-def test_device_and_instrument_are_not_asked_for_more_than_they_have_seen(drifting):
-    made, view, _, proposal = drifting
-    campaign = view.campaign
-    highest_drive_energy = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records)
+def test_experiments_exceed_neither_the_highest_drive_level_nor_the_range_of_the_converter(drifting):
+    made, problem, _, proposal = drifting
+    campaign = problem.campaign
+    highest_drive_v = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records)
     assert proposal.sample_rate_hz == campaign.instrument.sample_rate_hz
-    assert np.max(np.abs(answer(made, proposal.experiment.record(campaign)))) < campaign.instrument.adc.full_scale_v
-    fitted = view.campaign_fit(("gain_drift",))
+    assert np.max(np.abs(response(made, proposal.experiment.record(campaign)))) < campaign.instrument.adc.full_scale_v
+    fitted = problem.campaign_fit(("gain_drift",))
     offered = experiments(campaign, fitted.model, fitted.values, ("gain_drift", "electrode_mismatch"))
-    assert max(np.max(np.abs(one.record(campaign).drive_v)) for one in offered) <= highest_drive_energy * (1.0 + 1e-12)
+    assert max(np.max(np.abs(one.record(campaign).drive_v)) for one in offered) <= highest_drive_v * (1.0 + 1e-12)
     assert all(one.bias_v is None and one.rate_dps is None for one in offered)
 
 
-def test_bias_and_rate_are_varied_where_a_member_depends_on_them(drifting):
-    _, view, _, _ = drifting
-    fitted = view.campaign_fit(("gain_drift",))
+def test_bias_and_rate_are_varied_if_a_member_depends_on_them(drifting):
+    _, problem, _, _ = drifting
+    fitted = problem.campaign_fit(("gain_drift",))
 
     def offered(*terms: str) -> tuple[Experiment, ...]:
-        return experiments(view.campaign, fitted.model, fitted.values, terms)
+        return experiments(problem.campaign, fitted.model, fitted.values, terms)
 
     assert any(one.bias_v is not None for one in offered("cubic_stiffness", "electrostatic_softening"))
     assert {one.rate_dps for one in offered("offdiagonal_damping", "angular_rate")} == {None, 0.0, 100.0}
 
 
 def test_a_device_with_one_drive_is_offered_one_drive(drifting):
-    _, view, _, _ = drifting
-    single = tuple(replace(r, drive_v=r.drive_v[:, :1], sense_v=r.sense_v[:, :1]) for r in view.campaign.records)
-    offered = experiments(replace(view.campaign, records=single), view.model, {"f1_hz": 535.0}, ("gain_drift",))
-    assert {one.record(view.campaign).drive_v.shape[1] for one in offered} == {1}
+    _, problem, _, _ = drifting
+    single = tuple(replace(r, drive_v=r.drive_v[:, :1], sense_v=r.sense_v[:, :1]) for r in problem.campaign.records)
+    offered = experiments(replace(problem.campaign, records=single), problem.model, {"f1_hz": 535.0}, ("gain_drift",))
+    assert {one.record(problem.campaign).drive_v.shape[1] for one in offered} == {1}
     assert not any("drive" in one.shape for one in offered)
 
 
-def test_a_delay_and_a_pole_are_told_apart_by_no_record_of_this_instrument(tmp_path):
+def test_no_record_of_this_instrument_separates_a_delay_from_a_pole(tmp_path):
     _, campaign = one_chirp("loop_delay:tau=1e-6")
-    view = view_of(campaign)
-    view.fit(("pickoff_pole",), view.fit(("loop_delay",)))
-    proposal = separating_record(view, ("loop_delay",), TermClass("loop_delay", ("loop_delay", "pickoff_pole"), ()))
+    problem = view_of(campaign)
+    problem.fit(("pickoff_pole",), problem.fit(("loop_delay",)))
+    proposal = separating_record(problem, ("loop_delay",), TermClass("loop_delay", ("loop_delay", "pickoff_pole"), ()))
     assert proposal.snr < 0.1
     assert proposal.text().startswith("none with this instrument (best: ")
     assert proposal.write(tmp_path) is None
@@ -115,25 +115,25 @@ def test_without_a_class_there_is_no_separating_record():
     assert separating_text((), written=True) is None
 
 
-def test_the_class_is_gone_once_its_separating_record_is_measured(tmp_path, capfd):
+def test_the_measured_separating_record_resolves_the_class(tmp_path, capfd):
     made, campaign = one_chirp("gain_drift:gamma=0.0003")
     folder = tmp_path / "campaign"
     write_campaign(campaign, folder)
     assert call(["diagnose", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 0
-    said = json.loads(capfd.readouterr().out)
-    assert (said["verdict"], [set(c) for c in said["classes"]]) == ("class", [{"gain_drift", "electrode_mismatch"}])
-    file, _, rest = said["separating_record"].partition(": ")
+    first = json.loads(capfd.readouterr().out)
+    assert (first["verdict"], [set(c) for c in first["classes"]]) == ("class", [{"gain_drift", "electrode_mismatch"}])
+    file, _, rest = first["separating_record"].partition(": ")
     assert "predicted SNR" in rest
-    assert not said["separating_record"].startswith("none")
-    # Played on the device, measured, and put beside the campaign with the lines that were written for it.
+    assert not first["separating_record"].startswith("none")
+    # The record is measured on the device and added to the campaign with the lines that were written for it.
     columns = read_columns(tmp_path / "out" / file)
     stanza = (tmp_path / "out" / file).with_suffix(".toml").read_text()
-    told = tomllib.loads(stanza)["record"][0]
-    assert told["file"] == file
+    declared = tomllib.loads(stanza)["record"][0]
+    assert declared["file"] == file
     drive = np.stack([columns["drive1_V"], columns["drive2_V"]], axis=1)
     rate = 1.0 / (columns["time_s"][1] - columns["time_s"][0])
     record = replace(campaign.records[1], drive_v=drive, sense_v=np.zeros_like(drive))
-    volts = measured(answer(made, record), rate, 1e-3, Hum(), campaign.instrument.adc, np.random.default_rng(7))
+    volts = measured(response(made, record), rate, 1e-3, Hum(), campaign.instrument.adc, np.random.default_rng(7))
     columns |= {f"sense{k + 1}_V": np.ascontiguousarray(v) for k, v in enumerate(volts.T)}
     write_columns(folder, file.removesuffix(".parquet"), columns, "parquet")
     with (folder / "campaign.toml").open("a") as table:
