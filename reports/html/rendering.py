@@ -31,6 +31,7 @@ def environment() -> jinja2.Environment:
         number=number,
         measured=measured,
         interval=interval,
+        estimate=estimate,
         percent=percent,
         quantity=label,
         limit=limit_words,
@@ -72,6 +73,21 @@ def measured(value: float, sd: float) -> str:
         return f"{number(value, 6)} ± ?"
     decimals = _decimals(sd)
     return f"{_fixed(value, sd, decimals)} ± {_fixed(sd, sd, decimals)}"
+
+
+def estimate(found: tuple[float | None, float | None] | None) -> str:
+    """(value, sd) as "value ± sd" without line breaks; a power of ten outside the brackets far from 1; a dash for none."""
+    value, sd = found or (None, None)
+    if value is None or not math.isfinite(value):
+        return _DASH
+    spread = sd if sd is not None and math.isfinite(sd) and sd > 0.0 else 0.0
+    largest = max(abs(value), spread)
+    scale = 0 if 1e-2 <= largest < 1e5 or largest == 0.0 else math.floor(math.log10(largest))
+    value, spread = value / 10.0**scale, spread / 10.0**scale
+    text = measured(value, spread).replace(" ", "\u00a0") if spread else number(value, 4 if scale else 6)
+    if scale == 0:
+        return text
+    return f"{f'({text})' if spread else text}·10{str(scale).translate(SUPERSCRIPT)}"
 
 
 def interval(low: float, high: float, sd: float) -> str:

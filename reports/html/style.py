@@ -1,4 +1,4 @@
-"""Style of all figures, and their conversion to inline SVG.
+"""Style and layout of all figures, and their conversion to inline SVG.
 
 Colours are distinguishable for colour-blind readers and in grey print (Okabe and Ito 2008); verdicts also differ
 by marker. Text remains text, so it is searchable and uses the font of the page.  Ids derive from the figure's
@@ -12,10 +12,13 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 INK = "#1f2933"
 MUTED = "#66727f"
@@ -23,6 +26,8 @@ RULE = "#d5dbe1"
 ACCENT = "#0072b2"
 TRUTH = "#cc79a7"
 LIMIT = "#000000"
+# What the first model leaves, and what the last one leaves.
+BEFORE, AFTER = "#d55e00", "#0072b2"
 COLOURS: Mapping[str, str] = MappingProxyType({"pass": "#0072b2", "fail": "#d55e00", "undecided": "#f0c93b"})
 EDGES: Mapping[str, str] = MappingProxyType({"pass": "#0072b2", "fail": "#d55e00", "undecided": "#7a5c00"})
 MARKERS: Mapping[str, str] = MappingProxyType({"pass": "o", "fail": "X", "undecided": "D"})
@@ -63,6 +68,8 @@ _RC: Mapping[str, Any] = MappingProxyType(
     }
 )
 
+Share = bool | Literal["none", "all", "row", "col"]
+
 
 @contextmanager
 def style() -> Iterator[None]:
@@ -71,6 +78,65 @@ def style() -> Iterator[None]:
     settings: Any = dict(matplotlib.rcParamsDefault) | {"backend": "agg"} | dict(_RC)
     with matplotlib.rc_context(settings):
         yield
+
+
+def literal(text: str) -> str:
+    """``text`` with its dollar signs escaped, which would otherwise start a formula."""
+    return text.replace("$", r"\$")
+
+
+def log_ticks(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis: 1, 2, 5 of each decade; only decades over a long range, round steps within one."""
+    low, high = axis.get_view_interval()
+    ratio = high / max(low, 1e-300)
+    if ratio < 4.0:
+        axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if ratio < 300.0 else (1.0,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def panels(
+    rows: int,
+    columns: int,
+    height: float,
+    *,
+    left: float = 0.75,
+    right: float = 0.1,
+    bottom: float = 0.95,
+    top: float = 0.32,
+    gap: float = 0.28,
+    between: float = 0.3,
+    sharex: Share = False,
+    sharey: Share = False,
+    height_ratios: tuple[float, ...] | None = None,
+) -> tuple[Figure, list[list[Axes]]]:
+    """A figure of the page's width and its axes, rows of columns; call it within ``style()``.
+
+    The margins are given: constrained layout would draw every figure twice to find them.
+
+    Parameters
+    ----------
+    height : of a row [inch]; the figure grows with the rows.
+    left, right, bottom, top : margins [inch].
+    gap, between : between columns and between rows [inch].
+    sharex, sharey, height_ratios : as of ``Figure.subplots``.
+    """
+    whole = rows * height + (rows - 1) * between + bottom + top
+    wide = (WIDTH - left - right - (columns - 1) * gap) / columns
+    figure = Figure(figsize=(WIDTH, whole))
+    ratios: dict[str, Any] = {} if height_ratios is None else {"height_ratios": height_ratios}
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey, **ratios)
+    figure.subplots_adjust(
+        left=left / WIDTH,
+        right=1.0 - right / WIDTH,
+        bottom=bottom / whole,
+        top=1.0 - top / whole,
+        wspace=gap / wide,
+        hspace=between / height,
+    )
+    return figure, [list(row) for row in grid]
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:

@@ -1,6 +1,8 @@
-"""The content of a campaign's page: frozen data from the JSON of compare, diagnose and refine; no HTML, no figures.
+"""Content of the page of compare, diagnose and refine: frozen data from the typed answers; no HTML, no figures.
 
-Keys that are absent give "not known", keys that are unknown are ignored: the page never fails for them.
+answers, effects -> LearningContent -> figures, templates
+
+Campaigns and modal records have the same content; a part that does not apply is empty.
 """
 
 from __future__ import annotations
@@ -8,169 +10,287 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ..run.content import Fact, facts
-from ..words.campaign import Fall, fall_sentence, missing_sentence, noise_sentence, standing_notes
-from ..words.quantities import percent
-from .rows import (
-    CandidateRow,
-    Json,
-    Law,
-    Library,
-    ParameterRow,
-    Region,
-    Rung,
-    candidates_of,
-    classes_of,
-    finite,
-    kinds_of,
-    last_rung,
-    laws_of,
-    letter,
-    mapping,
-    misfit_of,
-    names_of,
-    parameters_of,
-    regions_of,
-    rows_of,
-    rung_of,
-    wrong_forms_of,
+from pipeline.axial import difference
+from pipeline.device.effect import Effect
+from pipeline.learning.answers import (
+    CandidateAnswer,
+    ComparisonAnswer,
+    DiagnosisAnswer,
+    Measured,
+    Place,
+    RefinementAnswer,
+    RungAnswer,
+    Values,
 )
+from pipeline.quantities import AXES
+
+from ..words import campaign as words
+from ..words.campaign import ErrorChange
+from ..words.quantities import unit_of
+
+#: Families of a few places that cut the whole campaign or modal record.
+_WHOLE = ("level", "direction", "channel", "record", "entry")
 
 
 @dataclass(frozen=True)
-class CampaignContent:
-    """Everything that the page says, in its order."""
+class PlaceRow:
+    """A place in words, its share of the misfit, the error of the first and of the last model there, the explained share.
 
-    device_id: str
-    verdict: str
-    missing: str
-    fell: str
-    notes: tuple[str, ...]
-    fall: Fall
-    fitted: Fall
-    misfit: tuple[float | None, float | None]
+    The error of an entry of a modal record is relative to the norm of its mode.
+    """
+
+    place: str
+    share: float
+    error: float | None
+    error_after: float | None
     explained: float | None
-    theta: ParameterRow | None
-    split: ParameterRow | None
-    verdicts: tuple[str, str]
-    rungs: tuple[Rung, ...]
-    refused: tuple[tuple[str, str], ...]
-    kinds: tuple[Region, ...]
-    regions: tuple[tuple[str, tuple[Region, ...]], ...]
-    noise: str
-    candidates: tuple[CandidateRow, ...]
-    classes: tuple[tuple[str, tuple[str, ...]], ...]
-    separating: str | None
-    invisible: tuple[str, ...]
-    parameters: tuple[ParameterRow, ...]
-    laws: tuple[Law, ...]
-    truth: str
-    provenance: tuple[Fact, ...]
 
 
-def campaign_content(
-    device_id: str,
-    compare: Json,
-    diagnose: Json | None,
-    refine: Json | None,
-    *,
-    library: Library,
-    verdicts: Mapping[str, str] | None = None,
-    truth: str | None = None,
-    provenance: Json | None = None,
-) -> CampaignContent:
-    """The content of a campaign's page.
+@dataclass(frozen=True)
+class PlaceTable:
+    """Places whose shares add up to one, the largest first; a ``folded`` table opens with a click."""
+
+    title: str
+    rows: tuple[PlaceRow, ...]
+    folded: bool
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """(value, sd) of a parameter in the first and in the last model; ``shift`` in sds of the first."""
+
+    name: str
+    unit: str
+    before: Measured | None
+    after: Measured | None
+    shift: float | None
+
+
+@dataclass(frozen=True)
+class LawText:
+    """An effect and its sizes on this device; ``effect`` is ``None`` where the library does not have it."""
+
+    name: str
+    effect: Effect | None
+    sizes: Values
+
+
+@dataclass(frozen=True)
+class LearningContent:
+    """What the page states: the answers, and what follows from them.
 
     Parameters
     ----------
-    device_id : of the campaign.
-    compare, diagnose, refine : JSON of the three commands; ``None`` where a command was not run.
-    library : effect -> law, signature, source, and units under "unit.<parameter>".
-    verdicts : "before" and "after" of the decision.
-    truth : what was hidden, where somebody knows.
-    provenance : shown as it is.
+    name : of the device or of the modal record.
+    comparison, diagnosis, refinement : the answers; ``None`` where the question was not asked.
+    verdict : of the last rung or of the diagnosis; "" where the model was only compared.
+    headline, notes : the verdict in words, and what a reader must know beside it.
+    change, fitted : the error of the first and of the last model on the data of the headline, and on the fitted data.
+    effects : added or named.
+    places : where the first model fails.
+    candidates, letters : absent effects, the most significant first; effect -> letter of its class.
+    parameters, laws : parameters of the first and the last model; the effects in question.
     """
-    told, found = diagnose or {}, refine or {}
-    rungs = tuple(rung_of(k, one, library) for k, one in enumerate(rows_of(found.get("ladder"))))
-    said = str(found.get("verdict") or told.get("verdict") or ("" if compare.get("fit_ok", True) else "fit_failed"))
-    effects = names_of(found.get("effects") if refine else told.get("effects"))
-    classes = classes_of(found.get("classes") or told.get("classes"))
-    last = next((one for one in reversed(rungs) if one.status != "refused"), None)
-    fall, fitted = _fall(compare, rungs, last, held_out=True), _fall(compare, rungs, last, held_out=False)
-    shown = fall if (fall.before if fall.before is not None else fall.after) is not None else fitted
-    if (shown.before if shown.before is not None else shown.after) is None:
-        shown = _relative(compare, rungs, last)
-    added = [one.delta_chi2 for one in rungs if one.delta_chi2 is not None and one.status != "refused"]
-    shown = replace(shown, chi2=sum(added) if added else None)
-    asked = next((one for one in (told, found) if "separating_record" in one), None)
-    separating = None if asked is None else str(asked["separating_record"] or "")
-    selection = [one.effect for one in rungs if one.effect and one.status != "refused"]
-    parameters = parameters_of(compare, found, library)
-    by_name = {row.name: row for row in parameters}
-    after = mapping(found.get("parameters")) or mapping(last_rung(found).get("parameters"))
-    kinds = kinds_of(compare, found)
-    of_rungs = {"before": rungs[0].verdict, "after": last.verdict if last and selection else ""} if rungs else {}
-    verdict_words = verdicts or of_rungs
-    return CampaignContent(
-        device_id=device_id,
-        verdict=said,
-        missing=missing_sentence(said, effects, classes, bool(refine), selection),
-        fell=fall_sentence(shown, said),
-        notes=_place_note(kinds)
-        + standing_notes(
-            said,
-            classes,
-            {one.effect: one.status for one in rungs if one.effect in effects},
-            wrong_forms_of(effects, told, found),
-            str(found.get("left") or told.get("left") or ""),
-            str(found.get("why") or told.get("why") or compare.get("why") or ""),
-            separating,
-            any(one.error_validate is not None for one in rungs),
-        ),
-        fall=shown,
+
+    name: str
+    comparison: ComparisonAnswer
+    diagnosis: DiagnosisAnswer | None
+    refinement: RefinementAnswer | None
+    verdict: str
+    effects: tuple[str, ...]
+    headline: str
+    notes: tuple[str, ...]
+    change: ErrorChange
+    fitted: ErrorChange
+    places: tuple[PlaceTable, ...]
+    candidates: tuple[CandidateAnswer, ...]
+    letters: Mapping[str, str]
+    parameters: tuple[ParameterRow, ...]
+    laws: tuple[LawText, ...]
+
+    @property
+    def modal(self) -> bool:
+        """Whether the measurement is a modal record."""
+        return bool(self.comparison.dof)
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether there are errors in sigmas, not only relative ones."""
+        return self.comparison.error.get("fit") is not None
+
+    @property
+    def ladder(self) -> tuple[RungAnswer, ...]:
+        """The models of the ladder; none where nothing was refined."""
+        return self.refinement.ladder if self.refinement else ()
+
+
+def learning_content(
+    name: str,
+    comparison: ComparisonAnswer,
+    diagnosis: DiagnosisAnswer | None,
+    refinement: RefinementAnswer | None,
+    library: Mapping[str, Effect],
+) -> LearningContent:
+    """The content of the page.
+
+    Parameters
+    ----------
+    name, comparison, diagnosis, refinement : as of :class:`LearningContent`.  Where both are given, ``refinement`` has the
+        verdict and ``diagnosis`` the candidates of the first model.
+    library : effects by name.
+    """
+    last, ladder = refinement or diagnosis, refinement.ladder if refinement else ()
+    verdict = last.verdict if last else "" if comparison.error else "fit_failed"
+    effects = last.effects if last else ()
+    classes = tuple(members for members in (last.classes if last else ()) if len(members) > 1)
+    candidates = diagnosis.candidates if diagnosis else ()
+    tried = tuple(rung.effect for rung in ladder if rung.effect)
+    change, fitted = _changes(comparison, ladder)
+    places = _places(comparison, refinement)
+    headline = words.missing_sentence(
+        verdict,
+        effects,
+        classes,
+        added=refinement is not None,
+        tried=tried,
+        noise_known=comparison.error.get("fit") is not None,
+        data="residues" if comparison.dof else "records",
+    )
+    return LearningContent(
+        name,
+        comparison,
+        diagnosis,
+        refinement,
+        verdict,
+        effects,
+        headline,
+        notes=_notes(comparison, last, ladder, places, verdict, classes),
+        change=change,
         fitted=fitted,
-        misfit=(misfit_of(shown.before, shown.relative), misfit_of(shown.after, shown.relative)),
-        explained=last.explained if last and last.effect else None,
-        theta=by_name.get("theta_deg") if selection else None,
-        split=by_name.get("split_hz") if selection else None,
-        verdicts=(str(verdict_words.get("before", "")), str(verdict_words.get("after", ""))),
-        rungs=rungs,
-        refused=tuple((str(name), str(why)) for name, why in mapping(found.get("refused")).items()),
-        kinds=kinds,
-        regions=regions_of(compare, found),
-        noise=noise_sentence(mapping(compare.get("noise"))),
-        candidates=candidates_of(told, effects, classes, library),
-        classes=tuple((letter(k), members) for k, members in enumerate(classes)),
-        separating=separating,
-        invisible=names_of(told.get("invisible")),
-        parameters=parameters,
-        laws=laws_of(effects, selection, classes, after, told, library),
-        truth=truth or "",
-        provenance=facts(provenance or {}),
+        places=places,
+        candidates=tuple(sorted(candidates, key=lambda one: (one.p_value, -one.delta_chi2))),
+        letters={name: chr(ord("A") + k) for k, members in enumerate(classes) for name in members},
+        parameters=_parameters(comparison, ladder, library),
+        laws=_laws([*effects, *tried, *(one for members in classes for one in members)], candidates, ladder, library),
     )
 
 
-def _fall(compare: Json, rungs: Sequence[Rung], last: Rung | None, held_out: bool) -> Fall:
-    stated = finite(mapping(compare.get("error")).get("validate" if held_out else "fit"))
-    of = (lambda rung: rung.error_validate) if held_out else (lambda rung: rung.error_fit)
-    before = of(rungs[0]) if rungs and of(rungs[0]) is not None else stated
-    after = of(last) if last is not None and len(rungs) > 1 else None
-    return Fall(before, after, held_out)
+def _changes(comparison: ComparisonAnswer, ladder: Sequence[RungAnswer]) -> tuple[ErrorChange, ErrorChange]:
+    """The change of the headline (held out rather than fitted, in sigmas rather than relative), and of the fitted error."""
+    held_out, fitted = "on the held-out records", "on the fitted records"
+    error, relative = comparison.error, comparison.relative_error
+    choices = (
+        _ends([rung.error_validate for rung in ladder], error.get("validate"), held_out),
+        _ends([rung.error_fit for rung in ladder], error.get("fit"), fitted),
+        _ends([rung.relative_error_validate or None for rung in ladder], relative.get("validate"), held_out, True),
+        _ends([rung.relative_error for rung in ladder], relative.get("fit"), fitted, True),
+    )
+    found = next((one for one in choices if one.known and (one.after is not None or len(ladder) < 2)), choices[-1])
+    where = "over the residues at resonance" if comparison.dof else found.where
+    added = sum(rung.delta_chi2 for rung in ladder[1:])
+    return replace(found, where=where, delta_chi2=added or None), choices[1]
 
 
-def _relative(compare: Json, rungs: Sequence[Rung], last: Rung | None) -> Fall:
-    stated = mapping(compare.get("relative_error"))
-    fit = finite(stated.get("fit"))
-    before = rungs[0].relative_error if rungs and rungs[0].relative_error is not None else fit
-    after = last.relative_error if last is not None and len(rungs) > 1 else None
-    held = finite(stated.get("validate"))
-    if after is None and held is not None:
-        return Fall(held, None, True, relative=True)
-    return Fall(before, after, False, relative=True)
+def _ends(errors: Sequence[float | None], compared: float | None, where: str, relative: bool = False) -> ErrorChange:
+    first = errors[0] if errors and errors[0] is not None else compared
+    return ErrorChange(first, errors[-1] if len(errors) > 1 else None, where, relative)
 
 
-def _place_note(kinds: Sequence[Region]) -> tuple[str, ...]:
-    """Where most of the misfit lies, for the head."""
-    if not kinds:
-        return ()
-    return (f"Where the model as given fails: {percent(kinds[0].share)} of its misfit is in {kinds[0].place}.",)
+def _notes(
+    comparison: ComparisonAnswer,
+    last: DiagnosisAnswer | RefinementAnswer | None,
+    ladder: Sequence[RungAnswer],
+    places: Sequence[PlaceTable],
+    verdict: str,
+    classes: Sequence[Sequence[str]],
+) -> tuple[str, ...]:
+    notes = [words.largest_place_sentence(table.rows[0].place, table.rows[0].share) for table in places[:1]]
+    if verdict == "fit_failed":
+        notes.append(words.failure_sentence((last.why if last else "") or comparison.why or ""))
+    elif not comparison.fit_ok:
+        notes.append(words.UNCONVERGED)
+    if last is None:
+        return tuple(notes)
+    notes += [words.class_sentence(members) for members in classes]
+    if classes and last.separating_record:
+        notes.append(words.separating_sentence(last.separating_record))
+    notes += [words.wrong_form_sentence(name, how.by) for name, how in last.wrong_form.items()]
+    partial = [
+        one.effect for one in ladder if one.effect and one.status == "partial" and one.effect not in last.wrong_form
+    ]
+    if comparison.dof and len(ladder) > 1:
+        notes.append(words.modal_partial_sentence(comparison.error.get("fit") is not None))
+    elif partial and verdict != "unknown":
+        notes.append(words.partial_sentence(partial, any(rung.error_validate is not None for rung in ladder)))
+    if verdict == "unknown" and last.left:
+        notes.append(f"Remaining structure: {words.remaining_words(last.left)}.")
+    return (*notes, *(last.hints or ()))
+
+
+def _places(comparison: ComparisonAnswer, refinement: RefinementAnswer | None) -> tuple[PlaceTable, ...]:
+    """The cut by frequency over all records first, then one table for each family."""
+    kinds = (refinement.regions_by_kind if refinement else ()) or comparison.where_by_kind or ()
+    after = {words.place_words(one): one for one in (refinement.where or ())} if refinement else {}
+    families: dict[str, list[PlaceRow]] = {}
+    for place in (refinement.regions if refinement else ()) or comparison.where:
+        families.setdefault(place.family or "entry", []).append(_place_row(place, after))
+    tables = [_table("by frequency", [_place_row(one, {}) for one in kinds])] if kinds else []
+    for name in sorted(families, key=lambda name: name not in _WHOLE):
+        folded = bool(kinds) and name not in _WHOLE
+        each = ", record by record" if folded and name != "response" else ""
+        tables.append(_table(f"by {words.family_words(name)}{each}", families[name], folded))
+    return tuple(tables)
+
+
+def _table(title: str, rows: Sequence[PlaceRow], folded: bool = False) -> PlaceTable:
+    return PlaceTable(title, tuple(sorted(rows, key=lambda row: -row.share)), folded)
+
+
+def _place_row(place: Place, after: Mapping[str, Place]) -> PlaceRow:
+    """``after``: entries of a modal record with the last model."""
+    text = words.place_words(place)
+    if place.mode:
+        left = after[text].relative_error or None if text in after else None
+        return PlaceRow(text, place.share, place.relative_error or None, left, None)
+    explained = place.explained if isinstance(place.explained, float) else None
+    return PlaceRow(text, place.share, place.error, place.error_after or None, explained)
+
+
+def _parameters(
+    comparison: ComparisonAnswer, ladder: Sequence[RungAnswer], library: Mapping[str, Effect]
+) -> tuple[ParameterRow, ...]:
+    """theta and split first, then the parameters in their order, new ones last."""
+    derived = {"theta_deg": comparison.theta_deg, "split_hz": comparison.split_hz}
+    first: Values = {name: value for name, value in derived.items() if value}
+    first |= {**(ladder[0].derived if ladder else {}), **comparison.parameters}
+    last: Values = {**ladder[-1].parameters, **ladder[-1].derived} if len(ladder) > 1 else {}
+    leading = [name for name in derived if name in {**first, **last}]
+    return tuple(
+        ParameterRow(name, unit_of(name, library), first.get(name), last.get(name), _shift(name, first, last))
+        for name in dict.fromkeys([*leading, *first, *last])
+    )
+
+
+def _shift(name: str, first: Values, last: Values) -> float | None:
+    (before, sd), (after, _) = first.get(name, (None, None)), last.get(name, (None, None))
+    if before is None or after is None or sd is None or not sd > 0.0:
+        return None
+    return float(difference(after, before) if name in AXES else after - before) / sd
+
+
+def _laws(
+    names: Sequence[str],
+    candidates: Sequence[CandidateAnswer],
+    ladder: Sequence[RungAnswer],
+    library: Mapping[str, Effect],
+) -> tuple[LawText, ...]:
+    """Effects with their sizes in the last model, or their estimates where they are not in it."""
+    last = ladder[-1].parameters if ladder else {}
+    estimates = {one.effect: one.estimate for one in candidates}
+    laws = []
+    for name in dict.fromkeys(names):
+        effect = library.get(name)
+        quantities = {parameter.quantity for parameter in effect.parameters} if effect else set()
+        fitted = {key: value for key, value in last.items() if key.startswith(f"{name}.") or key in quantities}
+        laws.append(LawText(name, effect, fitted or estimates.get(name, {})))
+    return tuple(laws)

@@ -1,6 +1,6 @@
-"""The page of a campaign: one self-contained HTML file that opens offline.
+"""The page of compare, diagnose and refine, for campaigns and modal records: one HTML file that opens offline.
 
-compare, diagnose, refine, records --content--> CampaignContent --figures, templates--> HTML
+answers, records --content--> LearningContent --figures, templates--> HTML
 """
 
 from __future__ import annotations
@@ -9,142 +9,154 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.device.effect import Effect, find_effects
+import msgspec
+from msgspec import UNSET
 
-from ..html.rendering import environment, measured, number, stylesheet
-from ..words.campaign import (
-    effect_words,
-    error_words,
-    explained_words,
-    family_words,
-    kind_words,
-    listed,
-    p_words,
-    quantity_words,
-    sentence,
-    typeset,
-)
-from ..words.quantities import SUPERSCRIPT
-from .content import CampaignContent, campaign_content
-from .figures import CampaignFigures, campaign_figures
+from pipeline.device.effect import Effect
+from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Measured, RefinementAnswer
+
+from ..html.rendering import environment, estimate, stylesheet
+from ..words import campaign as words
+from ..words import quantities
+from .content import LearningContent, learning_content
+from .figures.ladder import four_thetas_plot, ladder_plot, residue_plot
+from .figures.records import record_figures
 from .record_view import RecordView
-from .rows import Value, parameter_label, short_name
 
-__all__ = ["RecordView", "effect_texts", "render_campaign_report"]
+__all__ = ["RecordView", "render_learning_page"]
 
 #: Rows of a table that are shown without a click.
 _SHOWN = 10
 
 
-def render_campaign_report(
-    device_id: str,
-    compare: Mapping[str, Any],
-    diagnose: Mapping[str, Any] | None,
-    refine: Mapping[str, Any] | None,
-    before: Sequence[RecordView],
-    after: Sequence[RecordView] | None,
+def render_learning_page(
+    name: str,
+    comparison: ComparisonAnswer,
+    diagnosis: DiagnosisAnswer | None,
+    refinement: RefinementAnswer | None,
     *,
-    library: Mapping[str, Mapping[str, str]] | None = None,
-    verdicts: Mapping[str, str] | None = None,
+    before: Sequence[RecordView] = (),
+    after: Sequence[RecordView] | None = None,
+    library: Mapping[str, Effect],
     truth: str | None = None,
-    provenance: Mapping[str, Any] | None = None,
 ) -> str:
-    """The page of a campaign as HTML text; the same input gives the same page.
+    """The page as HTML text; the same input gives the same page.
 
     Parameters
     ----------
-    device_id : of the campaign.
-    compare, diagnose, refine : JSON of the three commands; absent keys leave out what they would have shown.
-    before, after : the records as the first and the last model explain them; none for a modal record.
-    library : effect -> law, signature, source, and units under "unit.<parameter>" (:func:`effect_texts`); what it does
-        not hold is taken from the library of the project.
-    verdicts : "before" and "after" of the decision.
-    truth : what was hidden, where somebody knows; shown at the end.
-    provenance : shown as it is; nested tables become dotted names.
+    name : of the device or of the modal record.
+    comparison, diagnosis, refinement : the answers; ``None`` where the question was not asked.  Where both are given,
+        ``refinement`` has the verdict and ``diagnosis`` the candidates of the first model.
+    before, after : the records with the first and with the last model; none for a modal record.
+    library : effects by name.
+    truth : the hidden effect, where it is known.
     """
-    texts = {**effect_texts(find_effects())}
-    for name, entry in (library or {}).items():
-        texts[name] = {**texts.get(name, {}), **entry}
-    content = campaign_content(
-        device_id, compare, diagnose, refine, library=texts, verdicts=verdicts, truth=truth, provenance=provenance
-    )
-    selection = any(one.effect and one.status != "refused" for one in content.rungs)
-    figures = campaign_figures(content, before, after if selection or not content.rungs else None)
+    content = learning_content(name, comparison, diagnosis, refinement, library)
+    fitted = {row.name: value[0] for row in content.parameters if (value := row.after or row.before) is not None}
+    last = refinement.where or () if refinement else ()
     env = environment()
-    env.filters["effect_name"] = effect_words
-    # Templates that are included see what the page was given, but their macros see globals only.
-    env.globals.update(
-        effect=effect_words,
-        error=error_words,
-        sized=_sized,
-        short=short_name,
-        typeset=typeset,
-        sentence=sentence,
-        explained=explained_words,
-        p_words=p_words,
-        chi2_width=_chi2_width,
-        listed=listed,
-        kind_words=kind_words,
-        family_words=family_words,
-        quantities=quantity_words,
-    )
-    return env.get_template("campaign.html.j2").render(
+    # Included templates see the context of the page, but their macros see globals only.
+    env.filters["known"] = _known
+    env.globals.update(_WORDS, size=lambda key, value: _size(key, value, library))
+    return env.get_template("learning.html.j2").render(
         c=content,
-        f=figures,
-        stylesheet=stylesheet("campaign.css"),
-        sections=_sections(content, figures),
+        ladder_figure=ladder_plot(content.ladder, list(refinement.refused) if refinement else ()),
+        residues=residue_plot(comparison.where, last),
+        four_thetas=four_thetas_plot(content.ladder),
+        records=record_figures(
+            before,
+            after if len(content.ladder) > 1 else None,
+            {key: value for key, value in fitted.items() if value is not None},
+        ),
+        stylesheet=stylesheet("learning.css"),
+        sections=_sections(content, truth),
         shown=_SHOWN,
-        parameter=parameter_label,
+        truth=truth,
     )
 
 
-def _sized(value: Value) -> str:
-    """value ± sd in one piece; far from 1 in brackets before a power of ten."""
-    return _estimate(value).replace(" ", "\u00a0")
+def _size(name: str, value: Measured, library: Mapping[str, Effect]) -> str:
+    """ "k3 = value ± sd unit"."""
+    unit = quantities.typeset(quantities.unit_of(name, library))
+    return f"{quantities.typeset(quantities.symbol_words(name))} = {estimate(value)} {unit}".rstrip()
 
 
-def _estimate(value: Value) -> str:
-    largest = max(abs(value.value), value.sd if value.sd > 0.0 else 0.0)
-    if 1e-2 <= largest < 1e5 or largest == 0.0:
-        return measured(value.value, value.sd) if value.sd > 0.0 else number(value.value, 6)
-    exponent = math.floor(math.log10(largest))
-    power = f"10{str(exponent).translate(SUPERSCRIPT)}"
-    if not value.sd > 0.0:
-        return f"{number(value.value / 10.0**exponent, 4)}·{power}"
-    return f"({measured(value.value / 10.0**exponent, value.sd / 10.0**exponent)})·{power}"
+def _known(value: Any) -> Any:
+    """``None`` for an answer's field that does not apply."""
+    return None if value is UNSET else value
 
 
-def _chi2_width(fall: float, widest: float) -> float:
-    """Width [px] of the bar of a fall of chi2, logarithmic from 1."""
-    if not (fall > 1.0 and widest > 1.0):
+def _chi2_width(delta_chi2: float, largest: float) -> float:
+    """Width [px] of the bar of a decrease of chi2, logarithmic from 1."""
+    if not (delta_chi2 > 1.0 and largest > 1.0):
         return 1.0
-    return float(min(100.0 * math.log(fall) / math.log(widest), 100.0))
+    return float(min(100.0 * math.log(delta_chi2) / math.log(largest), 100.0))
 
 
-def effect_texts(effects: Mapping[str, Effect]) -> dict[str, dict[str, str]]:
-    """Law, signature and source of effects in words, and the unit of each parameter under "unit.<parameter>"."""
-    return {
-        name: {
-            "law": effect.law,
-            "signature": effect.signature,
-            "source": effect.source,
-            **{f"unit.{parameter.name}": parameter.unit for parameter in effect.parameters},
-        }
-        for name, effect in effects.items()
-    }
+_WORDS: Mapping[str, Any] = {
+    "change_sentence": words.change_sentence,
+    "chi2_width": _chi2_width,
+    "effect": words.effect_words,
+    "effects_listed": words.effects_listed,
+    "error": quantities.error_words,
+    "explained": quantities.explained_words,
+    "family_words": words.family_words,
+    "kind_words": words.kind_words,
+    "listed": words.listed,
+    "noise_sentence": words.noise_sentence,
+    "p_words": quantities.p_words,
+    "parameter": words.parameter_words,
+    "reason_words": words.reason_words,
+    "rung_name": words.rung_name,
+    "sentence": words.sentence,
+    "separating_sentence": words.separating_sentence,
+    "typeset": quantities.typeset,
+}
 
 
-def _sections(content: CampaignContent, figures: CampaignFigures) -> tuple[tuple[str, str], ...]:
-    return tuple(
-        (key, name)
-        for key, name, there in (
-            ("ladder", "Ladder", bool(content.rungs)),
-            ("where", "Where it fails", bool(content.regions or figures.channels)),
-            ("candidates", "Candidates", bool(content.candidates)),
-            ("parameters", "Parameters", bool(content.parameters)),
-            ("laws", "The physics", bool(content.laws)),
-            ("truth", "The truth", bool(content.truth)),
-            ("provenance", "Provenance", bool(content.provenance)),
-        )
-        if there
+def _sections(content: LearningContent, truth: str | None) -> tuple[tuple[str, str], ...]:
+    """Anchor and title of each section of the page."""
+    sections = (
+        ("ladder", "Ladder", bool(content.ladder)),
+        ("where", "Where the model fails", bool(content.comparison.error)),
+        ("candidates", "Candidates", bool(content.diagnosis or content.refinement)),
+        ("parameters", "Parameters", bool(content.parameters)),
+        ("laws", "Effects", bool(content.laws)),
+        ("truth", "Hidden effect", bool(truth)),
     )
+    return tuple((key, title) for key, title, shown in sections if shown)
+
+
+def effect_texts(effects: Mapping[str, Effect]) -> Mapping[str, Effect]:
+    """``effects``; until the commands give typed answers."""
+    return effects
+
+
+def render_campaign_report(
+    name: str,
+    compare: Mapping[str, Any],
+    diagnose: Mapping[str, Any] | None,
+    refine: Mapping[str, Any] | None,
+    before: Sequence[RecordView] = (),
+    after: Sequence[RecordView] | None = None,
+    *,
+    library: Mapping[str, Effect],
+    truth: str | None = None,
+) -> str:
+    """:func:`render_learning_page` from JSON; until the commands give typed answers."""
+    lacking: dict[str, Any] = {
+        "verdict": "", "effects": (), "classes": (), "error": {}, "p_left": None, "left": "", "wrong_form": {}, "why": "",
+    }  # fmt: skip
+    return render_learning_page(
+        name,
+        msgspec.convert(compare, ComparisonAnswer, strict=False),
+        msgspec.convert({**lacking, **diagnose}, DiagnosisAnswer, strict=False) if diagnose else None,
+        msgspec.convert(refine, RefinementAnswer, strict=False) if refine else None,
+        before=before,
+        after=after,
+        library=library,
+        truth=truth,
+    )
+
+
+render_modal_report = render_campaign_report

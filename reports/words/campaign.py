@@ -1,340 +1,296 @@
-"""Sentences of a campaign's page, from verdicts and errors.  No HTML."""
+"""Sentences about verdicts, errors, noise and places for the pages and terminal texts of the learning loop.  No HTML.
+
+One function states one fact.  Campaigns and modal records share them.
+"""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from pipeline.learning.answers import Noise, Place
 from pipeline.quantities import NAMES
 
-from .quantities import PERCENT, SUPERSCRIPT, label, percent
+from .quantities import error_words, grouped, label, percent
 
-_WORDS = {
-    "offdiagonal": "off-diagonal",
-    "updown": "up-down",
-    "pickoff": "pick-off",
-    "adc": "ADC",
-}
-LIMITED = frozenset(NAMES)
-_HELD = "on records the fit had not seen"
-#: How a separating record begins that does not exist.
-NONE = "none with this instrument"
+FIRST_MODEL = "first model"
+UNCONVERGED = "The fit did not converge, or the records do not determine every parameter."
+#: How the text of a separating record begins where no such record exists.
+NO_RECORD = "none with this instrument"
+_SPELLED = {"offdiagonal": "off-diagonal", "updown": "up-down", "pickoff": "pick-off", "adc": "ADC"}
 
 
 @dataclass(frozen=True)
-class Fall:
-    """An error before and after.
+class ErrorChange:
+    """The error of the first and of the last model.
 
     Parameters
     ----------
     before, after : ``None`` where not known.
-    held_out : on records that the fit had not seen.
-    relative : rms(measured - model) / rms(measured), where the noise is not known.
-    chi2 : by how much that of the fitted records fell with what was added.
+    where : the data, as in "on the held-out records".
+    relative : rms(measured - model)/rms(measured), used where the noise level is not known.
+    delta_chi2 : total decrease of chi2 on the fitted records.
     """
 
     before: float | None
     after: float | None
-    held_out: bool
+    where: str
     relative: bool = False
-    chi2: float | None = None
+    delta_chi2: float | None = None
 
     @property
-    def where(self) -> str:
-        """On which records."""
-        return _HELD if self.held_out else "on the fitted records"
+    def known(self) -> bool:
+        """Whether there is an error at all."""
+        return self.before is not None or self.after is not None
 
     @property
-    def what(self) -> str:
-        """The error's name."""
+    def misfit(self) -> tuple[float | None, float | None]:
+        """sqrt(max(error^2 - 1, 0)) of both."""
+        ends = (None if one is None else math.sqrt(max(one * one - 1.0, 0.0)) for one in (self.before, self.after))
+        return next(ends), next(ends)
+
+    @property
+    def name(self) -> str:
+        """ "error" or "relative error"."""
         return "relative error" if self.relative else "error"
 
 
 def effect_words(name: str) -> str:
-    """An effect's name in words: "pickoff_pole" is "pick-off pole"."""
-    return " ".join(_WORDS.get(word, word) for word in name.split("_"))
+    """Name of an effect in words: "pickoff_pole" is "pick-off pole"."""
+    return " ".join(_SPELLED.get(word, word) for word in name.split("_"))
 
 
 def sentence(text: str) -> str:
-    """With a capital at its head; all else as it is (``capitalize`` would make "Adc" of "ADC")."""
+    """``text`` with a capital first letter; the rest is unchanged (``capitalize`` would turn "ADC" into "Adc")."""
     return text[:1].upper() + text[1:]
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """ "a, b and c" """
+    """ "a, b and c"."""
     return f"{', '.join(names[:-1])} {last} {names[-1]}" if len(names) > 1 else "".join(names)
 
 
-def error_words(value: float | None, relative: bool = False) -> str:
-    """An error with the digits that matter: two decimals near the noise, three figures far above it."""
-    if value is None or not math.isfinite(value):
-        return "–"
-    if relative:
-        return percent(value) if value >= 0.001 else f"{100.0 * value:.2g}{PERCENT}"
-    return (
-        f"{value:,.0f}".replace(",", "\u202f")
-        if value >= 1000.0
-        else f"{value:.3g}"
-        if value >= 10.0
-        else f"{value:.2f}"
-    )
+def effects_listed(names: Sequence[str], last: str = "and") -> str:
+    """Several effects in words."""
+    return listed([effect_words(name) for name in names], last)
+
+
+def rung_name(effect: str | None) -> str:
+    """Name of a model of the ladder by the effect that it adds."""
+    return f"+ {effect_words(effect)}" if effect else FIRST_MODEL
+
+
+def parameter_words(name: str) -> str:
+    """A parameter in words: "cubic_stiffness.k3" is "cubic stiffness: k3"."""
+    effect, dot, symbol = name.rpartition(".")
+    return f"{effect_words(effect)}: {symbol}" if dot else label(name)
 
 
 def missing_sentence(
-    verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]], added: bool, tried: Sequence[str] = ()
+    verdict: str,
+    effects: Sequence[str],
+    classes: Sequence[Sequence[str]],
+    *,
+    added: bool,
+    tried: Sequence[str] = (),
+    noise_known: bool = True,
+    data: str = "records",
 ) -> str:
-    """What was missing, in one sentence.
+    """The verdict in one or two sentences.
 
     Parameters
     ----------
-    verdict : of the last rung, of the diagnosis, or "" where only a comparison was made.
-    effects : added or named.
-    classes : members that these records cannot tell apart.
-    added : the effects are in the last model ("was"), not only named ("is").
-    tried : rungs climbed although a misfit is left.
+    verdict : of the last rung or of the diagnosis; "" where the model was only compared.
+    effects, classes : the named effects, and the sets of effects that the data cannot distinguish.
+    added : whether the effects are in the last model.
+    tried : effects of the ladder, named where a misfit remains.
+    noise_known : false where only relative errors are known.
+    data : "records" or "residues".
     """
-    was = "was" if added else "is"
+    is_ = "was" if added else "is"
     if verdict == "fit_failed":
-        return "The model could not be fitted, so nothing can be said about what is missing."
+        return "The model could not be fitted, so nothing can be said about missing effects."
     if verdict == "unknown":
-        part = [effect_words(name) for name in effects or tried]
-        how = "together" if len(part) > 1 else "alone"
-        also = f" {sentence(listed(part))} {how} cannot account for it." if part else ""
-        return f"Something is missing that no effect of the library explains.{also}"
-    if not effects:
-        if verdict == "class" and classes:
-            return f"What {was} missing: {_one_of(classes[0])}."
-        if verdict == "adequate":
-            return "Nothing is missing: these records show no effect beyond the model."
-        return "How well the model explains these records."
-    words = [_with_class(name, classes, alone=len(effects) == 1) for name in effects]
-    return f"What {was} missing: {listed(words)}."
+        names = list(effects or tried)
+        but = f" {sentence(effects_listed(names))} {'do' if len(names) > 1 else 'does'} not remove it." if names else ""
+        return f"A misfit remains that no effect in the library explains.{but}"
+    if effects:
+        alone = len(effects) == 1
+        return f"What {is_} missing: {listed([_with_rivals(name, classes, alone) for name in effects])}."
+    if verdict == "class" and classes:
+        return f"What {is_} missing: {effects_listed(classes[0], 'or')}."
+    if verdict == "adequate" and noise_known:
+        return f"Nothing is missing: the model explains these {data} down to the noise."
+    if verdict == "adequate":
+        return "No effect in the library is significant. The noise level is unknown, so a small misfit may remain."
+    return f"How well the model explains these {data}."
 
 
-def _with_class(name: str, classes: Sequence[Sequence[str]], alone: bool) -> str:
-    """An effect and those that could stand in its place; in brackets where other effects are listed beside it."""
+def _with_rivals(name: str, classes: Sequence[Sequence[str]], alone: bool) -> str:
+    """An effect and the other members of its class, in brackets where it stands in a list."""
     others = [one for members in classes if name in members for one in members if one != name]
-    if not others:
-        return effect_words(name)
-    return _one_of([name, *others]) if alone else f"{effect_words(name)} (or {_one_of(others)})"
+    if others and not alone:
+        return f"{effect_words(name)} (or {effects_listed(others, 'or')})"
+    return effects_listed([name, *others], "or")
 
 
-def _one_of(members: Sequence[str]) -> str:
-    return listed([effect_words(name) for name in members], "or")
-
-
-def fall_sentence(fall: Fall, verdict: str) -> str:
-    """How far the error fell, or where it stands; empty where it is not known."""
-    before, after = error_words(fall.before, fall.relative), error_words(fall.after, fall.relative)
-    if fall.before is not None and fall.after is not None:
-        if before == after and fall.chi2 is not None and fall.chi2 > 0.0:
-            weak = f"χ² of the fitted records fell by {fall.chi2:,.0f}".replace(",", "\u202f")
-            return f"The {fall.what} stays at {after} {fall.where}: beside the noise this is weak; {weak}."
-        if before == after:
-            return f"The {fall.what} stays at {after} {fall.where}."
-        if fall.after > fall.before:
-            return f"The {fall.what} went from {before} to {after} {fall.where}."
-        return f"The {fall.what} fell from {before} to {after} {fall.where}."
-    if fall.before is None and fall.after is None:
+def change_sentence(change: ErrorChange) -> str:
+    """How the error changed from the first to the last model, or what it is; "" where it is not known."""
+    if not change.known:
         return ""
-    value = after if fall.after is not None else before
-    if fall.relative:
-        return f"The {fall.what} is {value} {fall.where}."
-    if verdict in ("", "effect", "class", "unknown", "fit_failed"):
-        return f"The {fall.what} is {value} {fall.where}; 1.00 would be the noise alone."
-    return f"The {fall.what} is {value} {fall.where}: the noise alone gives 1.00."
+    before, after = error_words(change.before, change.relative), error_words(change.after, change.relative)
+    if change.before is None or change.after is None:
+        value = after if change.before is None else before
+        floor = "" if change.relative else "; 1.00 is the noise floor"
+        return f"The {change.name} is {value} {change.where}{floor}."
+    if before != after:
+        moved = "rose" if change.after > change.before else "fell"
+        return f"The {change.name} {moved} from {before} to {after} {change.where}."
+    weak = ""
+    if change.delta_chi2 is not None and change.delta_chi2 > 0.0:
+        weak = f": the effect is small beside the noise. χ² on the fitted records fell by {grouped(change.delta_chi2)}"
+    return f"The {change.name} stays at {after} {change.where}{weak}."
 
 
-def standing_notes(
-    verdict: str,
-    classes: Sequence[Sequence[str]],
-    statuses: Mapping[str, str],
-    wrong_form: Mapping[str, str],
-    left: str,
-    why: str,
-    separating: str | None,
-    held_out: bool,
-) -> tuple[str, ...]:
-    """What the reader must know beside the two sentences of the head.
-
-    ``separating`` is the record that would separate the classes, "" or ``NONE`` and why where there is none, ``None`` where
-    nobody asked.
-    """
-    notes = []
-    for members in classes:
-        if len(members) > 1:
-            how = f" A record that would: {separating}." if separating else ""
-            if separating is not None and (not separating or separating.startswith(NONE)):
-                how = f" No record of this instrument would{separating.removeprefix(NONE)}."
-            notes.append(f"These records cannot tell {listed([effect_words(one) for one in members])} apart.{how}")
-    for name, by in wrong_form.items():
-        notes.append(
-            f"Right place, wrong form: the size of {effect_words(name)} disagrees"
-            + (f" between {_parts(by)}." if by else ".")
-        )
-    doubted = [
-        effect_words(name) for name, status in statuses.items() if status == "partial" and name not in wrong_form
-    ]
-    if doubted and verdict != "unknown":
-        are = "are" if len(doubted) > 1 else "is"
-        but = "not confirmed by the held-out ones" if held_out else "no record was held out"
-        notes.append(f"Partial: {listed(doubted)} {are} significant on the fitted records, but {but}.")
-    if verdict == "unknown" and left:
-        notes.append(f"What is left: {left_words(left)}.")
-    if verdict == "fit_failed" and why:
-        notes.append(f"Why: {why}.")
-    return tuple(notes)
+def largest_place_sentence(place: str, share: float) -> str:
+    """Where the largest part of the first model's misfit lies."""
+    return f"Largest part of the misfit of the {FIRST_MODEL}: {place} ({percent(share)})."
 
 
-def left_words(left: str) -> str:
-    """The strongest structure that is left, "test: where", in words."""
+def class_sentence(members: Sequence[str]) -> str:
+    """The effects that the data cannot distinguish."""
+    return f"These data cannot distinguish {effects_listed(members, 'from' if len(members) == 2 else 'and')}."
+
+
+def separating_sentence(record: str | None) -> str:
+    """The record that would separate a class; ``None`` where it was not searched for."""
+    if not record:
+        return ""
+    if record.startswith(NO_RECORD):
+        return f"No record that this instrument can take would separate them{record.removeprefix(NO_RECORD)}."
+    return f"This record would separate them: {record}."
+
+
+def failure_sentence(why: str) -> str:
+    """Why a fit failed."""
+    return f"The fit failed: {why.rstrip('.') or 'no reason was given'}."
+
+
+def wrong_form_sentence(name: str, by: str) -> str:
+    """An effect whose fitted size is not the same in all records; ``by`` is the partition of the records."""
+    return f"The fitted size of {effect_words(name)} differs between {partition_words(by)}: its law may have the wrong form."
+
+
+def partial_sentence(names: Sequence[str], held_out: bool) -> str:
+    """Effects that are significant on the fitted records but not confirmed."""
+    are = "are" if len(names) > 1 else "is"
+    them = "them" if len(names) > 1 else "it"
+    but = f"the held-out records do not confirm {them}" if held_out else f"no record was held out to confirm {them}"
+    return f"Partial: {effects_listed(names)} {are} significant on the fitted records, but {but}."
+
+
+def modal_partial_sentence(noise_known: bool) -> str:
+    """Why no effect of a modal record is confirmed."""
+    noise = "" if noise_known else " The misfit that remains serves as the noise level."
+    return f"Every effect is partial: a modal record has no held-out data.{noise}"
+
+
+def remaining_words(left: str) -> str:
+    """The strongest structure that the last model leaves; ``left`` is "test: where"."""
     test, _, where = left.partition(": ")
     if test == "agreement":
-        what, _, partition = where.rpartition(" by ")
-        return f"{effect_words(what)} as fitted disagree between {_parts(partition)}"
-    if test == "repeat":
-        return f"what repeats of a drive have in common and the model has not ({where})"
-    if test == "probe":
-        return f"something that follows the response itself ({where})"
-    return f"more than noise in {where}" if test == "region" else left
+        name, _, partition = where.rpartition(" by ")
+        return f"the fitted size of {effect_words(name)} differs between {partition_words(partition)}"
+    frames = {
+        "repeat": "a repeatable residual ({})",
+        "probe": "a residual that correlates with the response ({})",
+        "region": "a residual above the noise in {}",
+        "line": "an unmodelled {}",
+    }
+    return frames[test].format(where) if test in frames else left
 
 
-def _parts(partition: str) -> str:
-    return {"block": "records", "level": "drive levels", "direction": "sweep directions"}.get(
-        partition, f"{partition}s"
-    )
+def partition_words(partition: str) -> str:
+    """The groups of records between which a size differs."""
+    named = {"block": "records", "": "records", "level": "drive levels", "direction": "sweep directions"}
+    return named.get(partition, f"{partition}s")
 
 
-_GREEK = {
-    "psi": "ψ", "omega": "ω", "Omega": "Ω", "zeta": "ζ", "theta": "θ", "gamma": "γ", "beta": "β", "tau": "τ", "eps": "ε",
-    "phi": "φ", "alpha": "α", "delta": "δ", "pi": "π",
-}  # fmt: skip
-
-
-def typeset(text: str) -> str:
-    """Plain mathematics with the letters and powers of print: "psi'' -= k3 |psi|^2 psi" is "ψ″ −= k3 |ψ|² ψ"."""
-    text = re.sub(r"(?<![A-Za-z])(" + "|".join(_GREEK) + r")(?![A-Za-z])", lambda m: _GREEK[m[1]], text)
-    text = re.sub(r"\^(-?\d+)", lambda m: m[1].translate(SUPERSCRIPT), text)
-    return text.replace("''", "″").replace("'", "′").replace(" -= ", " −= ").replace(" - ", " − ")
-
-
-def explained_words(share: float | None) -> str:
-    """A share of a misfit that was explained; never rounded up to all of it."""
-    if share is None:
-        return "–"
-    if 0.9999 <= share < 1.0:
-        return f"> 99.99{PERCENT}"
-    return percent(share).replace("-", "−")
-
-
-#: Kinds of region that cut the plane of time and frequency: their shares add up to one together.
-FREQUENCY_KINDS = ("resonance", "harmonic", "line", "broadband")
-_NOT_A_PLACE = ("family", "kind", "share", "error", "error_after", "explained", "p_value")
+def reason_words(text: str) -> str:
+    """A comma-separated list of failed limits in words; any other text is unchanged."""
+    names = text.split(",")
+    return listed([label(name) for name in names]) if all(name in NAMES for name in names) else text
 
 
 def family_words(family: str) -> str:
-    """A family of regions, as in "By ..."."""
-    return {
-        "level": "level of the drive",
-        "response": "level of the motion",
-        "direction": "direction of the sweep",
-    }.get(family, family.replace("_", " "))
+    """A family of places, as in "by ..."."""
+    named = {"response": "response level", "entry": "mode and entry (sense/drive)"}
+    return named.get(family, partition_words(family).removesuffix("s"))
 
 
-def kind_words(kind: str, order: Any = None) -> str:
-    """A kind of region, with the order of a harmonic."""
-    if kind == "harmonic" and isinstance(order, int):
-        return "the drive's own frequency" if order == 1 else f"{_ordinal(order)} harmonic of the drive"
-    return {
-        "line": "fixed line",
-        "broadband": "between the resonances and beyond",
-        "harmonic": "harmonic of the drive",
-    }.get(kind, kind.replace("_", " "))
+def kind_words(kind: str, order: int | None = None) -> str:
+    """A kind of place, with the order of a harmonic."""
+    if kind != "harmonic" or order is None:
+        return {"line": "fixed line", "harmonic": "harmonic of the drive"}.get(kind, kind)
+    ending = {2: "nd", 3: "rd"}.get(order, "th")
+    return "drive frequency" if order == 1 else f"{order}{ending} harmonic of the drive"
 
 
-def _ordinal(order: int) -> str:
-    return f"{order}" + {2: "nd", 3: "rd"}.get(order, "th")
+def place_words(place: Place) -> str:
+    """Where a place lies: kind, band, time, record, channel and whatever else labels it."""
+    band = None if place.band_hz is None else (place.band_hz[0] + place.band_hz[1]) / 2.0
+    if place.mode:
+        return f"mode {place.mode} ({band:.1f} Hz), {entry_words(place)}"
+    parts = [kind_words(place.kind, place.harmonic or None)] if (place.family or "frequency") == "frequency" else []
+    if place.band_hz is not None:
+        parts.append(f"{band:.6g} Hz" if place.kind == "line" else f"{_span(place.band_hz)} Hz")
+    if place.time_s:
+        parts.append(f"{_span(place.time_s)} s")
+    if place.record is not None:
+        parts.append(place.record)
+    if place.channel is not None:
+        parts.append(f"sense {place.channel.removeprefix('sense')}")
+    if place.response_v:
+        parts.append(f"{_span(place.response_v)} V rms")
+    if place.direction:
+        parts.append(place.direction)
+    if isinstance(place.level, float):
+        parts.append("largest level" if place.level == 1.0 else f"{place.level:.4g} of the largest level")
+    elif place.level:
+        parts.append(place.level)
+    return ", ".join(parts) or "all data"
 
 
-def quantity_words(text: str) -> str:
-    """A comma-separated list of failed limits in words; any other text as it is."""
-    names = text.split(",")
-    return listed([label(name) for name in names]) if all(name in LIMITED for name in names) else text
+def entry_words(place: Place) -> str:
+    """Entry of a mode: "S1/D2"."""
+    return f"{(place.channel or '').replace('sense', 'S')}/{(place.drive or '').replace('drive', 'D')}"
 
 
-def p_words(p_value: float | None) -> str:
-    """A p-value; the power of ten where it is small, and its order alone where it is tiny."""
-    if p_value is None:
-        return "–"
-    if p_value < 1e-99:
-        return "< 10⁻⁹⁹"
-    if p_value < 1e-3:
-        exponent = math.floor(math.log10(p_value))
-        return f"{p_value / 10.0**exponent:.0f}·10{str(exponent).translate(SUPERSCRIPT)}"
-    return f"{p_value:.2g}"
+def _span(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:.4g} to {ends[1]:.4g}"
 
 
-def region_words(region: Mapping[str, Any]) -> str:
-    """Where a region lies: what it is, band, time, record, channel, and whatever else labels it."""
-    kind = str(region.get("kind") or "")
-    parts = [kind_words(kind, region.get("harmonic"))] if kind in FREQUENCY_KINDS else []
-    for key in dict.fromkeys(("band_hz", "time_s", "record", "channel", *region)):
-        value = region.get(key)
-        if value is None or key in _NOT_A_PLACE or (key == "harmonic" and kind == "harmonic"):
-            continue
-        span = _span(value)
-        if key == "band_hz":
-            parts.append(_hertz(value) if kind == "line" else f"{span} Hz")
-        elif key == "time_s":
-            parts.append(f"{span} s")
-        elif key == "channel":
-            parts.append(f"sense {str(value).removeprefix('sense').strip()}")
-        elif key in ("record", "direction"):
-            parts.append(str(value))
-        elif key == "response_v":
-            parts.append(f"{span} V rms")
-        elif key == "level":
-            parts.append("the largest level" if value == 1.0 else f"{span} of the largest level")
-        elif key.endswith(("_hz", "_s", "_v")):
-            stem, _, unit = key.rpartition("_")
-            parts.append(f"{stem.replace('_', ' ')} {span} {unit.replace('hz', 'Hz').replace('v', 'V')}")
-        else:
-            parts.append(f"{key.replace('_', ' ')} {span}")
-    return ", ".join(parts) or "everywhere"
-
-
-def _span(value: Any) -> str:
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return " to ".join(_span(end) for end in value)
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _hertz(band: Any) -> str:
-    """The middle of a narrow band."""
-    ends = list(band) if isinstance(band, Sequence) and not isinstance(band, str) else [band]
-    numbers = [end for end in ends if isinstance(end, int | float)]
-    return f"{sum(numbers) / len(numbers):.6g} Hz" if numbers else f"{_span(band)} Hz"
-
-
-def noise_sentence(noise: Mapping[str, Any]) -> str:
-    """The noise level by channel, and where it comes from."""
-    sigma = noise.get("sigma")
-    given = list(sigma) if isinstance(sigma, Sequence) and not isinstance(sigma, str) else []
-    words = ", ".join(
-        f"{1e3 * one:#.3g}".rstrip(".")
-        for one in given
-        if isinstance(one, int | float) and math.isfinite(one) and one > 0.0
-    )
-    whence = str(noise.get("from") or "")
-    if not words:
+def noise_sentence(noise: Noise | None) -> str:
+    """The noise level sigma by channel (by mode for a modal record), and how it was determined."""
+    if noise is None or not any(math.isfinite(one) and one > 0.0 for one in noise.sigma):
         return "The noise level is not known, so only relative errors can be given."
-    if whence == "residual":
+    if noise.unit:
+        sigma = listed(list(dict.fromkeys(percent(one) for one in noise.sigma)))
+        if noise.from_ == "declared":
+            return f"The record declares a noise level of {sigma} of the {noise.unit}."
         return (
-            f"Nothing shows the noise by itself (no silence, no repeats): a smooth local fit leaves σ = {words} mV by "
-            "channel, so only relative errors can be given."
+            "The noise level could not be measured, so only relative errors are given. "
+            f"The misfit of the fit, {sigma} of the {noise.unit}, serves as the noise level in F-tests."
         )
-    source = {"silent": "the silent record", "repeats": "what repeats of a drive differ by (no silent record)"}
-    return f"σ = {words} mV by channel" + (f", from {source.get(whence, whence)}." if whence else ".")
+    sigma = f"σ = {', '.join(f'{1e3 * one:#.3g}'.rstrip('.') for one in noise.sigma)} mV by channel"
+    if noise.from_ == "residual":
+        return (
+            "The noise level could not be measured (no silent record, no repeats), so only relative errors are given. "
+            f"A smooth local fit leaves {sigma}."
+        )
+    sources = {
+        "silent": "measured on the silent record",
+        "repeats": "from the differences between repeats of a drive (there is no silent record)",
+    }
+    return f"{sigma}, {sources.get(noise.from_, noise.from_)}."

@@ -1,15 +1,18 @@
-"""Names of quantities and sentences of the head of the nightly report, from counts.  No HTML."""
+"""Numbers, quantities and limits in words, and the sentences at the head of the nightly report.  No HTML."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from pipeline.quantities import QUANTITIES
 
 if TYPE_CHECKING:
     # For annotations only: pages without yields need not load their statistics, which is slow.
+    from pipeline.device.effect import Effect
+
     from ..limits import Limit
     from ..run.causes import FailedLimit, Pareto, StageLoss
     from ..run.health import StatusCount
@@ -20,6 +23,11 @@ UNITS = {quantity.name: "" if quantity.unit == "1" else quantity.unit for quanti
 # A non-breaking space keeps the sign with its number.
 PERCENT = "\u00a0%"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+_GREEK = {
+    "psi": "ψ", "omega": "ω", "Omega": "Ω", "zeta": "ζ", "theta": "θ", "gamma": "γ", "beta": "β", "tau": "τ", "eps": "ε",
+    "phi": "φ", "alpha": "α", "delta": "δ", "pi": "π",
+}  # fmt: skip
 
 LABELS = {
     "theta_deg": "theta",
@@ -50,6 +58,24 @@ def label(quantity: str) -> str:
     return LABELS.get(quantity, quantity)
 
 
+def symbol_words(name: str) -> str:
+    """Symbol of a parameter: "cubic_stiffness.k3" is "k3", "c12_per_s" is "c12"."""
+    symbol = name.rpartition(".")[2]
+    return next((symbol.removesuffix(end) for end in ("_per_s", "_hz", "_deg") if symbol.endswith(end)), symbol)
+
+
+def unit_of(name: str, effects: Mapping[str, Effect]) -> str:
+    """Unit of a result quantity or of a parameter of an effect ("cubic_stiffness.k3"); "" for a pure number."""
+    if name in UNITS:
+        return UNITS[name]
+    owner, _, symbol = name.rpartition(".")
+    parameters = effects[owner].parameters if owner in effects else ()
+    # Members of a family have a suffix: k2x of k2, C_s1d2 of C.
+    own = [one.unit for one in parameters if one.name == symbol or (one.per and symbol.startswith(one.name))]
+    unit = own[0] if own else "Hz" if name.endswith("_hz") else "deg" if name.endswith("_deg") else ""
+    return "" if unit == "1" else unit
+
+
 def with_unit(value: float, quantity: str) -> str:
     """A limit with its unit."""
     return f"{value:.6g} {UNITS.get(quantity, '')}".replace("-", "−").strip()
@@ -78,6 +104,48 @@ def percent(share: float) -> str:
 def percent_range(low: float, high: float) -> str:
     """A range of shares in percent."""
     return f"{percent(low).removesuffix(PERCENT)} to {percent(high)}"
+
+
+def error_words(value: float | None, relative: bool = False) -> str:
+    """An error with the digits that matter: two decimals near the noise, three figures far above it."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if relative:
+        return percent(value) if value >= 0.01 else f"{100.0 * value:.2g}{PERCENT}"
+    if value >= 1000.0:
+        return grouped(value)
+    return f"{value:.3g}" if value >= 10.0 else f"{value:.2f}"
+
+
+def explained_words(share: float | None) -> str:
+    """Explained share of a misfit; 100 % only where it is all of it."""
+    if share is None or not math.isfinite(share):
+        return "–"
+    return f"> 99.99{PERCENT}" if 0.9999 <= share < 1.0 else percent(share).replace("-", "−")
+
+
+def p_words(p_value: float | None) -> str:
+    """A p-value; as a power of ten where it is small."""
+    if p_value is None or not math.isfinite(p_value):
+        return "–"
+    if p_value < 1e-99:
+        return "< 10⁻⁹⁹"
+    if p_value < 1e-3:
+        exponent = math.floor(math.log10(p_value))
+        return f"{p_value / 10.0**exponent:.0f}·10{str(exponent).translate(SUPERSCRIPT)}"
+    return f"{p_value:.2g}"
+
+
+def grouped(value: float) -> str:
+    """A large number, its digits in groups of three."""
+    return f"{value:,.0f}".replace(",", "\u202f")
+
+
+def typeset(text: str) -> str:
+    """Plain mathematics with Greek letters and superscripts: "psi'' -= k3 |psi|^2 psi" is "ψ″ −= k3 |ψ|² ψ"."""
+    text = re.sub(r"(?<![A-Za-z])(" + "|".join(_GREEK) + r")(?![A-Za-z])", lambda m: _GREEK[m[1]], text)
+    text = re.sub(r"\^(-?\d+)", lambda m: m[1].translate(SUPERSCRIPT), text)
+    return text.replace("''", "″").replace("'", "′").replace(" -= ", " −= ").replace(" - ", " − ")
 
 
 def side(row: FailedLimit) -> str:

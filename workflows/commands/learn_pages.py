@@ -6,20 +6,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.device.effect import find_effects
+from pipeline.device.effect import Effect, find_effects
 from pipeline.errors import UsageError
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.modal.problem import ModalProblem
 from pipeline.plain import plain
-from reports.learning.modal_page import render_modal_report
-from reports.learning.page import RecordView, effect_texts, render_campaign_report
+from reports.learning.page import RecordView, effect_texts, render_campaign_report, render_modal_report
 
 from .. import learning
 from ..learning.modal_answers import ModalComparison
 
-Library = dict[str, dict[str, str]]
+Library = Mapping[str, Effect]
 
 
 def _views(campaign: Campaign, fit: CampaignFit) -> tuple[RecordView, ...]:

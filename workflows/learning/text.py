@@ -6,7 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from reports.words.campaign import noise_sentence, region_words
+import msgspec
+
+from pipeline.learning.answers import Noise, Place
+from reports.words import campaign as words
 
 Said = Mapping[str, Any]
 _SHOWN = 6
@@ -15,6 +18,16 @@ _SHOWN = 6
 def number(value: float | None) -> str:
     """Four significant digits."""
     return "unknown" if value is None else f"{value:.4g}"
+
+
+def noise_sentence(noise: Said) -> str:
+    """The noise level."""
+    return words.noise_sentence(msgspec.convert(noise, Noise, strict=False) if noise else None)
+
+
+def region_words(row: Said) -> str:
+    """Where a region lies."""
+    return words.place_words(msgspec.convert(row, Place, strict=False))
 
 
 def compare_text(said: Said) -> list[str]:

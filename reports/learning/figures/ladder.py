@@ -1,53 +1,44 @@
-"""The ladder: error and misfit, rung by rung, on fitted and on held-out records."""
+"""Figures of the ladder: error and misfit of each model; for a modal record its residues and the four thetas of each model."""
 
 from __future__ import annotations
 
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
 
-from ...html.style import INK, MUTED, RULE, style, to_svg
-from ...run.figures.states import AFTER, BEFORE
-from .panels import log_ticks, panels, plain
+from pipeline.learning.answers import Measured, Place, RungAnswer
 
-#: Marks of the status of a rung: colour, marker and words.
-STATUS = {
-    "confirmed": (AFTER, "o", "confirmed"),
-    "partial": ("#9a7400", "D", "partial"),
-    "refused": (BEFORE, "X", "refused"),
-}
-#: Below this a misfit is drawn at the edge: it is nothing that records of any length could show.
-_LEAST = 1e-3
-#: Half the width of a bar, in rungs.
-_HALF = 0.14
-#: Width of the column of a refused effect, in rungs.
-_NARROW = 0.6
+from ...html.style import ACCENT, AFTER, BEFORE, INK, MUTED, RULE, literal, log_ticks, panels, style, to_svg
+from ...words.campaign import FIRST_MODEL, effect_words, entry_words, rung_name
+from ...words.quantities import error_words
 
-
-@dataclass(frozen=True)
-class LadderPoint:
-    """One model: errors and misfits, ``None`` where they are not known; ``status`` is "" on the ground."""
-
-    label: str
-    status: str
-    error_fit: float | None
-    error_validate: float | None
-    misfit_fit: float | None
-    misfit_validate: float | None
+#: Colour of the status of a rung.
+_COLOURS = {"confirmed": AFTER, "partial": "#9a7400"}
+#: A misfit below this is drawn at the lower edge: no record is long enough to show it.
+_LEAST_MISFIT = 1e-3
+#: Half the width of a bar, and the width of the column of a refused effect, in rungs.
+_HALF, _NARROW = 0.14, 0.6
+_REFUSED_SHOWN = 4
+_FOUR = (("u₁", "s"), ("v₁", "o"), ("u₂", "D"), ("v₂", "^"))
+#: Offsets of the names of entries [points] that keep neighbours apart.
+_OFFSETS = ((9, 3), (9, -11), (-37, 3), (-37, -11))
 
 
-def ladder_plot(
-    points: Sequence[LadderPoint], refused: Sequence[str] = (), relative: bool = False, name: str = "ladder"
-) -> str:
-    """Above the error with the noise floor at 1, below the misfit, on common rungs; refused effects to the right.
+def ladder_plot(ladder: Sequence[RungAnswer], refused: Sequence[str] = ()) -> str:
+    """Error of each model above, its misfit below; refused effects to the right.  "" for a single model.
 
-    ``relative``: the errors are relative ones, which have no floor and no misfit.
+    Where no error in sigmas is known, the relative error alone: it has neither a noise floor nor a misfit.
     """
+    if len(ladder) + len(refused) < 2:
+        return ""
+    relative = not any(rung.error_fit or rung.error_validate for rung in ladder)
+    errors = [(r.relative_error, None) if relative else (r.error_fit, r.error_validate) for r in ladder]
     with style():
         if relative:
             figure, grid = panels(1, 1, 2.6, left=0.95, bottom=0.6, top=0.1)
@@ -55,115 +46,190 @@ def ladder_plot(
             figure, grid = panels(
                 2, 1, 2.0, left=0.9, bottom=0.6, top=0.1, between=0.16, sharex=True, height_ratios=(1.5, 1.0)
             )
-        top, bottom = grid[0][0], None if relative else grid[1][0]
-        _errors(top, points, relative)
-        if bottom is not None:
-            _misfits(bottom, points)
-        lowest = bottom if bottom is not None else top
-        width = min(max(110 // (len(points) + len(refused)), 9), 24)
-        names = [*(one.label for one in points), *refused]
-        labels = [textwrap.fill(plain(name), width, break_long_words=False) for name in names]
-        edge = len(points) - 0.4
-        places = [*range(len(points)), *(edge + _NARROW * (j + 0.5) for j in range(len(refused)))]
-        lowest.set_xticks(places, labels)
-        lowest.set_xlim(-0.4, edge + _NARROW * len(refused))
-        if refused:
-            for axes in filter(None, (top, bottom)):
-                axes.axvspan(edge, edge + _NARROW * len(refused), color="#f4f6f8", lw=0, zorder=0)
-        for place in places[len(points) :]:
-            top.plot([place], [0.5], "X", ms=9, color=BEFORE, transform=top.get_xaxis_transform())
-            top.text(place, 0.4, "refused", transform=top.get_xaxis_transform(), ha="center", va="top", color=BEFORE)
-        return to_svg(figure, name, "Error and misfit of each model of the ladder, on fitted and on held-out records")
+            _misfits(grid[1][0], ladder)
+        _errors(grid[0][0], ladder, errors, relative)
+        _names(grid[-1][0], ladder, refused[:_REFUSED_SHOWN])
+        for k in range(len(refused[:_REFUSED_SHOWN])):
+            left = len(ladder) - 0.4 + _NARROW * k
+            for (axes,) in grid:
+                axes.axvspan(left, left + _NARROW, color="#f4f6f8", lw=0, zorder=0)
+            top = grid[0][0].get_xaxis_transform()
+            grid[0][0].text(left + 0.5 * _NARROW, 0.4, "refused", transform=top, ha="center", va="top", color=BEFORE)
+        return to_svg(
+            figure, "ladder", "Error and misfit of each model of the ladder, on fitted and on held-out records"
+        )
 
 
-def _errors(axes: Axes, points: Sequence[LadderPoint], relative: bool) -> None:
-    errors = [(p.error_fit, p.error_validate) for p in points]
-    known = [v for pair in errors for v in pair if v is not None and math.isfinite(v) and v > 0.0]
+def _names(axes: Axes, ladder: Sequence[RungAnswer], refused: Sequence[str]) -> None:
+    names = [*(rung_name(rung.effect) for rung in ladder), *(effect_words(name) for name in refused)]
+    width = min(max(110 // len(names), 9), 24)
+    edge = len(ladder) - 0.4
+    places = [*range(len(ladder)), *(edge + _NARROW * (k + 0.5) for k in range(len(refused)))]
+    axes.set_xticks(places, [textwrap.fill(literal(name), width, break_long_words=False) for name in names])
+    axes.set_xlim(-0.4, edge + _NARROW * len(refused))
+
+
+Pairs = Sequence[tuple[float | None, float | None]]
+
+
+def _errors(axes: Axes, ladder: Sequence[RungAnswer], errors: Pairs, relative: bool) -> None:
+    known = [value for pair in errors for value in pair if value is not None and math.isfinite(value) and value > 0.0]
     axes.set_yscale("log")
     if known:
         low, high = min([*known, *([] if relative else [1.0])]), max([*known, *([] if relative else [1.02])])
         room = max(high / low, 1.05)
         axes.set_ylim(low / room ** (0.4 if relative else 0.12), high * room**0.42)
-    _bars(axes, points, errors, axes.get_ylim()[0] if relative else 1.0)
+    floor = axes.get_ylim()[0] if relative else 1.0
+    _bars(axes, ladder, errors, floor)
     if not relative:
         axes.axhline(1.0, color=INK, lw=1.0, ls=(0, (4, 2)), zorder=4)
         axes.annotate(
             "noise floor", (1.0, 1.0), xycoords=("axes fraction", "data"), xytext=(-2, 4),
             textcoords="offset points", ha="right", color=INK, fontsize=9.5,
         )  # fmt: skip
-    for k, point in enumerate(points):
-        _label(axes, k, point, relative)
+    for k, (rung, pair) in enumerate(zip(ladder, errors)):
+        _label(axes, k, rung.status or "", pair, floor, relative)
     log_ticks(axes.yaxis)
+    if relative:
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_ylabel("relative error" if relative else "error")
-    handles = [
-        Patch(fc="#c3ccd5", label="fitted records"),
-        *([] if relative else [Patch(fc=MUTED, label="held-out records")]),
-    ]
-    axes.legend(handles=handles, loc="upper right", ncols=2, borderaxespad=0.0)
+    if any(held is not None for _, held in errors):
+        handles = [Patch(fc="#c3ccd5", label="fitted records"), Patch(fc=MUTED, label="held-out records")]
+        axes.legend(handles=handles, loc="upper right", ncols=2, borderaxespad=0.0)
 
 
-def _label(axes: Axes, k: int, point: LadderPoint, relative: bool) -> None:
-    """The errors above their bars, the held-out one with the status."""
-    fit, held = point.error_fit, point.error_validate
-    colour, _, words = STATUS.get(point.status, (INK, "s", plain(point.status)))
-    shown = _percent if relative else _short
+def _label(
+    axes: Axes, k: int, status: str, errors: tuple[float | None, float | None], floor: float, relative: bool
+) -> None:
+    """The errors above their bars; the status above the held-out error, or above the only one."""
+    fit, held = errors
     beside: dict[str, Any] = {
-        "textcoords": "offset points",
-        "xytext": (0, 4),
-        "ha": "center",
-        "va": "bottom",
-        "zorder": 6,
-    }
-    floor = 0.0 if relative else 1.0
-    main = held if held is not None else fit
+        "textcoords": "offset points", "xytext": (0, 4), "ha": "center", "va": "bottom", "zorder": 6,
+    }  # fmt: skip
     if fit is not None and held is not None:
-        axes.annotate(shown(fit), (k - _HALF, max(fit, floor)), color=MUTED, fontsize=10.5, **beside)
+        axes.annotate(error_words(fit, relative), (k - _HALF, max(fit, floor)), color=MUTED, fontsize=10.5, **beside)
+    main = held if held is not None else fit
     if main is not None:
-        at = k + (_HALF if held is not None and fit is not None else 0.0)
         axes.annotate(
-            (f"{words}\n" if words else "") + shown(main), (at, max(main, floor)), color=colour, weight="bold", fontsize=12,
-            linespacing=1.15, **beside,
+            f"{literal(status)}\n{error_words(main, relative)}".lstrip(),
+            (k + (_HALF if held is not None and fit is not None else 0.0), max(main, floor)),
+            color=_COLOURS.get(status, INK), weight="bold", fontsize=12, linespacing=1.15, **beside,
         )  # fmt: skip
 
 
-def _misfits(axes: Axes, points: Sequence[LadderPoint]) -> None:
-    misfits = [(p.misfit_fit, p.misfit_validate) for p in points]
-    known = [max(v, _LEAST) for pair in misfits for v in pair if v is not None and math.isfinite(v)]
+def _misfits(axes: Axes, ladder: Sequence[RungAnswer]) -> None:
+    misfits = [(_at_least(rung.misfit_fit), _at_least(rung.misfit_validate)) for rung in ladder]
+    known = [value for pair in misfits for value in pair if value is not None and math.isfinite(value)]
     axes.set_yscale("log")
     if known:
         axes.set_ylim(min(known) / 2.0, max([*known, 10.0 * min(known)]) * 2.0)
-        if min(known) <= _LEAST:
-            words = f"at the lower edge: {_LEAST:g} or less"
+        if min(known) <= _LEAST_MISFIT:
+            words = f"bars at the lower edge: {_LEAST_MISFIT:g} or less"
             axes.text(0.996, 0.86, words, transform=axes.transAxes, color=MUTED, fontsize=9, ha="right")
-    _bars(axes, points, [(_edged(a), _edged(b)) for a, b in misfits], axes.get_ylim()[0])
+    _bars(axes, ladder, misfits, axes.get_ylim()[0])
     log_ticks(axes.yaxis)
     axes.set_ylabel("misfit")
 
 
-def _edged(misfit: float | None) -> float | None:
-    return None if misfit is None else max(misfit, _LEAST)
+def _at_least(misfit: float | None) -> float | None:
+    return None if misfit is None else max(misfit, _LEAST_MISFIT)
 
 
-def _bars(
-    axes: Axes, points: Sequence[LadderPoint], pairs: Sequence[tuple[float | None, float | None]], floor: float
-) -> None:
-    """A pale bar for the fitted records, a strong one in the colour of the status for the held-out ones, from ``floor``."""
-    for k, (point, (fit, held)) in enumerate(zip(points, pairs)):
-        colour = STATUS.get(point.status, (BEFORE, "", ""))[0]
+def _bars(axes: Axes, ladder: Sequence[RungAnswer], pairs: Pairs, floor: float) -> None:
+    """A pale bar for the fitted records and a full one for the held-out ones, in the colour of the status, from ``floor``."""
+    for k, (rung, (fit, held)) in enumerate(zip(ladder, pairs)):
+        colour = _COLOURS.get(rung.status or "", BEFORE)
         alone = fit is None or held is None
         for value, at, alpha in ((fit, -_HALF, 0.4), (held, _HALF, 1.0)):
             if value is not None and math.isfinite(value) and value > 0.0:
                 place = k + (0.0 if alone else at)
-                # A bar of no height still shows that there is a value.
+                # The line keeps a bar of no height visible.
                 axes.plot([place - _HALF, place + _HALF], [value, value], color=colour, lw=2.0, alpha=alpha, zorder=3)
                 axes.bar(place, value - floor, 2.0 * _HALF, floor, color=colour, alpha=alpha, lw=0, zorder=2)
     axes.grid(axis="y", color=RULE, lw=0.5)
     axes.set_axisbelow(True)
 
 
-def _percent(value: float) -> str:
-    return f"{100.0 * value:.2g} %"
+def residue_plot(first: Sequence[Place], last: Sequence[Place]) -> str:
+    """A panel for each mode: its entries measured (circles) and with the models (crosses), in units of the mode's norm.
+
+    "" where the places are not entries of a modal record.
+
+    Parameters
+    ----------
+    first, last : entries with the first and with the last model; ``last`` may be empty.
+    """
+    entries = sorted((one for one in first if one.mode), key=lambda one: (one.mode or 0, entry_words(one)))
+    if not entries:
+        return ""
+    modelled = [(models, colour) for models, colour in ((first, BEFORE), (last, AFTER)) if models]
+    modes = sorted({one.mode or 0 for one in entries})
+    with style():
+        figure, grid = panels(1, len(modes), 3.6, left=0.75, bottom=0.95, sharey=True)
+        for axes, mode in zip(grid[0], modes):
+            own = [one for one in entries if one.mode == mode]
+            axes.axhline(0.0, color=RULE, lw=0.7, zorder=0)
+            axes.axvline(0.0, color=RULE, lw=0.7, zorder=0)
+            for entry, offset in zip(own, _OFFSETS * len(own)):
+                for models, colour in modelled:
+                    _entry(axes, entry, models, colour)
+                real, imaginary = entry.measured or (math.nan, math.nan)
+                axes.plot(imaginary, real, "o", mec=INK, mfc="white", ms=7, zorder=3)
+                axes.annotate(
+                    literal(entry_words(entry)), (imaginary, real), xytext=offset, textcoords="offset points",
+                    color=MUTED, fontsize=9.0,
+                )  # fmt: skip
+            axes.set_title(f"mode {mode}, {sum(own[0].band_hz or (math.nan,)) / 2:.1f} Hz")
+            axes.set_xlabel("s part R₁ / |c|")
+            axes.margins(0.18)
+        grid[0][0].set_ylabel("constant part R₀ / (ω |c|)")
+        handles = [Line2D([], [], marker="o", mec=INK, mfc="white", ls="none", label="measured")]
+        handles += [
+            Line2D([], [], marker="x", color=colour, ls="none", label=label)
+            for (_, colour), label in zip(modelled, (FIRST_MODEL, "last model"))
+        ]
+        figure.legend(handles=handles, loc="lower center", ncols=3, borderaxespad=0.1)
+        return to_svg(
+            figure, "residues", "Residues of each mode at resonance in the complex plane, measured and modelled"
+        )
 
 
-def _short(value: float) -> str:
-    return f"{value:.3g}" if value >= 10.0 or value < 0.1 else f"{value:.2f}"
+def _entry(axes: Axes, entry: Place, models: Sequence[Place], colour: str) -> None:
+    """A cross at the model's value of an entry and a line to it from the measured one."""
+    for one in models:
+        if one.mode == entry.mode and entry_words(one) == entry_words(entry) and one.model and entry.measured:
+            ends = (entry.measured, one.model)
+            axes.plot([end[1] for end in ends], [end[0] for end in ends], color=colour, lw=1.0, zorder=2)
+            axes.plot(one.model[1], one.model[0], "x", color=colour, ms=7, mew=1.6, zorder=4)
+
+
+def four_thetas_plot(ladder: Sequence[RungAnswer]) -> str:
+    """theta of the fit and the four thetas of the paper's route, for each model; "" where there are none."""
+    rungs = [rung for rung in ladder if rung.four_thetas_deg and rung.theta_deg]
+    if not rungs:
+        return ""
+    with style():
+        figure, grid = panels(1, 1, 2.8, left=0.75, bottom=0.65, top=0.15)
+        axes = grid[0][0]
+        for k, rung in enumerate(rungs):
+            _theta(axes, k - 0.25, rung.theta_deg or (None, None), color=ACCENT, marker="o", ms=8, lw=1.6, capsize=3)
+            for j, (value, (_, marker)) in enumerate(zip((rung.four_thetas_deg or {}).values(), _FOUR)):
+                _theta(axes, k + 0.07 * j, value, color=INK, mfc="white", marker=marker, ms=6, lw=0.8)
+        axes.set_xticks(range(len(rungs)), [textwrap.fill(literal(rung_name(rung.effect)), 20) for rung in rungs])
+        axes.set_xlim(-0.5, len(rungs) - 0.2)
+        axes.set_ylabel("θ, deg")
+        axes.grid(axis="y", color=RULE, lw=0.5)
+        handles = [Line2D([], [], marker="o", color=ACCENT, ms=8, lw=1.6, label="fit")]
+        handles += [
+            Line2D([], [], marker=marker, mec=INK, mfc="white", ls="none", label=name) for name, marker in _FOUR
+        ]
+        axes.legend(handles=handles, loc="upper right", ncols=5, borderaxespad=0.0)
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.18 * (high - low))
+        return to_svg(figure, "axes", "The four estimates of theta and the fit's, for every model of the ladder")
+
+
+def _theta(axes: Axes, place: float, theta_deg: Measured, **mark: Any) -> None:
+    value, sd = theta_deg
+    if value is not None:
+        axes.errorbar(place, value, sd or 0.0, zorder=3, **mark)
