@@ -114,14 +114,16 @@ def error_words(value: float | None, relative: bool = False) -> str:
         return percent(value) if value >= 0.01 else f"{100.0 * value:.2g}{PERCENT}"
     if value >= 1000.0:
         return grouped(value)
-    return f"{value:.3g}" if value >= 10.0 else f"{value:.2f}"
+    return f"{value:#.3g}".rstrip(".") if value >= 10.0 else f"{value:.2f}"
 
 
 def explained_words(share: float | None) -> str:
     """Explained share of a misfit; 100 % only where it is all of it."""
     if share is None or not math.isfinite(share):
         return "–"
-    return f"> 99.99{PERCENT}" if 0.9999 <= share < 1.0 else percent(share).replace("-", "−")
+    if share < 0.0:
+        return f"−{percent(-share)}"
+    return f"> 99.99{PERCENT}" if 0.9999 <= share < 1.0 else percent(share)
 
 
 def p_words(p_value: float | None) -> str:
