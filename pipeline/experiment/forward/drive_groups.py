@@ -1,11 +1,11 @@
-"""Records that one system answers together: few waveforms, played through the drives at several levels.
+"""Drive groups: records of equal sample rate, length and conditions whose drives are scaled copies of few waveforms.
 
     v_r[:, d] = sum_j gain[r, d, j] b_j
 
-A campaign repeats a chirp, turns it round, changes its level, leaves one drive out: the linear part of all its records is
-made of the answers to one or two waveforms.
+A campaign repeats a chirp, swaps it between the drives, changes its level or leaves one drive out.  The linear part of all
+its records then follows from the responses to one or two waveforms.
 
-Shapes: R records, N samples, D drives, S senses, W waveforms.
+Shapes: R records, N samples, N' steps of the clock, D drives, S senses, W waveforms.  Drives and waveforms in volts.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ from ..record import Record
 from .linear import SampleClock, clock_of, interpolated
 from .system import Conditions, conditions_of
 
-#: Samples of two waveforms that are one differ by less, as a share of their peak.
+#: Two drives are scaled copies of each other if their samples differ by less than this share of the peak.
 _SAME = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class DriveGroup:
-    """Records of one clock and one set of conditions.
+    """Records that share one clock and one set of conditions.
 
     Parameters
     ----------
-    clock, conditions : of all of them.
-    drives : R times (N, D) samples [V].
-    waveforms : (W, N') at the clock's steps; gains (R, D, W).
-    same_drive_as : for each record the first one with the same drive samples.
-    threads : how many records are integrated at once.
+    clock, conditions : of all records.
+    drives : R arrays (N, D) of drive samples [V].
+    waveforms : (W, N') [V] at the steps of the clock.
+    gains : (R, D, W), the share of each waveform in each drive of each record.
+    same_drive_as : (R,) index of the first record with the same drive samples.
+    threads : number of records that are integrated at the same time.
     """
 
     clock: SampleClock
@@ -48,17 +49,17 @@ class DriveGroup:
 
     @property
     def sample_rate_hz(self) -> float:
-        """Of the records, not of the clock's steps."""
+        """Sample rate of the records [Hz]; the clock may step faster."""
         return 1.0 / (self.clock.step_s * self.clock.stride)
 
 
 def highest_drive_energy(drives: Sequence[FloatArray]) -> int:
-    """The record with the most drive energy a sample: it tells how strong nonlinear effects are."""
+    """Index of the record with the highest mean squared drive, where nonlinear effects are strongest; drives (N, D) [V]."""
     return max(range(len(drives)), key=lambda r: float(np.mean(drives[r] ** 2)))
 
 
 def waveforms_of(drives: Sequence[FloatArray], clock: SampleClock) -> tuple[FloatArray, FloatArray]:
-    """Waveforms (W, N') at the clock's steps and gains (R, D, W) of drive samples, R times (N, D)."""
+    """Waveforms (W, N') [V] at the steps of the clock, and gains (R, D, W), of R arrays (N, D) of drive samples [V]."""
     found: list[FloatArray] = []
     entries: list[tuple[int, int, int, float]] = []
     for r, drive in enumerate(drives):
@@ -87,7 +88,7 @@ def waveforms_of(drives: Sequence[FloatArray], clock: SampleClock) -> tuple[Floa
 def drive_group_of(
     records: Sequence[Record], instrument: Instrument, angular_gain: float | None, threads: int = 1
 ) -> DriveGroup:
-    """The play of records that share sample rate, length and conditions."""
+    """The drive group of records that share sample rate, length and conditions; arguments as in ``forward``."""
     clock = clock_of(records[0].sample_rate_hz, instrument.hold)
     drives = tuple(record.drive_v for record in records)
     waveforms, gains = waveforms_of(drives, clock)
@@ -107,7 +108,7 @@ def drive_group_of(
 
 
 def single_record_group(group: DriveGroup, record: int) -> DriveGroup:
-    """One record of a play."""
+    """A drive group that holds one record (by index) of ``group``."""
     return replace(
         group, drives=(group.drives[record],), gains=group.gains[record : record + 1], same_drive_as=(0,), threads=1
     )
@@ -116,12 +117,12 @@ def single_record_group(group: DriveGroup, record: int) -> DriveGroup:
 def drive_groups_of(
     records: Sequence[Record], instrument: Instrument, angular_gain: float | None, threads: int = 1
 ) -> tuple[tuple[tuple[int, ...], DriveGroup], ...]:
-    """Plays that cover ``records``, each with the places of its records."""
-    groups: dict[object, list[int]] = {}
+    """Drive groups that cover ``records``, each with the indices of its records."""
+    members: dict[object, list[int]] = {}
     for i, record in enumerate(records):
         key = (record.drive_v.shape, record.sample_rate_hz, conditions_of(record, instrument, angular_gain))
-        groups.setdefault(key, []).append(i)
+        members.setdefault(key, []).append(i)
     return tuple(
         (tuple(places), drive_group_of([records[i] for i in places], instrument, angular_gain, threads))
-        for places in groups.values()
+        for places in members.values()
     )

@@ -1,19 +1,20 @@
-"""Motion under forces that are not linear or not constant in time, on a grid finer than the samples.
+"""Motion under forces that are nonlinear or vary in time, on a grid finer than the samples.
 
     q'' + (C + G) q' + K q = F u(t) + a(t, q, q', u)
 
-The linear trajectory x_l under the held drive is exact (matrix exponential); what is integrated is the deviation d from it,
+The linear trajectory x_l under the held drive is exact (matrix exponential).  The deviation d from it is integrated,
 
     d' = A d + (0, a(t, x_l + d, u))
 
-by Lawson-RK4 with the exact exponential of A, ``SUBSTEPS`` steps a sample: no cancellation, and the kinks of the held
-drive stay in the exact part.  Its remainder in volts, r = (V, D) d + (sense laws), is smooth between samples: the read-out
-(``readout_filter``) sees it as the polynomial through the ``SUBSTEPS`` + 1 values of each sample interval.
+by Lawson-RK4 (Lawson, SIAM J. Numer. Anal. 4 (1967) 372) with the exact exponential of A and ``SUBSTEPS`` steps per sample.
+This avoids cancellation, and the jumps and kinks of the held drive stay in the exact part.  The nonlinear response in volts,
+r = (V, D) d + (sense effects), is smooth between samples; ``readout_filter`` takes it as the polynomial through the
+``SUBSTEPS`` + 1 values of each sample interval.
 
-A force that is so weak that only its first order counts is summed along the linear trajectory, which serves for all such
-forces.
+If a force is so weak that its first order suffices, it is summed along the linear trajectory, which all such forces share.
 
-Shapes: N samples, M = (N - 1) SUBSTEPS + 1 grid points, n coordinates, D drives, S senses.  State (2n,): (q, q').
+Shapes: N samples, M = (N - 1) SUBSTEPS + 1 grid points, n coordinates, D drives, S senses.  A state (2n,) is (q, q') with q
+in V s and q' in V.  H >= n is the size to which the compiled loops pad q and q'.
 """
 
 from __future__ import annotations
@@ -30,11 +31,12 @@ from ...device.effect import Laws, compiled_force
 from ...device.mechanics import Mechanics, state_matrix
 from ...errors import ConfigError
 from ..instrument import Hold
-from .kernels import MOST_FORCES, along_of, march_of, states_of
+from .compiled import compiled_deviation, compiled_first_order, compiled_linear_states
+from .kernels import MOST_FORCES
 
 SUBSTEPS = 4
 
-#: Force laws (as effects have them) and their parameters (k,).
+#: Force functions of effects, and their parameters (k,).
 Forces = Sequence[tuple[Any, FloatArray]]
 
 
@@ -46,10 +48,17 @@ def _no_force(
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Propagators of a system over half a substep, as the compiled loops take them.
+    """Exact propagators over half a substep, in the padded layout (scale q, 0, q', 0) of the compiled loops.
 
-    A state is (scale q, 0, q', 0) of size 2H: ``unit`` (2n,) scales (q, q'), ``place`` (2n,) is where each goes.
-    ``half`` (2H, 2H) of the state, ``held`` and ``ramp`` (D, 2H) of a drive and its slope, transposed.
+    Parameters
+    ----------
+    step_s, substeps : time between samples [s], substeps per sample.
+    sloped : whether the drive is linear between samples (first-order hold).
+    half_size : H.
+    scale : factor of q in a padded state [rad/s].
+    factors : (2n,) scale for q, 1 for q'.
+    index : (2n,) place of each of (q, q') in a padded state.
+    half, held, ramp : (2H, 2H), (D, 2H), (D, 2H) response to a state, a drive and the slope of a drive, transposed.
     """
 
     step_s: float
@@ -57,8 +66,8 @@ class Steps:
     sloped: bool
     half_size: int
     scale: float
-    unit: FloatArray
-    place: IntArray
+    factors: FloatArray
+    index: IntArray
     half: FloatArray
     held: FloatArray
     ramp: FloatArray
@@ -66,44 +75,49 @@ class Steps:
     @property
     def coordinates(self) -> int:
         """n."""
-        return self.unit.size // 2
+        return self.factors.size // 2
 
-    def placed(self, rows: FloatArray) -> FloatArray:
-        """(r, 2n) -> (r, 2H)."""
+    def padded(self, rows: FloatArray) -> FloatArray:
+        """Rows (r, 2n) in the padded layout (r, 2H), unscaled."""
         out = np.zeros((rows.shape[0], 2 * self.half_size))
-        out[:, self.place] = rows
+        out[:, self.index] = rows
         return out
 
-    def begun(self, start: FloatArray | None) -> FloatArray:
-        """A state (2n,), or rest, as the loops take it."""
-        return self.placed((np.zeros_like(self.unit) if start is None else start * self.unit)[None])[0]
+    def padded_start(self, start: FloatArray | None) -> FloatArray:
+        """A state (2n,), scaled and padded (2H,); ``None`` is rest."""
+        return self.padded((np.zeros_like(self.factors) if start is None else start * self.factors)[None])[0]
 
 
 def steps_of(mechanics: Mechanics, step_s: float, hold: Hold, substeps: int) -> Steps:
-    """Exact propagators of ``mechanics`` (a batch of one) under samples that are ``step_s`` apart."""
+    """Exact propagators of ``mechanics`` (a batch of one) for drive samples ``step_s`` seconds apart."""
     a = state_matrix(mechanics)[0]
     n, drives = mechanics.drive.shape[1:]
-    # In (omega q, q') the exponential is of a matrix of even size: no digits are lost.
+    # In (scale q, q') the matrix is balanced, so its exponential loses no digits.
     scale = float(np.sqrt(np.mean(np.diagonal(mechanics.stiffness[0]))))
-    unit = np.concatenate([np.full(n, scale), np.ones(n)])
-    grown = np.zeros((2 * n + 2 * drives, 2 * n + 2 * drives))
-    grown[: 2 * n, : 2 * n] = a * unit[:, None] / unit
-    grown[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0]
-    grown[2 * n : 2 * n + drives, 2 * n + drives :] = np.eye(drives)
-    moved = expm(grown * (0.5 * step_s / substeps))
+    factors = np.concatenate([np.full(n, scale), np.ones(n)])
+    augmented = np.zeros((2 * n + 2 * drives, 2 * n + 2 * drives))
+    augmented[: 2 * n, : 2 * n] = a * factors[:, None] / factors
+    augmented[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0]
+    augmented[2 * n : 2 * n + drives, 2 * n + drives :] = np.eye(drives)
+    propagator = expm(augmented * (0.5 * step_s / substeps))
     half_size = n if n <= 4 else 1 << (n - 1).bit_length()
-    place = np.concatenate([np.arange(n), half_size + np.arange(n)])
+    index = np.concatenate([np.arange(n), half_size + np.arange(n)])
     rows = np.zeros((2 * n + 2 * drives, 2 * half_size))
-    rows[:, place] = moved[: 2 * n].T
+    rows[:, index] = propagator[: 2 * n].T
     half = np.zeros((2 * half_size, 2 * half_size))
-    half[place] = rows[: 2 * n]
+    half[index] = rows[: 2 * n]
     held, ramp = rows[2 * n : 2 * n + drives].copy(), rows[2 * n + drives :].copy()
-    return Steps(step_s, substeps, hold != "zoh", half_size, scale, unit, place, half, held, ramp)
+    return Steps(step_s, substeps, hold != "zoh", half_size, scale, factors, index, half, held, ramp)
 
 
 def _compiled(forces: Forces) -> tuple[Any, int, Any]:
     if len(forces) > MOST_FORCES:
-        raise ConfigError("too many forces at once", value=len(forces), allowed=f"at most {MOST_FORCES}")
+        raise ConfigError(
+            "too many forces at once",
+            value=len(forces),
+            allowed=f"at most {MOST_FORCES}",
+            next_step="drop effects of the force stage from the model",
+        )
     padding = MOST_FORCES - len(forces)
     return (
         tuple([compiled_force(force) for force, _ in forces] + [compiled_force(_no_force)] * padding),
@@ -123,18 +137,19 @@ def trajectory(
     substeps: int = SUBSTEPS,
     reads: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Linear trajectory and deviation from it, both (M, 2n), under ``drive`` (N, D).
+    """Linear trajectory and deviation from it, both (M, 2n) [V s, V].
 
     Parameters
     ----------
     mechanics : a batch of one.
-    forces : force laws and their parameters.
-    laws : what force laws may use.
-    drive : volts that make force.
+    forces : force functions and their parameters.
+    laws : quantities that force functions may use.
+    drive : (N, D) volts after the drive stage.
     step_s : time between samples [s].
     hold : "zoh" or "foh".
     start : state (2n,) at the first sample; ``None`` is rest.
-    reads : (S, 2n), where only what it reads off the deviation is wanted: then (0, S) and (M, S).
+    substeps : per sample.
+    reads : (S, 2n) pick-off volts from a state; with it the result is (0, S) and (M, S), the deviation in volts only.
 
     Raises
     ------
@@ -142,10 +157,10 @@ def trajectory(
     """
     steps = steps_of(mechanics, step_s, hold, substeps)
     points = (drive.shape[0] - 1) * substeps + 1
-    taps = steps.placed((np.eye(steps.unit.size) if reads is None else reads) / steps.unit)
+    taps = steps.padded((np.eye(steps.factors.size) if reads is None else reads) / steps.factors)
     linear = np.empty((points if reads is None else 0, taps.shape[0]))
     deviation = np.empty((points, taps.shape[0]))
-    march_of(steps.half_size)(
+    compiled_deviation(steps.half_size)(
         (0,) * steps.half_size,
         *_compiled(forces),
         laws,
@@ -158,19 +173,19 @@ def trajectory(
         steps.coordinates,
         np.ascontiguousarray(drive),
         steps.sloped,
-        steps.begun(start),
+        steps.padded_start(start),
         taps,
         linear,
         deviation,
     )
     if not np.isfinite(deviation[-1]).all():
-        raise ConfigError("the motion diverges", next_step="check size and sign of the nonlinear effects")
+        raise ConfigError("the motion diverges", next_step="check the size and sign of the nonlinear effects")
     return linear, deviation
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A linear trajectory: its steps, the drive (N, D), and its scaled states (2M - 1, 2H) at half substeps."""
+    """A linear trajectory: its steps, drive (N, D) [V], and padded states (2M - 1, 2H) [V] at every half substep."""
 
     steps: Steps
     drive: FloatArray
@@ -178,18 +193,18 @@ class Motion:
 
     @property
     def state(self) -> FloatArray:
-        """(M, 2n) at the grid points."""
-        return np.asarray(self.states[::2, self.steps.place] / self.steps.unit)
+        """(M, 2n) states at the grid points [V s, V]."""
+        return np.asarray(self.states[::2, self.steps.index] / self.steps.factors)
 
 
 def linear_motion(
     mechanics: Mechanics, drive: FloatArray, step_s: float, hold: Hold, start: FloatArray | None, substeps: int
 ) -> Motion:
-    """The linear trajectory, for ``pushed``; arguments as in ``trajectory``."""
+    """The linear trajectory, for ``perturbed_motion``; arguments as in ``trajectory``."""
     steps = steps_of(mechanics, step_s, hold, substeps)
     u = np.ascontiguousarray(drive)
     states = np.empty((2 * (u.shape[0] - 1) * substeps + 1, 2 * steps.half_size))
-    states_of(steps.half_size)(
+    compiled_linear_states(steps.half_size)(
         (0,) * steps.half_size,
         steps.half,
         steps.held,
@@ -198,23 +213,25 @@ def linear_motion(
         substeps,
         u,
         steps.sloped,
-        steps.begun(start),
+        steps.padded_start(start),
         states,
     )
     return Motion(steps, u, states)
 
 
 def perturbed_motion(motion: Motion, forces: Forces, laws: Laws, reads: FloatArray) -> FloatArray:
-    """What ``reads`` (S, 2n) read off the deviation that weak forces make, to first order in them, (M, S).
+    """Pick-off volts (M, S) of the deviation that ``forces`` cause along ``motion``, to first order in the forces.
+
+    ``reads`` (S, 2n) gives pick-off volts from a state; ``forces`` and ``laws`` as in ``trajectory``.
 
     Raises
     ------
     ConfigError : more than ``MOST_FORCES`` forces.
     """
     steps = motion.steps
-    taps = steps.placed(reads / steps.unit)
+    taps = steps.padded(reads / steps.factors)
     deviation = np.empty((motion.states.shape[0] // 2 + 1, taps.shape[0]))
-    along_of(steps.half_size)(
+    compiled_first_order(steps.half_size)(
         (0,) * steps.half_size,
         *_compiled(forces),
         laws,

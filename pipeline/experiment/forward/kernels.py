@@ -1,9 +1,14 @@
-"""Compiled loops over a record: the exact linear motion, and what forces add to it.
+"""Loops over the samples of a record: the exact linear motion, and the deviation from it that forces cause.
 
-A state is (scale q, 0, q', 0), padded to 2H; ``E`` is the exact propagator over half a substep h/2, matrices are
-transposed.
+``compiled`` compiles these functions for a given number of coordinates.  The length of the tuple ``shape`` is H: the
+compiler then knows the length of the loops over a state, which makes them several times faster, and unlike a closure the
+compiled function can be cached.
 
-Shapes: N samples, M = (N - 1) substeps + 1 grid points, n coordinates of at most H, D drives, T taps read off a state.
+A state is (scale q, 0, q', 0) with q and q' padded to H values each, so that both have the unit V.  E is the exact propagator
+over half a substep h/2.  All matrices are transposed.
+
+Shapes: N samples, M = (N - 1) substeps + 1 grid points, n coordinates (n <= H), D drives, T linear combinations of a state
+(``taps``).  Units: seconds, volts.
 """
 
 from __future__ import annotations
@@ -11,21 +16,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import njit
 
 from ...arrays import FloatArray
-from ...device.effect import FORCE_TYPE, LAWS_TYPE, Laws
-from ...threads import once
+from ...device.effect import Laws
 
+#: Most force effects that can act at once.
 MOST_FORCES = 8
-
-_VECTOR = types.Array(types.float64, 1, "C")
-_MATRIX = types.Array(types.float64, 2, "C")
 
 
 @njit(inline="always")
 def _summed(size: int, transposed: FloatArray, offset: int, rows: int, x: FloatArray, out: FloatArray) -> None:
-    """out = x[:rows] @ transposed[offset : offset + rows], two sums at a time: they stay in registers."""
+    """out = x[:rows] @ transposed[offset : offset + rows]; two sums at a time stay in registers."""
     for i in range(0, size, 2):
         s0, s1 = 0.0, 0.0
         for j in range(rows):
@@ -40,7 +42,7 @@ def _propagate(shape: tuple[int, ...], transposed: FloatArray, x: FloatArray, ou
 
 
 @njit(inline="always")
-def _kicked(shape: tuple[int, ...], transposed: FloatArray, a: FloatArray, out: FloatArray) -> None:
+def _propagate_velocity(shape: tuple[int, ...], transposed: FloatArray, a: FloatArray, out: FloatArray) -> None:
     _summed(2 * len(shape), transposed, len(shape), len(shape), a, out)
 
 
@@ -52,9 +54,7 @@ def _dot(shape: tuple[int, ...], taps: FloatArray, tap: int, x: FloatArray) -> f
     return total
 
 
-# A tuple's length is a constant to the compiler: loops of constant length run several times faster, and unlike a closure
-# the kernel is found again in the cache.
-def _march(
+def deviation_from_linear(
     shape: tuple[int, ...],
     forces: Any,
     count: int,
@@ -74,12 +74,19 @@ def _march(
     linear: FloatArray,
     deviation: FloatArray,
 ) -> None:
-    """Integrate the deviation; the length of ``shape`` is the most coordinates H, known when this is compiled.
+    """Integrate d' = A d + (0, a(t, x_l + d, u)) along the linear motion x_l by Lawson-RK4; fill ``linear``, ``deviation``.
 
-    forces, how many, their parameters and laws; ``half``, ``held``, ``ramp`` (transposed: (2H, 2H), (D, 2H), (D, 2H))
-    propagate a state (scale q, 0, q', 0) by half a substep; scale; time between samples; substeps; coordinates n; drive
-    (N, D); whether it is sloped between samples; start; what is read off a state (T, 2H); then linear (M, T), or (0, T)
-    where it is not wanted, and deviation (M, T).
+    Parameters
+    ----------
+    shape : tuple of H zeros.
+    forces, count, p, laws : force functions (``MOST_FORCES``, the first ``count`` act), their parameters, and what they use.
+    half, held, ramp : (2H, 2H), (D, 2H), (D, 2H) response over half a substep to a state, a drive and the slope of a drive.
+    scale, step_s, substeps, n : factor of q in a state [rad/s], time between samples [s], substeps, coordinates.
+    drive, sloped : (N, D) volts; whether the drive is linear between samples (first-order hold).
+    start : (2H,) state at the first sample.
+    taps : (T, 2H).
+    linear : (M, T) taps of the linear motion, filled; (0, T) where it is not wanted.
+    deviation : (M, T) taps of the deviation, filled.
     """
     half_size = len(shape)
     size = 2 * half_size
@@ -90,13 +97,13 @@ def _march(
     q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
     k1, k2, k3 = np.zeros(half_size), np.zeros(half_size), np.zeros(half_size)
     y, e1, e2, w, trial = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    middle, after, d, push = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
+    middle, after, d, driven = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
     for i in range(size):
         y[i] = start[i]
-    whole = linear.shape[0] > 0
+    wants_linear = linear.shape[0] > 0
     for tap in range(taps.shape[0]):
         deviation[0, tap] = 0.0
-        if whole:
+        if wants_linear:
             linear[0, tap] = _dot(shape, taps, tap, y)
     for sample in range(samples - 1):
         for k in range(drives):
@@ -105,20 +112,20 @@ def _march(
             local = sub * h
             t = sample * step_s + local
             for i in range(size):
-                push[i] = 0.0
+                driven[i] = 0.0
             for k in range(drives):
                 u[k] = drive[sample, k] + slope[k] * local
                 for i in range(size):
-                    push[i] += held[k, i] * u[k] + ramp[k, i] * slope[k]
+                    driven[i] += held[k, i] * u[k] + ramp[k, i] * slope[k]
             _propagate(shape, half, y, middle)
             for i in range(size):
-                middle[i] += push[i]
+                middle[i] += driven[i]
             _propagate(shape, half, middle, after)
             for k in range(drives):
                 for i in range(size):
-                    push[i] += held[k, i] * slope[k] * (0.5 * h)
+                    driven[i] += held[k, i] * slope[k] * (0.5 * h)
             for i in range(size):
-                after[i] += push[i]
+                after[i] += driven[i]
             if count > 0:
                 for i in range(n):
                     q[i], qd[i], out[i] = (y[i] + d[i]) * inverse, y[half_size + i] + d[half_size + i], 0.0
@@ -127,7 +134,7 @@ def _march(
                 for i in range(n):
                     k1[i] = out[i]
                 _propagate(shape, half, d, e1)
-                _kicked(shape, half, k1, w)
+                _propagate_velocity(shape, half, k1, w)
                 for i in range(size):
                     trial[i] = middle[i] + e1[i] + 0.5 * h * w[i]
                 for k in range(drives):
@@ -146,7 +153,7 @@ def _march(
                 for i in range(n):
                     k3[i] = out[i]
                 _propagate(shape, half, e1, e2)
-                _kicked(shape, half, k3, trial)
+                _propagate_velocity(shape, half, k3, trial)
                 for i in range(size):
                     trial[i] = after[i] + e2[i] + h * trial[i]
                 for k in range(drives):
@@ -168,11 +175,11 @@ def _march(
                 y[i] = after[i]
             for tap in range(taps.shape[0]):
                 deviation[point, tap] = _dot(shape, taps, tap, d)
-                if whole:
+                if wants_linear:
                     linear[point, tap] = _dot(shape, taps, tap, y)
 
 
-def _states(
+def linear_states(
     shape: tuple[int, ...],
     half: FloatArray,
     held: FloatArray,
@@ -184,11 +191,11 @@ def _states(
     start: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The linear motion at half substeps (2M - 1, 2H); arguments as in ``_march``."""
+    """Fill ``out`` (2M - 1, 2H) with the linear motion at every half substep; arguments as in ``deviation_from_linear``."""
     size = 2 * len(shape)
     drives = held.shape[0]
     half_s = 0.5 * step_s / substeps
-    push, slope = np.empty(size), np.zeros(drives)
+    driven, slope = np.empty(size), np.zeros(drives)
     for i in range(size):
         out[0, i] = start[i]
     row = 0
@@ -197,18 +204,18 @@ def _states(
             slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
         for part in range(2 * substeps):
             for i in range(size):
-                push[i] = 0.0
+                driven[i] = 0.0
             for k in range(drives):
                 u = drive[sample, k] + slope[k] * (part * half_s)
                 for i in range(size):
-                    push[i] += held[k, i] * u + ramp[k, i] * slope[k]
+                    driven[i] += held[k, i] * u + ramp[k, i] * slope[k]
             _propagate(shape, half, out[row], out[row + 1])
             row += 1
             for i in range(size):
-                out[row, i] += push[i]
+                out[row, i] += driven[i]
 
 
-def _along(
+def first_order_deviation(
     shape: tuple[int, ...],
     forces: Any,
     count: int,
@@ -226,9 +233,11 @@ def _along(
     taps: FloatArray,
     deviation: FloatArray,
 ) -> None:
-    """What weak forces along known ``states`` (2M - 1, 2H) move, to first order in them; else as in ``_march``.
+    """Fill ``deviation`` (M, T) with the motion that forces cause, to first order in the forces.
 
-    d <- E^2 d + h/6 (E^2 k1 + 4 E k2 + k3),  ``whole`` is E^2, k the forces at both ends and in the middle.
+    The forces k1, k2, k3 act along the known linear ``states`` (2M - 1, 2H), at the start, middle and end of a substep
+    (Simpson's rule):  d <- E^2 d + h/6 (E^2 k1 + 4 E k2 + k3).  ``whole`` is E^2; the other arguments are those of
+    ``deviation_from_linear``.
     """
     half_size = len(shape)
     size = 2 * half_size
@@ -236,7 +245,7 @@ def _along(
     h = step_s / substeps
     inverse = 1.0 / scale
     q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
-    kick, d, before, trial = np.zeros(half_size), np.zeros(size), np.empty(size), np.empty(size)
+    impulse, d, before, trial = np.zeros(half_size), np.zeros(size), np.empty(size), np.empty(size)
     for tap in range(taps.shape[0]):
         deviation[0, tap] = 0.0
     for sample in range(drive.shape[0] - 1):
@@ -246,7 +255,7 @@ def _along(
             point = sample * substeps + sub
             t = sample * step_s + sub * h
             for node in range(3):
-                # What the last substep ended with serves, but for a held drive that has jumped.
+                # The forces at the end of the last substep are reused, unless a held drive has jumped since.
                 if node > 0 or sub == 0:
                     for i in range(n):
                         q[i], qd[i] = states[2 * point + node, i] * inverse, states[2 * point + node, half_size + i]
@@ -263,8 +272,8 @@ def _along(
                     _propagate(shape, whole, before, d)
                 elif node == 1:
                     for i in range(n):
-                        kick[i] = h / 1.5 * out[i]
-                    _kicked(shape, half, kick, trial)
+                        impulse[i] = h / 1.5 * out[i]
+                    _propagate_velocity(shape, half, impulse, trial)
                     for i in range(size):
                         d[i] += trial[i]
                 else:
@@ -272,41 +281,3 @@ def _along(
                         d[half_size + i] += h / 6.0 * out[i]
             for tap in range(taps.shape[0]):
                 deviation[point + 1, tap] = _dot(shape, taps, tap, d)
-
-
-#: How loops over samples are compiled.
-OPTIONS: dict[str, Any] = {
-    "cache": True,
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "nsz"},
-}
-_FORCES = (types.UniTuple(FORCE_TYPE, MOST_FORCES), types.int64, types.UniTuple(_VECTOR, MOST_FORCES), LAWS_TYPE)
-_CLOCK = (types.float64, types.int64)
-_DRIVE = (_MATRIX, types.boolean)
-
-
-@once
-def march_of(half_size: int) -> Any:
-    """``_march`` compiled for at most ``half_size`` coordinates."""
-    shape = types.UniTuple(types.int64, half_size)
-    matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
-    reads = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(shape, *_FORCES, *matrices, *_CLOCK, types.int64, *_DRIVE, *reads)
-    return njit(signature, **OPTIONS)(_march)
-
-
-@once
-def states_of(half_size: int) -> Any:
-    """``_states`` compiled for at most ``half_size`` coordinates."""
-    shape = types.UniTuple(types.int64, half_size)
-    return njit(types.void(shape, _MATRIX, _MATRIX, _MATRIX, *_CLOCK, *_DRIVE, _VECTOR, _MATRIX), **OPTIONS)(_states)
-
-
-@once
-def along_of(half_size: int) -> Any:
-    """``_along`` compiled for at most ``half_size`` coordinates."""
-    shape = types.UniTuple(types.int64, half_size)
-    matrices = (_MATRIX, _MATRIX, types.float64)
-    reads = (_MATRIX, _MATRIX, _MATRIX)
-    return njit(types.void(shape, *_FORCES, *matrices, *_CLOCK, types.int64, *_DRIVE, *reads), **OPTIONS)(_along)

@@ -2,18 +2,20 @@
 
     y = G(s) exp(-s tau) [H(s) u + (R + s C) v]
 
-G H in partial fractions: G(p_k) R_k at the mechanics' poles p_k, Q_j H(q_j) at the read-out's q_j.  The feedthrough
-behind a filter is Q_j (R + q_j C) at q_j and (sum_j Q_j) C at once; without a filter R v and C times the slope of v
-that arrives at the sample.  A delay reads each state before its sample: with m + 1 = ceil(tau f_s) and t = (m +
-1)/f_s - tau,
+- G H in partial fractions has the residues G(p_k) R_k at the poles p_k of the mechanics and Q_j H(q_j) at the poles q_j of
+  the read-out.
+- Feedthrough behind a filter has the residues Q_j (R + q_j C) at q_j, plus the direct part (sum_j Q_j) C.  Without a filter
+  it is R v plus C times the slope of v just before the sample.
+- A delay tau reads each state before its sample: with m + 1 = ceil(tau f_s) and t = (m + 1)/f_s - tau,
 
-    x((n f_s) - tau) = e^{p t} x[n - m - 1] + (response to the held drive over t)
+      x(n/f_s - tau) = e^{p t} x[n - m - 1] + (response to the held drive over t)
 
-The records of a campaign are few waveforms through several drives; a pole answers a waveform once, whatever the drive,
+- The records of a drive group are scaled copies of few waveforms, and the state of a pole is computed once per waveform:
 
-    y_r = sum_w sum_d gain[r, d, w] (response of drive d to waveform w)
+      y_r = sum_w sum_d gain[r, d, w] (response of drive d to waveform w)
 
-Shapes: N samples, D drives, S senses, P poles, J read-out poles, W waveforms, R records.
+Shapes: N samples (at the steps of the clock), D drives, S senses, P poles, J read-out poles, W waveforms, R records.
+Units: poles in rad/s, time in seconds, drives and responses in volts.
 """
 
 from __future__ import annotations
@@ -35,7 +37,10 @@ _OVERSAMPLING = 8
 
 @dataclass(frozen=True, eq=False)
 class SampleClock:
-    """Held samples as the engine steps them: "bandlimited" is first-order hold on drives interpolated eightfold."""
+    """Steps at which a held drive is computed; "bandlimited" is first-order hold on a drive interpolated eightfold.
+
+    step_s : time between steps [s]; hold : "zoh" or "foh"; stride : steps per sample.
+    """
 
     step_s: float
     hold: Hold
@@ -43,24 +48,24 @@ class SampleClock:
 
 
 def clock_of(sample_rate_hz: float, hold: Hold) -> SampleClock:
-    """The clock of a record."""
+    """The clock of records with this sample rate [Hz] and hold."""
     if hold == "bandlimited":
         return SampleClock(1.0 / (sample_rate_hz * _OVERSAMPLING), "foh", _OVERSAMPLING)
     return SampleClock(1.0 / sample_rate_hz, hold, 1)
 
 
 def interpolated(drive_v: FloatArray, clock: SampleClock) -> FloatArray:
-    """Drive samples (N, D) at the clock's steps."""
+    """Drive samples (N, D) [V] at the steps of the clock, (N stride, D)."""
     if clock.stride == 1:
         return np.ascontiguousarray(drive_v)
-    # Loading scipy.signal takes a third of a second.
+    # Importing scipy.signal takes a third of a second.
     from scipy.signal import resample_poly
 
     return np.ascontiguousarray(resample_poly(drive_v, clock.stride, 1, axis=0))
 
 
 def upper_poles(readout: Readout) -> tuple[ComplexArray, ComplexArray]:
-    """Poles with Im >= 0 and their residues; a real pole with half its residue, since its conjugate is added."""
+    """Poles with Im >= 0 [rad/s] and their residues; real poles with half their residue, because the conjugate is added."""
     real = np.abs(readout.poles.imag) < 1e-9 * np.abs(readout.poles)
     keep = (readout.poles.imag > 0.0) | real
     weight = np.where(real, 0.5, 1.0)[keep]
@@ -68,7 +73,7 @@ def upper_poles(readout: Readout) -> tuple[ComplexArray, ComplexArray]:
 
 
 def delay_steps(delay_s: float, step_s: float) -> tuple[int, float]:
-    """Whole steps to shift by, and the time after each step [s] at which to read."""
+    """A delay as whole steps to shift by, and the time after each step [s] at which to read."""
     whole = floor(delay_s / step_s + 1e-12)
     rest = max(delay_s - whole * step_s, 0.0)
     return (whole, 0.0) if rest < 1e-12 * step_s else (whole + 1, step_s - rest)
@@ -85,7 +90,7 @@ def _states(
     drive: FloatArray,
     out: FloatArray,
 ) -> None:
-    """States x[n+1] = z x[n] + a v[n] + b v[n+1] of P poles from rest: real parts, then imaginary ones, (N, 2P)."""
+    """Fill ``out`` (N, 2P) with x[n+1] = z x[n] + a v[n] + b v[n+1] from rest: real parts, then imaginary parts."""
     poles = z_re.size
     for j in range(2 * poles):
         out[0, j] = 0.0
@@ -97,7 +102,7 @@ def _states(
             out[n + 1, poles + j] = z_re[j] * im + z_im[j] * re + a_im[j] * now + b_im[j] * following
 
 
-def _answers(
+def _bank_response(
     poles: ComplexArray,
     residues: ComplexArray,
     waveforms: FloatArray,
@@ -105,15 +110,15 @@ def _answers(
     clock: SampleClock,
     late_s: float,
 ) -> FloatArray:
-    """Bank response (N, R, S) of all records, read ``late_s`` after each step."""
-    turned = residues if late_s == 0.0 else residues * np.exp(poles * late_s)[:, None, None]
+    """Response (N, R, S) [V] of a bank of poles to all records, read ``late_s`` after each step."""
+    advanced = residues if late_s == 0.0 else residues * np.exp(poles * late_s)[:, None, None]
     z, g0, g1 = hold_gains(poles, clock.step_s, clock.hold)
     parts = [np.ascontiguousarray(part) for g in (z, g0, g1) for part in (g.real, g.imag)]
     samples = waveforms.shape[1]
     y = np.zeros((samples, gains.shape[0] * residues.shape[1]))
     states, own = np.empty((samples, 2 * poles.size)), np.empty_like(y)
     for w, waveform in enumerate(waveforms):
-        mixed = np.einsum("psd,rd->prs", turned, gains[:, :, w]).reshape(poles.size, -1)
+        mixed = np.einsum("psd,rd->prs", advanced, gains[:, :, w]).reshape(poles.size, -1)
         _states(parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], waveform, states)
         # 2 Re R x = 2 Re R Re x - 2 Im R Im x
         y += np.matmul(states, np.concatenate([2.0 * mixed.real, -2.0 * mixed.imag]), out=own)
@@ -128,7 +133,7 @@ def _answers(
 
 
 def _spread(matrix: FloatArray, gains: FloatArray) -> FloatArray:
-    """A static matrix (S, D) as (W, R S): what it makes of each waveform in each record."""
+    """Response (W, R S) of a static matrix (S, D) to each waveform in each record."""
     return np.asarray(np.einsum("sd,rdw->wrs", matrix, gains).reshape(gains.shape[2], gains.shape[0] * matrix.shape[0]))
 
 
@@ -140,15 +145,16 @@ def linear_response(
     clock: SampleClock,
     feeds: bool = True,
 ) -> FloatArray:
-    """y (R, N, S) at the clock's steps, from rest.
+    """Linear response y (R, N, S) [V] at the steps of the clock, from rest.
 
     Parameters
     ----------
     mechanics : a batch of one.
-    readout : read-out with feedthrough and delay.
-    waveforms, gains : (W, N) volts, and (R, D, W) how much of each goes through each drive in each record.
+    readout : filter, feedthrough and delay.
+    waveforms : (W, N) [V].
+    gains : (R, D, W), the share of each waveform in each drive of each record.
     clock : step and hold.
-    feeds : with the feedthrough.
+    feeds : whether the feedthrough is included.
     """
     modes = modes_of(mechanics)
     p, r = modes.poles[0], modes.residues[0]
@@ -157,41 +163,41 @@ def linear_response(
     poles, residues = p, readout.response(p) @ r
     fed = feeds and bool(np.any(readout.resistive) or np.any(readout.capacitive))
     if q.size:
-        behind = g @ np.moveaxis(modes.response(q)[0], -1, 0)
+        filter_residues = g @ np.moveaxis(modes.response(q)[0], -1, 0)
         if fed:
             # Feedthrough and filter: sum_j Q_j (R + s C)/(s - q_j).
-            behind = behind + g @ (readout.resistive + q[:, None, None] * readout.capacitive)
-        poles, residues = np.concatenate([p, q]), np.concatenate([residues, behind])
-    y = _answers(poles, residues, waveforms, gains, clock, late_s)
+            filter_residues = filter_residues + g @ (readout.resistive + q[:, None, None] * readout.capacitive)
+        poles, residues = np.concatenate([p, q]), np.concatenate([residues, filter_residues])
+    y = _bank_response(poles, residues, waveforms, gains, clock, late_s)
     if fed:
-        y += _fed_at_once(readout, g, waveforms, gains, clock, late_s)
+        y += _direct_feedthrough(readout, g, waveforms, gains, clock, late_s)
     return np.moveaxis(shifted(y, shift), 1, 0)
 
 
 def fed_through(readout: Readout, waveforms: FloatArray, gains: FloatArray, clock: SampleClock) -> FloatArray:
-    """The feedthrough alone, (R, N, S)."""
+    """The feedthrough without the mechanics, (R, N, S) [V]; arguments as in ``linear_response``."""
     q, g = upper_poles(readout)
     shift, late_s = delay_steps(readout.delay_s, clock.step_s)
-    y = _fed_at_once(readout, g, waveforms, gains, clock, late_s)
+    y = _direct_feedthrough(readout, g, waveforms, gains, clock, late_s)
     if q.size:
         residues = g @ (readout.resistive + q[:, None, None] * readout.capacitive)
-        y += _answers(q, residues, waveforms, gains, clock, late_s)
+        y += _bank_response(q, residues, waveforms, gains, clock, late_s)
     return np.moveaxis(shifted(y, shift), 1, 0)
 
 
-def _fed_at_once(
+def _direct_feedthrough(
     readout: Readout, g: ComplexArray, waveforms: FloatArray, gains: FloatArray, clock: SampleClock, late_s: float
 ) -> FloatArray:
-    """The part of the feedthrough that no filter delays, (N, R, S): the held drive and its slope."""
-    at_once = readout.static @ readout.resistive
+    """The direct part of the feedthrough, (N, R, S) [V]: the held drive and its slope."""
+    direct = readout.static @ readout.resistive
     slope = readout.static @ readout.capacitive
     if g.size:
-        at_once = at_once + 2.0 * g.sum(axis=0).real @ readout.capacitive
+        direct = direct + 2.0 * g.sum(axis=0).real @ readout.capacitive
     now = waveforms
     if late_s > 0.0 and clock.hold != "zoh":
         now = waveforms.copy()
         now[:, :-1] += np.diff(waveforms, axis=1) * (late_s / clock.step_s)
-    y = now.T @ _spread(at_once, gains)
+    y = now.T @ _spread(direct, gains)
     if np.any(slope):
         arriving = np.diff(waveforms, axis=1, prepend=waveforms[:, :1]) / clock.step_s
         y += arriving.T @ _spread(slope, gains)
@@ -199,7 +205,7 @@ def _fed_at_once(
 
 
 def shifted(y: FloatArray, steps: int) -> FloatArray:
-    """y (N, ..) that many samples later, zero before."""
+    """y (N, ..) delayed by whole steps, zero before."""
     if steps == 0:
         return y
     out = np.zeros_like(y)
@@ -208,12 +214,12 @@ def shifted(y: FloatArray, steps: int) -> FloatArray:
 
 
 def free_response(mechanics: Mechanics, readout: Readout, samples: int, clock: SampleClock) -> FloatArray:
-    """(N, S, 2n): what a unit of each initial position and velocity leaves in the record, filter settled."""
+    """Free response (N, S, 2n) to a unit of each initial position [V s] and velocity [V], with the filter settled."""
     n = mechanics.stiffness.shape[-1]
     poles, right = np.linalg.eig(state_matrix(mechanics)[0])
     left = np.linalg.inv(right)
-    seen = np.concatenate([mechanics.position_sense[0], mechanics.velocity_sense[0]], axis=1) @ right
-    gain = np.einsum("ksj,jk->ks", readout.response(poles), seen) * np.exp(-poles * readout.delay_s)[:, None]
+    sensed = np.concatenate([mechanics.position_sense[0], mechanics.velocity_sense[0]], axis=1) @ right
+    gain = np.einsum("ksj,jk->ks", readout.response(poles), sensed) * np.exp(-poles * readout.delay_s)[:, None]
     decay = np.exp(np.arange(samples)[:, None] * (poles * clock.step_s))
     parts = (gain[:, :, None] * left[:, None, :]).reshape(2 * n, -1)
     return np.asarray((decay @ parts).real.reshape(samples, -1, 2 * n))

@@ -1,12 +1,13 @@
-"""Exact response of linear modes to held drive samples.
+"""Exact response of linear modes to held drive samples, for a batch of devices.
 
     x_k[n+1] = z_k x_k[n] + g0_k v[n] + g1_k v[n+1],   z_k = exp(p_k T),   S[n] = 2 Re sum_k R_k x_k[n]
 
     zoh          g0 = (z - 1)/p,                g1 = 0
     foh          g1 = (z - 1 - p T)/(p^2 T),    g0 = (z - 1)/p - g1
-    bandlimited  foh on drive samples interpolated sixteenfold (3e-5 of the signal at a twentieth of the sample rate)
+    bandlimited  foh on drive samples interpolated sixteenfold (error 3e-5 of the signal at a twentieth of the sample rate)
 
-Shapes: N samples, B devices, P poles, S senses, D drives.
+Source: Franklin, Powell and Workman, Digital Control of Dynamic Systems, ch. 6 (hold equivalents).
+Shapes: N samples, B devices, P poles, S senses, D drives.  Units: poles in rad/s, T in seconds, signals in volts.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _REACH = 64
 
 
 def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """z, g0, g1 of each pole for one step of ``step_s`` seconds; "bandlimited" steps as "foh"."""
+    """z, g0 [s] and g1 [s] of poles of any shape [rad/s] for a step of ``step_s`` seconds; "bandlimited" steps as "foh"."""
     z = np.exp(poles * step_s)
     # expm1 keeps z - 1 exact for slow poles.
     whole = np.expm1(poles * step_s) / poles
@@ -39,7 +40,7 @@ def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexA
 
 @lru_cache(maxsize=1)
 def _interpolator() -> FloatArray:
-    # Loading scipy.signal takes a third of a second.
+    # Importing scipy.signal takes a third of a second.
     from scipy.signal import firwin
 
     taps = 2 * _REACH * _OVERSAMPLING + 1
@@ -57,7 +58,7 @@ def _run_bank(
     drive: FloatArray,
     out: FloatArray,
 ) -> None:
-    """z (J,), a and b (D, J) with J = S * P states in the order (sense, pole); drive (N, D) -> out (N, S)."""
+    """Fill ``out`` (N, S); z (J,), a and b (D, J) for J = S * P states in the order (sense, pole); drive (N, D)."""
     states = z_re.size
     samples, drives = drive.shape
     senses = out.shape[1]
@@ -88,11 +89,11 @@ def _run_bank(
 
 
 def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) -> FloatArray:
-    """Pick-off volts (B, N, S) of a batch from rest, exact at the sample times.
+    """Pick-off volts (B, N, S) of a batch of devices from rest, exact at the sample times.
 
     Parameters
     ----------
-    bank : poles and residues, the anti-alias filter included.
+    bank : poles (B, P) and residues (B, P, S, D), including the anti-alias filter.
     drive_v : (N, D) drive samples [V].
     sample_rate_hz : f_s [Hz].
     hold : how drive samples become volts.

@@ -1,6 +1,11 @@
-"""A remainder on the integrator's grid behind the poles of the read-out, exact for the polynomial through each interval.
+"""The read-out filter applied to pick-off volts on the integrator's grid.
+
+    y = static r + 2 Re sum_j R_j x_j,   x_j' = q_j x_j + r
+
+r is taken as the polynomial through the m + 1 grid points of each sample interval; for that polynomial the result is exact.
 
 Shapes: N samples, m substeps, M = (N - 1) m + 1 grid points, J poles (one of each conjugate pair), S senses.
+Units: poles and residues in rad/s, time in seconds, signals in volts.
 """
 
 from __future__ import annotations
@@ -12,15 +17,15 @@ from numba import njit, types
 
 from ...arrays import ComplexArray, FloatArray, real_parts
 from ...threads import once
-from .kernels import OPTIONS
+from .compiled import OPTIONS
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
 def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArray:
-    """int_0^until exp(q (until - s)) L_i(s) ds, (J, nodes): L_i the Lagrange polynomials on ``nodes`` [s]."""
+    """int_0^until exp(q (until - s)) L_i(s) ds, (J, nodes) [s], with the Lagrange polynomials L_i on ``nodes`` [s]."""
     size = nodes.size
-    # Monomial coefficients of L_i in s/T.
+    # Monomial coefficients of L_i in s / span.
     span = nodes[-1]
     basis = np.linalg.inv(np.vander(nodes / span, increasing=True))
     out = np.empty((poles.size, size), dtype=np.complex128)
@@ -37,7 +42,7 @@ def _weights(poles: ComplexArray, nodes: FloatArray, until: float) -> ComplexArr
     return out
 
 
-# As in ``kernels``, a tuple's length is a constant to the compiler.
+# As in ``kernels``, the length of a tuple (``lanes``) is a constant to the compiler.
 def _filter(
     lanes: tuple[int, ...],
     substeps: int,
@@ -50,32 +55,33 @@ def _filter(
     r: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Remainders r (M, S) behind poles -> out (N, S), read off after z_out, w_out if late.
+    """Add the poles' response to r (M, S) to ``out`` (N, S); if ``late``, a time after each sample.
 
-    J is the length of ``lanes``.  Real parts come before imaginary ones: z (2, J), w (2, m + 1, J), residues (2, S, S,
-    J).
+    z and w advance a state by one sample interval, z_out and w_out by the time after each sample at which it is read.
+    The length of ``lanes`` is J.  Arrays hold real parts, then imaginary parts: z (2, J), w (2, m + 1, J), residues
+    (2, S, S, J).
     """
     samples, senses = out.shape
     x = np.zeros((senses, 2, len(lanes)))
-    seen = np.zeros((2, len(lanes)))
+    read = np.zeros((2, len(lanes)))
     for sample in range(samples):
         first = sample * substeps
         last = sample + 1 == samples
         for b in range(senses):
             for j in range(len(lanes)):
-                seen[0, j], seen[1, j] = x[b, 0, j], x[b, 1, j]
+                read[0, j], read[1, j] = x[b, 0, j], x[b, 1, j]
             if late:
                 for j in range(len(lanes)):
                     re, im = x[b, 0, j], x[b, 1, j]
-                    seen[0, j], seen[1, j] = z_out[0, j] * re - z_out[1, j] * im, z_out[0, j] * im + z_out[1, j] * re
+                    read[0, j], read[1, j] = z_out[0, j] * re - z_out[1, j] * im, z_out[0, j] * im + z_out[1, j] * re
                 for i in range(0 if last else substeps + 1):
                     for j in range(len(lanes)):
-                        seen[0, j] += w_out[0, i, j] * r[first + i, b]
-                        seen[1, j] += w_out[1, i, j] * r[first + i, b]
+                        read[0, j] += w_out[0, i, j] * r[first + i, b]
+                        read[1, j] += w_out[1, i, j] * r[first + i, b]
             for a in range(senses):
                 total = 0.0
                 for j in range(len(lanes)):
-                    total += residues[0, a, b, j] * seen[0, j] - residues[1, a, b, j] * seen[1, j]
+                    total += residues[0, a, b, j] * read[0, j] - residues[1, a, b, j] * read[1, j]
                 out[sample, a] += 2.0 * total
             if not last:
                 for j in range(len(lanes)):
@@ -100,46 +106,47 @@ def filtered(
     poles: ComplexArray,
     residues: ComplexArray,
     static: FloatArray,
-    remainder: FloatArray,
+    r: FloatArray,
     step_s: float,
     late_s: float,
     substeps: int,
 ) -> FloatArray:
-    """A remainder (M, S) behind the read-out, at ``late_s`` after each sample, (N, S).
+    """The read-out's response (N, S) [V] to pick-off volts r, read ``late_s`` after each sample.
 
     Parameters
     ----------
-    poles, residues : of the read-out, (J,) and (J, S, S): one of each conjugate pair, real ones with half their
+    poles, residues : of the read-out, (J,) and (J, S, S) [rad/s]: one of each conjugate pair, real poles with half their
         residue.
-    static : (S, S).
-    remainder : volts on the fine grid.
+    static : (S, S) gain that no pole filters.
+    r : (M, S) pick-off volts on the integrator's grid.
     step_s : time between samples [s].
-    late_s : in [0, step_s); the last sample is read as if the remainder ended there.
+    late_s : in [0, step_s) [s]; the last sample is read as if r ended there.
+    substeps : m.
     """
-    samples = (remainder.shape[0] - 1) // substeps + 1
+    samples = (r.shape[0] - 1) // substeps + 1
     nodes = np.arange(substeps + 1, dtype=np.float64) * (step_s / substeps)
     interpolate: FloatArray = np.zeros(substeps + 1)
     interpolate[0] = 1.0
     if late_s > 0.0:
         fit: FloatArray = np.linalg.inv(np.vander(nodes / step_s, increasing=True)).astype(np.float64)
         interpolate[:] = (late_s / step_s) ** np.arange(substeps + 1) @ fit
-    out = np.zeros((samples, remainder.shape[1]))
-    windows = np.lib.stride_tricks.sliding_window_view(remainder, substeps + 1, axis=0)[::substeps]
+    out = np.zeros((samples, r.shape[1]))
+    windows = np.lib.stride_tricks.sliding_window_view(r, substeps + 1, axis=0)[::substeps]
     if np.any(static):
         out[:-1] = (windows @ interpolate) @ static.T
-        out[-1] = remainder[-1] @ static.T
+        out[-1] = r[-1] @ static.T
     if poles.size:
         late = late_s > 0.0
         lanes = 1 << (poles.size - 1).bit_length()
         padded = np.concatenate([poles, np.zeros(lanes - poles.size)])
-        weighed = np.zeros((lanes - poles.size, nodes.size))
+        no_weights = np.zeros((lanes - poles.size, nodes.size))
 
         def weights(until: float) -> FloatArray:
-            own = np.concatenate([_weights(poles, nodes, until), weighed])
+            own = np.concatenate([_weights(poles, nodes, until), no_weights])
             return np.ascontiguousarray(np.swapaxes(real_parts(own), 1, 2))
 
-        seen = np.zeros((lanes, *residues.shape[1:]), dtype=np.complex128)
-        seen[: poles.size] = residues
+        padded_residues = np.zeros((lanes, *residues.shape[1:]), dtype=np.complex128)
+        padded_residues[: poles.size] = residues
         _filter_of(lanes)(
             (0,) * lanes,
             substeps,
@@ -148,8 +155,8 @@ def filtered(
             real_parts(np.exp(padded * late_s)),
             weights(late_s) if late else np.zeros((2, nodes.size, lanes)),
             late,
-            np.ascontiguousarray(np.moveaxis(real_parts(seen), 1, 3)),
-            np.ascontiguousarray(remainder),
+            np.ascontiguousarray(np.moveaxis(real_parts(padded_residues), 1, 3)),
+            np.ascontiguousarray(r),
             out,
         )
     return out

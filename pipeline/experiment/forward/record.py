@@ -1,11 +1,11 @@
-"""Forward model: the record that a model at given parameters would give, full band, from the drive samples.
+"""Forward model: the record that a model predicts from the drive samples, over the full band.
 
-    v --drive--> u --mechanics, forces--> S --sense--> + feedthrough --read-out, delay--> converter --> y
+    v --drive--> u --mechanics, forces--> S --sense--> + feedthrough --read-out, delay--> ADC --> y
 
-Linear parts are exact at the sample times.  Where a force or a pick-off law acts, its remainder on top of the linear
-part is integrated on a finer grid (``integrate``) and added.  Noise, offset and hum are not part of it.
+The linear response is exact at the sample times.  The response to force and sense effects is integrated on a finer grid
+(``integrate``) and added.  Noise, offset and hum are not part of the prediction.
 
-Shapes: N samples, D drives, S senses.  Units: volts.
+Shapes: N samples, D drives, S senses, n coordinates.  Units: volts.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ def forward(
     angular_gain: float | None = None,
     start: FloatArray | None = None,
 ) -> FloatArray:
-    """The record (N, S) [V] that ``model`` gives at ``parameters``.
+    """The record (N, S) [V] that ``model`` predicts at ``parameters``.
 
     Parameters
     ----------
     model : plant and effects.
     parameters : name -> value in the units of ``model.parameters()``; effects that are not named are at their null.
     record : its drive samples and declared conditions; its sense samples are not used.
-    instrument : hold, bias, filter.
+    instrument : hold, bias, anti-alias filter.
     angular_gain : I_p / I_0p, needed for a declared rate other than zero.
     start : state (2n,) at the first sample: coordinates [V s], velocities [V]; ``None`` is rest.
 
     Raises
     ------
-    ConfigError : parameters that no device can have, or a motion that diverges.
-    MeasurementError : a record whose numbers of channels are not the plant's.
+    ConfigError : a parameter is missing or impossible (negative stiffness or damping), or the motion diverges.
+    MeasurementError : the record and the plant have different numbers of channels.
     """
     channels_checked(model, record)
     group = drive_group_of([record], instrument, angular_gain)

@@ -1,9 +1,12 @@
-"""What an assembled system answers to drive samples.
+"""Response of an assembled system to the drive samples of a drive group.
 
-    y = linear part (exact at the samples) + read-out of the remainder  r = S(x_l + d) - S_linear(x_l),   then the
-    converter
+    y = linear response (exact at the samples) + read-out of r,   r = S(x_l + d) - S_linear(x_l),   then the ADC stage
 
-Shapes: R records, N samples, D drives, S senses, n coordinates.  Units: volts, seconds.
+The second term is the nonlinear response: x_l is the linear motion, d the deviation from it that force effects cause, and S
+the pick-off with the sense effects.
+
+Shapes: R records, N samples, N' steps of the clock, M grid points of the integrator, D drives, S senses, n coordinates.
+Units: volts, seconds.
 """
 
 from __future__ import annotations
@@ -34,12 +37,12 @@ from .system import System
 Starts = Sequence[FloatArray | None]
 Out = TypeVar("Out")
 
-#: An interpolated drive steps finely already: two substeps leave 1e-6 of the record where the read-out has a pole.
+#: Substeps per step of an interpolated drive, whose steps are already fine: the error is 1e-6 of the record.
 _INTERPOLATED_SUBSTEPS = 2
 
 
 def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
-    """u (N, D): drive samples behind the drive stage."""
+    """u (N, D) [V]: drive samples (N, D) [V] after the drive stage."""
     u = drive_v
     for effect, p in system.drives:
         assert effect.drive is not None
@@ -48,7 +51,7 @@ def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
 
 
 def full_start(system: System, start: FloatArray) -> FloatArray:
-    """Initial state of all coordinates from that of the first of them: those that effects append start at rest."""
+    """State (2n,) of all coordinates from that of the plant's coordinates; coordinates that effects append start at rest."""
     n, own = system.mechanics.stiffness.shape[1], start.size // 2
     full = np.zeros(2 * n)
     full[:own], full[n : n + own] = start[:own], start[own:]
@@ -56,17 +59,18 @@ def full_start(system: System, start: FloatArray) -> FloatArray:
 
 
 def linear_volts(system: System, group: DriveGroup, starts: Starts | None = None) -> FloatArray:
-    """Linear part (R, N, S) [V] before the converter.
+    """Linear response (R, N, S) [V] before the ADC stage.
 
     Parameters
     ----------
-    system, play : what is played on what.
-    starts : state (2n,) at the first sample of each record; ``None`` is rest.
+    system : the assembled system.
+    group : the records.
+    starts : state (2n,) of each record at its first sample; ``None`` is rest.
     """
     clock, readout = group.clock, system.readout
     m = system.mechanics
     if system.drives:
-        # Behind the drive stage another level is another waveform.
+        # The drive stage may be nonlinear, so a record of another level has another waveform.
         waveforms, gains = waveforms_of([force_volts(system, v) for v in group.drives], clock)
         y = linear_response(m, readout, waveforms, gains, clock, feeds=False)[:, :: clock.stride]
         if np.any(readout.resistive) or np.any(readout.capacitive):
@@ -83,110 +87,126 @@ def linear_volts(system: System, group: DriveGroup, starts: Starts | None = None
 def nonlinear_response(
     system: System, group: DriveGroup, starts: Starts | None = None, substeps: int = SUBSTEPS
 ) -> FloatArray:
-    """What forces and pick-off laws add to the linear part, (R, N, S) [V]; zero where there are none."""
+    """What force and sense effects add to the linear response, (R, N, S) [V]; zero where there are none.
+
+    ``substeps`` of the integrator per sample; the other arguments as in ``linear_volts``.
+
+    Raises
+    ------
+    ConfigError : as in ``integrate.trajectory``.
+    """
     if not (system.forces or system.senses):
         return np.zeros((len(group.drives), group.drives[0].shape[0], system.sense_motion.shape[0]))
-    known = starts or (None,) * len(group.drives)
-    fine = _fine(group.clock, substeps)
+    start_states = starts or (None,) * len(group.drives)
+    steps = _substeps(group.clock, substeps)
 
     def one(record: int) -> FloatArray:
         u = interpolated(force_volts(system, group.drives[record]), group.clock)
-        return _remainder(system, u, group.clock, known[record], fine)
+        return _integrated_response(system, u, group.clock, start_states[record], steps)
 
-    return np.stack(_shared(one, response_sources(group, starts), group.threads))
+    return np.stack(_for_distinct_records(one, response_sources(group, starts), group.threads))
 
 
 def linear_motions(system: System, group: DriveGroup, starts: Starts | None, substeps: int) -> list[Motion]:
-    """Linear trajectories of the records, those of same_drive_as once; arguments as in ``remainder_volts``."""
-    known = starts or (None,) * len(group.drives)
-    clock, fine = group.clock, _fine(group.clock, substeps)
+    """Linear trajectories of the records, shared by records with the same drive; arguments as in ``nonlinear_response``."""
+    start_states = starts or (None,) * len(group.drives)
+    clock, steps = group.clock, _substeps(group.clock, substeps)
 
     def one(record: int) -> Motion:
         u = interpolated(force_volts(system, group.drives[record]), clock)
-        start = known[record]
-        begun = None if start is None else full_start(system, start)
-        return linear_motion(system.mechanics, u, clock.step_s, clock.hold, begun, fine)
+        start = start_states[record]
+        state = None if start is None else full_start(system, start)
+        return linear_motion(system.mechanics, u, clock.step_s, clock.hold, state, steps)
 
-    return _shared(one, response_sources(group, starts), group.threads)
+    return _for_distinct_records(one, response_sources(group, starts), group.threads)
 
 
 def first_order_response(system: System, group: DriveGroup, motions: Sequence[Motion]) -> FloatArray:
-    """As ``remainder_volts``, to first order in forces and pick-off laws, along the linear trajectories ``motions``."""
+    """As ``nonlinear_response``, to first order in the force and sense effects.
+
+    ``motions`` are the linear trajectories of the records (``linear_motions``).
+    """
 
     def one(record: int) -> FloatArray:
         motion = motions[record]
-        reads = _reads(system)
+        reads = _pickoff_rows(system)
         r = np.zeros((motion.states.shape[0] // 2 + 1, reads.shape[0]))
         if system.forces:
             r += perturbed_motion(motion, [(effect.force, p) for effect, p in system.forces], system.laws, reads)
         if system.senses:
-            r += _sense_law_volts(system, motion.state, group.clock.step_s / motion.steps.substeps)
-        return _seen(system, r, group.clock, motion.steps.substeps)
+            r += _sense_effect_volts(system, motion.state, group.clock.step_s / motion.steps.substeps)
+        return _after_readout(system, r, group.clock, motion.steps.substeps)
 
     source = [next(k for k, other in enumerate(motions) if other is motion) for motion in motions]
-    return np.stack(_shared(one, source, group.threads))
+    return np.stack(_for_distinct_records(one, source, group.threads))
 
 
 def response_sources(group: DriveGroup, starts: Starts | None) -> list[int]:
-    """For each record the one whose answer it shares: its twin, where both start at rest."""
-    known = starts or (None,) * len(group.drives)
+    """For each record the index of the record whose response it shares: the same drive, and both start at rest."""
+    start_states = starts or (None,) * len(group.drives)
     return [
-        first if start is None and known[first] is None else record
-        for record, (first, start) in enumerate(zip(group.same_drive_as, known))
+        first if start is None and start_states[first] is None else record
+        for record, (first, start) in enumerate(zip(group.same_drive_as, start_states))
     ]
 
 
-def _shared(one: Callable[[int], Out], source: Sequence[int], threads: int) -> list[Out]:
-    own = [record for record, first in enumerate(source) if first == record]
-    found = mapped(one, own, threads)
-    return [found[own.index(first)] for first in source]
+def _for_distinct_records(one: Callable[[int], Out], source: Sequence[int], threads: int) -> list[Out]:
+    distinct = [record for record, first in enumerate(source) if first == record]
+    found = mapped(one, distinct, threads)
+    return [found[distinct.index(first)] for first in source]
 
 
-def _fine(clock: SampleClock, substeps: int) -> int:
+def _substeps(clock: SampleClock, substeps: int) -> int:
     return min(substeps, _INTERPOLATED_SUBSTEPS) if clock.stride > 1 else substeps
 
 
-def _reads(system: System) -> FloatArray:
-    """(S, 2n): pick-off volts from a state."""
+def _pickoff_rows(system: System) -> FloatArray:
+    """(S, 2n): pick-off volts from a state, without sense effects."""
     return np.concatenate([system.mechanics.position_sense[0], system.mechanics.velocity_sense[0]], axis=1)
 
 
-def _remainder(system: System, u: FloatArray, clock: SampleClock, start: FloatArray | None, fine: int) -> FloatArray:
-    """(N, S) of a record under ``u`` (N', D)."""
+def _integrated_response(
+    system: System, u: FloatArray, clock: SampleClock, start: FloatArray | None, substeps: int
+) -> FloatArray:
+    """Nonlinear response (N, S) [V] of one record to ``u`` (N', D)."""
     forces = [(effect.force, p) for effect, p in system.forces]
-    begun = None if start is None else full_start(system, start)
-    reads = _reads(system)
-    march = partial(trajectory, system.mechanics, forces, system.laws, u, clock.step_s, clock.hold, begun, fine)
+    state = None if start is None else full_start(system, start)
+    reads = _pickoff_rows(system)
+    solve = partial(trajectory, system.mechanics, forces, system.laws, u, clock.step_s, clock.hold, state, substeps)
     if system.senses:
-        linear, deviation = march()
-        r = deviation @ reads.T + _sense_law_volts(system, linear + deviation, clock.step_s / fine)
+        linear, deviation = solve()
+        r = deviation @ reads.T + _sense_effect_volts(system, linear + deviation, clock.step_s / substeps)
     else:
-        _, r = march(reads=reads)
-    return _seen(system, r, clock, fine)
+        _, r = solve(reads=reads)
+    return _after_readout(system, r, clock, substeps)
 
 
-def _sense_law_volts(system: System, state: FloatArray, step_s: float) -> FloatArray:
-    """What pick-off laws add along a ``state`` (M, 2n), (M, S) [V]."""
+def _sense_effect_volts(system: System, state: FloatArray, step_s: float) -> FloatArray:
+    """What sense effects add to the pick-off volts along states (M, 2n), (M, S) [V]; ``step_s`` between grid points."""
     n = system.mechanics.stiffness.shape[1]
-    x, xd, s = state[:, :n] @ system.sense_motion.T, state[:, n:] @ system.sense_motion.T, state @ _reads(system).T
+    x, xd, s = (
+        state[:, :n] @ system.sense_motion.T,
+        state[:, n:] @ system.sense_motion.T,
+        state @ _pickoff_rows(system).T,
+    )
     t = np.arange(state.shape[0], dtype=np.float64) * step_s
-    seen = s
+    sensed = s
     for effect, p in system.senses:
         assert effect.sense is not None
-        seen = effect.sense(x, xd, seen, t, p, system.context)
-    return np.asarray(seen - s)
+        sensed = effect.sense(x, xd, sensed, t, p, system.context)
+    return np.asarray(sensed - s)
 
 
-def _seen(system: System, r: FloatArray, clock: SampleClock, fine: int) -> FloatArray:
-    """A remainder (M, S) behind the read-out, (N, S)."""
+def _after_readout(system: System, r: FloatArray, clock: SampleClock, substeps: int) -> FloatArray:
+    """Pick-off volts r (M, S) after the read-out, (N, S) [V]."""
     q, g = upper_poles(system.readout)
     shift, late_s = delay_steps(system.readout.delay_s, clock.step_s)
-    y = filtered(q, g, system.readout.static, r, clock.step_s, late_s, fine)
+    y = filtered(q, g, system.readout.static, r, clock.step_s, late_s, substeps)
     return shifted(y, shift)[:: clock.stride]
 
 
 def volts(system: System, group: DriveGroup, starts: Starts | None = None) -> FloatArray:
-    """The records (R, N, S) [V] before the converter."""
+    """The records (R, N, S) [V] before the ADC stage; arguments as in ``linear_volts``, errors as in ``nonlinear_response``."""
     y = linear_volts(system, group, starts)
     if system.forces or system.senses:
         y += nonlinear_response(system, group, starts)
@@ -194,7 +214,7 @@ def volts(system: System, group: DriveGroup, starts: Starts | None = None) -> Fl
 
 
 def converted(system: System, y: FloatArray) -> FloatArray:
-    """The records behind the converter stage; ``y`` (.., S)."""
+    """``y`` (.., S) [V] after the effects of the ADC stage."""
     for effect, p in system.adcs:
         assert effect.adc is not None
         y = effect.adc(y, p, system.context)

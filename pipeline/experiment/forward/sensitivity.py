@@ -1,11 +1,11 @@
-"""Derivatives of the record to the parameters of a model.
+"""Derivatives of a record with respect to the parameters of a model.
 
-Central differences in the model's smooth coordinates through the exact bank, one-sided of second order where a range
-ends; one-sided ones through the integrator for forces and pick-off laws, whose deviation is free of cancellation.
-With strong nonlinear effects ``exact`` adds the remainder's share to the columns of the plant and of linear effects
-too.
+Parameters of linear parts: central differences of the exact linear response in the model's smooth coordinates; at the end of
+a range, one-sided differences of second order.  Parameters of force and sense effects: one-sided differences of the nonlinear
+response, which is free of cancellation.  If nonlinear effects are strong, ``exact`` adds the derivative of the nonlinear
+response to the columns of linear parameters too.
 
-Shapes: R records, N samples, S senses, P free parameters.
+Shapes: R records, N samples, S senses, P free parameters.  Records in volts.
 """
 
 from __future__ import annotations
@@ -26,35 +26,35 @@ from .drive_groups import DriveGroup, drive_group_of
 from .response import Starts, converted, linear_volts, nonlinear_response, volts
 from .system import System, assemble
 
-#: A step of an effect's parameter moves the record by about this share.
+#: A step of an effect's parameter changes the record by about this share of its rms.
 SHARE = 1e-6
-#: Share of the record made by forces and pick-off laws from which linear parts are followed through them too.
+#: Ratio of nonlinear to linear response above which linear parameters are differentiated through the integrator too.
 STRONG = 0.1
-#: Substeps of the integrator where only slopes are wanted: they need not be as exact as a record.
+#: Substeps of the integrator for derivatives, which need less accuracy than a record.
 SLOPE_SUBSTEPS = 2
-_GRIDDED_STAGES = {"force", "sense"}
+_INTEGRATED_STAGES = {"force", "sense"}
 
 
 def channels_checked(model: Model, record: Record) -> None:
-    """Refuse a record whose numbers of channels are not the plant's.
+    """Check that a record has as many drives and senses as the plant.
 
     Raises
     ------
-    MeasurementError : they differ.
+    MeasurementError : it has not.
     """
     shape = model.built.shape
     found = [record.drive_v.shape[1], record.sense_v.shape[1]]
     if found != [shape.drives, shape.senses]:
         raise MeasurementError(
-            f"record {record.name!r} has another number of drives and senses than the plant",
+            f"record {record.name!r} and the plant have different numbers of drives and senses",
             value=found,
-            allowed=str([shape.drives, shape.senses]),
-            next_step='use plant = { kind = "modal", .. }',
+            allowed=f"{[shape.drives, shape.senses]}, as in the plant",
+            next_step='write plant = { kind = "modal", modes = .. } in the model file',
         )
 
 
 def _slope(f: Callable[[float], FloatArray], at: float, step: float, low: float, high: float) -> FloatArray:
-    """df/dx at ``at`` to second order, inside [low, high]."""
+    """df/dx at ``at`` to second order in ``step``, from points inside [low, high]."""
     if at - step >= low and at + step <= high:
         return (f(at + step) - f(at - step)) / (2.0 * step)
     if at - step < low:
@@ -63,9 +63,9 @@ def _slope(f: Callable[[float], FloatArray], at: float, step: float, low: float,
 
 
 def is_integrated(model: Model, name: str) -> bool:
-    """Whether a parameter is that of a force or a pick-off law."""
+    """Whether a parameter belongs to a force or sense effect, whose response is integrated."""
     effect = name.partition(".")[0]
-    return effect in model.effects and bool(_GRIDDED_STAGES & set(model.effect(effect).stages))
+    return effect in model.effects and bool(_INTEGRATED_STAGES & set(model.effect(effect).stages))
 
 
 def _is_adc(model: Model, name: str) -> bool:
@@ -82,24 +82,24 @@ def tuned_steps(
     angular_gain: float | None = None,
     start: FloatArray | None = None,
 ) -> FloatArray:
-    """Steps (P,) for ``jacobian``: those of forces and pick-off laws move this record by about ``SHARE`` of its level.
+    """Steps (P,) for ``jacobian``; those of force and sense effects change this record by about ``SHARE`` of its rms.
 
-    Arguments as in ``forward``.
+    Arguments and errors as in ``forward``.
     """
     group = drive_group_of([record], instrument, angular_gain)
     x0 = model.to_internal(model.complete(parameters))
     steps = model.steps(x0)
     base = assemble(model, model.to_values(x0), instrument, group.conditions)
-    # One substep tells how far a step goes.
-    rough = partial(nonlinear_response, group=group, starts=[start], substeps=1)
-    r0 = rough(base)
+    # One substep is accurate enough to choose a step.
+    coarse = partial(nonlinear_response, group=group, starts=[start], substeps=1)
+    r0 = coarse(base)
     level = float(np.sqrt(np.mean((linear_volts(base, group, [start]) + r0) ** 2)))
 
     def share(i: int, step: float) -> float:
         x = x0.copy()
         x[i] += step if x0[i] + step <= model.bounds(model.free[i])[1] else -step
         try:
-            r = rough(assemble(model, model.to_values(x), instrument, group.conditions))
+            r = coarse(assemble(model, model.to_values(x), instrument, group.conditions))
         except ConfigError:
             return np.inf
         return float(np.sqrt(np.mean((r - r0) ** 2))) / max(level, 1e-300)
@@ -113,7 +113,7 @@ def tuned_steps(
 
 
 def _tuned(share: Callable[[float], float], step: float, most: float) -> float:
-    """The step whose share of the record is about ``SHARE``."""
+    """A step, at most ``most``, that changes the record by about ``SHARE``; ``share`` gives the change for a step."""
     for _ in range(12):
         found = share(step)
         if found == 0.0 or 0.01 * SHARE <= found <= 10.0 * SHARE:
@@ -133,17 +133,17 @@ def jacobian(
     exact: bool = False,
     steps: FloatArray | None = None,
 ) -> FloatArray:
-    """dy/dx (N, S, P) at ``parameters``; x are the smooth coordinates of ``model.free`` (``model.to_internal``).
+    """dy/dx (N, S, P) at ``parameters`` [V per unit of x]; x are the smooth coordinates of ``model.free``.
 
     Parameters
     ----------
     model, parameters, record, instrument, angular_gain, start : as in ``forward``.
-    exact : plant columns through the integrator too.
-    steps : (P,) of the differences; ``None`` is ``tuned_steps``.
+    exact : whether linear parameters are differentiated through the integrator too.
+    steps : (P,) of the differences in x; ``None`` means ``tuned_steps``.
 
     Raises
     ------
-    ConfigError : as in ``forward``.
+    ConfigError, MeasurementError : as in ``forward``.
     """
     channels_checked(model, record)
     if steps is None:
@@ -153,7 +153,7 @@ def jacobian(
     return np.moveaxis(columns[:, 0], 0, -1)
 
 
-#: dy/dx (R, N, S) of parameters of forces and pick-off laws, by their place among the free ones.
+#: Derivatives (R, N, S) of the nonlinear response, by index of the free parameter.
 NonlinearColumns = Mapping[int, FloatArray]
 
 
@@ -166,26 +166,29 @@ def nonlinear_columns(
     places: Sequence[int],
     starts: Starts | None = None,
 ) -> NonlinearColumns:
-    """What free parameters at ``places`` move in the remainder; arguments as in ``play_jacobian``."""
+    """Derivatives of the nonlinear response with respect to the free parameters with index ``places``.
+
+    The other arguments are those of ``group_jacobian``.
+    """
     if not places:
         return {}
     x0 = model.to_internal(model.complete(parameters))
     base = assemble(model, model.to_values(x0), instrument, group.conditions)
-    remainder = nonlinear_response(base, group, starts, SLOPE_SUBSTEPS)
+    unchanged = nonlinear_response(base, group, starts, SLOPE_SUBSTEPS)
     serial = replace(group, threads=1)
 
     def column(i: int) -> FloatArray:
-        # Deviations are free of cancellation: one side is enough, inside the range.
+        # The nonlinear response is free of cancellation, so a one-sided difference inside the range suffices.
         name, step = model.free[i], float(steps[i])
         step = step if "." not in name or x0[i] + step <= model.bounds(name)[1] else -step
         x = x0.copy()
         x[i] += step
         system = assemble(model, model.to_values(x), instrument, group.conditions)
         change = nonlinear_response(system, serial, starts, SLOPE_SUBSTEPS)
-        change -= remainder
+        change -= unchanged
         return np.divide(change, step, out=change)
 
-    # Parameters are shared out among the threads; within one of them records follow each other.
+    # Threads work on different parameters; within a thread the records follow each other.
     return dict(zip(places, mapped(column, places, group.threads)))
 
 
@@ -200,9 +203,9 @@ def group_jacobian(
     exact: bool = False,
     nonlinear: NonlinearColumns | None = None,
 ) -> FloatArray:
-    """dy/dx (P, R, N, S) of the records of a play; arguments as in ``jacobian``, one start a record.
+    """dy/dx (P, R, N, S) of the records of a drive group; arguments as in ``jacobian``, with one start per record.
 
-    ``nonlinear`` gives the columns of forces and pick-off laws where they are known.
+    ``nonlinear`` : derivatives of the nonlinear response, if they are known already (``nonlinear_columns``).
 
     Raises
     ------
@@ -213,11 +216,11 @@ def group_jacobian(
     if nonlinear is None:
         curved = exact and bool(base.forces or base.senses)
         free = enumerate(model.free)
-        asked = [i for i, name in free if is_integrated(model, name) or (curved and not _is_adc(model, name))]
-        nonlinear = nonlinear_columns(model, parameters, group, instrument, steps, asked, starts)
+        integrated = [i for i, name in free if is_integrated(model, name) or (curved and not _is_adc(model, name))]
+        nonlinear = nonlinear_columns(model, parameters, group, instrument, steps, integrated, starts)
     known = nonlinear
     serial = replace(group, threads=1)
-    clipped = volts(base, group, starts) if base.adcs else None
+    before_adc = volts(base, group, starts) if base.adcs else None
     columns = np.zeros((x0.size, len(group.drives), group.drives[0].shape[0], base.sense_motion.shape[0]))
 
     def system(i: int, value: float) -> System:
@@ -225,29 +228,29 @@ def group_jacobian(
         x[i] = value
         return assemble(model, model.to_values(x), instrument, group.conditions)
 
-    def behind(i: int, value: float) -> FloatArray:
-        assert clipped is not None
-        return converted(system(i, value), clipped)
+    def after_adc(i: int, value: float) -> FloatArray:
+        assert before_adc is not None
+        return converted(system(i, value), before_adc)
 
     def linear(i: int, value: float) -> FloatArray:
         return linear_volts(system(i, value), serial, starts)
 
     def column(i: int) -> None:
         name, step = model.free[i], float(steps[i])
-        own = model.bounds(name)
+        limits = model.bounds(name)
         if _is_adc(model, name):
-            columns[i] = _slope(partial(behind, i), x0[i], step, *own)
+            columns[i] = _slope(partial(after_adc, i), x0[i], step, *limits)
             return
         if not is_integrated(model, name):
-            columns[i] = _slope(partial(linear, i), x0[i], step, *(own if "." in name else (-np.inf, np.inf)))
+            columns[i] = _slope(partial(linear, i), x0[i], step, *(limits if "." in name else (-np.inf, np.inf)))
         if i in known:
             columns[i] += known[i]
 
     mapped(column, range(x0.size), group.threads)
-    if clipped is not None:
-        # Behind the converter a sample that is clipped does not move.
-        moved = (converted(base, clipped * (1.0 + 1e-7)) - converted(base, clipped * (1.0 - 1e-7))) / 2e-7
-        passes = np.where(clipped != 0.0, moved / np.where(clipped != 0.0, clipped, 1.0), 1.0)
+    if before_adc is not None:
+        # A clipped sample does not change after the ADC stage.
+        slope = (converted(base, before_adc * (1.0 + 1e-7)) - converted(base, before_adc * (1.0 - 1e-7))) / 2e-7
+        passes = np.where(before_adc != 0.0, slope / np.where(before_adc != 0.0, before_adc, 1.0), 1.0)
         for i, name in enumerate(model.free):
             if not _is_adc(model, name):
                 columns[i] *= passes

@@ -1,9 +1,11 @@
-"""Signatures of absent effects: how records move with their parameters, at the null.
+"""Signatures of absent effects: derivatives of the records with respect to the effect's parameters, at their null values.
 
-One-sided differences where a deviation is integrated, which is free of cancellation; central ones where the change is a
-difference of two records.
+    signature = dy/dp at p = null
 
-Shapes: R records, N samples, S senses, k parameters of an effect.
+Where the nonlinear response is integrated, one-sided differences suffice, because it is free of cancellation.  Where the
+change is a difference of two records, central differences cancel the rounding errors that both have in common.
+
+Shapes: R records, N samples, S senses, k parameters of an effect, L regressors of a disturbance.  Records in volts.
 """
 
 from __future__ import annotations
@@ -27,23 +29,23 @@ from .response import Starts, converted, first_order_response, linear_motions, l
 from .sensitivity import SHARE, SLOPE_SUBSTEPS, STRONG
 from .system import System, assemble
 
-#: Numbers that the trajectories of a base may take.
-_ROOM = 2e7
+#: Largest number of values in the stored trajectories of a base (8 bytes each).
+_MAX_STORED = 2e7
 
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """How records move with an absent effect.
+    """Change of the records with the parameters of an absent effect.
 
     Parameters
     ----------
     effect : its name.
-    names : of the parameters that the columns are derivatives to, k of them.
-    point : values of its other parameters (those of a grid).
-    columns : (k, R, N, S) dy/dp at the null; for a parameter that only acts beyond a threshold (a clip level) the
-        change of y from no effect to ``point``.  Free regressors of a disturbance are ``basis`` (N, L) instead, k = 0.
-    basis : (N, L), L = 0 but for disturbances.
-    steps : of the differences, by parameter.
+    names : (k,) parameters to which ``columns`` belong.
+    point : values of the parameters that are scanned over a grid.
+    columns : (k, R, N, S) dy/dp at the null [V per unit of p].  If all parameters are scanned (a clip level, for example),
+        the change of y from no effect to ``point`` [V].  For a disturbance k = 0.
+    basis : (N, L) regressors of a disturbance; L = 0 otherwise.
+    steps : step of the difference, by parameter.
     """
 
     effect: str
@@ -56,16 +58,16 @@ class Signature:
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """The records of a play without any absent effect: what signatures are differences to.
+    """The records of a drive group without the absent effects: the reference of the differences.
 
     Parameters
     ----------
-    model, values, play, instrument : what is played on what, at complete parameters.
-    starts : the state of each record at its first sample where it does not start at rest.
-    substeps : of the integrator.
-    system : assembled.
-    linear : (R, N, S) [V].
-    remainder : (R, N, S) [V], ``None`` where the model has no forces and no pick-off laws.
+    model, values, group, instrument : the model at complete parameters, and the records.
+    starts : (2n,) state of each record at its first sample; ``None`` is rest.
+    substeps : of the integrator, per sample.
+    system : the assembled system.
+    linear : (R, N, S) linear response [V].
+    nonlinear : (R, N, S) nonlinear response [V]; ``None`` where the model has no force and no sense effects.
     """
 
     model: Model
@@ -76,12 +78,12 @@ class Base:
     substeps: int
     system: System
     linear: FloatArray
-    remainder: FloatArray | None
+    nonlinear: FloatArray | None
 
     @cached_property
     def y(self) -> FloatArray:
-        """(R, N, S) [V]."""
-        return self.linear if self.remainder is None else self.linear + self.remainder
+        """The records (R, N, S) [V]."""
+        return self.linear if self.nonlinear is None else self.linear + self.nonlinear
 
     @cached_property
     def level(self) -> float:
@@ -90,22 +92,22 @@ class Base:
 
     @cached_property
     def strong(self) -> bool:
-        """Whether the remainder changes what a linear effect does; a weak one does so in second order only."""
-        if self.remainder is None:
+        """Whether the nonlinear response is so large that it changes the signature of a linear effect noticeably."""
+        if self.nonlinear is None:
             return False
-        return bool(np.linalg.norm(self.remainder) > STRONG * np.linalg.norm(self.linear))
+        return bool(np.linalg.norm(self.nonlinear) > STRONG * np.linalg.norm(self.linear))
 
     @cached_property
     def motions(self) -> list[Motion] | None:
-        """Linear trajectories; ``None`` where the model is not linear, or they would take too much memory."""
+        """Linear trajectories; ``None`` where the model is nonlinear, or they would take too much memory."""
         states = 2 * self.system.mechanics.stiffness.shape[1] * 2 * self.substeps
-        if self.remainder is not None or states * self.group.waveforms.shape[1] * len(self.group.drives) > _ROOM:
+        if self.nonlinear is not None or states * self.group.waveforms.shape[1] * len(self.group.drives) > _MAX_STORED:
             return None
         return linear_motions(self.system, self.group, self.starts, self.substeps)
 
     @cached_property
-    def rough(self) -> Base:
-        """The loudest record, one substep a sample: it tells how far a step goes."""
+    def coarse(self) -> Base:
+        """The record with the highest drive energy, at one substep per sample; used to choose steps."""
         record = highest_drive_energy(self.group.drives)
         starts = None if self.starts is None else [self.starts[record]]
         return base_of(self.model, self.values, single_record_group(self.group, record), self.instrument, starts, 1)
@@ -119,7 +121,7 @@ def base_of(
     starts: Starts | None = None,
     substeps: int = SLOPE_SUBSTEPS,
 ) -> Base:
-    """The records of ``play`` at ``parameters`` of ``model``; arguments as in ``Base`` and ``forward``.
+    """The records of ``group`` at ``parameters`` of ``model``; arguments as in ``Base`` and ``forward``.
 
     Raises
     ------
@@ -128,8 +130,8 @@ def base_of(
     values = model.complete(parameters)
     system = assemble(model, values, instrument, group.conditions)
     linear = linear_volts(system, group, starts)
-    remainder = nonlinear_response(system, group, starts, substeps) if system.forces or system.senses else None
-    return Base(model, values, group, instrument, starts, substeps, system, linear, remainder)
+    nonlinear = nonlinear_response(system, group, starts, substeps) if system.forces or system.senses else None
+    return Base(model, values, group, instrument, starts, substeps, system, linear, nonlinear)
 
 
 def signatures(
@@ -141,33 +143,39 @@ def signatures(
 ) -> Iterator[Signature]:
     """Signatures of the absent ``effect`` in the records of ``base``.
 
-    One where all its parameters exist at the null; else one a point of the grid of those that do not (the product
-    over them).
+    There is one signature if all parameters of the effect are identifiable at the null.  Parameters that are not (such as
+    the frequency of a mode whose amplitude is zero) are scanned, with one signature for each point of the product grid.
 
     Parameters
     ----------
-    base : the records without it.
+    base : the records without the effect.
     effect : name of an effect that is not in the model.
     grid : parameter -> values to scan instead of the declared grid.
-    step_hints : parameter -> a step to begin with, such as ``Signature.steps`` of a like play.
+    step_hints : parameter -> initial step, for example ``Signature.steps`` of another drive group.
 
     Raises
     ------
-    ConfigError : the effect is unknown, makes no sense for the plant, or is in the model already.
+    ConfigError : the effect is unknown, does not fit the plant, or is in the model already; or the records are
+        discontinuous at the null.
     """
     model = base.model
     if effect in model.effects:
-        raise ConfigError("effect is in the model already", value=effect, allowed=", ".join(model.candidates()))
+        raise ConfigError(
+            "the effect is in the model already",
+            value=effect,
+            allowed=", ".join(model.candidates()),
+            next_step="name an effect that the model does not contain",
+        )
     larger = model.with_effect(effect)
     found = larger.effect(effect)
     members = found.members(larger.built.shape)
     scanned = [m for m in members if m.grid]
-    followed = [m for m in members if not m.grid]
+    differentiated = [m for m in members if not m.grid]
     grids = [(grid or {}).get(m.name, m.grid) for m in scanned]
-    bends = found.force is not None or found.sense is not None
-    moved = partial(_moved, base, larger, found)
+    integrated = found.force is not None or found.sense is not None
+    change = partial(_change, base, larger, found)
     steps = dict(step_hints or {})
-    unknown = [m for m in followed if bends and m.name not in steps]
+    unknown = [m for m in differentiated if integrated and m.name not in steps]
     for at in product(*grids):
         point = {m.name: value for m, value in zip(scanned, at)}
         basis = np.zeros((base.y.shape[1], 0))
@@ -177,30 +185,35 @@ def signatures(
             p = np.array([point.get(m.name, m.null) for m in members])
             basis = found.disturbance(t, p, base.system.context)
             columns = np.zeros((0, *base.y.shape))
-        elif not followed:
-            columns = moved(point, scanned[0].name, point[scanned[0].name])[None]
+        elif not differentiated:
+            columns = change(point, scanned[0].name, point[scanned[0].name])[None]
             names = tuple(m.name for m in scanned)
         else:
             if unknown:
-                rough = partial(_moved, base.rough, larger, found)
-                steps |= {m.name: _stepped(m, point, rough, base.rough.level, 0.0, False)[0] for m in unknown}
+                coarse = partial(_change, base.coarse, larger, found)
+                steps |= {m.name: _tuned_step(m, point, coarse, base.coarse.level, 0.0, False)[0] for m in unknown}
                 unknown = []
-            slopes = [_derivative(m, point, moved, base.level, steps.get(m.name, 0.0), not bends) for m in followed]
+            slopes = [
+                _derivative(m, point, change, base.level, steps.get(m.name, 0.0), not integrated)
+                for m in differentiated
+            ]
             columns = np.stack([slope for slope, _ in slopes])
-            names = tuple(m.name for m in followed)
-            steps = {**steps, **{m.name: step for m, (_, step) in zip(followed, slopes)}}
+            names = tuple(m.name for m in differentiated)
+            steps = {**steps, **{m.name: step for m, (_, step) in zip(differentiated, slopes)}}
         yield Signature(effect, names, point, columns, basis, dict(steps))
 
 
-_Moved = Callable[[Mapping[str, float], str, float], FloatArray]
+_Change = Callable[[Mapping[str, float], str, float], FloatArray]
 
 
 def _rms(y: FloatArray) -> float:
     return float(np.linalg.norm(y) / np.sqrt(y.size))
 
 
-def _moved(base: Base, larger: Model, found: Effect, point: Mapping[str, float], name: str, value: float) -> FloatArray:
-    """How the records (R, N, S) move when parameter ``name`` of the effect takes ``value`` at a ``point`` of its grid."""
+def _change(
+    base: Base, larger: Model, found: Effect, point: Mapping[str, float], name: str, value: float
+) -> FloatArray:
+    """Change (R, N, S) [V] of the records when parameter ``name`` takes ``value`` at a ``point`` of the grid."""
     group, instrument = base.group, base.instrument
     members = found.members(larger.built.shape)
     if found.adc is not None and found.stages == ("adc",):
@@ -210,17 +223,17 @@ def _moved(base: Base, larger: Model, found: Effect, point: Mapping[str, float],
     trial = {**base.values, **{found.full_name(m): point[m.name] for m in members if m.grid}}
     trial[found.full_name(own)] = value
     system = assemble(larger, larger.complete(trial), instrument, group.conditions)
-    bends = found.force is not None or found.sense is not None
-    if bends or base.strong:
-        # Deviations free of cancellation: the linear part is the same unless the effect touches it.
+    integrated = found.force is not None or found.sense is not None
+    if integrated or base.strong:
+        # The linear response changes only if the effect acts on a linear stage too.
         appends = system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape
-        # Near the null only the first order of a force counts; from no effect to a point of a grid is far.
+        # Close to the null the first order of a force suffices; a point of a grid is far from the null.
         if base.motions is not None and not own.grid and not appends:
             change = first_order_response(system, group, base.motions)
         else:
             change = nonlinear_response(system, group, base.starts, base.substeps)
-        if base.remainder is not None:
-            change -= base.remainder
+        if base.nonlinear is not None:
+            change -= base.nonlinear
         if set(found.stages) & {"drive", "mechanics", "readout"}:
             change += linear_volts(system, group, base.starts)
             change -= base.linear
@@ -234,37 +247,40 @@ def _moved(base: Base, larger: Model, found: Effect, point: Mapping[str, float],
 def _derivative(
     member: Parameter,
     point: Mapping[str, float],
-    moved: _Moved,
+    change: _Change,
     level: float,
     hint: float,
     both_sides: bool,
 ) -> tuple[FloatArray, float]:
-    """dy/dp (R, N, S) at the null and its step.
+    """dy/dp (R, N, S) at the null, and the step of the difference.
 
-    One side is enough where deviations are integrated: what is curved is of the order of that share.  Where the change is
-    a difference of two records, both sides are taken, so that the rounding common to them cancels.
+    ``both_sides`` asks for a central difference, which cancels rounding errors common to two records.  It becomes
+    one-sided where the range ends at the null.  The error of a one-sided difference is about ``SHARE`` of it.
     """
-    step, first = _stepped(member, point, moved, level, hint, both_sides)
+    step, first = _tuned_step(member, point, change, level, hint, both_sides)
     if both_sides and member.null - step >= member.low:
-        return (first - moved(point, member.name, member.null - step)) / (2.0 * step), step
+        return (first - change(point, member.name, member.null - step)) / (2.0 * step), step
     return first / step, step
 
 
-def _stepped(
-    member: Parameter, point: Mapping[str, float], moved: _Moved, level: float, hint: float, both_sides: bool
+def _tuned_step(
+    member: Parameter, point: Mapping[str, float], change: _Change, level: float, hint: float, both_sides: bool
 ) -> tuple[float, FloatArray]:
-    """A step that moves the records by about ``SHARE`` of their level, and that change (R, N, S).
+    """A step that changes the records by about ``SHARE`` of their rms ``level`` [V], and that change (R, N, S).
 
-    A record that jumps (a lag behind a feedthrough of held steps, without a filter) has no slope: ConfigError.
+    Raises
+    ------
+    ConfigError : the records are discontinuous at the null (a delay after feedthrough of a stepped drive, without a filter).
     """
     most = 0.25 * (member.high - member.null)
     step = min(hint or 1e-2 * member.scale, most)
     first = np.zeros(0)
-    # Deviations are free of rounding, and two sides leave an error of second order only.
+    # Central differences have an error of second order and allow larger steps; integrated responses have no rounding and
+    # allow smaller ones.
     shortest, longest = (1e-2, 1e3) if both_sides and member.null - step >= member.low else (1e-4, 1e2)
     for _ in range(12):
         try:
-            first = moved(point, member.name, member.null + step)
+            first = change(point, member.name, member.null + step)
             found = _rms(first) / max(level, 1e-300)
         except ConfigError:
             found = np.inf
@@ -273,5 +289,9 @@ def _stepped(
         step = min(step * (1e-3 if not np.isfinite(found) else float(np.clip(SHARE / found, 1e-6, 1e6))), most)
     else:
         if found > longest * SHARE:
-            raise ConfigError("the record jumps at the null of a parameter", value=member.name)
+            raise ConfigError(
+                "the record is discontinuous at the null value of a parameter",
+                value=member.name,
+                next_step="declare the anti-alias filter under [instrument]",
+            )
     return step, first

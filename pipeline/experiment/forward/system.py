@@ -1,7 +1,9 @@
-"""A model at given parameters, met by one record: everything the forward model needs, assembled once.
+"""The system that a model at given parameters makes under the conditions of a record.
 
-Effects act stage by stage in the order of the signal; inside a stage in the order of their names, and at its null an
-effect does not act at all.  A declared angular rate acts whether or not the model has ``angular_rate``.
+Effects act stage by stage in the order of the signal, and within a stage in the order of their names.  An effect at its null
+does not act at all.  A declared angular rate acts whether or not the model contains ``angular_rate``.
+
+Shapes: n coordinates, D drives, S senses, k parameters of an effect.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ _NO_POLES: ComplexArray = np.zeros(0, dtype=np.complex128)
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a record declares: biases [V] and the angular rate Omega I_p/I_0p [rad/s], ``None`` where unknown."""
+    """Declared conditions of a record: biases [V], and the angular rate Omega I_p/I_0p [rad/s], ``None`` where unknown."""
 
     bias_v: float
     operating_bias_v: float
@@ -35,7 +37,7 @@ class Conditions:
 
 
 def conditions_of(record: Record, instrument: Instrument, angular_gain: float | None) -> Conditions:
-    """Conditions of a record; a rate other than zero is unknown without the angular gain."""
+    """Conditions of a record; without the angular gain I_p/I_0p a rate other than zero counts as unknown."""
     rate: float | None = None
     if record.rate_dps is not None and (record.rate_dps == 0.0 or angular_gain is not None):
         rate = float(np.deg2rad(record.rate_dps)) * (angular_gain or 0.0)
@@ -45,9 +47,16 @@ def conditions_of(record: Record, instrument: Instrument, angular_gain: float | 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Mechanics (a batch of one), read-out and what else acts, in the order of the signal.
+    """Mechanics, read-out, and the effects of the other stages.
 
-    ``sense_motion`` (S, n) and ``drive_motion`` (D, n) as in ``device.plant``, zero for appended coordinates.
+    Parameters
+    ----------
+    mechanics : a batch of one.
+    readout : filter, delay, crosstalk and feedthrough.
+    context : conditions and values that effects may use.
+    sense_motion, drive_motion : (S, n) and (D, n) as in ``device.plant``, zero for appended coordinates.
+    axes : nonlinear laws act on the first ``axes`` coordinates.
+    drives, forces, senses, adcs : effects of these stages, with their parameters (k,).
     """
 
     mechanics: Mechanics
@@ -63,7 +72,7 @@ class System:
 
     @property
     def laws(self) -> Laws:
-        """What force laws may use."""
+        """Quantities that force functions may use."""
         m = self.mechanics
         return Laws(
             np.ascontiguousarray(m.damping[0]),
@@ -77,7 +86,7 @@ class System:
 
 
 def acting(model: Model, values: Mapping[str, float], conditions: Conditions) -> list[tuple[Effect, FloatArray]]:
-    """The effects that are not at their null, with their parameters (k,), sorted by name."""
+    """Effects that are not at their null, with their parameters (k,), sorted by name; ``values`` must be complete."""
     shape = model.built.shape
     found: dict[str, tuple[Effect, FloatArray]] = {}
     for effect in model.ordered_effects():
@@ -90,11 +99,11 @@ def acting(model: Model, values: Mapping[str, float], conditions: Conditions) ->
 
 
 def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, conditions: Conditions) -> System:
-    """The system of complete parameter ``values``.
+    """The system at complete parameter ``values``.
 
     Raises
     ------
-    ConfigError : damping is not positive semidefinite, or stiffness not positive.
+    ConfigError : the damping matrix is not positive semidefinite, or the stiffness matrix not positive definite.
     """
     plant = model.built
     context = Context(conditions.bias_v, conditions.operating_bias_v, values)
@@ -110,7 +119,12 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
     for what, matrix in (("damping", mechanics.damping[0]), ("stiffness", mechanics.stiffness[0])):
         lowest = np.linalg.eigvalsh(matrix)[0]
         if lowest < (-1e-9 * np.trace(matrix) if what == "damping" else 0.0):
-            raise ConfigError(f"{what} is not positive", value=float(lowest), allowed="|c12| <= sqrt(c11 c22)")
+            raise ConfigError(
+                f"the {what} matrix has a negative eigenvalue",
+                value=float(lowest),
+                allowed="eigenvalues of at least 0: positive frequencies and damping, |c12| <= sqrt(c11 c22)",
+                next_step="check the parameters of the model",
+            )
 
     def appended(motion: FloatArray) -> FloatArray:
         return np.pad(motion, ((0, 0), (0, mechanics.stiffness.shape[1] - motion.shape[1])))

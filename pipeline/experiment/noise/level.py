@@ -1,12 +1,19 @@
-"""How noisy a campaign is, never from a model's own residual.
+"""The noise level of a campaign, measured without a model of the device.
 
-    silent    rms of the silent records less offset, trend and lines; LSB^2/12 added where silence does not exercise
-    the ADC; pooled with the repeats where there are some and both agree
-    repeats   rms of the difference of records with the same drive, over sqrt 2
-    local     what a local polynomial in frequency (response and transient, second order) leaves of each record, median
-              over windows
+    sigma = standard deviation of the noise per sample and channel [V]
 
-Shapes: N samples, S senses.  sigma (S,) [V], the standard deviation of a sample.
+It comes from the first of these sources that is available:
+
+    "silent"    the rms of the silent records after offset, trend and lines are removed.  LSB^2/12 is added where the noise is
+                too small to exercise the ADC.  Repeats are pooled with it if both agree within 3 sd.
+    "repeats"   the rms of the difference of two records with the same drive and conditions, divided by sqrt 2
+    "local"     a local fit: in narrow windows of frequency, response and transient are taken as polynomials of second order,
+                and the residual is noise; median over windows (local polynomial method: Pintelon et al., Mech. Syst. Signal
+                Process. 24 (2010) 573)
+
+sigma is never taken from the residual of the device model, because a wrong model would then look right.
+
+Shapes: N samples, S senses, D drives.
 """
 
 from __future__ import annotations
@@ -23,24 +30,29 @@ from ...arrays import FloatArray
 from ...errors import MeasurementError
 from ..instrument import Adc
 from ..record import Campaign, Record
-from .lines import line_basis
+from .lines import line_basis, with_quantisation
 
 Source = Literal["silent", "repeats", "local"]
 
-#: A bin this many times above the median of its neighbourhood is a line (chance 1e-6 a bin in white noise).
+#: A bin this many times above the level of its neighbourhood is a line (false-alarm probability 2e-9 per bin of white noise).
 _LINE = 20.0
 _NEIGHBOURS = 201
-#: Lines with less than this share of the power are subtracted by their power alone.
+#: If all lines together have less than this share of the power, their power is subtracted; else their bins are left out.
 _FAINT = 0.03
-#: Silence and repeats agree within this many sd.
+#: Silence and repeats agree if their variances differ by less than this many sd.
 _AGREE = 3.0
-#: Below this many LSB of noise, silence does not exercise the converter.
-_EXERCISED_LSB = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevel:
-    """sigma_v (S,) [V] a sample; where it came from; the degrees of freedom behind it (a channel)."""
+    """A measured noise level.
+
+    Parameters
+    ----------
+    sigma_v : (S,) standard deviation per sample and channel [V].
+    source : how it was measured: "silent", "repeats" or "local" (see the head of this module).
+    dof : degrees of freedom per channel; the relative sd of sigma^2 is sqrt(2 / dof).
+    """
 
     sigma_v: FloatArray
     source: Source
@@ -48,27 +60,32 @@ class NoiseLevel:
 
 
 def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, int]:
-    """Variance (S,) of y (N, S) less offset, trend, harmonics of ``line_hz`` and any other narrow line; its dof."""
+    """Variance (S,) [V^2] of y (N, S) without offset, trend, harmonics of ``line_hz`` and other narrow lines; its dof.
+
+    Lines are sought relative to their neighbours only, because the noise level is unknown.  ``criticism.lines`` answers another
+    question: which bins exceed a known noise level as well as their neighbours.
+    """
     samples = y.shape[0]
     basis = line_basis(samples, sample_rate_hz, line_hz, True)
-    rest = y - basis @ (basis.T @ y)
-    power = np.abs(rfft(rest * np.hanning(samples)[:, None], axis=0)[1:]) ** 2
+    detrended = y - basis @ (basis.T @ y)
+    power = np.abs(rfft(detrended * np.hanning(samples)[:, None], axis=0)[1:]) ** 2
     reach = min(_NEIGHBOURS, power.shape[0] | 1)
-    # A Hann window spreads a line over three bins whatever its frequency.
-    # Channel by channel: a filter of one axis is ten times faster than the same over two.
+    # The median of an exponential distribution is ln 2 of its mean.  One channel at a time: a filter over one axis is ten
+    # times as fast as over two.
     level = np.stack([median_filter(own, size=reach, mode="nearest") for own in power.T], axis=1) / np.log(2.0)
+    # A Hann window spreads a line over at most five bins.
     line = maximum_filter1d(power > _LINE * level, size=5, axis=0)
     free = samples - basis.shape[1]
-    plain = np.sum(rest**2, axis=0) / max(free, 1)
+    plain = np.sum(detrended**2, axis=0) / max(free, 1)
     kept = np.maximum(np.sum(~line, axis=0), 1)
     window = np.sum(np.hanning(samples) ** 2)
-    quiet = np.sum(np.where(line, 0.0, power), axis=0) / kept
+    background = np.sum(np.where(line, 0.0, power), axis=0) / kept
     # A^2/2 = 2 sum |X|^2 / (N sum w^2) over the bins of a line.
-    lines = 2.0 * np.sum(np.where(line, power - quiet, 0.0), axis=0) / (window * samples)
+    lines = 2.0 * np.sum(np.where(line, power - background, 0.0), axis=0) / (window * samples)
     if np.all(lines < _FAINT * plain):
-        # The window throws half of the samples away; faint lines, most of them chance, are taken off the whole.
+        # The window discards half of the information, so the unwindowed variance is used less the power of the lines.
         return plain - lines, free - int(2 * line.sum(axis=0).max())
-    return quiet / window * samples / max(free, 1), int(kept.min())
+    return background / window * samples / max(free, 1), int(kept.min())
 
 
 def _silent(records: tuple[Record, ...], line_hz: float | None, adc: Adc | None) -> NoiseLevel:
@@ -77,13 +94,11 @@ def _silent(records: tuple[Record, ...], line_hz: float | None, adc: Adc | None)
         variance, own = _spectral_variance(record.sense_v, record.sample_rate_hz, line_hz)
         total, dof = total + own * variance, dof + own
     variance = total / dof
-    if adc is not None:
-        quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2
-        variance = np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)
-    return NoiseLevel(np.sqrt(variance), "silent", dof)
+    return NoiseLevel(np.sqrt(with_quantisation(variance, adc)), "silent", dof)
 
 
 def _repeated(campaign: Campaign) -> list[tuple[Record, Record]]:
+    """Pairs of driven records with the same drive samples and conditions that start at rest."""
     driven = [r for r in campaign.records if r.role != "noise" and np.any(r.drive_v)]
     return [
         (a, b)
@@ -96,8 +111,8 @@ def _repeated(campaign: Campaign) -> list[tuple[Record, Record]]:
     ]
 
 
-def _between(repeats: list[tuple[Record, Record]], line_hz: float | None) -> NoiseLevel | None:
-    """From the differences of repeats; ``None`` without any."""
+def _from_repeats(repeats: list[tuple[Record, Record]], line_hz: float | None) -> NoiseLevel | None:
+    """Noise level from the differences of repeats; ``None`` without repeats."""
     if not repeats:
         return None
     total, dof = np.zeros(repeats[0][0].sense_v.shape[1]), 0
@@ -107,70 +122,75 @@ def _between(repeats: list[tuple[Record, Record]], line_hz: float | None) -> Noi
     return NoiseLevel(np.sqrt(total / dof), "repeats", dof)
 
 
-def _agreed(silent: NoiseLevel, repeats: NoiseLevel | None) -> NoiseLevel:
-    """The level of silence, made surer by repeats where they say the same within 3 sd; else silence alone counts."""
+def _pooled(silent: NoiseLevel, repeats: NoiseLevel | None) -> NoiseLevel:
+    """Silence and repeats together if their variances agree within 3 sd; else silence alone."""
     if repeats is None:
         return silent
     ratio = (repeats.sigma_v / silent.sigma_v) ** 2 - 1.0
     if not np.all(np.abs(ratio) < _AGREE * np.sqrt(2.0 / silent.dof + 2.0 / repeats.dof)):
         return silent
     dof = silent.dof + repeats.dof
-    pooled = (silent.dof * silent.sigma_v**2 + repeats.dof * repeats.sigma_v**2) / dof
-    return NoiseLevel(np.sqrt(pooled), "silent", dof)
+    variance = (silent.dof * silent.sigma_v**2 + repeats.dof * repeats.sigma_v**2) / dof
+    return NoiseLevel(np.sqrt(variance), "silent", dof)
 
 
 def _local_variance(record: Record) -> tuple[FloatArray, int]:
-    """Median over windows of what a local quadratic in frequency leaves, (S,), and the dof of all windows."""
+    """Variance (S,) [V^2] of the residuals of local quadratic fits in frequency, median over windows; dof of all windows."""
     samples, drives = record.drive_v.shape
     y, u = rfft(record.sense_v - record.sense_v.mean(axis=0), axis=0), rfft(record.drive_v, axis=0)
     unknowns = 3 * (drives + 1)
     width = 4 * unknowns
     starts = range(1, y.shape[0] - width, width)
     x = np.linspace(-1.0, 1.0, width)[:, None] ** np.arange(3)
-    left = []
+    residual_power = []
     for first in starts:
         rows = slice(first, first + width)
         columns = np.concatenate([x, *(x * u[rows, d : d + 1] for d in range(drives))], axis=1)
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         basis, size, _ = np.linalg.svd(columns, full_matrices=False)
         basis = basis[:, size > 1e-9 * size[0]]
-        rest = y[rows] - basis @ (basis.conj().T @ y[rows])
-        left.append(np.sum(np.abs(rest) ** 2, axis=0) / (width - basis.shape[1]) / samples)
+        residual = y[rows] - basis @ (basis.conj().T @ y[rows])
+        residual_power.append(np.sum(np.abs(residual) ** 2, axis=0) / (width - basis.shape[1]) / samples)
     free = width - unknowns
-    # Median of a mean of ``free`` exponentials: 1 - 1/(3 free).
-    return np.median(left, axis=0) / (1.0 - 1.0 / (3.0 * free)), 2 * free * len(left)
+    # The mean of ``free`` exponential variables has a median of about 1 - 1/(3 free) times its expectation.
+    return np.median(residual_power, axis=0) / (1.0 - 1.0 / (3.0 * free)), 2 * free * len(residual_power)
 
 
 def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
-    """Noise of ``campaign`` a sample and channel.
+    """The noise level of ``campaign``.
 
     Parameters
     ----------
-    campaign : records; those with role "noise" are silent.
-    line_hz : mains frequency, whose harmonics are removed exactly; other narrow lines in silence are found.
+    campaign : its records; those with role "noise" are silent.
+    line_hz : mains frequency [Hz] whose harmonics are removed exactly; other narrow lines are detected.
 
     Raises
     ------
-    MeasurementError : a channel shows no noise at all (then no error in sigmas exists), or records are too short to
-        tell.
+    MeasurementError : a channel has no noise at all, or the noise level could not be measured because the records are too
+        short for a local fit.
     """
     silent = campaign.with_role("noise")
-    repeats = _between(_repeated(campaign), line_hz)
+    repeats = _from_repeats(_repeated(campaign), line_hz)
     if silent:
-        level = _agreed(_silent(silent, line_hz, campaign.instrument.adc), repeats)
+        level = _pooled(_silent(silent, line_hz, campaign.instrument.adc), repeats)
     elif repeats is not None:
         level = repeats
     else:
         found = [_local_variance(r) for r in campaign.records if r.drive_v.shape[0] > 50 * (r.drive_v.shape[1] + 1)]
         if not found:
-            raise MeasurementError("records are too short to tell the noise", next_step="add a silent record")
+            raise MeasurementError(
+                "the noise level could not be measured: the records are too short",
+                value=max(record.drive_v.shape[0] for record in campaign.records),
+                allowed="a silent record, repeats, or more than 50 (drives + 1) samples",
+                next_step='add a record with all drives at zero and role = "noise"',
+            )
         dof = sum(own for _, own in found)
         level = NoiseLevel(np.sqrt(sum(own * variance for variance, own in found) / dof), "local", dof)
     if not np.all(level.sigma_v > 0.0):
         raise MeasurementError(
-            "a sense channel shows no noise",
+            "a sense channel has no noise",
             value=level.sigma_v.tolist(),
-            allowed="sigma above zero in every channel",
-            next_step="declare the converter ([instrument] adc) or add a silent record",
+            allowed="sigma above 0 V in every channel",
+            next_step="declare adc under [instrument] so that its quantisation counts, or add a silent record",
         )
     return level

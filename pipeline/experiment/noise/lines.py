@@ -1,8 +1,9 @@
-"""Fixed lines and offsets of a record, by linear least squares, and the noise that is left.
+"""Offset, trend and mains lines of a record by linear least squares, and the noise that remains.
 
     y = a_0 [+ a_1 t] + sum_h (b_h cos 2 pi h f t + c_h sin 2 pi h f t) + noise
 
-Shapes: y (N, S).  sigma is the standard deviation of the noise a sample and channel [V].
+Shapes: y (N, S) [V] with N samples and S senses, L regressors.  sigma is the standard deviation of the noise per sample and
+channel [V].
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from scipy.special import fdtrc
 from ...arrays import FloatArray
 from ..instrument import Adc
 
-#: Below this many LSB of noise, silence does not exercise the converter.
+#: Noise below this many LSB does not exercise the ADC in silence.
 _EXERCISED_LSB = 0.5
 
 
 @lru_cache(maxsize=16)
 def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend: bool) -> FloatArray:
-    """Orthonormal basis (N, L) of offset, optional trend and the harmonics of ``line_hz`` below Nyquist."""
+    """Orthonormal basis (N, L) of offset, optional trend, and the harmonics of ``line_hz`` [Hz] below Nyquist; read-only."""
     t = np.arange(samples) / sample_rate_hz
     columns = [np.ones(samples)]
     if trend:
@@ -37,16 +38,16 @@ def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend
 
 
 def lines_removed(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:
-    """Degrees of freedom a channel that :func:`without_lines` takes."""
+    """Degrees of freedom per channel that :func:`without_lines` removes."""
     return 1 if line_hz is None else 1 + 2 * (math.ceil(sample_rate_hz / 2.0 / line_hz - 1e-9) - 1)
 
 
 def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> FloatArray:
-    """y (N, S) less its offset and the harmonics of ``line_hz``, by least squares."""
+    """y (N, S) without its offset and the harmonics of ``line_hz`` [Hz], by least squares."""
     samples = y.shape[0]
     cycles = None if line_hz is None else samples * line_hz / sample_rate_hz
     if cycles is not None and abs(cycles - round(cycles)) < 1e-9:
-        # Lines on bins are orthogonal: dropping the bins is the same least squares.
+        # Lines that fall on bins are orthogonal, so zeroing their bins is the least-squares solution.
         spectrum = rfft(y, axis=0)
         spectrum[:: round(cycles)] = 0.0
         return np.asarray(irfft(spectrum, n=samples, axis=0))
@@ -54,23 +55,28 @@ def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -
     return y - basis @ (basis.T @ y)
 
 
+def with_quantisation(variance: FloatArray, adc: Adc | None) -> FloatArray:
+    """``variance`` (S,) [V^2] plus LSB^2/12 where silence does not exercise the ADC, which a driven record does."""
+    if adc is None:
+        return variance
+    quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2
+    return np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)
+
+
 def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, adc: Adc | None) -> FloatArray:
-    """sigma (S,) of a silent record [V]; LSB^2/12 is added where silence does not exercise the converter."""
+    """sigma (S,) [V] of a silent record y (N, S); LSB^2/12 is added where silence does not exercise the ADC."""
     samples = y.shape[0]
     trend = line_basis(samples, sample_rate_hz, None, True)
-    rest = without_lines(y - trend @ (trend.T @ y), sample_rate_hz, line_hz)
+    residual = without_lines(y - trend @ (trend.T @ y), sample_rate_hz, line_hz)
     removed = 1 + lines_removed(samples, sample_rate_hz, line_hz)
-    variance = np.sum(rest**2, axis=0) / max(samples - removed, 1)
-    if adc is not None:
-        quiet = variance < (_EXERCISED_LSB * adc.lsb_v) ** 2
-        variance = np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)
-    return np.sqrt(variance)
+    variance = np.sum(residual**2, axis=0) / max(samples - removed, 1)
+    return np.sqrt(with_quantisation(variance, adc))
 
 
 def hum_line(y: FloatArray, sample_rate_hz: float) -> float | None:
-    """Mains frequency (50 or 60 Hz) whose harmonics stand out of a silent record (N, S), or ``None``.
+    """Mains frequency (50 or 60 Hz) with significant harmonics in a silent record (N, S), or ``None``.
 
-    F-test of the line regressors against the rest, 0.1 % for each of the two families.
+    F-test of the harmonics against the residual, at 0.1 % for each of the two frequencies.
     """
     best: tuple[float, float] | None = None
     for line_hz in (50.0, 60.0):
@@ -78,14 +84,14 @@ def hum_line(y: FloatArray, sample_rate_hz: float) -> float | None:
             continue
         lines = line_basis(y.shape[0], sample_rate_hz, line_hz, True)
         plain = line_basis(y.shape[0], sample_rate_hz, None, True)
-        without = y - plain @ (plain.T @ y)
-        left = y - lines @ (lines.T @ y)
-        more, rest = lines.shape[1] - plain.shape[1], y.shape[0] - lines.shape[1]
-        if rest < 10 * more:
+        without_harmonics = y - plain @ (plain.T @ y)
+        residual = y - lines @ (lines.T @ y)
+        regressors, dof = lines.shape[1] - plain.shape[1], y.shape[0] - lines.shape[1]
+        if dof < 10 * regressors:
             continue
-        fall = float(np.sum(without**2) - np.sum(left**2))
-        ratio = (fall / more) / max(float(np.sum(left**2)) / rest, 1e-300)
+        explained = float(np.sum(without_harmonics**2) - np.sum(residual**2))
+        ratio = (explained / regressors) / max(float(np.sum(residual**2)) / dof, 1e-300)
         senses = y.shape[1]
-        if fdtrc(more * senses, rest * senses, ratio) < 1e-3 and (best is None or ratio > best[1]):
+        if fdtrc(regressors * senses, dof * senses, ratio) < 1e-3 and (best is None or ratio > best[1]):
             best = (line_hz, ratio)
     return None if best is None else best[0]

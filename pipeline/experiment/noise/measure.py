@@ -1,8 +1,9 @@
-"""What the instrument adds to the pick-off volts: hum, noise, conversion.
+"""Simulated measurement of pick-off volts: hum, noise, ADC.
 
     y = Q(S + sum_h a_h cos(2 pi h f t + phi_h) + sigma n),   Q rounds to the LSB and clips at full scale
 
-Shapes: S (N, senses) volts.  Noise is white and Gaussian; hum phases are random, one a channel and harmonic.
+Noise is white and Gaussian.  Hum phases are random, one for each channel and harmonic.
+Shapes: S (N, senses) with N samples.  Units: volts, hertz.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ..instrument import Adc
 
 @dataclass(frozen=True)
 class Hum:
-    """Mains hum: ``amplitude_v[h-1]`` volts at the harmonic h of ``frequency_hz``."""
+    """Mains hum: amplitude ``amplitude_v[h-1]`` [V] at harmonic h of ``frequency_hz`` [Hz]."""
 
     frequency_hz: float = 60.0
     amplitude_v: tuple[float, ...] = ()
@@ -26,7 +27,7 @@ class Hum:
 
 @lru_cache(maxsize=8)
 def _waves(samples: int, sample_rate_hz: float, frequency_hz: float, harmonics: int) -> FloatArray:
-    """cos and sin (N, 2 harmonics) of the harmonics, read-only."""
+    """Cosines, then sines (N, 2 harmonics) of the harmonics; read-only."""
     t = np.arange(samples) / sample_rate_hz
     angle = 2.0 * np.pi * frequency_hz * t[:, None] * np.arange(1, harmonics + 1)
     waves = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
@@ -35,7 +36,7 @@ def _waves(samples: int, sample_rate_hz: float, frequency_hz: float, harmonics: 
 
 
 def hum_volts(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random: np.random.Generator) -> FloatArray:
-    """Hum (samples, senses) [V] from t = 0."""
+    """Hum (samples, senses) [V] from t = 0, with random phases."""
     amplitude = np.array(hum.amplitude_v)[:, None]
     phases = random.uniform(0.0, 2.0 * np.pi, (amplitude.size, senses))
     weights = np.concatenate([amplitude * np.cos(phases), -amplitude * np.sin(phases)])
@@ -43,7 +44,7 @@ def hum_volts(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random
 
 
 def convert(volts: FloatArray, adc: Adc | None) -> FloatArray:
-    """Q(v): the nearest code of a mid-tread converter, in volts; unchanged without a converter."""
+    """Q(v): the nearest code of a mid-tread ADC, in volts, for any shape; unchanged without an ADC."""
     if adc is None:
         return volts
     half = 2.0 ** (adc.bits - 1)
@@ -58,7 +59,7 @@ def measured(
     adc: Adc | None,
     random: np.random.Generator,
 ) -> FloatArray:
-    """The record of pick-off ``volts`` (N, senses): hum and noise added, converted."""
+    """Pick-off ``volts`` (N, senses) with hum and noise of sd ``sigma_v`` [V], after the ADC, (N, senses) [V]."""
     samples, senses = volts.shape
     total = volts + sigma_v * random.standard_normal(volts.shape)
     if hum.amplitude_v:

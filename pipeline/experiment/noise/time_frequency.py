@@ -1,9 +1,9 @@
-"""A record in the plane of time and frequency, by an orthonormal lapped transform.
+"""Time-frequency transform of a record: an orthonormal lapped transform (MDCT).
 
-    c = DCT-IV of blocks of M samples, folded at their borders by the sine window (time-domain alias cancellation)
+    c = DCT-IV of blocks of M samples, folded at their borders with the sine window (time-domain alias cancellation)
 
-The transform is orthonormal: sum c^2 = sum y^2, and white noise of unit variance makes every c an N(0, 1) of its own, so the
-energies of any cells are chi-square with as many degrees of freedom as there are cells.  Bin k of a block lies at
+The transform is orthonormal: sum c^2 = sum y^2.  White noise of unit variance gives independent N(0, 1) coefficients, so the
+energy of any set of cells is chi-square with as many degrees of freedom as there are cells.  Bin k of a block is centred at
 (k + 1/2) f_s / (2 M).
 
 Source: Princen, Johnson and Bradley, Proc. ICASSP (1987) 2161.  Shapes: N samples, S senses, K blocks, M bins.
@@ -18,21 +18,21 @@ from ...arrays import FloatArray
 
 
 def block_size(samples: int) -> int:
-    """M = 2^m next to 3 sqrt(N): a sweep through a few percent of the band then moves about one bin a block."""
+    """M, the power of two nearest to 3 sqrt(N): a linear sweep over 10 % of the band then moves about one bin per block."""
     return int(2 ** max(3, round(np.log2(3.0 * np.sqrt(samples)))))
 
 
 def bin_frequencies(size: int, sample_rate_hz: float) -> FloatArray:
-    """(M,) centres [Hz] of the bins."""
+    """Centres (M,) [Hz] of the bins; ``size`` is M."""
     return np.asarray((np.arange(size) + 0.5) * sample_rate_hz / (2.0 * size), dtype=np.float64)
 
 
 def lapped(y: FloatArray, size: int) -> FloatArray:
-    """(N, S) samples -> (S, K, M) coefficients; the last block is filled up with zeros."""
+    """Coefficients (S, K, M) of y (N, S), in its unit; ``size`` is M.  The last block is padded with zeros."""
     blocks = _blocks(y, size)
     half = size // 2
     near, far = _window(half)
-    # Samples before and after each border, outwards from it.
+    # Samples before and after each border, ordered away from it.
     before, after = blocks[:, :-1, : half - 1 : -1].copy(), blocks[:, 1:, :half].copy()
     blocks[:, 1:, :half] = near * after + far * before
     blocks[:, :-1, : half - 1 : -1] = near * before - far * after
@@ -40,7 +40,7 @@ def lapped(y: FloatArray, size: int) -> FloatArray:
 
 
 def cell_variances(samples: int, size: int) -> FloatArray:
-    """(K,) variance of the coefficients of a block under white noise of unit variance; below 1 only where zeros fill up."""
+    """Variance (K,) of the coefficients of each block for white noise of unit variance; below 1 where zeros are padded."""
     blocks = _blocks(np.ones((samples, 1)), size)[0]
     half = size // 2
     near, far = _window(half)

@@ -1,4 +1,4 @@
-"""Records played together are the records played one by one."""
+"""Records computed as one drive group equal the records computed one by one."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _campaign() -> list[Record]:
         np.zeros_like(chirp),
     ]
     records = [Record(f"r{i}", RATE, np.ascontiguousarray(d), np.zeros_like(chirp)) for i, d in enumerate(drives)]
-    return [*records, Record("turned", RATE, chirp, np.zeros_like(chirp), rate_dps=0.0, bias_v=6.0)]
+    return [*records, Record("other-bias", RATE, chirp, np.zeros_like(chirp), rate_dps=0.0, bias_v=6.0)]
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "bandlimited"])
@@ -58,14 +58,16 @@ def _campaign() -> list[Record]:
         ("adc_saturation", {"1/level": 30.0}),
     ],
 )
-def test_records_played_together_are_those_played_alone(hold: str, effect: str | None, p: dict[str, float]) -> None:
+def test_a_drive_group_gives_the_same_records_as_one_record_at_a_time(
+    hold: str, effect: str | None, p: dict[str, float]
+) -> None:
     model = DEFAULT_COMPARE_MODEL if effect is None else DEFAULT_COMPARE_MODEL.with_effect(effect)
     values = model.complete({**PLANT, **{f"{effect}.{name}": value for name, value in p.items()}})
     instrument = Instrument(sample_rate_hz=RATE, hold=hold, antialias=AntiAlias())  # type: ignore[arg-type]
     records = _campaign()
     groups = drive_groups_of(records, instrument, None)
     assert [len(places) for places, _ in groups] == [7, 1]
-    # Up and down: two waveforms for all drives, directions and levels.
+    # The up-sweep and the down-sweep: two waveforms for all drives, orders and levels.
     assert groups[0][1].gains.shape == (7, 2, 2)
     assert groups[0][1].same_drive_as[:3] == (0, 0, 2)
     for places, group in groups:

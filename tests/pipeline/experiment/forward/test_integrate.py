@@ -1,4 +1,4 @@
-"""The integrated path equals the exact one wherever both apply."""
+"""The integrated response equals the exact one wherever both apply."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _changed(name: str, m: Mechanics, p: float) -> Mechanics:
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize(("law", "p"), [(spring, 3e-3), (rate, 2.0), (pull, 0.3)])
 @pytest.mark.parametrize("late_s", [0.0, 3.7e-5])
-def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
+def test_a_linear_force_gives_the_response_of_the_changed_linear_system(
     law: Any, p: float, hold: Any, late_s: float
 ) -> None:
     m = PLANT.mechanics(VALUES)
@@ -78,12 +78,12 @@ def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
     _, deviation = trajectory(m, [(law, np.array([p]))], _laws(m), DRIVE, clock.step_s, hold, None)
     q, g = upper_poles(readout)
     found = filtered(q, g, readout.static, deviation[:, 3:] @ m.velocity_sense[0].T, clock.step_s, late_s, SUBSTEPS)
-    # Reading late is reading a record with a negative delay: the shift is undone here.
+    # Reading after the sample equals a negative delay; here it is a positive delay and a shift of the record.
     early = replace(readout, delay_s=clock.step_s - late_s if late_s else 0.0)
-    # Each drive plays a waveform of its own.
-    played = (np.ascontiguousarray(DRIVE.T), np.eye(2)[None], clock)
-    expected = linear_response(_changed(law.__name__, m, p), early, *played)[0]
-    expected = expected - linear_response(m, early, *played)[0]
+    # Each drive has a waveform of its own.
+    drive = (np.ascontiguousarray(DRIVE.T), np.eye(2)[None], clock)
+    expected = linear_response(_changed(law.__name__, m, p), early, *drive)[0]
+    expected = expected - linear_response(m, early, *drive)[0]
     if late_s:
         found, expected = found[:-1], expected[1:]
     assert np.max(np.abs(found - expected)) < 1e-6 * np.max(np.abs(expected))
@@ -91,23 +91,23 @@ def test_a_linear_law_as_a_force_is_the_linear_system_with_that_law(
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize("start", [None, np.array([1e-4, -2e-4, 0.0, 0.1, 0.2, -0.3])])
-def test_along_the_linear_trajectory_a_force_counts_to_first_order(hold: Any, start: FloatArray | None) -> None:
+def test_the_first_order_response_misses_only_the_second_order(hold: Any, start: FloatArray | None) -> None:
     m = PLANT.mechanics(VALUES)
     reads = np.concatenate([np.zeros((1, 3)), m.velocity_sense[0]], axis=1)
     motion = linear_motion(m, DRIVE, 1.0 / RATE, hold, start, SUBSTEPS)
     linear, _ = trajectory(m, [], _laws(m), DRIVE, 1.0 / RATE, hold, start)
     assert np.max(np.abs(motion.state - linear)) < 1e-12 * np.max(np.abs(linear))
-    missed = []
+    errors = []
     for p in (1e-4, 1e-5):
         force = [(curved, np.array([p]))]
         whole = trajectory(m, force, _laws(m), DRIVE, 1.0 / RATE, hold, start, reads=reads)[1]
-        missed.append(np.linalg.norm(perturbed_motion(motion, force, _laws(m), reads) - whole) / np.linalg.norm(whole))
-    assert missed[0] < 1e-1
-    # What is missed is of the next order.
-    assert missed[1] == pytest.approx(0.1 * missed[0], rel=0.05)
+        errors.append(np.linalg.norm(perturbed_motion(motion, force, _laws(m), reads) - whole) / np.linalg.norm(whole))
+    assert errors[0] < 1e-1
+    # The error is of the next order.
+    assert errors[1] == pytest.approx(0.1 * errors[0], rel=0.05)
 
 
-def test_halving_the_step_changes_nothing_that_matters() -> None:
+def test_the_step_is_fine_enough_and_the_error_of_fourth_order() -> None:
     m = PLANT.mechanics(VALUES)
     force = [(spring, np.array([0.02]))]
     ends = [trajectory(m, force, _laws(m), DRIVE, 1.0 / RATE, "zoh", None, n)[1][::n][-1] for n in (4, 8, 16)]
@@ -117,7 +117,7 @@ def test_halving_the_step_changes_nothing_that_matters() -> None:
     assert fine < coarse / 10.0
 
 
-def test_a_free_motion_starts_where_it_is_put() -> None:
+def test_a_free_motion_decays_from_its_initial_state() -> None:
     m = PLANT.mechanics(VALUES)
     start = np.array([1e-4, -2e-4, 0.0, 0.1, 0.2, -0.3])
     linear, deviation = trajectory(m, [], _laws(m), np.zeros((200, 2)), 1.0 / RATE, "zoh", start)
@@ -130,7 +130,7 @@ def test_a_free_motion_starts_where_it_is_put() -> None:
     assert not np.any(deviation)
 
 
-def test_more_forces_than_slots_are_refused() -> None:
+def test_more_forces_than_the_kernel_holds_are_refused() -> None:
     m = PLANT.mechanics(VALUES)
     with pytest.raises(ConfigError, match="too many forces"):
         trajectory(m, [(spring, np.zeros(1))] * 9, _laws(m), DRIVE[:10], 1e-4, "zoh", None)

@@ -1,4 +1,4 @@
-"""Simulation against matrix exponentials of the whole device with its filter: another route to the same physics."""
+"""The modal bank against matrix exponentials of the whole device with its filter, and excitation, ADC and noise."""
 
 import numpy as np
 import pytest
@@ -38,13 +38,13 @@ def state_space(antialias):
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
-def test_response_is_that_of_the_matrix_exponential(hold):
+def test_the_response_equals_that_of_the_matrix_exponential(hold):
     antialias = AntiAlias()
     drive = drive_samples(Chirp(duration_s=0.4), RATE)
     volts = respond(behind_filter(gyro_modes(DEVICE), antialias), drive, RATE, hold)[0]
     a, b, c = state_space(antialias)
     size = a.shape[0]
-    # Input and its slope as extra states: exact for both holds.
+    # The input and its slope are additional states, which is exact for both holds.
     big = np.zeros((size + 4, size + 4))
     big[:size, :size], big[:size, size : size + 2] = a / RATE, b / RATE
     big[size : size + 2, size + 2 :] = np.eye(2)
@@ -57,7 +57,7 @@ def test_response_is_that_of_the_matrix_exponential(hold):
     assert np.max(np.abs(volts - direct)) < 1e-11 * np.max(np.abs(direct))
 
 
-def test_bandlimited_hold_is_the_steady_response_to_a_periodic_drive():
+def test_bandlimited_hold_gives_the_steady_state_response_to_a_periodic_drive():
     drive = np.tile(drive_samples(Multisine(duration_s=0.5, period_s=0.5), RATE), (6, 1))
     damped = DEVICE.copy()
     damped[:, 3:6] = 5e-3  # the transient is gone within a period
@@ -73,7 +73,7 @@ def test_bandlimited_hold_is_the_steady_response_to_a_periodic_drive():
 
 
 @pytest.mark.parametrize("order", [1, 2, 5, 8])
-def test_filter_is_the_butterworth_of_scipy(order):
+def test_the_filter_equals_the_butterworth_of_scipy(order):
     antialias = AntiAlias(order=order, corner_hz=4800.0)
     omega = 2.0 * np.pi * np.array([0.0, 60.0, 535.0, 4800.0, 20_000.0])
     _, expected = freqs(*butter(order, 2.0 * np.pi * 4800.0, analog=True), worN=omega)
@@ -82,13 +82,13 @@ def test_filter_is_the_butterworth_of_scipy(order):
     np.testing.assert_allclose(np.sum(r / (1j * omega[:, None] - q), axis=1), expected, rtol=1e-9)
 
 
-def test_single_drive_leaves_the_other_drive_silent():
+def test_a_chirp_of_zero_amplitude_leaves_its_drive_silent():
     drive = drive_samples(Chirp(amplitude_v=(2.0, 0.0)), RATE)
     assert np.all(drive[:, 1] == 0.0)
     assert np.max(np.abs(drive[:, 0])) == pytest.approx(2.0, rel=1e-6)
 
 
-def test_chirp_sweeps_from_its_start_to_its_stop_frequency():
+def test_a_chirp_sweeps_from_its_start_to_its_stop_frequency():
     drive = drive_samples(Chirp(), RATE)
     crossings = np.flatnonzero(np.diff(np.signbit(drive[:, 0])))
     frequency = RATE / 2.0 / np.diff(crossings)
@@ -96,7 +96,7 @@ def test_chirp_sweeps_from_its_start_to_its_stop_frequency():
     assert np.median(frequency[-50:]) == pytest.approx(700.0, rel=0.05)
 
 
-def test_converter_rounds_to_its_lsb_and_clips_at_full_scale():
+def test_the_adc_rounds_to_its_lsb_and_clips_at_full_scale():
     adc = Adc(bits=8, full_scale_v=1.0)
     volts = np.linspace(-2.0, 2.0, 4001)
     codes = convert(volts, adc)
@@ -106,7 +106,7 @@ def test_converter_rounds_to_its_lsb_and_clips_at_full_scale():
     assert codes.max() == 1.0 - adc.lsb_v
 
 
-def test_noise_and_hum_have_the_declared_size():
+def test_noise_and_hum_have_the_declared_variance():
     random = np.random.default_rng(3)
     record = measured(np.zeros((60_000, 2)), RATE, 0.01, Hum(60.0, (0.05,)), None, random)
     expected = 0.01**2 + 0.05**2 / 2.0

@@ -1,4 +1,4 @@
-"""The forward model against an independent solver: the laws as the contract writes them, filter states included, DOP853."""
+"""The forward model against an independent solution: the laws as documented, with the filter states, solved by DOP853."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ def _oracle(effect: str, p: list[float], v: FloatArray, first_order: bool, order
     """The record by DOP853 (rtol 1e-10), hold interval by hold interval; shares no code with the model."""
     omega = 2.0 * np.pi * np.array([PLANT["f1_hz"], PLANT["f2_hz"], PLANT["f3_hz"]])
     theta = np.deg2rad(PLANT["theta_deg"])
-    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+    rotation = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
     c12 = p[0] if effect == "offdiagonal_damping" else 0.0
-    k = turn.T @ np.diag(omega[:2] ** 2) @ turn
-    c = turn.T @ np.array([[2 * PLANT["zeta1"] * omega[0], c12], [c12, 2 * PLANT["zeta2"] * omega[1]]]) @ turn
+    k = rotation.T @ np.diag(omega[:2] ** 2) @ rotation
+    c = rotation.T @ np.array([[2 * PLANT["zeta1"] * omega[0], c12], [c12, 2 * PLANT["zeta2"] * omega[1]]]) @ rotation
     k33, c33 = omega[2] ** 2, 2.0 * PLANT["zeta3"] * omega[2]
     s, d = PLANT["sense_imbalance"], PLANT["drive_imbalance"]
     m_d, m_s = p if effect == "electrode_mismatch" else (0.0, 0.0)
     k_d, k_s = np.array([1 - d, 1 + d]), np.array([1 - s, 1 + s])
     k_dr, k_sr = np.array([1 - d - m_d, 1 + d + m_d]), np.array([1 - s - m_s, 1 + s + m_s])
     phi = np.deg2rad(p[0]) if effect == "electrode_misalignment" else 0.0
-    turned = np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]])
+    misaligned = np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]])
     t_x = p[0] if effect == "updown_tilt" else 0.0
     rate = p[0] if effect == "angular_rate" else 0.0
     _, poles, _ = butter(order, 2.0 * np.pi * 4800.0, analog=True, output="zpk")
@@ -63,7 +63,7 @@ def _oracle(effect: str, p: list[float], v: FloatArray, first_order: bool, order
             x = M_D.T @ psi + z
             u = (BIAS / 2.0 + u) / (1.0 - p[0] * x) ** 2 - BIAS / 2.0 - BIAS * x * p[0]
         beta, gamma = (p[0] * t if effect == e else 0.0 for e in ("frequency_drift", "damping_drift"))
-        a = PLANT["rocking_gain"] * turned @ M_D @ (k_dr * u) - (1 + gamma) * c @ psid - (1 + beta) * k @ psi
+        a = PLANT["rocking_gain"] * misaligned @ M_D @ (k_dr * u) - (1 + gamma) * c @ psid - (1 + beta) * k @ psi
         a = a - 2.0 * rate * np.array([-psid[1], psid[0]])
         if effect == "cubic_stiffness":
             a = a - p[0] * (psi @ psi) * psi
@@ -73,26 +73,26 @@ def _oracle(effect: str, p: list[float], v: FloatArray, first_order: bool, order
             a = a - p[0] * np.sqrt(psid @ psid) * psid
         az = PLANT["updown_gain"] * (np.sum(k_d * u) - t_x * (M_D @ (k_d * u))[0])
         az = az - (1 + gamma) * c33 * zd - (1 + beta) * k33 * z
-        seen = k_sr * (M_S @ psid) + k_s * zd * (1.0 + t_x * np.array([1.0, -1.0]))
+        sensed = k_sr * (M_S @ psid) + k_s * zd * (1.0 + t_x * np.array([1.0, -1.0]))
         if effect == "sense_nonlinearity":
-            seen = seen / (1.0 - p[0] * (M_S @ psi + z)) ** 2
+            sensed = sensed / (1.0 - p[0] * (M_S @ psi + z)) ** 2
         if effect == "gain_drift":
-            seen = seen * (1.0 + p[0] * t)
+            sensed = sensed * (1.0 + p[0] * t)
         if effect == "resistive_feedthrough":
-            seen = seen + np.reshape(p, (2, 2)) @ volts
+            sensed = sensed + np.reshape(p, (2, 2)) @ volts
         if effect == "capacitive_feedthrough":
-            seen = seen + np.reshape(p, (2, 2)) @ slope
+            sensed = sensed + np.reshape(p, (2, 2)) @ slope
         if effect == "pickoff_crosstalk":
-            seen = np.array([[1.0, p[0]], [p[1], 1.0]]) @ seen
+            sensed = np.array([[1.0, p[0]], [p[1], 1.0]]) @ sensed
         out = np.empty_like(y)
         out[:2], out[2], out[3:5], out[5] = psid, zd, a, az
         at = 6
         if slow:
-            out[6:8], seen, at = (seen - y[6:8]) / p[0], y[6:8], 8
+            out[6:8], sensed, at = (sensed - y[6:8]) / p[0], y[6:8], 8
         for w, b in sections:
             x0, x1 = y[at : at + 2], y[at + 2 : at + 4]
-            out[at : at + 2], out[at + 2 : at + 4] = w * x1, w * (seen - x0) - b * x1
-            seen, at = x0, at + 4
+            out[at : at + 2], out[at + 2 : at + 4] = w * x1, w * (sensed - x0) - b * x1
+            sensed, at = x0, at + 4
         return out
 
     y = np.zeros(6 + slow + 4 * len(sections))
@@ -162,7 +162,7 @@ def test_strong_effects_agree_with_dop853_to_a_millionth_of_the_signal(name: str
 
 @pytest.mark.parametrize("quarters", [1, 3, 4, 6])
 @pytest.mark.parametrize("with_law", [False, True])
-def test_a_delay_is_a_shift_of_the_record_on_a_finer_clock(quarters: int, with_law: bool) -> None:
+def test_a_delay_shifts_the_record_computed_at_a_higher_sample_rate(quarters: int, with_law: bool) -> None:
     record = _record(400)
     model, values = DEFAULT_COMPARE_MODEL, dict(PLANT)
     if with_law:
@@ -190,7 +190,7 @@ def test_a_parasitic_mode_adds_the_response_of_its_own_resonator() -> None:
     assert np.max(np.abs(both - plain - added)) < 1e-11 * np.max(np.abs(both))
 
 
-def test_saturation_clips_and_nothing_else() -> None:
+def test_saturation_only_clips_the_samples() -> None:
     record = _record(1000)
     plain = forward(DEFAULT_COMPARE_MODEL, PLANT, record, INSTRUMENT)
     level = 0.7 * np.max(np.abs(plain))
@@ -199,7 +199,7 @@ def test_saturation_clips_and_nothing_else() -> None:
     assert np.array_equal(found, np.clip(plain, -1.0 / (1.0 / level), 1.0 / (1.0 / level)))
 
 
-def test_a_declared_rate_acts_without_the_effect_and_overrules_it() -> None:
+def test_a_declared_rate_acts_without_the_effect_and_overrides_it() -> None:
     declared, unknown = _record(1000, rate_dps=200.0), _record(1000)
     kappa = 0.7
     model = DEFAULT_COMPARE_MODEL.with_effect("angular_rate")
@@ -212,7 +212,7 @@ def test_a_declared_rate_acts_without_the_effect_and_overrules_it() -> None:
 
 
 @pytest.mark.parametrize("effects", [("gain_drift", "loop_delay"), ("cubic_stiffness", "pickoff_crosstalk")])
-def test_the_jacobian_is_the_slope_of_the_forward_model(effects: tuple[str, ...]) -> None:
+def test_the_jacobian_is_the_derivative_of_the_forward_model(effects: tuple[str, ...]) -> None:
     record = _record(600)
     model = replace(SCREENING_MODEL, effects=("offdiagonal_damping", *effects))
     values = {**PLANT, "c12_per_s": 0.2}
@@ -234,25 +234,25 @@ def test_the_jacobian_is_the_slope_of_the_forward_model(effects: tuple[str, ...]
         assert np.linalg.norm(columns[:, :, i] - slope) < 1e-3 * np.linalg.norm(slope)
 
 
-def test_parameters_that_do_not_exist_at_the_null_are_scanned() -> None:
+def test_parameters_that_are_not_identifiable_at_the_null_are_scanned() -> None:
     record = _record(300)
     group = drive_group_of([record], INSTRUMENT, None)
     grid = {"f": (700.0, 900.0), "zeta": (1e-2,), "a": (0.0, 90.0)}
     found = list(signatures(base_of(DEFAULT_COMPARE_MODEL, PLANT, group, INSTRUMENT), "parasitic_mode", grid=grid))
     assert [(s.point["f"], s.point["a"]) for s in found] == [(700.0, 0.0), (700.0, 90.0), (900.0, 0.0), (900.0, 90.0)]
     assert all(s.names == ("b_d1", "b_d2") for s in found)
-    # A mode seen by sense 1 alone leaves sense 2 alone.
+    # A mode that only sense 1 measures does not change sense 2.
     columns = found[0].columns
     assert np.max(np.abs(columns[..., 1])) < 1e-12 * np.max(np.abs(columns[..., 0]))
 
 
-def test_impossible_devices_and_records_are_typed_errors() -> None:
+def test_impossible_parameters_and_wrong_channels_raise_typed_errors() -> None:
     record = _record(100)
-    with pytest.raises(ConfigError, match="damping is not positive"):
+    with pytest.raises(ConfigError, match="damping matrix has a negative eigenvalue"):
         forward(SCREENING_MODEL, {**PLANT, "c12_per_s": 5.0}, record, INSTRUMENT)
     with pytest.raises(ConfigError, match="missing"):
         forward(DEFAULT_COMPARE_MODEL, {"f1_hz": 534.5}, record, INSTRUMENT)
-    with pytest.raises(MeasurementError, match="another number of drives"):
+    with pytest.raises(MeasurementError, match="different numbers of drives"):
         forward(Model(PlantSpec("modal")), {}, record, INSTRUMENT)
     model = DEFAULT_COMPARE_MODEL.with_effect("cubic_stiffness")
     with pytest.raises(ConfigError, match="diverges"):

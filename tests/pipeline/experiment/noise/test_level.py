@@ -1,4 +1,4 @@
-"""The noise level is the noise, whatever else is in the records."""
+"""The measured noise level equals the simulated one, whatever else the records contain."""
 
 from __future__ import annotations
 
@@ -38,27 +38,27 @@ HUM = Hum(50.013, (5e-3, 0.0, 2e-3, 0.0, 1e-3))
 
 
 @pytest.mark.parametrize("hum", [Hum(), HUM])
-def test_silence_gives_sigma_with_hum_of_any_frequency(hum: Hum) -> None:
+def test_a_silent_record_gives_sigma_with_and_without_hum(hum: Hum) -> None:
     level = noise_level(_campaign(1e-3, hum, None, (Silence(), "noise"), (Chirp(duration_s=0.5), "fit")))
     assert level.source == "silent"
     assert np.all(np.abs(level.sigma_v / 1e-3 - 1.0) < 4.0 / np.sqrt(2.0 * level.dof) + 0.003)
 
 
-def test_a_converter_that_silence_does_not_exercise_adds_its_own_noise() -> None:
+def test_quantisation_noise_is_added_where_silence_does_not_exercise_the_adc() -> None:
     adc = Adc(bits=12, full_scale_v=10.0)
     level = noise_level(_campaign(0.1 * adc.lsb_v, Hum(), adc, (Silence(), "noise"), (Chirp(duration_s=0.5), "fit")))
     assert np.all(level.sigma_v >= adc.lsb_v / np.sqrt(12.0))
     assert np.all(level.sigma_v < 1.1 * adc.lsb_v / np.sqrt(12.0))
 
 
-def test_repeats_serve_without_silence() -> None:
+def test_repeats_give_sigma_where_no_record_is_silent() -> None:
     chirp = Chirp(duration_s=1.0)
     level = noise_level(_campaign(1e-3, HUM, None, (chirp, "fit"), (chirp, "fit")))
     assert level.source == "repeats"
     assert np.all(np.abs(level.sigma_v / 1e-3 - 1.0) < 4.0 / np.sqrt(2.0 * level.dof) + 0.003)
 
 
-def test_a_local_fit_in_frequency_serves_without_either() -> None:
+def test_a_local_fit_gives_sigma_without_silence_and_repeats() -> None:
     level = noise_level(_campaign(1e-3, Hum(), None, (Chirp(), "fit"), (Multisine(), "validate")))
     assert level.source == "local"
     assert np.all(np.abs(level.sigma_v / 1e-3 - 1.0) < 0.02)
@@ -72,7 +72,7 @@ def test_a_channel_without_noise_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("louder", "pooled"), [(1.0, True), (1.1, False)])
-def test_repeats_make_the_level_surer_only_where_they_agree_with_silence(louder: float, pooled: bool) -> None:
+def test_repeats_are_pooled_with_silence_only_where_both_agree(louder: float, pooled: bool) -> None:
     chirp = (Chirp(duration_s=0.5), "fit")
     campaign = _campaign(1e-3, Hum(), None, (Silence(), "noise"), chirp, chirp)
     extra = np.sqrt(louder**2 - 1.0) * 1e-3 * np.random.default_rng(6).standard_normal((5000, 2))

@@ -1,0 +1,53 @@
+"""The loops of ``kernels``, compiled once for each number of coordinates and cached on disk."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import njit, types
+
+from ...device.effect import FORCE_TYPE, LAWS_TYPE
+from ...threads import once
+from .kernels import MOST_FORCES, deviation_from_linear, first_order_deviation, linear_states
+
+_VECTOR = types.Array(types.float64, 1, "C")
+_MATRIX = types.Array(types.float64, 2, "C")
+
+#: Compiler options of loops over samples.
+OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz"},
+}
+_FORCES = (types.UniTuple(FORCE_TYPE, MOST_FORCES), types.int64, types.UniTuple(_VECTOR, MOST_FORCES), LAWS_TYPE)
+_STEPS = (types.float64, types.int64)
+_DRIVE = (_MATRIX, types.boolean)
+
+
+@once
+def compiled_deviation(half_size: int) -> Any:
+    """``deviation_from_linear`` for at most ``half_size`` coordinates (H)."""
+    shape = types.UniTuple(types.int64, half_size)
+    matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
+    reads = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
+    signature = types.void(shape, *_FORCES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    return njit(signature, **OPTIONS)(deviation_from_linear)
+
+
+@once
+def compiled_linear_states(half_size: int) -> Any:
+    """``linear_states`` for at most ``half_size`` coordinates (H)."""
+    shape = types.UniTuple(types.int64, half_size)
+    signature = types.void(shape, _MATRIX, _MATRIX, _MATRIX, *_STEPS, *_DRIVE, _VECTOR, _MATRIX)
+    return njit(signature, **OPTIONS)(linear_states)
+
+
+@once
+def compiled_first_order(half_size: int) -> Any:
+    """``first_order_deviation`` for at most ``half_size`` coordinates (H)."""
+    shape = types.UniTuple(types.int64, half_size)
+    matrices = (_MATRIX, _MATRIX, types.float64)
+    reads = (_MATRIX, _MATRIX, _MATRIX)
+    signature = types.void(shape, *_FORCES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    return njit(signature, **OPTIONS)(first_order_deviation)
