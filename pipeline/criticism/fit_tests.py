@@ -1,45 +1,74 @@
-"""One look at one fit: the scores of what is absent, the structure that is left, and what could not have been seen."""
+"""Tests of one fit (absent terms, structure in the residual), and tests of whether a fit with one more term is better.
+
+A larger fit is judged on the fitted data by the decrease of chi2 and by the Wald statistic of the term, and on held-out data by
+the paired difference of chi2:
+
+    W          = theta' C^-1 theta                            C: covariance of the sizes theta of a term
+    delta      = r_before - r_after                           change of the held-out residual, row by row
+    delta_chi2 = sum(r_before^2 - r_after^2)
+    sd         = 2 sqrt(max(level^2 sum(delta^2), sum over chunks of (sum of delta r)^2)),   r of the better model
+
+If the better model is right, its r is noise and delta_chi2 is +-sum(delta^2) + 2 sum(delta r), with sd 2 level sqrt(sum delta^2)
+for noise of rms ``level``: 1, or that of the larger fit where the noise level is unknown.  Sums over chunks of rows widen the sd
+where the noise is stronger, coloured or heavy-tailed, and never narrow it.  Where chi2 rises they widen it to three times at
+most: beyond that r holds a misfit of the better model, which does not excuse a worse one.  Free amplitudes that the larger model
+refits on the held-out data are subtracted from delta_chi2.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
 
 from .goodness import ResidualTests, goodness
-from .problem import FitResult, Problem, Region, Signatures
-from .projection import Baseline, Projected, baseline, project
-from .scores import Score
-from .significance import DRAWS, Null, score_all
+from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
+from .scores import Baseline, Projected, Score, baseline, project
+from .significance import DRAWS, Null, log_tail, score_all
+
+HeldOutStatus = Literal["confirmed", "partial", "refused"]
+#: Rows of a chunk: longer than the correlation of the noise.
+_CHUNK = 256
+#: Largest ratio of the observed to the nominal sd where chi2 rises.
+_MAX_INFLATION = 3.0
+#: Larger F statistics are limited to this value.
+_LARGEST_F = 1e100
+#: Wald statistic (8 sigma) above which a term needs no further support.
+_CLEAR_WALD = 8.0**2
 
 
 @dataclass(frozen=True)
 class Rules:
-    """The rules of the loop.
+    """Rules of forward selection, diagnosis and refinement.
 
     Parameters
     ----------
-    alpha : family-wise probability of naming a term where there is none.
-    alpha_left : probability of calling a residual structured where it is noise: "unknown", a milder fault than a wrong name.
-    rungs : how many terms may be added.
-    least : a term must take this share of the misfit, or what is missing is something else.
-    promise : a score must promise this share of it to be worth a refit.
-    together : how many terms a diagnosis may name together.
-    contenders : how many significant candidates are refitted before one is chosen.
-    near : a contender promises at least this share of the largest fall of chi2;
-    kept : and of the fall that a refit brought, where that was at least this share of its own promise.
-    class_refits : how many rivals of a term are refitted in its place.
+    alpha : family-wise probability of naming a term where none is present.
+    alpha_left : probability of calling noise structured ("unknown", a milder fault than a wrong name).
+    rungs : largest number of terms that may be added.
+    least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
+    least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
+    max_named : largest number of terms that a diagnosis may name.
+    contenders : number of significant candidates that are refitted before one is chosen.
+    contender_share : smallest expected delta_chi2 of a contender, relative to the largest.
+    settled_share : a refit that reaches this share of its expected delta_chi2 excludes rivals that expect less than this share
+        of what it reached.
+    class_refits : number of rivals of a term that are refitted in its place.
     draws, seed : of the simulated nulls.
     """
 
     alpha: float = 0.003
     alpha_left: float = 0.01
     rungs: int = 6
-    least: float = 0.15
-    promise: float = 0.01
-    together: int = 3
+    least_share: float = 0.15
+    least_expected: float = 0.01
+    max_named: int = 3
     contenders: int = 3
-    near: float = 0.5
-    kept: float = 0.8
+    contender_share: float = 0.5
+    settled_share: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
     seed: int = 0
@@ -47,11 +76,15 @@ class Rules:
 
 @dataclass(frozen=True, eq=False)
 class FitTests:
-    """What one fit shows.
+    """Tests of one fit.
 
-    ``base`` its columns, orthonormal; ``scores`` most significant first; ``null`` they were judged by; ``projected`` the scores'
-    covariance; ``goodness`` of what is left; ``regions`` its energy; ``invisible`` the candidates that these data could not have
-    shown.
+    Parameters
+    ----------
+    fit, base : the fit and its baseline.
+    signatures, projected : absent terms at this fit, and their columns with the baseline projected out.
+    scores, null : of the absent terms, most significant first, and the null that gave their p-values.
+    goodness : tests of structure in the residual.
+    regions : residual energy by region.
     """
 
     fit: FitResult
@@ -69,25 +102,110 @@ class FitTests:
         return tuple(sorted(score.name for score in self.scores if not score.detectable))
 
     def significant(self, alpha: float) -> tuple[Score, ...]:
-        """Candidates that are significant, family-wise."""
+        """Candidates that are significant at ``alpha``, family-wise."""
         return tuple(score for score in self.scores if score.p_value < alpha)
 
 
 def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
-    """Examine a fit that is ok."""
+    """Test a fit; ``fit.ok`` must hold."""
     base = baseline(fit)
     with ThreadPoolExecutor(1) as pool:
-        # What is left does not ask what could explain it.
-        rest = pool.submit(_left, problem, fit, base)
+        # The tests of the residual do not need the signatures, so both run at the same time.
+        residual_tests = pool.submit(_residual_tests, problem, fit, base)
         signatures = problem.signatures(fit)
         projected = project(base, signatures.blocks, signatures.grams)
         scores, null = score_all(
             projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
         )
-        regions, left = rest.result()
-    return FitTests(fit, base, signatures, projected, scores, null, left, regions)
+        regions, structure = residual_tests.result()
+    return FitTests(fit, base, signatures, projected, scores, null, structure, regions)
 
 
-def _left(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], ResidualTests]:
+def _residual_tests(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], ResidualTests]:
     regions = tuple(problem.regions(fit))
     return regions, goodness(fit, base, problem.probes(fit), regions, problem.spectrum(fit))
+
+
+def log_p_of_decrease(delta_chi2: float, parameters: int, tests: FitTests) -> float:
+    """log p of a decrease of chi2 from the tested fit by adding ``parameters``, at its noise level (at least the nominal)."""
+    if tests.fit.noise_known:
+        return float(log_tail(delta_chi2 / max(tests.goodness.level, 1.0) ** 2, parameters))
+    dof = max(tests.fit.dof - parameters, 1)
+    return float(
+        log_tail(min(delta_chi2 * dof / max(tests.fit.chi2 - delta_chi2, 1e-300), _LARGEST_F), parameters, dof)
+    )
+
+
+def log_p_of_increase(delta_chi2: float, parameters: int, tests: FitTests) -> float:
+    """log p of an increase of chi2 from the tested fit by removing ``parameters``."""
+    if tests.fit.noise_known:
+        return log_p_of_decrease(delta_chi2, parameters, tests)
+    dof = max(tests.fit.dof, 1)
+    return float(log_tail(min(delta_chi2 * dof / max(tests.fit.chi2, 1e-300), _LARGEST_F), parameters, dof))
+
+
+def wald(fit: FitResult, term: str) -> float:
+    """Wald statistic theta' C^-1 theta of a term in the fit, from the jacobian; parameters without a null are left out."""
+    gram = sum((jac.T @ jac for jac in fit.jacobian), np.zeros((fit.jacobian[0].shape[1],) * 2))
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    covariance = np.linalg.pinv(gram / scale / scale[:, None], rcond=1e-14, hermitian=True)
+    own = [i for i, shift in zip(fit.columns[term], fit.shifts[term]) if shift != 0.0]
+    if not own:
+        return 0.0
+    theta = np.array([shift for shift in fit.shifts[term] if shift != 0.0]) * scale[own]
+    part = covariance[np.ix_(own, own)]
+    level = max(1.0, fit.chi2 / max(fit.dof, 1)) if fit.noise_known else fit.chi2 / max(fit.dof, 1)
+    return float(theta @ np.linalg.pinv(part, hermitian=True) @ theta) / max(level, 1e-300)
+
+
+def is_clear(fit: FitResult, term: str) -> bool:
+    """Whether a term in the fit is significant far beyond doubt by its own size and sd."""
+    return wald(fit, term) > _CLEAR_WALD
+
+
+def is_nonzero(fit: FitResult, term: str) -> bool:
+    """Whether the size of a term exceeds its sd; chi2 that falls without that comes from a discontinuity at the null."""
+    return not any(fit.shifts.get(term, ())) or wald(fit, term) > 1.0
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """Decrease of the held-out chi2 and its sd."""
+
+    delta_chi2: float
+    sd: float
+
+    @property
+    def status(self) -> HeldOutStatus:
+        """confirmed or refused by more than 2 sd, else partial (also where nothing was held out)."""
+        if self.delta_chi2 > 2.0 * self.sd > 0.0:
+            return "confirmed"
+        return "refused" if self.delta_chi2 < -2.0 * self.sd else "partial"
+
+
+def held_out_difference(before: FitResult, after: FitResult) -> PairedDifference:
+    """Compare a fit with a larger one on the held-out data."""
+    level = 1.0 if after.noise_known else float(np.sqrt(after.chi2 / max(after.dof, 1)))
+    return paired_difference(before.held, after.held, level)
+
+
+def paired_difference(
+    before: Sequence[ResidualBlock], after: Sequence[ResidualBlock], level: float = 1.0
+) -> PairedDifference:
+    """Compare two models on the same held-out blocks, whose noise has rms ``level`` [sigma]."""
+    decrease = sum(old.chi2 - new.chi2 - (new.nuisances - old.nuisances) for old, new in zip(before, after))
+    better = after if decrease > 0.0 else before
+    nominal, actual = 0.0, 0.0
+    for old, new, right in zip(before, after, better):
+        delta = old.rows - new.rows
+        nominal += level**2 * float(np.vdot(delta, delta))
+        edges = np.arange(0, delta.size, _CHUNK)
+        actual += float(np.sum(np.add.reduceat(delta * right.rows, edges) ** 2)) if delta.size else 0.0
+    if decrease < 0.0:
+        actual = min(actual, _MAX_INFLATION**2 * nominal)
+    return PairedDifference(decrease, 2.0 * float(np.sqrt(max(nominal, actual))))
+
+
+def lacks_support(fit: FitResult, held: PairedDifference) -> bool:
+    """Whether a term rests on F-tests alone: the noise level is unknown and the held-out data do not confirm the term."""
+    return not fit.noise_known and bool(fit.held) and held.status != "confirmed"

@@ -1,42 +1,50 @@
-"""What is left: tests of structure in the residual, for misfits that no candidate names.
+"""Tests of structure in the residual, for misfits that no candidate explains.
 
-chi2 alone is blind: over n rows its sd is sqrt(2 n), 850 for 360,000.  Structure is looked for
+chi2 alone is blind: over n rows its sd is sqrt(2 n), which is 850 for 360,000.  The tests are
 
-    probe       along generic shapes that the problem supplies                        chi2_k
-    agreement   as parameters on which the blocks, or the blocks of a label, differ    Cochran's Q
-    region      as residual energy in one region beyond the common level              chi2_d
-    line        as energy at one frequency beyond its neighbourhood, summed over the data   chi2_d
-    repeat      as correlation between residuals of repeats, over dyadic windows       z = sum(a b) / sqrt(sum b^2)
+    probe       correlation with generic shapes that the problem supplies                      chi2_k
+    agreement   parameters that differ between blocks, or between the values of a label        chi2_rank
+    region      energy of one region above the common level                                    chi2_d
+    line        energy at one frequency above its neighbours, summed over the data             chi2_d
+    repeat      correlation between residuals of repeats, over dyadic windows                  z = sum(a b) / sqrt(sum b^2)
 
-and judged together, each family and the families among each other by Bonferroni's bound.  A common excess of the noise level
-is no structure: it is divided out (``Projected``, ``gamma``; the median level of the regions).
+Bonferroni's bound combines the tests, and the findings within each.  A common excess of the noise level is not structure: it is
+divided out (``Projected``, ``gamma``; the median level of the regions).
+
+``agreement`` tests whether the parts of the data agree on the size of a term:
+
+    d_g   deviation in part g (a block, a level, a direction) from the common size, all other parameters common
+    s_g = D' Q_g' r_g,   G_gh = D' (N_g delta_gh - N_g N_h) D,   N_g = Q_g' Q_g,   sum_g N_g = 1
+    Q   = s' G^+ s  ~  chi2_rank          (Cochran's Q where nothing else is fitted)
+
+D = R e_j are the columns of the term in the coordinates of Q.  A term that only imitates the missing one cannot do so with the
+same size everywhere, so its parts disagree.  Shapes: n m rows of a block, p columns of the baseline.  Everything is in sigmas.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import FloatArray
-from .agreement import agreement, partitions
 from .lines import normalized_energy
 from .problem import FitResult, Region, Signatures, Spectrum
-from .projection import Baseline, project
 from .regions import description
-from .scores import cells_of, delta_chi2s
-from .tails import log_any, log_tail, normal_log_tail
+from .scores import Baseline, cells_of, delta_chi2s, project
+from .significance import log_any, log_tail, normal_log_tail
 
+#: Rows of the shortest window in which repeats are correlated.
 _WINDOW = 128
-#: Median of |N(0, 1)|, and the regions a family needs before its spread says something.
-_MEDIAN = 0.6745
-_FEW = 8
+#: Median of |N(0, 1)|, and how many regions a family needs for its spread to be estimated.
+_MEDIAN, _SPREAD_NEEDS = 0.6745, 8
+_RANK = 1e-9
 
 
 @dataclass(frozen=True)
 class ResidualStructure:
-    """The strongest finding of one test: its log p within the test, and where it was found."""
+    """The strongest finding of one test, its log p (the number of places tested counted), and its place."""
 
     test: str
     log_p: float
@@ -45,7 +53,7 @@ class ResidualStructure:
 
 @dataclass(frozen=True)
 class ResidualTests:
-    """All tests together: p is Bonferroni's over them; ``level`` is rms of the residual per degree of freedom."""
+    """All tests together; ``p_value`` by Bonferroni, ``level`` the rms of the residual per degree of freedom."""
 
     p_value: float
     structures: tuple[ResidualStructure, ...]
@@ -60,25 +68,25 @@ class ResidualTests:
 def goodness(
     fit: FitResult, base: Baseline, probes: Signatures, regions: Sequence[Region], spectra: Sequence[Spectrum] = ()
 ) -> ResidualTests:
-    """Look for structure in the residual of a fit with known noise level.
+    """Test the residual of a fit with known noise level for structure; p is 1 where the level is unknown.
 
     Parameters
     ----------
-    fit, base : the fit and its orthonormal baseline (all columns in).
-    probes, regions, spectra : what the problem supplies; may be empty.
+    fit, base : the fit and its baseline (all columns of the jacobian).
+    probes, regions, spectra : supplied by the problem; may be empty.
     """
     chi2 = sum(float(np.vdot(r, r)) for r in base.residual)
     level = float(np.sqrt(chi2 / max(base.dof, 1)))
     if not fit.noise_known:
         return ResidualTests(1.0, (), level)
-    found = [
+    results = [
         _probes(base, probes),
         _agreements(fit, base),
         _regions(regions),
         _lines(spectra),
         _repeats(fit, base),
     ]
-    structures = tuple(structure for structure in found if structure is not None)
+    structures = tuple(structure for structure in results if structure is not None)
     if not structures:
         return ResidualTests(1.0, (), level)
     smallest = min(structure.log_p for structure in structures)
@@ -86,11 +94,11 @@ def goodness(
 
 
 def excess(regions: Sequence[Region]) -> float:
-    """Residual energy that stands above the common level of the regions, three sd of its own error taken off.
+    """Residual energy above the common level of the regions, less three sd; zero without regions.
 
-    Every family of regions cuts the same residual; the median of what they say counts.  Zero without regions.
+    Each family of regions partitions the same residual.  The median over the families is returned.
     """
-    found = []
+    energies = []
     for family in {region.family for region in regions}:
         own = [region for region in regions if region.family == family and region.dof > 0.0]
         energy, dof = np.array([region.chi2 for region in own]), np.array([region.dof for region in own])
@@ -99,8 +107,8 @@ def excess(regions: Sequence[Region]) -> float:
         level = max(1.0, float(np.median(energy / dof)))
         # The median of n energies is 1.25 times as uncertain as their mean.
         error = 1.6 * level * float(np.sqrt(2.0 * dof.sum()))
-        found.append(max(float(energy.sum() - level * dof.sum()) - 3.0 * error, 0.0))
-    return float(np.median(found)) if found else 0.0
+        energies.append(max(float(energy.sum() - level * dof.sum()) - 3.0 * error, 0.0))
+    return float(np.median(energies)) if energies else 0.0
 
 
 def _strongest(test: str, log_p: Sequence[float], where: Sequence[str]) -> ResidualStructure | None:
@@ -119,8 +127,8 @@ def _probes(base: Baseline, probes: Signatures) -> ResidualStructure | None:
         for cell in cells_of(projected, candidate):
             if cell.rank == 0:
                 continue
-            fall = float(delta_chi2s(cell, projected.score[:, None])[0][0])
-            log_p.append(float(log_tail(fall / cell.inflation, cell.rank)))
+            delta_chi2 = float(delta_chi2s(cell, projected.score[:, None])[0][0])
+            log_p.append(float(log_tail(delta_chi2 / cell.inflation, cell.rank)))
             where.append(candidate.name)
     return _strongest("probe", log_p, where)
 
@@ -140,7 +148,7 @@ def _agreements(fit: FitResult, base: Baseline) -> ResidualStructure | None:
 
 
 def _regions(regions: Sequence[Region]) -> ResidualStructure | None:
-    """Energies against their family's median level, their variance taken from the family where it exceeds 2 dof."""
+    """Energies relative to the median level of their family; its spread replaces 2 dof as the variance where it is larger."""
     log_p, where = [], []
     for family in sorted({region.family for region in regions}):
         own = [region for region in regions if region.family == family and region.dof > 0.0]
@@ -148,9 +156,9 @@ def _regions(regions: Sequence[Region]) -> ResidualStructure | None:
         dof = np.array([region.dof for region in own])
         level = max(1.0, float(np.median(energy / dof))) if own else 1.0
         z = (energy / level - dof) / np.sqrt(2.0 * dof)
-        spread = max(1.0, float(np.median(np.abs(z))) / _MEDIAN) if len(own) >= _FEW else 1.0
+        spread = max(1.0, float(np.median(np.abs(z))) / _MEDIAN) if len(own) >= _SPREAD_NEEDS else 1.0
         for region, value, count in zip(own, energy / level, dof):
-            # Scaled so that mean and variance are right: chi2 of dof / spread^2, times spread^2.
+            # spread^2 times a chi2 of dof / spread^2 has the right mean and variance.
             log_p.append(float(log_tail(value / spread**2, max(round(count / spread**2), 1))))
             where.append(description(region))
     return _strongest("region", log_p, where)
@@ -159,9 +167,9 @@ def _regions(regions: Sequence[Region]) -> ResidualStructure | None:
 def _lines(spectra: Sequence[Spectrum]) -> ResidualStructure | None:
     log_p, where = [], []
     for spectrum in spectra:
-        beyond = normalized_energy(spectrum)
-        top = int(np.argmax(beyond))
-        log_p.append(float(log_any(log_tail(beyond[top], spectrum.dof), beyond.size)))
+        energy = normalized_energy(spectrum)
+        top = int(np.argmax(energy))
+        log_p.append(float(log_any(log_tail(energy[top], spectrum.dof), energy.size)))
         where.append(f"line at {spectrum.frequency_hz[top]:.5g} Hz")
     return _strongest("line", log_p, where)
 
@@ -174,9 +182,9 @@ def _repeats(fit: FitResult, base: Baseline) -> ResidualStructure | None:
         if mark is None or mark not in marks[i + 1 :]:
             continue
         j = marks.index(mark, i + 1)
-        z, place = _correlated(base.residual[i], base.residual[j], base.gamma[i])
+        z, windows = _correlated(base.residual[i], base.residual[j], base.gamma[i])
         log_p.extend((normal_log_tail(np.maximum(z, 0.0))).tolist())
-        where.extend(f"{fit.blocks[i].name} and {fit.blocks[j].name}, rows {a} to {b}" for a, b in place)
+        where.extend(f"{fit.blocks[i].name} and {fit.blocks[j].name}, rows {a} to {b}" for a, b in windows)
     return _strongest("repeat", log_p, where)
 
 
@@ -184,13 +192,91 @@ def _correlated(a: FloatArray, b: FloatArray, gamma: FloatArray) -> tuple[FloatA
     """z of every dyadic window of rows: given b, sum(a b) is normal with variance sum(gamma b^2)."""
     product = np.concatenate([[0.0], np.cumsum(a * b)])
     energy = np.concatenate([[0.0], np.cumsum(gamma * b * b)])
-    place: list[tuple[int, int]] = []
+    windows: list[tuple[int, int]] = []
     size = a.size
     while size >= _WINDOW:
-        # The last window of a row of them takes the remainder.
+        # The last window of each size takes the remaining rows.
         edges = [*range(0, a.size - size + 1, size)]
-        place.extend(zip(edges, [*edges[1:], a.size]))
+        windows.extend(zip(edges, [*edges[1:], a.size]))
         size //= 2
-    first, stop = np.array(place, dtype=np.int64).reshape(-1, 2).T
+    first, stop = np.array(windows, dtype=np.int64).reshape(-1, 2).T
     z = (product[stop] - product[first]) / np.sqrt(np.maximum(energy[stop] - energy[first], 1e-300))
-    return np.asarray(z), place
+    return np.asarray(z), windows
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether the parts of one partition agree on some parameters.
+
+    Parameters
+    ----------
+    partition : "block", or the label whose values define the parts.
+    statistic, dof : Q and its degrees of freedom.
+    log_p : log P(Q* > Q) where they agree.
+    sizes : part -> (deviation from the common size, sd), in the unit of the parameter; for a single parameter only.
+    """
+
+    partition: str
+    statistic: float
+    dof: int
+    log_p: float
+    sizes: Mapping[str, tuple[float, float]]
+
+
+def partitions(fit: FitResult) -> dict[str, dict[str, list[int]]]:
+    """Partition -> part -> indices of blocks: by block, and by every label with at least two values."""
+    parts_by = {"block": {f"{i}:{block.name}": [i] for i, block in enumerate(fit.blocks)}}
+    for label in sorted({label for block in fit.blocks for label in block.labels}):
+        parts: dict[str, list[int]] = {}
+        for i, block in enumerate(fit.blocks):
+            parts.setdefault(block.labels.get(label, ""), []).append(i)
+        parts_by[label] = parts
+    return {name: parts for name, parts in parts_by.items() if len(parts) > 1}
+
+
+def agreement(
+    base: Baseline, partition: str, parts: Mapping[str, Sequence[int]], columns: Sequence[int] | None = None
+) -> Agreement:
+    """Q over ``parts`` (part -> indices of blocks) for the given columns of the jacobian, or for all of them together."""
+    p = base.upper.shape[0]
+    directions = np.eye(p) if columns is None else base.upper[:, list(columns)]
+    directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
+    count, k = len(parts), directions.shape[1]
+    inside, spread, score = np.zeros((count, p, p)), np.zeros((count, p, p)), np.zeros((count, p))
+    for g, blocks in enumerate(parts.values()):
+        for b in blocks:
+            q, r = base.basis[b], base.residual[b]
+            inside[g] += q.T @ q
+            spread[g] += q.T @ (q * base.gamma[b][:, None])
+            score[g] += q.T @ r
+    # s_g - N_g sum(s): the part's score with the common parameters projected out, as a matrix that acts on the stacked s.
+    rejection = np.zeros((count, p, count, p))
+    for g in range(count):
+        rejection[g, :, :, :] = -inside[g][:, None, :]
+        rejection[g, :, g, :] += np.eye(p)
+    rejection_d = np.einsum("pk,gphq->gkhq", directions, rejection).reshape(count * k, count * p)
+    s = rejection_d @ score.reshape(-1)
+    gram = _sandwich(rejection_d, inside)
+    covariance = _sandwich(rejection_d, spread)
+    size, vector = np.linalg.eigh(gram)
+    good = size > _RANK * max(float(size[-1]), 1e-300)
+    rank = int(good.sum())
+    inverse = (vector[:, good] / size[good]) @ vector[:, good].T
+    inflation = max(1.0, float(np.trace(inverse @ covariance)) / max(rank, 1))
+    statistic = float(s @ inverse @ s) / inflation
+    sizes = {}
+    if k == 1 and columns is not None:
+        norm = float(np.linalg.norm(base.upper[:, list(columns)]))
+        weight = np.array([float(directions[:, 0] @ n @ directions[:, 0]) for n in inside])
+        shift = inverse @ s
+        shift = shift - float(weight @ shift) / max(float(weight.sum()), 1e-300)
+        sd = np.sqrt(inflation / np.maximum(weight, 1e-300)) / norm
+        sizes = {part: (float(d) / norm, float(e)) for part, d, e in zip(parts, shift, sd)}
+    return Agreement(partition, statistic, rank, float(log_tail(statistic, rank)) if rank else 0.0, sizes)
+
+
+def _sandwich(rejection: FloatArray, blocks: FloatArray) -> FloatArray:
+    """P blockdiag(B_g) P'."""
+    count, p, _ = blocks.shape
+    wide = rejection.reshape(-1, count, p)
+    return np.asarray(np.einsum("agp,gpq,bgq->ab", wide, blocks, wide, optimize=True))

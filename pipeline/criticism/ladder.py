@@ -1,22 +1,26 @@
-"""The ladder: the models tried, one rung a term, with the error on fitted and on held-out data.
+"""The answers of forward selection: ``refine`` gives a ladder of models, ``diagnose`` what the first model lacks.
 
-confirmed   the held-out chi2 fell by more than 2 sd of the paired difference
-partial     significant on the fitted data, not confirmed; or a misfit stays that nothing explains
+    confirmed   the held-out chi2 fell by more than 2 sd of the paired difference
+    partial     significant on the fitted data, but not confirmed; or a misfit is left that nothing explains
+
+Start here: both functions take a ``Problem``, select terms (``selection``) and judge the last model (``verdict``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from .agreement import Agreement
-from .problem import FitResult
+from .fit_tests import Rules
+from .goodness import Agreement, ResidualTests
+from .problem import FitResult, Problem
 from .regions import RegionShare, explained_by_region
-from .selection import ForwardSelection
-from .verdict import TermClass, Verdict, misfit
+from .scores import Score
+from .selection import Fits, ForwardSelection, SelectionStep, forward_selection
+from .verdict import TermClass, Verdict, judge, misfit
 
 Status = Literal["confirmed", "partial"]
 
@@ -27,14 +31,13 @@ class Rung:
 
     Parameters
     ----------
-    term : added on this rung; ``None`` on the ground.
-    status : ``None`` on the ground.
+    term, status : added on this rung, and whether it is confirmed; ``None`` on the first.
     terms : in the model on this rung.
     error_fit, error_validate, relative_error : of this model; ``None`` where they cannot be given.
-    delta_chi2 : fall of the fitted chi2 against the rung below.
-    held_fall, held_sd : fall of the held-out chi2 and sd of the paired difference.
-    explained : share of the ground's excess chi2 that this model takes away; ``None`` where the ground has none.
-    dropped : members removed for this rung.
+    delta_chi2 : decrease of the fitted chi2 from the rung before.
+    held_delta_chi2, held_sd : decrease of the held-out chi2 and its sd.
+    explained : share of the first model's excess chi2 that this model explains; ``None`` without a significant excess.
+    dropped : terms removed on this rung.
     parameters, derived : name -> (value, sd).
     """
 
@@ -45,7 +48,7 @@ class Rung:
     error_validate: float | None
     relative_error: float | None
     delta_chi2: float
-    held_fall: float | None
+    held_delta_chi2: float | None
     held_sd: float | None
     explained: float | None
     dropped: tuple[str, ...]
@@ -64,7 +67,7 @@ class Rung:
             "relative_error": self.relative_error,
             "delta_chi2": self.delta_chi2,
             "explained": self.explained,
-            "held_out_fall": self.held_fall,
+            "held_out_fall": self.held_delta_chi2,
             "held_out_sd": self.held_sd,
             "terms": list(self.terms),
             "dropped": list(self.dropped),
@@ -75,19 +78,19 @@ class Rung:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """The whole climb.
+    """The models of a forward selection.
 
     Parameters
     ----------
-    rungs : from the ground up.
+    rungs : the first model, then one rung per added term.
     verdict : on the last rung: "adequate", "class", "unknown" or "fit_failed".
     terms : added and kept.
     classes : of the kept terms.
-    wrong_form : kept term -> the partition on which its sizes disagree ("right place, wrong form").
+    wrong_form : kept term -> the partition between whose parts its fitted size differs.
     refused : term -> why it was not added.
-    regions : where the ground failed, each with the share of its excess that the last rung explains.
-    p_left : p-value of the structure that is left; ``left`` says where it is.
-    why : what went wrong, for "fit_failed".
+    regions : where the first model fails, each with the share of its excess that the last rung explains.
+    p_left, left : p-value of the structure that is left, and where it is.
+    why : the reason of "fit_failed".
     """
 
     rungs: tuple[Rung, ...]
@@ -120,61 +123,161 @@ class Ladder:
         }
 
 
-def build(
-    selection: ForwardSelection, said: Verdict, found: tuple[TermClass, ...], wrong_form: Mapping[str, Agreement]
-) -> Ladder:
-    """The ladder of a climb; a misfit that stays makes every rung partial."""
-    if not selection.steps_tested:
-        return Ladder((), said, (), (), why=selection.failed)
-    ground = selection.steps_tested[0].fit
-    excess = ground.chi2 - ground.dof
-    # Within its own scatter an excess is nothing that could be explained.
-    some = ground.noise_known and excess > 2.0 * np.sqrt(2.0 * ground.dof)
-    rungs = [_rung(ground, None, None, 0.0, (), 0.0 if some else None)]
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a model lacks.
+
+    Parameters
+    ----------
+    verdict : see ``pipeline.criticism.verdict``.
+    terms : that together explain the whole misfit; empty for "adequate" and "unknown".
+    scores : of every absent term at the given model, most significant first.
+    error_after : term -> error on the fitted data with the term in the model, by a refit where there was one, else expected
+        from its score.
+    classes : of ``terms``.
+    invisible : terms that these data could not have shown.
+    before, after : tests of the residual of the given model, and of the model with ``terms``.
+    fit, fit_after : the given model, and the last one of the selection.
+    wrong_form : term -> the partition between whose parts its fitted size differs.
+    why : the reason of "fit_failed".
+    """
+
+    verdict: Verdict
+    terms: tuple[str, ...]
+    scores: tuple[Score, ...]
+    error_after: Mapping[str, float | None]
+    classes: tuple[TermClass, ...]
+    invisible: tuple[str, ...]
+    before: ResidualTests | None
+    after: ResidualTests | None
+    fit: FitResult | None
+    fit_after: FitResult | None
+    wrong_form: Mapping[str, Agreement]
+    why: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain JSON, with the keys of the contract and more."""
+        number = {name: k for k, item in enumerate(self.classes) for name in item.members}
+        error = {} if self.fit is None else {part: self.fit.error_of(part) for part in ("fit", "validate")}
+        return {
+            "verdict": self.verdict,
+            "effects": list(self.terms),
+            "candidates": [
+                {
+                    "effect": score.name,
+                    "delta_chi2": score.delta_chi2,
+                    "p_value": score.p_value,
+                    "estimate": {name: [v, None if np.isnan(sd) else sd] for name, (v, sd) in score.estimate.items()},
+                    "error_after": self.error_after.get(score.name),
+                    "class": number.get(score.name),
+                    "detectable": score.detectable,
+                    "surviving_share": score.surviving_share,
+                    "snr_at_reach": None if np.isinf(score.snr_at_reach) else score.snr_at_reach,
+                }
+                for score in self.scores
+            ],
+            "classes": [list(item.members) for item in self.classes if len(item.members) > 1],
+            "invisible": list(self.invisible),
+            "error": error,
+            "p_left": None if self.after is None else self.after.p_value,
+            "left": "" if self.after is None or self.after.worst is None else self.after.worst.where,
+            "wrong_form": {term: {"by": a.partition, "log_p": a.log_p} for term, a in self.wrong_form.items()},
+            "why": self.why,
+        }
+
+
+def refine(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Ladder:
+    """Add terms to the model with ``terms`` until no further one is justified."""
+    return as_ladder(problem, forward_selection(problem, terms, rules), rules)
+
+
+def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None = None) -> Ladder:
+    """The ladder of a selection; a misfit that is left makes every rung partial."""
+    judgement = judge(problem, selection, rules or Rules())
+    if not selection.tests:
+        return Ladder((), judgement.verdict, (), (), why=selection.failed)
+    start, last = selection.tests[0], selection.last
+    excess = start.fit.chi2 - start.fit.dof
+    # An excess within its own scatter is nothing that a term could explain.
+    significant = start.fit.noise_known and excess > 2.0 * np.sqrt(2.0 * start.fit.dof)
+    rungs = [_rung(start.fit, 0.0 if significant else None)]
     for step in selection.steps:
-        confirmed = step.held.standing == "confirmed" and said != "unknown" and step.term not in wrong_form
-        held = (step.held.fall, step.held.sd) if step.fit.held else None
-        share = min((ground.chi2 - step.fit.chi2) / excess, 1.0) if some else None
-        status: Status = "confirmed" if confirmed else "partial"
-        rungs.append(_rung(step.fit, step.term, status, step.delta_chi2, step.dropped, share, held))
-    last = selection.last
+        supported = judgement.verdict != "unknown" and step.term not in judgement.wrong_form
+        share = min((start.fit.chi2 - step.fit.chi2) / excess, 1.0) if significant else None
+        rungs.append(_rung(step.fit, share, step, supported))
     worst = last.goodness.worst
-    added = {step.term for step in selection.steps}
     return Ladder(
         tuple(rungs),
-        "adequate" if said == "effect" else said,
-        tuple(term for term in last.fit.terms if term in added),
-        found,
-        wrong_form,
+        "adequate" if judgement.verdict == "effect" else judgement.verdict,
+        selection.added,
+        judgement.classes,
+        judgement.wrong_form,
         selection.refused,
-        explained_by_region(selection.steps_tested[0].regions, last.regions),
+        explained_by_region(start.regions, last.regions),
         last.goodness.p_value,
         f"{worst.test}: {worst.where}" if worst else "",
         selection.failed,
     )
 
 
-def _rung(
-    fit: FitResult,
-    term: str | None,
-    status: Status | None,
-    delta_chi2: float,
-    dropped: tuple[str, ...],
-    share: float | None,
-    held: tuple[float, float] | None = None,
-) -> Rung:
+def _rung(fit: FitResult, explained: float | None, step: SelectionStep | None = None, supported: bool = False) -> Rung:
+    """The rung of a fit: the first one without ``step``; only a ``supported`` step can be confirmed."""
+    held = step.held if step is not None and fit.held else None
+    status: Status | None = None
+    if step is not None:
+        status = "confirmed" if supported and step.held.status == "confirmed" else "partial"
     return Rung(
-        term,
+        None if step is None else step.term,
         status,
         fit.terms,
         fit.error_of("fit"),
         fit.error_of("validate"),
         fit.relative_error.get("fit"),
-        delta_chi2,
-        held[0] if held else None,
-        held[1] if held else None,
-        share,
-        dropped,
+        0.0 if step is None else step.delta_chi2,
+        None if held is None else held.delta_chi2,
+        None if held is None else held.sd,
+        explained,
+        () if step is None else step.dropped,
         fit.parameters,
         fit.derived,
     )
+
+
+def diagnose(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Diagnosis:
+    """Say what the model with ``terms`` lacks; at most ``rules.max_named`` terms are named."""
+    rules = rules or Rules()
+    selection = forward_selection(problem, terms, replace(rules, rungs=min(rules.rungs, rules.max_named)))
+    return as_diagnosis(problem, selection, rules)
+
+
+def as_diagnosis(problem: Problem, selection: ForwardSelection, rules: Rules | None = None) -> Diagnosis:
+    """What the first model of a selection (of at most ``rules.max_named`` steps) lacks."""
+    judgement = judge(problem, selection, rules or Rules())
+    if not selection.tests:
+        fit = next(iter(selection.fits.values()))
+        return Diagnosis("fit_failed", (), (), {}, (), (), None, None, fit, None, {}, selection.failed)
+    first, last = selection.tests[0], selection.last
+    named = selection.added if judgement.verdict in ("effect", "class") else ()
+    return Diagnosis(
+        judgement.verdict,
+        named,
+        first.scores,
+        {score.name: _error_after(first.fit, judgement.fits, score) for score in first.scores},
+        judgement.classes if named else (),
+        first.invisible,
+        first.goodness,
+        last.goodness,
+        first.fit,
+        last.fit,
+        judgement.wrong_form,
+        selection.failed,
+    )
+
+
+def _error_after(fit: FitResult, fits: Fits, score: Score) -> float | None:
+    """Error on the fitted data with the term of ``score`` added to ``fit``; expected where it was not refitted."""
+    refit = fits.get(frozenset((*fit.terms, score.name)))
+    if refit is not None and refit.ok:
+        return refit.error_of("fit")
+    before = fit.error_of("fit")
+    return None if before is None else float(np.sqrt(max(before**2 - score.delta_chi2 / fit.rows, 0.0)))

@@ -16,7 +16,7 @@ from scipy.special import chdtri
 
 from ..arrays import FloatArray
 from .problem import Spectrum
-from .tails import log_tail
+from .significance import log_tail
 
 _NEIGHBOURS = 101
 #: A peak is a line if noise exceeds it with at most this probability per bin.

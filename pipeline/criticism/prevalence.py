@@ -1,10 +1,10 @@
-"""Who carries a term, and how much of it: sizes fitted unit by unit, of which some are null.
+"""Prevalence of a term among units, and the distribution of its size, from sizes fitted unit by unit.
 
-    a_i ~ (1 - pi) N(0, sd_i^2) + pi N(mu, sd_i^2 + tau^2)      pi: the share that carries it
+    a_i ~ (1 - pi) N(0, sd_i^2) + pi N(mu, sd_i^2 + tau^2)      pi: prevalence, the share of units that have the term
 
-by maximum likelihood; the interval of pi is where twice the log likelihood is within chi2_1 at 95 % of its top.
+by maximum likelihood; the 95 % interval of pi holds the values whose log likelihood is within chi2_1(95 %) / 2 of its maximum.
 
-Shapes: n units, each with a size, its sd, and a weight: how many units of the population it stands for.
+Shapes: n units, each with a size, its sd, and a weight: the number of units of the population that it represents.
 """
 
 from __future__ import annotations
@@ -20,7 +20,14 @@ from ..arrays import FloatArray
 
 @dataclass(frozen=True)
 class TermSizes:
-    """Who carries a term and how much of it: share with its 95 % interval, mean size with its sd, spread (sd) of sizes."""
+    """Prevalence of a term and its sizes, which have the unit of the parameter.
+
+    Parameters
+    ----------
+    share, low, high : prevalence and its 95 % interval.
+    mean, mean_sd : mean size among the units that have the term, and its sd.
+    spread : sd of the sizes among these units.
+    """
 
     share: float
     low: float
@@ -31,11 +38,11 @@ class TermSizes:
 
 
 def prevalence(sizes: FloatArray, sds: FloatArray, weights: FloatArray) -> TermSizes:
-    """Share of the units that carry a term, and the distribution of its size among them, by maximum likelihood.
+    """Share of the units that have a term, and the distribution of its size among them, by maximum likelihood.
 
     Parameters
     ----------
-    sizes, sds : (n,) fitted size (value - null) of each unit and its sd.
+    sizes, sds : (n,) fitted size (value - null) of each unit and its sd; units without a finite size and sd are ignored.
     weights : (n,); the likelihood counts for (sum w)^2 / sum w^2 units.
     """
     known = np.isfinite(sizes) & np.isfinite(sds) & (sds > 0.0)
@@ -61,27 +68,29 @@ def prevalence(sizes: FloatArray, sds: FloatArray, weights: FloatArray) -> TermS
 def _log_parts(
     a: FloatArray, sd: FloatArray, share: float, mean: float, spread: float
 ) -> tuple[FloatArray, FloatArray]:
+    """Log densities (n,) of both parts of the mixture, without the common constant."""
     variance = sd**2 + spread**2
     with np.errstate(divide="ignore"):
         null = np.log1p(-share) - 0.5 * (a / sd) ** 2 - np.log(sd) if share < 1.0 else np.full(a.size, -np.inf)
-        carry = np.log(share) - 0.5 * (a - mean) ** 2 / variance - 0.5 * np.log(variance)
-    return np.asarray(null), np.asarray(carry)
+        present = np.log(share) - 0.5 * (a - mean) ** 2 / variance - 0.5 * np.log(variance)
+    return np.asarray(null), np.asarray(present)
 
 
 def _responsibility(a: FloatArray, sd: FloatArray, share: float, mean: float, spread: float) -> FloatArray:
-    null, carry = _log_parts(a, sd, share, mean, spread)
-    return np.asarray(np.exp(carry - np.logaddexp(null, carry)))
+    """Probability (n,) that each unit has the term."""
+    null, present = _log_parts(a, sd, share, mean, spread)
+    return np.asarray(np.exp(present - np.logaddexp(null, present)))
 
 
 def _mixture(a: FloatArray, sd: FloatArray, w: FloatArray, share: float) -> tuple[float, float, float]:
-    """Largest log likelihood at this share, with the mean and spread it has there; sizes in units of their rms."""
+    """Largest log likelihood at this share, with its mean and spread; sizes are in units of their rms."""
 
     def loss(p: FloatArray) -> float:
-        null, carry = _log_parts(a, sd, share, float(p[0]), float(np.exp(p[1])))
-        return -float(np.sum(w * np.logaddexp(null, carry)))
+        null, present = _log_parts(a, sd, share, float(p[0]), float(np.exp(p[1])))
+        return -float(np.sum(w * np.logaddexp(null, present)))
 
-    loud = np.abs(a) / sd >= np.quantile(np.abs(a) / sd, max(1.0 - share, 0.0))
-    start = np.array([float(np.median(a[loud])), np.log(max(float(np.std(a[loud])), 1e-3))])
+    strong = np.abs(a) / sd >= np.quantile(np.abs(a) / sd, max(1.0 - share, 0.0))
+    start = np.array([float(np.median(a[strong])), np.log(max(float(np.std(a[strong])), 1e-3))])
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3, "maxfev": 120})
     spread = float(np.exp(best.x[1]))
     return -float(best.fun), float(best.x[0]), spread if spread > 1e-2 * float(np.median(sd)) else 0.0

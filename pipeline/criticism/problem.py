@@ -1,12 +1,13 @@
-"""What criticism sees: a model with parameters, whitened residuals, candidate terms with null values, held-out data.
+"""What ``criticism`` needs from a problem: fits with whitened residuals, candidate terms, and held-out data.
 
-    r = (measured - model) / sigma         whitened residual of the fit
-    J = d model / d parameter / sigma      at the fit, so that a step dp changes the residual by -J dp
-    Z = d model / d candidate / sigma      at the candidate's null, in its own units
+    r = (measured - model) / sigma         whitened residual of the fit (dimensionless)
+    J = d model / d parameter / sigma      at the fit; a step dp changes the residual by -J dp
+    Z = d model / d candidate / sigma      at the null of the candidate, per unit of its parameters
 
-Rows come in named blocks (a record, a wafer): block b has a residual (n_b, m_b), whose rows in C order are the rows of J_b
-(n_b m_b, P) and Z_b (n_b m_b, K).  Any unitary picture of the data will do (time samples, or their Fourier coefficients).
-Free amplitudes of single blocks (offsets, lines) are either columns of J or already projected out of r, J and Z.
+Rows come in named blocks, for example one per record or one per wafer.  Block b has a residual (n_b, m_b), whose elements in C
+order are the rows of J_b (n_b m_b, P) and Z_b (n_b m_b, K).  Rows may be any unitary transform of the data, such as time
+samples or Fourier coefficients.  Free amplitudes of a single block (offsets, lines) are either columns of J or already
+projected out of r, J and Z.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ from ..arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class ResidualBlock:
-    """Whitened residuals that belong together.
+    """Whitened residual of one record, wafer or other unit of data.
 
     Parameters
     ----------
-    name : of the record, the wafer.
-    residual : (n, m), unit variance where model and noise are right.
-    labels : conditions, such as {"level": "0.35", "direction": "up"}; sizes of a term are compared across them.
-    repeat : blocks with the same mark are repeats: row by row the same but for the noise.
-    nuisances : free amplitudes of this block, to compare held-out blocks fairly.
+    name : of the record or wafer.
+    residual : (n, m), of unit variance where model and noise level are right.
+    labels : conditions, such as {"level": "0.35", "direction": "up"}; the size of a term is compared between them.
+    repeat : blocks with the same mark are repeats, equal row by row except for the noise.
+    nuisances : number of free amplitudes fitted to this block; corrects the comparison of held-out chi2.
     """
 
     name: str
@@ -41,12 +42,12 @@ class ResidualBlock:
 
     @property
     def rows(self) -> FloatArray:
-        """(n m,) the residual in the order of the rows of J and Z."""
+        """(n m,) residual in the row order of J and Z."""
         return self.residual.reshape(-1)
 
     @property
     def chi2(self) -> float:
-        """Sum of squares."""
+        """Sum of squares of the residual."""
         return float(np.vdot(self.residual, self.residual))
 
 
@@ -56,22 +57,22 @@ class FitResult:
 
     Parameters
     ----------
-    ok : the fit converged to something that may be judged; ``why`` says what went wrong otherwise.
-    terms : those in the model beside the baseline.
+    ok : the fit converged and may be judged; ``why`` gives the reason otherwise.
+    terms : terms in the model besides the baseline.
     parameters, derived : name -> (value, sd).
-    blocks, held : fitted and held-out blocks; of held-out blocks only their own free amplitudes were refitted.
+    blocks, held : fitted and held-out blocks; only the free amplitudes of held-out blocks were fitted to them.
     jacobian : for each fitted block (n m, P).
     columns : term -> its columns in the jacobian.
-    shifts : term -> for each of its columns how far the parameter is from its null, in the column's units (zero for a
-        parameter that does not exist at the null).
-    strata : for each fitted block (n m,) the noise stratum of a row, from 0: rows (a few hundred or more) whose noise has
-        one level, which is then checked on the residuals.  ``None``: unit variance is trusted everywhere.
+    shifts : term -> value - null of the parameter of each of its columns, in the unit of the column (zero for a parameter
+        that does not exist at the null).
+    strata : for each fitted block (n m,) the noise stratum of a row, from 0.  A stratum is a few hundred or more rows with a
+        common noise level, which the residuals check.  ``None``: unit variance is assumed everywhere.
     noise_known : false where the residuals are white up to an unknown common factor.
-    noise_bounded : where it is unknown: the noise has at most unit variance, so chi2/dof well above 1 is a misfit.
-    nuisances : free amplitudes that were projected out, counted in the degrees of freedom.
-    at_limit : terms of which a parameter ran to an end of its range that is not its null, or to where the term only does again
-        what the model does already.
-    error, relative_error : "fit" and "validate" as the problem defines them; rms of the residuals where left out.
+    noise_bounded : with an unknown level: the variance is at most 1, so chi2/dof well above 1 is a misfit.
+    nuisances : number of amplitudes that were projected out; they reduce the degrees of freedom.
+    at_limit : terms with a parameter at a limit of its range other than its null, or at a value where the term duplicates
+        part of the model.
+    error, relative_error : "fit" and "validate" as the problem defines them; an omitted error is the rms of the residuals.
     """
 
     ok: bool
@@ -98,13 +99,8 @@ class FitResult:
         return sum(block.chi2 for block in self.blocks)
 
     @property
-    def chi2_held(self) -> float:
-        """Sum of squares over the held-out blocks."""
-        return sum(block.chi2 for block in self.held)
-
-    @property
     def rows(self) -> int:
-        """Rows of all fitted blocks."""
+        """Number of rows of all fitted blocks."""
         return sum(block.residual.size for block in self.blocks)
 
     @property
@@ -126,8 +122,12 @@ class FitResult:
 class TermParameter:
     """A parameter of a candidate term.
 
-    ``reach`` is the largest |value - null| of its declared range; ``side`` is +1 or -1 where the null is a boundary and
-    only values above or below exist, else 0.
+    Parameters
+    ----------
+    name, unit : of the parameter.
+    null : value at which the term has no effect.
+    reach : largest |value - null| of its declared range.
+    side : +1 or -1 where the null is a boundary and only values above or below exist, else 0.
     """
 
     name: str
@@ -150,8 +150,8 @@ class Candidate:
     Parameters
     ----------
     name : of the term.
-    parameters : k of them, in the order of its columns.
-    cells : the columns of Z that belong to each grid point, k each; one cell where nothing is scanned.
+    parameters : k parameters, in the order of its columns.
+    cells : for each grid point its k columns of Z; a single cell where nothing is scanned.
     grid : for each cell the values of the parameters that do not exist at the null.
     """
 
@@ -163,10 +163,15 @@ class Candidate:
 
 @dataclass(frozen=True)
 class LocalCandidate:
-    """An absent term whose amplitudes are free in every block (lines of the mains).
+    """An absent term with free amplitudes in every block, such as mains lines.
 
-    For each grid point the fall of chi2, which over its level of noise (1 where left out) is chi2 of ``dofs`` where the term
-    does nothing; ``reach`` is the fall that could be expected of the strongest there may be.
+    Parameters
+    ----------
+    name : of the term.
+    delta_chi2s, dofs : decrease of chi2 at each grid point; at the null, delta_chi2 / level is chi-square of ``dofs``.
+    grid : for each grid point the values of the scanned parameters.
+    reach : expected delta_chi2 of the strongest term within the declared range.
+    levels : noise variance at each grid point; 1 where omitted.
     """
 
     name: str
@@ -183,10 +188,10 @@ class Signatures:
 
     Parameters
     ----------
-    candidates : each with its cells of columns; columns that belong to none are allowed.
+    candidates : absent terms, each with its cells of columns; a column may belong to none.
     blocks : for each fitted block Z_b (n m, K).
-    local : candidates that are local to the blocks.
-    grams : ``projection.stratum_grams`` of the blocks, where the problem keeps them.
+    local : candidates with free amplitudes in every block.
+    grams : ``stratum_grams`` of the blocks (strata, K, K), where the problem stores them.
     """
 
     candidates: tuple[Candidate, ...]
@@ -195,12 +200,33 @@ class Signatures:
     grams: FloatArray | None = None
 
 
+def stratum_grams(columns: Sequence[FloatArray], strata: Sequence[IntArray]) -> FloatArray:
+    """Z' Z of the rows of each stratum (strata, K, K), which is the same for every fit.
+
+    Parameters
+    ----------
+    columns : for each block Z_b (n m, K).
+    strata : for each block (n m,) the stratum of a row, from 0.
+    """
+    count = 1 + max(int(part.max(initial=0)) for part in strata)
+    grams = np.zeros((count, columns[0].shape[1], columns[0].shape[1]))
+    for z, own in zip(columns, strata):
+        for stratum in np.unique(own):
+            part = z.T[:, own == stratum]
+            grams[stratum] += part @ part.T
+    return grams
+
+
 @dataclass(frozen=True)
 class Region:
-    """A part of the data: where it is, its residual energy, and the degrees of freedom in it.
+    """Residual energy and degrees of freedom in one part of the data.
 
-    ``family`` gathers regions that cut the data along one line (frequency, time, level); shares add up within one.
-    ``robust`` is the same energy with single outliers clipped, for tests that heavy-tailed noise must not set off.
+    Parameters
+    ----------
+    family : regions of one family partition the data along one quantity (frequency, time, level); their shares add up to 1.
+    labels : where the region lies.
+    chi2, dof : energy (sum of squared whitened residuals) and degrees of freedom.
+    robust : the same energy with single outliers clipped, for tests that must not respond to heavy-tailed noise.
     """
 
     family: str
@@ -212,7 +238,7 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Residual energy by frequency, summed over all data that share the grid, where a single frequency may stand out.
+    """Residual energy by frequency, summed over all data with the same frequency grid; used to find single lines.
 
     Parameters
     ----------
@@ -226,24 +252,24 @@ class Spectrum:
 
 
 class Problem(Protocol):
-    """A model and its data, as the loop sees them."""
+    """A model and its data.  Whoever implements it (a campaign, a modal record, a lot) can be diagnosed and refined."""
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
         """Fit the baseline with these terms, from several starts; ``ok`` is false where that failed."""
         ...
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Candidates that the fit's model lacks, with their columns at their null."""
+        """Candidates that the model of the fit lacks, with their columns at the null."""
         ...
 
     def probes(self, fit: FitResult) -> Signatures:
-        """Generic shapes that any misfit is likely to touch; they are never named.  May be empty."""
+        """Generic shapes that any misfit is likely to correlate with; they are never named.  May be empty."""
         ...
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
-        """The residual energy, region by region.  May be empty."""
+        """Residual energy by region.  May be empty."""
         ...
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
-        """The residual energy of whole blocks by frequency, one for each grid.  May be empty."""
+        """Residual energy of whole blocks by frequency, one spectrum per frequency grid.  May be empty."""
         ...

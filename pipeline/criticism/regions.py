@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .problem import Region
-from .tails import log_any, log_tail
+from .significance import log_any, log_tail
 
 #: Family-wise probability that noise alone makes a region significant.
 ALPHA = 0.003

@@ -1,9 +1,9 @@
-"""A problem made of a function: least squares of measured blocks on a model with optional terms.
+"""A ``Problem`` from any function: nonlinear least squares of measured blocks on a model with optional terms.
 
-    r_b = (y_b - f_b(p)) / sigma_b,    p^ = argmin sum_b |r_b|^2,    an absent term's parameters stay at their null
+    r_b = (y_b - f_b(p)) / sigma_b,    p^ = argmin sum_b |r_b|^2,    parameters of absent terms stay at their null
 
-f is any function of the named parameters that returns its blocks.  Poles and residues that somebody else identified, lot means
-of a population, or a polynomial go through the same loop as a record.
+f is any function of named parameters that returns blocks: poles and residues of a modal record, lot means of a population, or a
+polynomial.  Shapes: block b is (n_b, m_b); its jacobian is (n_b m_b, P).  Blocks are in units of their sd.
 """
 
 from __future__ import annotations
@@ -27,8 +27,11 @@ Predict = Callable[[Values], Sequence[FloatArray]]
 class Term:
     """An optional term.
 
-    ``parameters`` have a null; ``scanned`` maps parameters that do not exist at the null to the values to try; one that
-    has a single value is held there.
+    Parameters
+    ----------
+    name : of the term.
+    parameters : those with a null.
+    scanned : parameter that does not exist at the null -> values to try; a single value is not fitted.
     """
 
     name: str
@@ -42,17 +45,17 @@ class Regression:
 
     Parameters
     ----------
-    predict : parameters -> one array (n_b, m_b) a block, the held-out blocks last.
-    measured : the blocks in the same order, residual replaced by what was measured in units of its sd.
+    predict : parameters -> for each block its prediction (n_b, m_b) in units of its sd, held-out blocks last.
+    measured : the blocks in the same order; their ``residual`` is the measured value in units of its sd.
     baseline : parameter -> start value.
-    terms : the library.
-    held : how many of the last blocks are held out.
-    scale : parameter -> the size of a step that matters; 1 where left out.
-    noise_known : the units of ``measured`` are trusted.
+    terms : candidate terms.
+    held : number of blocks, counted from the last, that are held out.
+    scale : parameter -> typical size, which sets the step of finite differences; 1 where omitted.
+    noise_known : the sd of ``measured`` is right; otherwise it is right up to a common factor.
     derive : parameters -> derived quantities.
-    probe : generic shapes (for each fitted block (n m, K)), a probe for each.
+    probe : name -> generic shapes, for each fitted block (n m, K).
     strata : for each fitted block (n m,) the noise stratum of a row.
-    limits : parameter -> the range that a fit may not leave.
+    limits : parameter -> range of a fit.
     """
 
     predict: Predict
@@ -69,12 +72,12 @@ class Regression:
 
     @property
     def fitted(self) -> int:
-        """How many blocks are fitted."""
+        """Number of fitted blocks."""
         return len(self.measured) - self.held
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
-        """Least squares from the given fit, from the null, and from every scanned value."""
-        # Loading scipy.optimize takes a fifth of a second.
+        """Least squares from the parameters of ``start`` and from the most promising scanned values."""
+        # Importing scipy.optimize takes 0.2 s, which users of the types of this module need not spend.
         from scipy.optimize import least_squares
 
         chosen = [term for term in self.terms if term.name in terms]
@@ -107,12 +110,12 @@ class Regression:
             if np.isfinite(found.cost) and (best is None or found.cost < best.cost):
                 best = found
         if best is None:
-            return FitResult(False, terms, {}, (), (), "least squares found no finite residual from any start")
+            return FitResult(False, terms, {}, (), (), "least squares found no finite residual from any start value")
         values = {name: float(x) for name, x in zip(names, best.x)}
         return self._result(terms, chosen, names, values, bool(best.status > 0))
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Central differences at the null of every absent term, on the grid of what it scans."""
+        """Central differences at the null of every absent term, for every scanned value."""
         at = {name: value for name, (value, _) in fit.parameters.items()}
         blocks: list[list[FloatArray]] = [[] for _ in range(self.fitted)]
         candidates, column = [], 0
@@ -133,7 +136,7 @@ class Regression:
         return Signatures(tuple(candidates), tuple(np.concatenate([e, *z], axis=1) for e, z in zip(empty, blocks)))
 
     def probes(self, fit: FitResult) -> Signatures:
-        """The generic shapes that came with the problem."""
+        """The generic shapes given as ``probe``."""
         shapes = self.probe or {}
         empty = [np.zeros((block.residual.size, 0)) for block in self.measured[: self.fitted]]
         candidates, column = [], 0
@@ -146,11 +149,11 @@ class Regression:
         return Signatures(tuple(candidates), tuple(blocks))
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
-        """One region a fitted block."""
+        """One region per fitted block."""
         return [Region("block", {"block": b.name}, b.chi2, float(b.residual.size)) for b in fit.blocks]
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
-        """None: rows are in no order of frequency."""
+        """Empty: the rows are not ordered by frequency."""
         return ()
 
     def _result(
@@ -182,7 +185,7 @@ class Regression:
             {name: (values[name], float(s)) for name, s in zip(names, sd)},
             blocks[: self.fitted],
             tuple(jacobian),
-            "" if ok else "least squares ran out of steps",
+            "" if ok else "least squares did not converge",
             {name: (value, float("nan")) for name, value in (self.derive(values) if self.derive else {}).items()},
             blocks[self.fitted :],
             columns,
@@ -193,9 +196,9 @@ class Regression:
         )
 
     def _at_null(self, values: Values) -> dict[str, float]:
-        """All parameters of the library: those of absent terms at their null (scanned ones at their first value)."""
+        """Parameters of all terms: absent terms at their null, scanned parameters at their first value."""
         full = {p.name: p.null for term in self.terms for p in term.parameters}
-        full.update({name: tried[0] for term in self.terms for name, tried in (term.scanned or {}).items()})
+        full.update({name: values[0] for term in self.terms for name, values in (term.scanned or {}).items()})
         return {**full, **values}
 
     def _rows(self, values: Values) -> FloatArray:
@@ -219,7 +222,7 @@ class Regression:
 
     def _bounds(self, chosen: Sequence[Term], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         sides = {p.name: (p.side, p.null) for term in chosen for p in term.parameters}
-        scans = {name: tried for term in chosen for name, tried in (term.scanned or {}).items() if len(tried) > 1}
+        scans = {name: values for term in chosen for name, values in (term.scanned or {}).items() if len(values) > 1}
         limits = self.limits or {}
         lower = [sides[n][1] if n in sides and sides[n][0] > 0 else min(scans.get(n, (-np.inf,))) for n in names]
         upper = [sides[n][1] if n in sides and sides[n][0] < 0 else max(scans.get(n, (np.inf,))) for n in names]
@@ -232,34 +235,34 @@ class Regression:
         points = [{**self._at_null(self.baseline), **known}]
         for term in chosen:
             if term.scanned and not (start is not None and term.name in start.terms):
-                points = [tried for point in points for tried in self._promising(term, point)]
+                points = [first for point in points for first in self._promising(term, point)]
         return points
 
     def _promising(self, term: Term, point: dict[str, float]) -> list[dict[str, float]]:
-        """The grid values of a scanned term that promise most after one step from here, with that step's size."""
+        """The scanned values that leave the smallest residual after one Gauss-Newton step, with the sizes of that step."""
         names = [p.name for p in term.parameters]
         rows = self._rows(point)
         shared = np.concatenate(self._columns(point, list(self.baseline)))
-        tried = []
+        trials = []
         for scanned in _grid(term):
             columns = np.concatenate(self._columns({**point, **scanned}, names))
             both = np.concatenate([shared, columns], axis=1)
             step, *_ = np.linalg.lstsq(both / np.linalg.norm(both, axis=0), rows, rcond=1e-12)
             left = rows - both / np.linalg.norm(both, axis=0) @ step
             size = step[shared.shape[1] :] / np.linalg.norm(columns, axis=0)
-            tried.append((float(np.vdot(left, left)), {**point, **scanned, **dict(zip(names, size.tolist()))}))
-        return [first for _, first in sorted(tried, key=lambda pair: pair[0])[:_STARTS]]
+            trials.append((float(np.vdot(left, left)), {**point, **scanned, **dict(zip(names, size.tolist()))}))
+        return [first for _, first in sorted(trials, key=lambda pair: pair[0])[:_STARTS]]
 
 
 def _all_names(term: Term) -> list[str]:
     return [
         *(p.name for p in term.parameters),
-        *(name for name, tried in (term.scanned or {}).items() if len(tried) > 1),
+        *(name for name, values in (term.scanned or {}).items() if len(values) > 1),
     ]
 
 
 def _grid(term: Term) -> list[dict[str, float]]:
     points: list[dict[str, float]] = [{}]
-    for name, tried in (term.scanned or {}).items():
-        points = [{**point, name: value} for point in points for value in tried]
+    for name, values in (term.scanned or {}).items():
+        points = [{**point, name: value} for point in points for value in values]
     return points

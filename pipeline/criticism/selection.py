@@ -1,300 +1,298 @@
-"""The loop: look, add the best term, refit all, test every member for removal, until nothing more is warranted.
+"""Forward selection: test the fit, add the best term, refit all parameters, test every term for removal, and repeat.
 
 A term is added when its score is significant among all candidates, its refit lowers chi2 as significantly, and the held-out
-chi2 does not rise by more than 2 sd of the paired difference; where the noise level is not known, it has to fall by as much,
-for F-tests take all that is left for white noise.  A member is removed when the fit without it is not
-significantly worse.  Where no single candidate is significant but a pair is, the pair is added, one rung each.
+chi2 does not rise by more than 2 sd of the paired difference.  Where the noise level is unknown, the held-out chi2 must fall by
+that much, because an F-test takes every remaining misfit for white noise.  A term is removed when the fit without it is not
+significantly worse.  Where no single candidate is significant but a pair is, both terms of the pair are added.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
-from .fit_tests import FitTests, Rules, fit_tests
+from .fit_tests import (
+    FitTests,
+    PairedDifference,
+    Rules,
+    fit_tests,
+    held_out_difference,
+    is_clear,
+    is_nonzero,
+    lacks_support,
+    log_p_of_decrease,
+)
 from .goodness import excess
-from .heldout import Paired, paired
 from .pairs import best_pairs
 from .problem import FitResult, Problem
 from .scores import Score
-from .tails import log_tail
+from .significance import log_tail
 
-#: A member this significant by its own estimate needs no refit without it.
-SURE = 8.0
-#: F statistics above this are as good as infinite.
-_LARGEST = 1e100
-#: Points of a grid within this share of each other are one place.
-_NEAR = 0.05
-_ENDED = "refitted, it ran to the end of its range, or to where the model is already"
+#: Relative difference below which two values of a scanned parameter are the same grid point.
+_SAME_POINT = 0.05
+_AT_LIMIT = "after its refit, a parameter is at the limit of its range, or the term duplicates part of the model"
+
+Fits = Mapping[frozenset[str], FitResult]
+
+
+class FitCache:
+    """Makes each fit of a problem once.  It grows with use and is never part of a result; ``fits`` is a copy."""
+
+    def __init__(self, problem: Problem, fits: Fits | None = None) -> None:
+        self._problem = problem
+        self._fits = dict(fits or {})
+
+    def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
+        """The fit with these terms, from ``start`` where it has not been made before."""
+        key = frozenset(terms)
+        if key not in self._fits:
+            self._fits[key] = self._problem.fit(terms, start)
+        return self._fits[key]
+
+    @property
+    def fits(self) -> Fits:
+        """All fits made so far, by their terms."""
+        return dict(self._fits)
 
 
 @dataclass(frozen=True, eq=False)
 class SelectionStep:
-    """One term added: the fit with it, the fall of chi2, what held-out data say, and the members dropped for it.
+    """One term added.
 
-    ``alone``: it was significant by itself, not only in a pair.
+    Parameters
+    ----------
+    term : the term.
+    fit : with the term in the model.
+    delta_chi2 : decrease of the fitted chi2.
+    held : decrease of the held-out chi2.
+    dropped : terms removed afterwards.
+    alone : the term was significant by itself, not only as one of a pair.
     """
 
     term: str
     fit: FitResult
     delta_chi2: float
-    held: Paired
+    held: PairedDifference
     dropped: tuple[str, ...] = ()
     alone: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class ForwardSelection:
-    """How far the loop came.
+    """Course and end of a forward selection.
 
     Parameters
     ----------
-    looks : at the start and after every pass of the loop; the last is the end.
-    steps : the terms added, in order.
+    tests : of the first fit and of the fit after every pass; the last entry is the end.  Empty where the first fit failed.
+    steps : terms added, in order.
     refused : term -> why it was not added although its score was significant.
-    failed : the reason when the first fit failed, or those of every term that was wanted first.
-    fits : every fit made, by its terms.
+    failed : why the first fit, or every fit with a term that was wanted first, failed.
+    fits : every fit made, by its terms; the first entry is the first fit.
     """
 
-    steps_tested: tuple[FitTests, ...]
+    tests: tuple[FitTests, ...]
     steps: tuple[SelectionStep, ...]
-    refused: dict[str, str] = field(default_factory=dict)
+    refused: Mapping[str, str] = field(default_factory=dict)
     failed: str = ""
-    fits: dict[frozenset[str], FitResult] = field(default_factory=dict)
+    fits: Fits = field(default_factory=dict)
 
     @property
     def last(self) -> FitTests:
-        """The end of the climb."""
-        return self.steps_tested[-1]
+        """Tests of the last fit."""
+        return self.tests[-1]
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Added terms that are in the last model."""
+        steps = {step.term for step in self.steps}
+        return tuple(term for term in self.last.fit.terms if term in steps)
+
+
+@dataclass(frozen=True)
+class _Refusal:
+    """Why a refitted term is not added."""
+
+    reason: str
+    kind: Literal["failed", "at limit", "other"] = "other"
+
+
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """The terms to add (none, one, or a pair), reasons of refusals, and terms whose fit failed or ended at a limit."""
+
+    steps: tuple[SelectionStep, ...]
+    refused: Mapping[str, str] = field(default_factory=dict)
+    failed: tuple[str, ...] = ()
+    at_limit: Mapping[str, Score] = field(default_factory=dict)
 
 
 def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> ForwardSelection:
-    """Add terms until nothing more is warranted; ``terms`` are in the model from the start and may be removed too."""
+    """Add terms until no further one is justified; ``terms`` are in the first model and may be removed too."""
     rules = rules or Rules()
-    start = problem.fit(terms)
-    fits = {frozenset(terms): start}
+    cache = FitCache(problem)
+    start = cache.fit(terms)
     if not start.ok:
-        return ForwardSelection((), (), {}, start.why or "the baseline could not be fitted", fits)
-    steps_tested, failed = [fit_tests(problem, start, rules)], ""
+        return ForwardSelection((), (), {}, start.why or "the baseline could not be fitted", cache.fits)
+    tests, failed = [fit_tests(problem, start, rules)], ""
     steps: list[SelectionStep] = []
     refused: dict[str, str] = {}
-    ended: dict[str, Score] = {}
+    at_limit: dict[str, Score] = {}
     while len(steps) < rules.rungs:
-        step, reasons, failures = _next(problem, steps_tested[-1], fits, ended, rules)
-        refused.update(reasons | dict.fromkeys(failures, "its fit failed, or raised chi2"))
-        if not step:
-            # Later, the rungs that stand and the misfit that they leave speak for themselves.
-            failed = "" if not failures or reasons or steps else f"no fit with {', '.join(failures)} succeeded"
+        found = _next(cache, tests[-1], at_limit, rules)
+        at_limit |= found.at_limit
+        refused |= {**found.refused, **dict.fromkeys(found.failed, "its fit failed or raised chi2")}
+        if not found.steps:
+            # After the first step a failure is no longer the outcome: the misfit that is left decides the verdict.
+            if found.failed and not found.refused and not steps:
+                failed = f"no fit with {', '.join(found.failed)} succeeded"
             break
-        current, dropped = _prune(problem, step[-1].fit, fits, rules)
-        step = (*step[:-1], replace(step[-1], fit=current, dropped=dropped))
-        seen = any(frozenset(current.terms) == frozenset(old.fit.terms) for old in steps_tested)
-        steps.extend(step)
-        if seen:
+        current, dropped = _prune(cache, found.steps[-1].fit, rules)
+        steps += [*found.steps[:-1], replace(found.steps[-1], fit=current, dropped=dropped)]
+        if any(frozenset(current.terms) == frozenset(old.fit.terms) for old in tests):
             break
-        steps_tested.append(fit_tests(problem, current, rules))
-    return ForwardSelection(tuple(steps_tested), tuple(steps), refused, failed, fits)
+        tests.append(fit_tests(problem, current, rules))
+    return ForwardSelection(tuple(tests), tuple(steps), refused, failed, cache.fits)
 
 
-def _next(
-    problem: Problem,
-    here: FitTests,
-    fits: dict[frozenset[str], FitResult],
-    ended: dict[str, Score],
-    rules: Rules,
-) -> tuple[tuple[SelectionStep, ...], dict[str, str], tuple[str, ...]]:
-    """The best step from here (one term, or a pair), reasons of refusals, and terms whose fit failed.
+def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules: Rules) -> _Pass:
+    """Refit the leading candidates and choose one, or a pair where no candidate is significant.
 
-    ``ended`` keeps the scores of terms whose refit ran to an end: while the scan is best at the same place it would again.
+    ``at_limit`` holds the scores of terms whose refit ended at a limit; while their scan peaks at the same grid point it would
+    do so again.
     """
     reasons: dict[str, str] = {}
-    failures: list[str] = []
+    failed: list[str] = []
+    limited: dict[str, Score] = {}
     trials: list[SelectionStep] = []
-    significant = here.significant(rules.alpha)
-    top = max((score.delta_chi2 for score in significant), default=0.0)
-    # A misfit that many terms nibble at is the misfit of something else.
-    misfit = excess(here.regions) if here.fit.noise_known else 0.0
-    near = [score for score in significant if score.delta_chi2 >= rules.near * top]
-    # Without a noise level F-tests find something in whatever is left; where held-out data refuse the strongest, it is that.
-    trifles = not here.fit.noise_known and bool(here.fit.held)
-    for score in [*near, *(score for score in significant if score not in near)]:
-        if len(trials) >= rules.contenders or (trials and (score not in near or _settled(trials, here, score, rules))):
+    significant = tests.significant(rules.alpha)
+    largest = max((score.delta_chi2 for score in significant), default=0.0)
+    # Where many terms each explain a small part of the misfit, something else causes it.
+    misfit = excess(tests.regions) if tests.fit.noise_known else 0.0
+    leading = [score for score in significant if score.delta_chi2 >= rules.contender_share * largest]
+    # With an unknown noise level F-tests find some term in any misfit: once the strongest are refused, weaker ones are too.
+    held_out_decides = not tests.fit.noise_known and bool(tests.fit.held)
+    for score in [*leading, *(score for score in significant if score not in leading)]:
+        name = score.name
+        if len(trials) >= rules.contenders or (
+            trials and (score not in leading or _settled(trials, tests, score, rules))
+        ):
             break
-        if score.delta_chi2 < rules.promise * misfit:
-            reasons[score.name] = f"it promises less than {100 * rules.promise:.0f} % of the misfit"
-            continue
-        if trifles and len(reasons) + len(failures) >= rules.contenders:
-            reasons[score.name] = "not refitted: terms that promise more were refused"
-            continue
-        if score.name in ended and _same_place(score, ended[score.name]):
-            reasons[score.name] = _ENDED
-            continue
-        fit = _fit(problem, (*here.fit.terms, score.name), here.fit, fits)
-        if not fit.ok or fit.chi2 > here.fit.chi2 * (1.0 + 1e-9):
-            failures.append(score.name)
-            continue
-        if score.name in fit.at_limit:
-            reasons[score.name] = _ENDED
-            ended[score.name] = score
-            continue
-        if not _is_nonzero(fit, score.name):
-            reasons[score.name] = "refitted, its size cannot be told from none"
-            continue
-        fall = here.fit.chi2 - fit.chi2
-        if not _worth(fall, here, score.parameters, rules.alpha):
-            reasons[score.name] = "refitted, chi2 fell too little"
-            continue
-        if fall < rules.least * misfit:
-            reasons[score.name] = f"refitted, it takes less than {100 * rules.least:.0f} % of the misfit"
-            continue
-        held = _held(here.fit, fit)
-        if held.standing == "refused":
-            reasons[score.name] = f"held-out chi2 rose by {-held.fall:.3g} +- {held.sd:.2g}"
-            continue
-        if _unsupported(fit, held):
-            reasons[score.name] = (
-                f"held-out chi2 fell by {held.fall:.3g} +- {held.sd:.2g}: no support where no noise level is known"
-            )
-            continue
-        trials.append(SelectionStep(score.name, fit, fall, held))
-    if trials:
-        sizes = {score.name: score.parameters for score in here.scores}
-        return (max(trials, key=lambda step: step.delta_chi2 - 2.0 * sizes[step.term]),), reasons, tuple(failures)
+        if score.delta_chi2 < rules.least_expected * misfit:
+            reasons[name] = f"its expected decrease of chi2 is below {100 * rules.least_expected:.0f} % of the misfit"
+        elif held_out_decides and len(reasons) + len(failed) >= rules.contenders:
+            reasons[name] = "not refitted: stronger candidates were refused"
+        elif name in at_limit and _same_point(score, at_limit[name]):
+            reasons[name] = _AT_LIMIT
+        else:
+            trial = _trial(cache, tests, score, misfit, rules)
+            if isinstance(trial, SelectionStep):
+                trials.append(trial)
+            elif trial.kind == "failed":
+                failed.append(name)
+            else:
+                reasons[name] = trial.reason
+                limited |= {name: score} if trial.kind == "at limit" else {}
     if significant:
-        return (), reasons, tuple(failures)
-    return _pair(problem, here, fits, rules), reasons, ()
+        sizes = {score.name: score.parameters for score in tests.scores}
+        best = max(trials, key=lambda step: step.delta_chi2 - 2.0 * sizes[step.term], default=None)
+        return _Pass(() if best is None else (best,), reasons, tuple(failed), limited)
+    return _Pass(_pair(cache, tests, rules))
 
 
-def _same_place(now: Score, before: Score) -> bool:
-    """Whether the scans of a term's grid are best at the same point; a term without one is always to be refitted."""
+def _trial(cache: FitCache, tests: FitTests, score: Score, misfit: float, rules: Rules) -> SelectionStep | _Refusal:
+    """Refit with a candidate in the model and judge the result."""
+    fit = cache.fit((*tests.fit.terms, score.name), tests.fit)
+    if not fit.ok or fit.chi2 > tests.fit.chi2 * (1.0 + 1e-9):
+        return _Refusal("", "failed")
+    if score.name in fit.at_limit:
+        return _Refusal(_AT_LIMIT, "at limit")
+    if not is_nonzero(fit, score.name):
+        return _Refusal("after its refit, its size is not significantly different from zero")
+    delta_chi2 = tests.fit.chi2 - fit.chi2
+    if not _significant(delta_chi2, tests, score.parameters, rules.alpha):
+        return _Refusal("after its refit, the decrease of chi2 is not significant")
+    if delta_chi2 < rules.least_share * misfit:
+        return _Refusal(f"after its refit, it explains less than {100 * rules.least_share:.0f} % of the misfit")
+    held = held_out_difference(tests.fit, fit)
+    if held.status == "refused":
+        return _Refusal(f"the held-out chi2 rises by {-held.delta_chi2:.3g} +- {held.sd:.2g}")
+    if lacks_support(fit, held):
+        change = f"the held-out chi2 falls by {held.delta_chi2:.3g} +- {held.sd:.2g} only"
+        return _Refusal(f"{change}, and the noise level is unknown")
+    return SelectionStep(score.name, fit, delta_chi2, held)
+
+
+def _same_point(now: Score, before: Score) -> bool:
+    """Whether the scan of a term peaks at the same grid point; false for a term without a grid, which is always refitted."""
     points = [{name: value for name, (value, sd) in score.estimate.items() if np.isnan(sd)} for score in (now, before)]
     return (
         bool(points[0])
         and points[0].keys() == points[1].keys()
-        and all(abs(value - points[1][name]) <= _NEAR * abs(points[1][name]) for name, value in points[0].items())
+        and all(abs(value - points[1][name]) <= _SAME_POINT * abs(points[1][name]) for name, value in points[0].items())
     )
 
 
-def _settled(trials: list[SelectionStep], here: FitTests, rival: Score, rules: Rules) -> bool:
-    """Whether a refit that kept its promise fell so far that a rival which promises less is not worth one."""
-    promised = {score.name: score.delta_chi2 for score in here.scores}
-    kept = (step.delta_chi2 for step in trials if step.delta_chi2 > rules.kept * promised[step.term])
-    return rival.delta_chi2 < rules.kept * max(kept, default=0.0)
+def _settled(trials: list[SelectionStep], tests: FitTests, rival: Score, rules: Rules) -> bool:
+    """Whether a refit has reached its expected decrease of chi2, and the rival expects so much less that it is not refitted."""
+    expected = {score.name: score.delta_chi2 for score in tests.scores}
+    reached = (step.delta_chi2 for step in trials if step.delta_chi2 > rules.settled_share * expected[step.term])
+    return rival.delta_chi2 < rules.settled_share * max(reached, default=0.0)
 
 
-def _pair(
-    problem: Problem, here: FitTests, fits: dict[frozenset[str], FitResult], rules: Rules
-) -> tuple[SelectionStep, ...]:
-    """The most significant pair, where something is left (or nobody can tell) and no single term passes."""
-    if here.fit.noise_known and here.goodness.p_value >= rules.alpha_left:
+def _pair(cache: FitCache, tests: FitTests, rules: Rules) -> tuple[SelectionStep, ...]:
+    """The most significant pair, where structure is left (or the noise level is unknown) and no single term is significant."""
+    fit = tests.fit
+    if fit.noise_known and tests.goodness.p_value >= rules.alpha_left:
         return ()
-    pairs = best_pairs(here.projected, here.signatures.candidates, here.fit.noise_known, seed=rules.seed)
+    pairs = best_pairs(tests.projected, tests.signatures.candidates, fit.noise_known, seed=rules.seed)
     if not pairs or pairs[0].p_value >= rules.alpha:
         return ()
-    first, second = sorted(pairs[0].names, key=lambda name: -_fall(here, name))
-    one = _fit(problem, (*here.fit.terms, first), here.fit, fits)
-    both = _fit(problem, (*here.fit.terms, first, second), one if one.ok else here.fit, fits)
-    if not (one.ok and both.ok and both.chi2 <= one.chi2 <= here.fit.chi2) or {first, second} & set(both.at_limit):
+    scores = {score.name: score for score in tests.scores}
+    first, second = sorted(pairs[0].names, key=lambda name: -scores[name].delta_chi2)
+    one = cache.fit((*fit.terms, first), fit)
+    both = cache.fit((*fit.terms, first, second), one if one.ok else fit)
+    if not (one.ok and both.ok and both.chi2 <= one.chi2 <= fit.chi2) or {first, second} & set(both.at_limit):
         return ()
-    sizes = sum(score.parameters for score in here.scores if score.name in (first, second))
-    if not _worth(here.fit.chi2 - both.chi2, here, sizes, rules.alpha):
+    parameters = scores[first].parameters + scores[second].parameters
+    if not _significant(fit.chi2 - both.chi2, tests, parameters, rules.alpha):
         return ()
-    whole = _held(here.fit, both)
-    if whole.standing == "refused" or _unsupported(both, whole):
+    held = held_out_difference(fit, both)
+    if held.status == "refused" or lacks_support(both, held):
         return ()
     return (
-        SelectionStep(first, one, here.fit.chi2 - one.chi2, _held(here.fit, one), alone=False),
-        SelectionStep(second, both, one.chi2 - both.chi2, _held(one, both), alone=False),
+        SelectionStep(first, one, fit.chi2 - one.chi2, held_out_difference(fit, one), alone=False),
+        SelectionStep(second, both, one.chi2 - both.chi2, held_out_difference(one, both), alone=False),
     )
 
 
-def _held(before: FitResult, after: FitResult) -> Paired:
-    """What the held-out data say of the step from one fit to a larger one."""
-    level = 1.0 if after.noise_known else float(np.sqrt(after.chi2 / max(after.dof, 1)))
-    return paired(before.held, after.held, level)
+def _significant(delta_chi2: float, tests: FitTests, parameters: int, alpha: float) -> bool:
+    """Whether the decrease of chi2 in a refit is as significant as the score had to be."""
+    return bool(log_p_of_decrease(delta_chi2, parameters, tests) <= max(tests.null.critical(alpha), np.log(alpha)))
 
 
-def _unsupported(fit: FitResult, held: Paired) -> bool:
-    """Whether neither a noise level nor held-out data speak for a term that F-tests call significant."""
-    return not fit.noise_known and bool(fit.held) and held.standing != "confirmed"
-
-
-def _fall(here: FitTests, name: str) -> float:
-    return next(score.delta_chi2 for score in here.scores if score.name == name)
-
-
-def _worth(fall: float, here: FitTests, parameters: int, alpha: float) -> bool:
-    """Whether a refit's fall is as significant as the score had to be."""
-    return bool(tail_of_fall(fall, parameters, here) <= max(here.null.critical(alpha), np.log(alpha)))
-
-
-def tail_of_fall(fall: float, parameters: int, here: FitTests) -> float:
-    """log p of a fall of chi2 that ``parameters`` bring, at the noise level of this look (never below the nominal one)."""
-    if here.fit.noise_known:
-        return float(log_tail(fall / max(here.goodness.level, 1.0) ** 2, parameters))
-    left = max(here.fit.dof - parameters, 1)
-    return float(log_tail(min(fall * left / max(here.fit.chi2 - fall, 1e-300), _LARGEST), parameters, left))
-
-
-def tail_of_rise(rise: float, parameters: int, here: FitTests) -> float:
-    """log p of a rise of chi2 above this look's fit where ``parameters`` of it are taken away."""
-    if here.fit.noise_known:
-        return tail_of_fall(rise, parameters, here)
-    left = max(here.fit.dof, 1)
-    return float(log_tail(min(rise * left / max(here.fit.chi2, 1e-300), _LARGEST), parameters, left))
-
-
-def _prune(
-    problem: Problem, fit: FitResult, fits: dict[frozenset[str], FitResult], rules: Rules
-) -> tuple[FitResult, tuple[str, ...]]:
-    """Remove every member without which the fit is not significantly worse, the least significant first."""
+def _prune(cache: FitCache, fit: FitResult, rules: Rules) -> tuple[FitResult, tuple[str, ...]]:
+    """Remove every term without which the fit is not significantly worse, the least significant first."""
     dropped: list[str] = []
     while len(fit.terms) > 1:
         worst: tuple[float, FitResult, str] | None = None
         for term in fit.terms[:-1] if not dropped else fit.terms:
-            if wald(fit, term) > SURE**2:
+            if is_clear(fit, term):
                 continue
-            less = _fit(problem, tuple(name for name in fit.terms if name != term), fit, fits)
-            if not less.ok:
+            smaller = cache.fit(tuple(name for name in fit.terms if name != term), fit)
+            if not smaller.ok:
                 continue
             level = fit.chi2 / max(fit.dof, 1)
             level = max(1.0, level) if fit.noise_known else max(level, 1e-300)
-            rise = max(less.chi2 - fit.chi2, 0.0) / level
-            own = max(less.dof - fit.dof, 1)
-            log_p = float(log_tail(rise, own, None if fit.noise_known else max(fit.dof, 1)))
+            increase = max(smaller.chi2 - fit.chi2, 0.0) / level
+            own = max(smaller.dof - fit.dof, 1)
+            log_p = float(log_tail(increase, own, None if fit.noise_known else max(fit.dof, 1)))
             if log_p > np.log(rules.alpha) and (worst is None or log_p > worst[0]):
-                worst = (log_p, less, term)
+                worst = (log_p, smaller, term)
         if worst is None:
             break
         fit = worst[1]
         dropped.append(worst[2])
     return fit, tuple(dropped)
-
-
-def _is_nonzero(fit: FitResult, term: str) -> bool:
-    """Whether the size of a term is seen in its own uncertainty; a fall of chi2 without it is a jump at the null."""
-    return not any(fit.shifts.get(term, ())) or wald(fit, term) > 1.0
-
-
-def wald(fit: FitResult, term: str) -> float:
-    """theta' C^-1 theta of a member, from the jacobian alone."""
-    gram = sum((jac.T @ jac for jac in fit.jacobian), np.zeros((fit.jacobian[0].shape[1],) * 2))
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    covariance = np.linalg.pinv(gram / scale / scale[:, None], rcond=1e-14, hermitian=True)
-    own = [i for i, shift in zip(fit.columns[term], fit.shifts[term]) if shift != 0.0]
-    if not own:
-        return 0.0
-    theta = np.array([shift for shift in fit.shifts[term] if shift != 0.0]) * scale[own]
-    part = covariance[np.ix_(own, own)]
-    level = max(1.0, fit.chi2 / max(fit.dof, 1)) if fit.noise_known else fit.chi2 / max(fit.dof, 1)
-    return float(theta @ np.linalg.pinv(part, hermitian=True) @ theta) / max(level, 1e-300)
-
-
-def _fit(
-    problem: Problem, terms: tuple[str, ...], start: FitResult, fits: dict[frozenset[str], FitResult]
-) -> FitResult:
-    key = frozenset(terms)
-    if key not in fits:
-        fits[key] = problem.fit(terms, start)
-    return fits[key]

@@ -1,18 +1,17 @@
-"""Terms that many units share: the scores of all of them together, though a single one has too little evidence.
+"""Terms that many units share: the scores of all units together, although a single unit has too little evidence.
 
-Unit i has, for the columns of a term, a score s_i, its information G_i and its covariance C_i, the unit's own parameters
-projected out (``projection``).  Where the term is null, s_i has mean 0 and covariance C_i; where its size is theta_i, mean
-G_i theta_i.
+Unit i has, for the columns of a term, a score s_i, its information G_i and its covariance C_i, with the unit's own parameters
+projected out (``scores``).  At the null, s_i has mean 0 and covariance C_i; for a term of size theta_i, its mean is G_i theta_i.
 
-    common   T = (sum s_i)' (sum C_i)^+ (sum s_i)          chi2_k        one size for all
-    spread   Q = sum s_i' C_i^+ s_i                        chi2_{nk}     a size of its own for each, of either sign
+    common   T = (sum s_i)' (sum C_i)^+ (sum s_i)          chi2_k        one size for all units
+    spread   Q = sum s_i' C_i^+ s_i                        chi2_{nk}     a size of either sign for each unit
 
-Both are judged (p = 2 min), with C_i times the dispersion of the scores where that is above 1.  A term is shared when its p is
-family-wise significant and stays so without the most telling units, as many as stand for a tenth of the population, one at
-least: what one odd unit has (or a few of many) is its own.  Units that are each significant and together stand for less than
-that tenth are set aside first, so that they neither make nor mask what the others share.
+The better of both counts (p = 2 min).  C_i is multiplied by the dispersion of the scores where that exceeds 1.  A term is shared
+when its p is family-wise significant and remains so without the most significant units, as many as represent a tenth of the
+population and at least one: what one odd unit (or a few of many) has is not shared.  Units that are each significant by
+themselves and together represent less than a tenth are set aside first, so that they neither create nor mask a shared term.
 
-Shapes: n units, K columns in all, k of a term.  ``weights`` (n,): how many units of the population each stands for.
+Shapes: n units, K columns in all, k of a term.  ``weights`` (n,): number of units of the population that each represents.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ import numpy as np
 from scipy.stats import chi2
 
 from ..arrays import BoolArray, FloatArray
-from .tails import log_any, log_tail
+from .significance import log_any, log_tail
 
-#: What is carried by less than this share of the population is not shared.
-TENTH = 0.1
+#: A term that a smaller share of the population has is not shared.
+MIN_PREVALENCE = 0.1
 _RANK = 1e-9
-#: A column of which a unit shows less than this share of what units show on average is not seen there at all.
-_UNSEEN = 1e-12
+#: A column with less than this share of its mean information over the units is treated as absent in a unit.
+_NO_INFORMATION = 1e-12
 
 
 @dataclass(frozen=True)
 class SharedTerm:
-    """A term: its columns, and for each +1 or -1 where only that side of the null exists, else 0."""
+    """A term: its columns, and for each the side (+1 or -1) on which it exists, or 0 for both."""
 
     name: str
     columns: tuple[int, ...]
@@ -45,9 +44,13 @@ class SharedTerm:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Scores (n, K), their information and covariance (n, K, K), and the units' weights (n,).
+    """Scores of n units, per unit of each parameter.
 
-    In the terms' own units; a column that a unit does not have is zero there.
+    Parameters
+    ----------
+    score : (n, K); a column that a unit lacks is zero.
+    information, covariance : (n, K, K) G_i and C_i.
+    weights : (n,) number of units of the population that each represents.
     """
 
     score: FloatArray
@@ -56,31 +59,31 @@ class Evidence:
     weights: FloatArray
 
     def scaled(self) -> tuple[Evidence, FloatArray]:
-        """The same with columns in units of their mean information, and those units (K,)."""
+        """The same with columns of unit mean information, and the scale (K,) by which they were divided."""
         mean = np.sqrt(np.maximum(np.mean(np.diagonal(self.information, axis1=1, axis2=2), axis=0), 0.0))
         scale = np.where(mean > 0.0, mean, 1.0)
-        seen = np.diagonal(self.information, axis1=1, axis2=2) > _UNSEEN * scale**2
-        both = np.where(seen[:, :, None] & seen[:, None, :], 1.0, 0.0) / np.outer(scale, scale)
-        score = np.where(seen, self.score / scale, 0.0)
+        present = np.diagonal(self.information, axis1=1, axis2=2) > _NO_INFORMATION * scale**2
+        both = np.where(present[:, :, None] & present[:, None, :], 1.0, 0.0) / np.outer(scale, scale)
+        score = np.where(present, self.score / scale, 0.0)
         return Evidence(score, self.information * both, self.covariance * both, self.weights), scale
 
     def of(self, units: BoolArray) -> Evidence:
-        """Some of the units."""
+        """The units selected by a mask (n,)."""
         return Evidence(self.score[units], self.information[units], self.covariance[units], self.weights[units])
 
 
 @dataclass(frozen=True)
 class Joint:
-    """What all units say of one term.
+    """Joint test of one term on all units.
 
     Parameters
     ----------
     name : of the term.
     log_p_common, log_p_spread : of T and Q.
-    log_p : of the better of both, Bonferroni's two counted.
-    log_p_without : the same without the most telling units.
-    size, size_sd : the common size of each column, in its own unit.
-    right_side : the common size lies where the term exists.
+    log_p : of the better of both, by Bonferroni.
+    log_p_without : the same without the most significant units.
+    size, size_sd : common size of each column and its sd, in the unit of the parameter.
+    right_side : the common size is on the side where the term exists.
     """
 
     name: str
@@ -95,14 +98,14 @@ class Joint:
 
 @dataclass(frozen=True)
 class Shared:
-    """What units share.
+    """What the units share.
 
     Parameters
     ----------
-    terms : all that were judged, most significant first; ``nearest`` is the name of the first.
-    found : the best of those that are shared, or ``None``.
-    rivals : terms that could stand for ``found``.
-    log_p_any : its log p, no unit left out, every term counted.
+    terms : tests of all terms, most significant first.
+    found : the most significant shared term, or ``None``.
+    rivals : terms that could replace ``found``.
+    nearest, log_p_any : name of the most significant term, and its log p with the number of terms counted, no unit left out.
     aside : (n,) units that were set aside as odd.
     dispersion : of the scores, at least 1.
     """
@@ -123,23 +126,23 @@ def shared(
 
     Parameters
     ----------
-    evidence : of n units.
+    evidence : scores of n units.
     terms : candidates.
-    population : how many units there are in all; a tenth of them is not "many".
-    alpha : family-wise probability of naming a term where there is none.
-    trials : how many such families are looked at.
+    population : number of units in all, of which a tenth is the smallest share that counts.
+    alpha : family-wise probability of naming a term where none is shared.
+    trials : number of families of terms that are tested.
     """
     if not terms or evidence.score.shape[0] == 0:
         return Shared((), None, (), "", 0.0, (False,) * evidence.score.shape[0], 1.0)
     whole, scale = evidence.scaled()
-    alone, dispersion = _alone(whole, terms)
-    budget = TENTH * population
-    odd = np.asarray(log_any(alone.min(axis=1), float(len(terms))) < np.log(alpha))
+    single_log_p, dispersion = _single_units(whole, terms)
+    budget = MIN_PREVALENCE * population
+    odd = np.asarray(log_any(single_log_p.min(axis=1), float(len(terms))) < np.log(alpha))
     if whole.weights[odd].sum() > budget:
         odd = np.zeros_like(odd)
     kept = whole.of(~odd)
     left = max(budget - float(whole.weights[odd].sum()), 0.0)
-    joints = [_judged(kept, term, scale, dispersion, left) for term in terms]
+    joints = [_joint(kept, term, scale, dispersion, left) for term in terms]
     order = sorted(range(len(terms)), key=lambda i: joints[i].log_p)
     count = float(len(terms)) * trials
     found = next(
@@ -154,7 +157,7 @@ def shared(
     rivals: tuple[str, ...] = ()
     if found is not None:
         others = [term for i, term in enumerate(terms) if i != found]
-        rivals = tuple(o.name for o in others if _stands_for(kept, terms[found], o, dispersion, alpha))
+        rivals = tuple(o.name for o in others if _replaces(kept, terms[found], o, dispersion, alpha))
     return Shared(
         tuple(joints[i] for i in order),
         None if found is None else joints[found],
@@ -166,27 +169,27 @@ def shared(
     )
 
 
-def _alone(whole: Evidence, terms: Sequence[SharedTerm]) -> tuple[FloatArray, float]:
-    """log p of each unit and term (n, E), and the dispersion of typical units over typical terms.
+def _single_units(whole: Evidence, terms: Sequence[SharedTerm]) -> tuple[FloatArray, float]:
+    """log p of each unit and term (n, E), and the dispersion: the median over terms of the median over units.
 
-    The dispersion is that of what each term adds to the one that falls furthest: what is shared is no dispersion.
+    The dispersion is taken from what each term adds to the strongest one, because a shared term is not dispersion.
     """
     log_p = np.zeros((whole.score.shape[0], len(terms)))
-    delta_chi2s, ranks = zip(*(_falls(whole, term.columns) for term in terms))
-    for j, (fall, rank) in enumerate(zip(delta_chi2s, ranks)):
+    delta_chi2s, ranks = zip(*(_delta_chi2s(whole, term.columns) for term in terms))
+    for j, (decrease, rank) in enumerate(zip(delta_chi2s, ranks)):
         for k in np.unique(rank[rank > 0]):
-            log_p[rank == k, j] = log_tail(fall[rank == k], int(k))
-    best = int(np.argmax([np.median(fall - rank) for fall, rank in zip(delta_chi2s, ranks)]))
+            log_p[rank == k, j] = log_tail(decrease[rank == k], int(k))
+    best = int(np.argmax([np.median(decrease - rank) for decrease, rank in zip(delta_chi2s, ranks)]))
     excess = []
     for term in (term for j, term in enumerate(terms) if j != best):
-        both, rank = _falls(whole, (*term.columns, *terms[best].columns))
-        more, seen = both - delta_chi2s[best], rank > ranks[best]
-        if seen.any():
-            excess.append(float(np.median(more[seen] / chi2.median((rank - ranks[best])[seen]))))
+        both, rank = _delta_chi2s(whole, (*term.columns, *terms[best].columns))
+        added, larger = both - delta_chi2s[best], rank > ranks[best]
+        if larger.any():
+            excess.append(float(np.median(added[larger] / chi2.median((rank - ranks[best])[larger]))))
     return log_p, max(1.0, float(np.median(excess)) if excess else 1.0)
 
 
-def _falls(evidence: Evidence, columns: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+def _delta_chi2s(evidence: Evidence, columns: Sequence[int]) -> tuple[FloatArray, FloatArray]:
     """s_i' C_i^+ s_i (n,) and the ranks (n,)."""
     own = list(columns)
     score, covariance = evidence.score[:, own], evidence.covariance[:, own][:, :, own]
@@ -209,17 +212,17 @@ def _quadratic(score: FloatArray, covariance: FloatArray) -> tuple[FloatArray, i
     return np.einsum("ni,nij,nj->n", score, inverse, score), int(rank.max(initial=0.0))
 
 
-def _judged(kept: Evidence, term: SharedTerm, scale: FloatArray, dispersion: float, budget: float) -> Joint:
+def _joint(kept: Evidence, term: SharedTerm, scale: FloatArray, dispersion: float, budget: float) -> Joint:
     own = list(term.columns)
     score = kept.score[:, own]
     information = kept.information[:, own][:, :, own]
     covariance = kept.covariance[:, own][:, :, own] * dispersion
-    delta_chi2s, ranks = _falls(kept, own)
+    delta_chi2s, ranks = _delta_chi2s(kept, own)
     delta_chi2s = delta_chi2s / dispersion
     common, spread = _log_common(score, covariance), _log_spread(delta_chi2s, ranks)
     without = min(
-        _log_common(*_less(score, covariance, kept.weights, budget)),
-        _log_spread(*_least(delta_chi2s, ranks, kept.weights, budget)),
+        _log_common(*_without_strongest_common(score, covariance, kept.weights, budget)),
+        _log_spread(*_without_strongest_spread(delta_chi2s, ranks, kept.weights, budget)),
     )
     inverse = _inverses(information.sum(axis=0)[None])[0][0]
     size = inverse @ score.sum(axis=0)
@@ -249,29 +252,29 @@ def _log_spread(delta_chi2s: FloatArray, ranks: FloatArray) -> float:
     return float(log_tail(float(delta_chi2s.sum()), dof)) if dof else 0.0
 
 
-def _less(
+def _without_strongest_common(
     score: FloatArray, covariance: FloatArray, weights: FloatArray, budget: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Scores and covariances without the units whose leaving takes most from T."""
+    """Scores and covariances without the units whose removal lowers T most."""
     kept = np.ones(score.shape[0], dtype=np.bool_)
     left, first = budget, True
     while kept.any():
-        may = kept & ((weights <= left) | first)
-        if not may.any():
+        removable = kept & ((weights <= left) | first)
+        if not removable.any():
             break
         total, spread = score[kept].sum(axis=0), covariance[kept].sum(axis=0)
-        places = np.flatnonzero(may)
-        rest, _ = _quadratic(total - score[places], spread - covariance[places])
-        place = int(places[int(np.argmin(rest))])
+        places = np.flatnonzero(removable)
+        statistics, _ = _quadratic(total - score[places], spread - covariance[places])
+        place = int(places[int(np.argmin(statistics))])
         kept[place], first = False, False
         left -= float(weights[place])
     return score[kept], covariance[kept]
 
 
-def _least(
+def _without_strongest_spread(
     delta_chi2s: FloatArray, ranks: FloatArray, weights: FloatArray, budget: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Falls and ranks without the units of the largest falls."""
+    """delta_chi2 and ranks without the units of the largest delta_chi2."""
     kept = np.ones(delta_chi2s.size, dtype=np.bool_)
     left, first = budget, True
     for place in np.argsort(-delta_chi2s, kind="stable"):
@@ -281,27 +284,27 @@ def _least(
     return delta_chi2s[kept], ranks[kept]
 
 
-def _stands_for(kept: Evidence, term: SharedTerm, other: SharedTerm, dispersion: float, alpha: float) -> bool:
-    """Whether ``other`` leaves nothing of ``term``: T(term | other), with one size for all and with one for each."""
+def _replaces(kept: Evidence, term: SharedTerm, other: SharedTerm, dispersion: float, alpha: float) -> bool:
+    """Whether T(term | other) is insignificant, with one size for all units and with one for each."""
     both = [*term.columns, *other.columns]
     second = list(other.columns)
     score, covariance = kept.score.sum(axis=0), kept.covariance.sum(axis=0)
     joint, rank = _quadratic(score[both][None], covariance[np.ix_(both, both)][None])
-    lone, rank_lone = _quadratic(score[second][None], covariance[np.ix_(second, second)][None])
-    delta_chi2s, ranks = _falls(kept, both)
-    falls_lone, ranks_lone = _falls(kept, second)
+    alone, rank_alone = _quadratic(score[second][None], covariance[np.ix_(second, second)][None])
+    each, ranks = _delta_chi2s(kept, both)
+    each_alone, ranks_alone = _delta_chi2s(kept, second)
     log_p = [0.0]
-    if rank > rank_lone:
-        log_p.append(float(log_tail(float(joint[0] - lone[0]) / dispersion, rank - rank_lone)))
-    dof = int((ranks - ranks_lone).sum())
+    if rank > rank_alone:
+        log_p.append(float(log_tail(float(joint[0] - alone[0]) / dispersion, rank - rank_alone)))
+    dof = int((ranks - ranks_alone).sum())
     if dof > 0:
-        log_p.append(float(log_tail(float((delta_chi2s - falls_lone).sum()) / dispersion, dof)))
+        log_p.append(float(log_tail(float((each - each_alone).sum()) / dispersion, dof)))
     return min(log_p) > np.log(alpha)
 
 
 def still_needed(sizes: FloatArray, sds: FloatArray, weights: FloatArray, population: float, alpha: float) -> bool:
-    """Whether fitted sizes (n,) with sd (n,) of one parameter are together distinguishable from none, as ``shared`` asks."""
+    """Whether fitted sizes (n,) of one parameter, with sd (n,), are together significantly different from zero."""
     known = np.isfinite(sizes) & np.isfinite(sds) & (sds > 0.0)
     information = (1.0 / sds[known] ** 2)[:, None, None]
     evidence = Evidence((sizes[known] / sds[known] ** 2)[:, None], information, information, weights[known])
-    return shared(evidence, [SharedTerm("it", (0,), (0,))], population, alpha).found is not None
+    return shared(evidence, [SharedTerm("parameter", (0,), (0,))], population, alpha).found is not None

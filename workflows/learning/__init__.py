@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, overload
 from threadpoolctl import threadpool_limits
 
 from pipeline.criticism.fit_tests import Rules
-from pipeline.criticism.loop import as_ladder
-from pipeline.criticism.loop import diagnose as examine
+from pipeline.criticism.ladder import as_ladder
+from pipeline.criticism.ladder import diagnose as examine
 from pipeline.criticism.selection import forward_selection
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import MeasurementError
@@ -77,7 +77,7 @@ def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MO
     rules = Rules()
     if view.noise.source == "local":
         # Held-out records vouch for every term, so there may be as many as in a ladder.
-        rules = replace(rules, together=rules.rungs)
+        rules = replace(rules, max_named=rules.rungs)
     return Diagnosed(view, examine(view, rules=rules))
 
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pipeline.criticism.ladder import Ladder, Rung
-from pipeline.criticism.loop import Diagnosis, as_diagnosis
+from pipeline.criticism.ladder import Diagnosis, Ladder, Rung, as_diagnosis
 from pipeline.criticism.problem import Region
 from pipeline.criticism.selection import ForwardSelection
 from pipeline.inference.general.fit import CampaignFit

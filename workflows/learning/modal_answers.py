@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.criticism.fit_tests import FitTests, Rules, fit_tests
-from pipeline.criticism.ladder import Ladder, Rung
-from pipeline.criticism.loop import Diagnosis
-from pipeline.criticism.loop import diagnose as examine
-from pipeline.criticism.loop import refine as forward_selection
+from pipeline.criticism.ladder import Diagnosis, Ladder, Rung
+from pipeline.criticism.ladder import diagnose as examine
+from pipeline.criticism.ladder import refine as forward_selection
 from pipeline.criticism.pairs import best_pairs
 from pipeline.criticism.problem import FitResult
 from pipeline.criticism.scores import Score
@@ -37,7 +36,7 @@ def rules_for(record: ModalRecord) -> Rules:
 
     With an unknown noise level nothing says when a misfit is explained, so a diagnosis climbs as far as a ladder.
     """
-    return Rules(alpha=ALPHA_UNKNOWN_NOISE, together=Rules().rungs) if record.sd is None else Rules()
+    return Rules(alpha=ALPHA_UNKNOWN_NOISE, max_named=Rules().rungs) if record.sd is None else Rules()
 
 
 @dataclass(frozen=True, eq=False)

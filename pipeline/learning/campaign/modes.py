@@ -21,7 +21,7 @@ from scipy.fft import fft, rfft
 
 from ...arrays import ComplexArray, FloatArray, real_parts
 from ...criticism.problem import FitResult, LocalCandidate
-from ...criticism.projection import Baseline, baseline
+from ...criticism.scores import Baseline, baseline
 from ...device.readout import plain_readout
 from ...experiment.antialias import filter_poles
 from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of

@@ -15,8 +15,7 @@ from functools import partial
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...criticism.problem import Candidate, LocalCandidate, Signatures, TermParameter
-from ...criticism.projection import stratum_grams
+from ...criticism.problem import Candidate, LocalCandidate, Signatures, TermParameter, stratum_grams
 from ...device.effect import Effect
 from ...device.model import Model
 from ...device.parameters import Parameter

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.criticism.agreement import agreement, partitions
-from pipeline.criticism.goodness import goodness
+from pipeline.criticism.goodness import agreement, goodness, partitions
 from pipeline.criticism.problem import FitResult, Region, ResidualBlock, Signatures, Spectrum
-from pipeline.criticism.projection import baseline
 from pipeline.criticism.regions import explained_by_region, region_shares
+from pipeline.criticism.scores import baseline
 
 NO_PROBES = Signatures((), ())
 ROWS = 1000

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from pipeline.arrays import FloatArray
-from pipeline.criticism.fit_tests import Rules
-from pipeline.criticism.heldout import paired
-from pipeline.criticism.loop import diagnose, refine
+from pipeline.criticism.fit_tests import Rules, paired_difference
+from pipeline.criticism.ladder import diagnose, refine
 from pipeline.criticism.problem import ResidualBlock
 
 RULES = Rules(draws=2000)
@@ -165,8 +164,8 @@ def test_the_sd_of_the_paired_difference_is_what_repetition_shows() -> None:
         return ResidualBlock("before", noise + change), ResidualBlock("after", noise)
 
     for level in (1.0, 1.5):
-        tried = [paired([a], [b]) for a, b in (pair(level) for _ in range(400))]
-        spread = np.std([t.fall for t in tried])
+        tried = [paired_difference([a], [b]) for a, b in (pair(level) for _ in range(400))]
+        spread = np.std([t.delta_chi2 for t in tried])
         # sd of a standard deviation from 400 draws is 3.5 %; the nominal floor may only widen it.
         assert np.mean([t.sd for t in tried]) == pytest.approx(spread, rel=0.15)
 

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.arrays import FloatArray
 from pipeline.criticism.fit_tests import Rules
-from pipeline.criticism.loop import diagnose, refine
+from pipeline.criticism.ladder import diagnose, refine
 from pipeline.criticism.problem import ResidualBlock, TermParameter
 from pipeline.criticism.regression import Regression, Term
 

@@ -10,9 +10,8 @@ from scipy import stats
 
 from pipeline.criticism.pairs import best_pairs
 from pipeline.criticism.problem import Candidate, FitResult, ResidualBlock, TermParameter
-from pipeline.criticism.projection import baseline, project
-from pipeline.criticism.significance import score_all
-from pipeline.criticism.tails import log_any, log_tail, normal_log_tail, trials_of
+from pipeline.criticism.scores import baseline, project
+from pipeline.criticism.significance import log_any, log_tail, normal_log_tail, score_all, trials_of
 
 
 def _fit(jacobian: list[np.ndarray], residual: list[np.ndarray], **options: Any) -> FitResult:

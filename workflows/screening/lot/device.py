@@ -15,9 +15,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
-from pipeline.criticism.loop import Diagnosis, diagnose
+from pipeline.criticism.ladder import Diagnosis, diagnose
 from pipeline.criticism.problem import Candidate, FitResult
-from pipeline.criticism.projection import baseline, project
+from pipeline.criticism.scores import baseline, project
 from pipeline.criticism.shared import SharedTerm
 from pipeline.device.gyro import PHYSICAL, split_hz, to_cartesian
 from pipeline.device.model import Model

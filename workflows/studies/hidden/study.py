@@ -18,7 +18,7 @@ import dask
 from threadpoolctl import threadpool_limits
 
 from pipeline.criticism.fit_tests import Rules
-from pipeline.criticism.loop import as_diagnosis, as_ladder
+from pipeline.criticism.ladder import as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
 from pipeline.criticism.selection import forward_selection
 from pipeline.errors import GyroscreenError, UsageError
@@ -103,8 +103,8 @@ def told(hidden: Hidden) -> dict[str, Any]:
     problem: Problem = Narrowed(view, hidden.left_out) if hidden.left_out else view
     selection, begun = _timed(lambda: forward_selection(problem))
     short = selection
-    if len(selection.steps) > Rules.together:
-        short = forward_selection(problem, rules=Rules(rungs=Rules.together))
+    if len(selection.steps) > Rules.max_named:
+        short = forward_selection(problem, rules=Rules(rungs=Rules.max_named))
     diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
     row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(begun, own)}}
     if hidden.kind in _REFINED:
