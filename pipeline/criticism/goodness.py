@@ -29,9 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from .lines import normalized_energy
 from .problem import FitResult, Region, Signatures, Spectrum
-from .regions import description
+from .regions import description, normalized_energy
 from .scores import Baseline, cells_of, delta_chi2s, project
 from .significance import log_any, log_tail, normal_log_tail
 

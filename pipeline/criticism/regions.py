@@ -1,10 +1,16 @@
-"""Where a model fails: the share of the excess misfit in each region, tested against noise.
+"""Where a model fails: the share of the excess misfit in each region, and spectral lines, both tested against noise.
 
     excess_i = chi2_i - dof_i
     share_i  = max(excess_i, 0) / sum over the family of max(excess_j, 0)
-    error_i  = sqrt(chi2_i / dof_i)                                              rms of the residual [sigma]
+    error_i  = sqrt(chi2_i / dof_i)                                                 rms of the residual [sigma]
 
-A region is significant if its energy is improbable under noise at ``ALPHA`` among all regions (Bonferroni).
+A region is significant if its energy is improbable under noise at ``ALPHA`` among all regions (Bonferroni).  A line is a single
+frequency whose energy exceeds the noise of its neighbourhood:
+
+    q_k = chi2_k / max(1, median over the neighbours of chi2 / median of chi2_d)    ~ chi2_d under noise alone
+
+Coloured or underestimated noise raises the neighbours as well and leaves q unchanged; a line raises only its own bin.
+Shapes: M bins of a spectrum.
 """
 
 from __future__ import annotations
@@ -13,12 +19,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.special import chdtri
 
-from .problem import Region
+from ..arrays import FloatArray
+from .problem import Region, Spectrum
 from .significance import log_any, log_tail
 
 #: Family-wise probability that noise alone makes a region significant.
 ALPHA = 0.003
+#: Neighbouring bins that determine the background of a bin.
+_NEIGHBOURS = 101
+#: A peak is a line if noise exceeds it with at most this probability per bin.
+_IMPROBABLE = 1e-12
+#: Largest number of lines of one spectrum.
+_MOST_LINES = 40
 
 
 @dataclass(frozen=True)
@@ -100,3 +115,42 @@ def _label_text(name: str, value: object) -> str:
 def _key(family: str, labels: Mapping[str, object]) -> tuple[str, tuple[tuple[str, str], ...]]:
     """Identifies the same region in the residuals of two models."""
     return family, tuple(sorted((name, str(value)) for name, value in labels.items()))
+
+
+def normalized_energy(spectrum: Spectrum) -> FloatArray:
+    """q_k (M,): energies in units of the background level of their neighbourhood, or of the noise if that is higher."""
+    size = min(_NEIGHBOURS, spectrum.chi2.size)
+    background = median_filter(spectrum.chi2, size=size, mode="reflect") / chdtri(spectrum.dof, 0.5)
+    return np.asarray(spectrum.chi2 / np.maximum(background, 1.0))
+
+
+def lines_in(spectrum: Spectrum, excluded_hz: Sequence[tuple[float, float]]) -> list[float]:
+    """Frequencies [Hz] of the lines of a spectrum, ascending, outside the bands ``excluded_hz`` [Hz]."""
+    chi2, frequency = spectrum.chi2, spectrum.frequency_hz
+    peak = log_tail(normalized_energy(spectrum), spectrum.dof) < np.log(_IMPROBABLE)
+    peak[1:-1] &= (chi2[1:-1] >= chi2[:-2]) & (chi2[1:-1] >= chi2[2:])
+    peak[0] = peak[-1] = False
+    for low, high in excluded_hz:
+        peak &= (frequency < low) | (frequency > high)
+    found = np.flatnonzero(peak)
+    found = found[np.argsort(-chi2[found])][:_MOST_LINES]
+    width = float(frequency[1] - frequency[0])
+    return sorted(float(frequency[k]) + _interpolated(chi2, int(k)) * width for k in found)
+
+
+def pooled_spectra(spectra: Sequence[Spectrum]) -> list[Spectrum]:
+    """One spectrum per frequency grid: the sum of those that share it."""
+    by_grid: dict[bytes, list[Spectrum]] = {}
+    for one in spectra:
+        by_grid.setdefault(one.frequency_hz.tobytes(), []).append(one)
+    return [
+        Spectrum(own[0].frequency_hz, np.sum([one.chi2 for one in own], axis=0), sum(one.dof for one in own))
+        for own in by_grid.values()
+    ]
+
+
+def _interpolated(energy: FloatArray, k: int) -> float:
+    """Vertex [bins from k] of the parabola through the logarithms of peak ``k`` and its two neighbours."""
+    a, b, c = np.log(energy[k - 1 : k + 2] + 1e-300)
+    curvature = a - 2.0 * b + c
+    return float(np.clip(0.5 * (a - c) / curvature, -0.5, 0.5)) if curvature < 0.0 else 0.0

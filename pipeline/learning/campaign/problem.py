@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from ...arrays import IntArray
-from ...criticism.lines import pooled_spectra
 from ...criticism.problem import FitResult, LocalCandidate, Region, Signatures, Spectrum
+from ...criticism.regions import pooled_spectra
 from ...device.model import Model
 from ...errors import GyroscreenError
 from ...experiment.noise.level import NoiseLevel

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.fft import rfft
 
 from ...arrays import FloatArray, IntArray
-from ...criticism.lines import lines_in, pooled_spectra
 from ...criticism.problem import Spectrum
+from ...criticism.regions import lines_in, pooled_spectra
 from ...experiment.noise.time_frequency import bin_frequencies, block_size, cell_variances, lapped
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
