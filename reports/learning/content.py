@@ -26,7 +26,7 @@ from pipeline.quantities import AXES
 
 from ..words import campaign as words
 from ..words.campaign import ErrorChange
-from ..words.quantities import unit_of
+from ..words.quantities import family_words, place_words, unit_of
 
 #: Families of a few places that cut the whole campaign or modal record.
 _WHOLE = ("level", "direction", "channel", "record", "entry")
@@ -164,7 +164,7 @@ def learning_content(
         verdict,
         effects,
         headline,
-        notes=_notes(comparison, last, ladder, places, verdict, classes),
+        notes=_notes(comparison, last, places),
         change=change,
         fitted=fitted,
         places=places,
@@ -197,40 +197,20 @@ def _ends(errors: Sequence[float | None], compared: float | None, where: str, re
 
 
 def _notes(
-    comparison: ComparisonAnswer,
-    last: DiagnosisAnswer | RefinementAnswer | None,
-    ladder: Sequence[RungAnswer],
-    places: Sequence[PlaceTable],
-    verdict: str,
-    classes: Sequence[Sequence[str]],
+    comparison: ComparisonAnswer, last: DiagnosisAnswer | RefinementAnswer | None, places: Sequence[PlaceTable]
 ) -> tuple[str, ...]:
-    notes = [words.largest_place_sentence(table.rows[0].place, table.rows[0].share) for table in places[:1]]
-    if verdict == "fit_failed":
-        notes.append(words.failure_sentence((last.why if last else "") or comparison.why or ""))
-    elif not comparison.fit_ok:
-        notes.append(words.UNCONVERGED)
-    if last is None:
-        return tuple(notes)
-    notes += [words.class_sentence(members) for members in classes]
-    if classes and last.separating_record:
-        notes.append(words.separating_sentence(last.separating_record))
-    notes += [words.wrong_form_sentence(name, how.by) for name, how in last.wrong_form.items()]
-    partial = [
-        one.effect for one in ladder if one.effect and one.status == "partial" and one.effect not in last.wrong_form
-    ]
-    if comparison.dof and len(ladder) > 1:
-        notes.append(words.modal_partial_sentence(comparison.error.get("fit") is not None))
-    elif partial and verdict != "unknown":
-        notes.append(words.partial_sentence(partial, any(rung.error_validate is not None for rung in ladder)))
-    if verdict == "unknown" and last.left:
-        notes.append(f"Remaining structure: {words.remaining_words(last.left)}.")
-    return (*notes, *(last.hints or ()))
+    first = [words.largest_place_sentence(table.rows[0].place, table.rows[0].share) for table in places[:1]]
+    if comparison.error and not comparison.fit_ok:
+        first.append(words.UNCONVERGED)
+    if last is None and not comparison.error:
+        first.append(words.failure_sentence(comparison.why or ""))
+    return (*first, *(words.notes(last) if last else ()))
 
 
 def _places(comparison: ComparisonAnswer, refinement: RefinementAnswer | None) -> tuple[PlaceTable, ...]:
     """The cut by frequency over all records first, then one table for each family."""
     kinds = (refinement.regions_by_kind if refinement else ()) or comparison.where_by_kind or ()
-    after = {words.place_words(one): one for one in (refinement.where or ())} if refinement else {}
+    after = {place_words(one): one for one in (refinement.where or ())} if refinement else {}
     families: dict[str, list[PlaceRow]] = {}
     for place in (refinement.regions if refinement else ()) or comparison.where:
         families.setdefault(place.family or "entry", []).append(_place_row(place, after))
@@ -238,7 +218,7 @@ def _places(comparison: ComparisonAnswer, refinement: RefinementAnswer | None) -
     for name in sorted(families, key=lambda name: name not in _WHOLE):
         folded = bool(kinds) and name not in _WHOLE
         each = ", record by record" if folded and name != "response" else ""
-        tables.append(_table(f"by {words.family_words(name)}{each}", families[name], folded))
+        tables.append(_table(f"by {family_words(name)}{each}", families[name], folded))
     return tuple(tables)
 
 
@@ -248,7 +228,7 @@ def _table(title: str, rows: Sequence[PlaceRow], folded: bool = False) -> PlaceT
 
 def _place_row(place: Place, after: Mapping[str, Place]) -> PlaceRow:
     """``after``: entries of a modal record with the last model."""
-    text = words.place_words(place)
+    text = place_words(place)
     if place.mode:
         left = after[text].relative_error or None if text in after else None
         return PlaceRow(text, place.share, place.relative_error or None, left, None)

@@ -9,10 +9,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipeline.learning.answers import Noise, Place
+from pipeline.learning.answers import DiagnosisAnswer, Noise, RefinementAnswer
 from pipeline.quantities import NAMES
 
-from .quantities import error_words, grouped, label, percent
+from .quantities import error_words, grouped, label, partition_words, percent
 
 FIRST_MODEL = "first model"
 UNCONVERGED = "The fit did not converge, or the records do not determine every parameter."
@@ -211,64 +211,29 @@ def remaining_words(left: str) -> str:
     return frames[test].format(where) if test in frames else left
 
 
-def partition_words(partition: str) -> str:
-    """The groups of records between which a size differs."""
-    named = {"block": "records", "": "records", "level": "drive levels", "direction": "sweep directions"}
-    return named.get(partition, f"{partition}s")
+def notes(answer: DiagnosisAnswer | RefinementAnswer) -> list[str]:
+    """What a reader must know beside the headline: failure, classes, forms, partial effects, what remains, hints."""
+    ladder = answer.ladder if isinstance(answer, RefinementAnswer) else ()
+    found = [failure_sentence(answer.why)] if answer.verdict == "fit_failed" else []
+    found += [class_sentence(members) for members in answer.classes if len(members) > 1]
+    if answer.separating_record:
+        found.append(separating_sentence(answer.separating_record))
+    found += [wrong_form_sentence(name, how.by) for name, how in answer.wrong_form.items()]
+    named = [one.effect for one in ladder if one.effect and one.status == "partial"]
+    partial = [name for name in named if name not in answer.wrong_form]
+    if any(rung.dof for rung in ladder[1:]):
+        found.append(modal_partial_sentence(ladder[0].error_fit is not None))
+    elif partial and answer.verdict != "unknown":
+        found.append(partial_sentence(partial, any(rung.error_validate is not None for rung in ladder)))
+    if answer.verdict == "unknown" and answer.left:
+        found.append(f"Remaining structure: {remaining_words(answer.left)}.")
+    return [*found, *(answer.hints or ())]
 
 
 def reason_words(text: str) -> str:
     """A comma-separated list of failed limits in words; any other text is unchanged."""
     names = text.split(",")
     return listed([label(name) for name in names]) if all(name in NAMES for name in names) else text
-
-
-def family_words(family: str) -> str:
-    """A family of places, as in "by ..."."""
-    named = {"response": "response level", "entry": "mode and entry (sense/drive)"}
-    return named.get(family, partition_words(family).removesuffix("s"))
-
-
-def kind_words(kind: str, order: int | None = None) -> str:
-    """A kind of place, with the order of a harmonic."""
-    if kind != "harmonic" or order is None:
-        return {"line": "fixed line", "harmonic": "harmonic of the drive"}.get(kind, kind)
-    ending = {2: "nd", 3: "rd"}.get(order, "th")
-    return "drive frequency" if order == 1 else f"{order}{ending} harmonic of the drive"
-
-
-def place_words(place: Place) -> str:
-    """Where a place lies: kind, band, time, record, channel and whatever else labels it."""
-    band = None if place.band_hz is None else (place.band_hz[0] + place.band_hz[1]) / 2.0
-    if place.mode:
-        return f"mode {place.mode} ({band:.1f} Hz), {entry_words(place)}"
-    parts = [kind_words(place.kind, place.harmonic or None)] if (place.family or "frequency") == "frequency" else []
-    if place.band_hz is not None:
-        parts.append(f"{band:.6g} Hz" if place.kind == "line" else f"{_span(place.band_hz)} Hz")
-    if place.time_s:
-        parts.append(f"{_span(place.time_s)} s")
-    if place.record is not None:
-        parts.append(place.record)
-    if place.channel is not None:
-        parts.append(f"sense {place.channel.removeprefix('sense')}")
-    if place.response_v:
-        parts.append(f"{_span(place.response_v)} V rms")
-    if place.direction:
-        parts.append(place.direction)
-    if isinstance(place.level, float):
-        parts.append("largest level" if place.level == 1.0 else f"{place.level:.4g} of the largest level")
-    elif place.level:
-        parts.append(place.level)
-    return ", ".join(parts) or "all data"
-
-
-def entry_words(place: Place) -> str:
-    """Entry of a mode: "S1/D2"."""
-    return f"{(place.channel or '').replace('sense', 'S')}/{(place.drive or '').replace('drive', 'D')}"
-
-
-def _span(ends: tuple[float, float]) -> str:
-    return f"{ends[0]:.4g} to {ends[1]:.4g}"
 
 
 def noise_sentence(noise: Noise | None) -> str:

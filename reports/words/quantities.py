@@ -1,4 +1,4 @@
-"""Numbers, quantities and limits in words, and the sentences at the head of the nightly report.  No HTML."""
+"""Numbers, quantities, limits and places in words, and the sentences at the head of the nightly report.  No HTML."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pipeline.quantities import QUANTITIES
 if TYPE_CHECKING:
     # For annotations only: pages without yields need not load their statistics, which is slow.
     from pipeline.device.effect import Effect
+    from pipeline.learning.answers import Place
 
     from ..limits import Limit
     from ..run.causes import FailedLimit, Pareto, StageLoss
@@ -104,6 +105,60 @@ def percent(share: float) -> str:
 def percent_range(low: float, high: float) -> str:
     """A range of shares in percent."""
     return f"{percent(low).removesuffix(PERCENT)} to {percent(high)}"
+
+
+def partition_words(partition: str) -> str:
+    """The groups of records between which a size differs."""
+    named = {"block": "records", "": "records", "level": "drive levels", "direction": "sweep directions"}
+    return named.get(partition, f"{partition}s")
+
+
+def family_words(family: str) -> str:
+    """A family of places, as in "by ..."."""
+    named = {"response": "response level", "entry": "mode and entry (sense/drive)"}
+    return named.get(family, partition_words(family).removesuffix("s"))
+
+
+def kind_words(kind: str, order: int | None = None) -> str:
+    """A kind of place, with the order of a harmonic."""
+    if kind != "harmonic" or order is None:
+        return {"line": "fixed line", "harmonic": "harmonic of the drive"}.get(kind, kind)
+    ending = {2: "nd", 3: "rd"}.get(order, "th")
+    return "drive frequency" if order == 1 else f"{order}{ending} harmonic of the drive"
+
+
+def place_words(place: Place) -> str:
+    """Where a place lies: kind, band, time, record, channel and whatever else labels it."""
+    band = None if place.band_hz is None else (place.band_hz[0] + place.band_hz[1]) / 2.0
+    if place.mode:
+        return f"mode {place.mode} ({band:.1f} Hz), {entry_words(place)}"
+    parts = [kind_words(place.kind, place.harmonic or None)] if (place.family or "frequency") == "frequency" else []
+    if place.band_hz is not None:
+        parts.append(f"{band:.6g} Hz" if place.kind == "line" else f"{_span(place.band_hz)} Hz")
+    if place.time_s:
+        parts.append(f"{_span(place.time_s)} s")
+    if place.record is not None:
+        parts.append(place.record)
+    if place.channel is not None:
+        parts.append(f"sense {place.channel.removeprefix('sense')}")
+    if place.response_v:
+        parts.append(f"{_span(place.response_v)} V rms")
+    if place.direction:
+        parts.append(place.direction)
+    if isinstance(place.level, float):
+        parts.append("largest level" if place.level == 1.0 else f"{place.level:.4g} of the largest level")
+    elif place.level:
+        parts.append(place.level)
+    return ", ".join(parts) or "all data"
+
+
+def entry_words(place: Place) -> str:
+    """Entry of a mode: "S1/D2"."""
+    return f"{(place.channel or '').replace('sense', 'S')}/{(place.drive or '').replace('drive', 'D')}"
+
+
+def _span(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:.4g} to {ends[1]:.4g}"
 
 
 def error_words(value: float | None, relative: bool = False) -> str:

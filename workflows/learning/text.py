@@ -10,6 +10,7 @@ import msgspec
 
 from pipeline.learning.answers import Noise, Place
 from reports.words import campaign as words
+from reports.words.quantities import place_words
 
 Said = Mapping[str, Any]
 _SHOWN = 6
@@ -27,7 +28,7 @@ def noise_sentence(noise: Said) -> str:
 
 def region_words(row: Said) -> str:
     """Where a region lies."""
-    return words.place_words(msgspec.convert(row, Place, strict=False))
+    return place_words(msgspec.convert(row, Place, strict=False))
 
 
 def compare_text(said: Said) -> list[str]:

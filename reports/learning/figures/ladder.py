@@ -15,8 +15,8 @@ from matplotlib.ticker import PercentFormatter
 from pipeline.learning.answers import Measured, Place, RungAnswer
 
 from ...html.style import ACCENT, AFTER, BEFORE, INK, MUTED, RULE, literal, log_ticks, panels, style, to_svg
-from ...words.campaign import FIRST_MODEL, effect_words, entry_words, rung_name
-from ...words.quantities import error_words
+from ...words.campaign import FIRST_MODEL, effect_words, rung_name
+from ...words.quantities import entry_words, error_words
 
 #: Colour of the status of a rung.
 _COLOURS = {"confirmed": AFTER, "partial": "#9a7400"}

@@ -207,7 +207,7 @@ def _entry(mode: int, share: float, relative: float) -> Place:
 
 def test_a_modal_record_has_entries_and_no_held_out_data(comparison: Build, rung: Build, refinement: Build) -> None:
     compared = comparison(error={"fit": None, "validate": None}, where=(_entry(2, 0.3, 0.09),), dof=19)
-    unknown = {"error_fit": None, "error_validate": None, "relative_error_validate": UNSET}
+    unknown = {"error_fit": None, "error_validate": None, "relative_error_validate": UNSET, "dof": 18}
     ladder = (
         rung(effect=None, relative_error=0.099, **unknown),
         rung(status="partial", relative_error=0.027, **unknown),

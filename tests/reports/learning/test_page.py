@@ -221,7 +221,13 @@ def _entry(share: float, relative: float, model: tuple[float, float]) -> Place:
 def test_a_modal_record_has_f_tests_and_thetas_and_no_held_out_columns(
     comparison: Build, diagnosis: Build, candidate: Build, rung: Build, refinement: Build
 ) -> None:
-    unknown: dict[str, Any] = {"error_fit": None, "error_validate": None, "misfit_fit": None, "misfit_validate": None}
+    unknown: dict[str, Any] = {
+        "error_fit": None,
+        "error_validate": None,
+        "misfit_fit": None,
+        "misfit_validate": None,
+        "dof": 18,
+    }
     four = {
         "four_thetas_deg": dict.fromkeys("abcd", (-33.0, 1.0)),
         "theta_deg": (-33.0, 1.0),

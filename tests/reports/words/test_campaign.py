@@ -16,12 +16,11 @@ from reports.words.campaign import (
     missing_sentence,
     noise_sentence,
     partial_sentence,
-    place_words,
     remaining_words,
     separating_sentence,
     wrong_form_sentence,
 )
-from reports.words.quantities import error_words, explained_words, p_words, typeset
+from reports.words.quantities import error_words, explained_words, p_words, place_words, typeset
 
 HELD_OUT = "on the held-out records"
 
