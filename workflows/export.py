@@ -1,4 +1,4 @@
-"""The identified model for control design: state space with the covariance of its parameters, as JSON or MAT."""
+"""The identified model for control design: state space and the covariance of its parameters, as JSON or MAT."""
 
 from __future__ import annotations
 
@@ -19,17 +19,20 @@ FORMATS = (".json", ".mat")
 
 
 def exported(campaign: Campaign, result: DeviceResult) -> dict[str, Any]:
-    """The model as plain arrays by name: parameters (12,) with covariance (12, 12), A, B, C, D, Ad, Bd, filter.
+    """The model as plain arrays by name.
+
+    parameters (12,) and their covariance (12, 12); A (6, 6), B (6, 2), C (2, 6), D (2, 2) continuous in time; Ad, Bd for a
+    zero-order hold at sample_rate_hz; the anti-alias filter.
 
     Raises
     ------
-    MeasurementError : the device could not be identified, so there is no model.
+    MeasurementError : the device could not be identified.
     """
     if result.fit is None:
         raise MeasurementError(
-            "no model to export: the fit failed",
+            "there is no model to export: the fit failed",
             value=result.status_reason,
-            next_step="gyroscreen check, then gyroscreen identify, on the same campaign",
+            next_step="run gyroscreen check, then gyroscreen identify on the same campaign",
         )
     draws = np.stack([result.draws[name] for name in PHYSICAL], axis=1)
     values = to_physical(result.fit.x[None])
@@ -63,7 +66,12 @@ def write_model(model: dict[str, Any], path: Path) -> None:
     UsageError : another suffix, or the file cannot be written.
     """
     if path.suffix not in FORMATS:
-        raise UsageError("unknown format of an exported model", value=path.name, allowed=", ".join(FORMATS))
+        raise UsageError(
+            "unknown format of the exported model",
+            value=path.name,
+            allowed=", ".join(FORMATS),
+            next_step="correct the suffix of --out",
+        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".json":
@@ -76,4 +84,8 @@ def write_model(model: dict[str, Any], path: Path) -> None:
                 {k: np.array(v, dtype=object) if k in cells else v for k, v in model.items() if v is not None},
             )
     except OSError as error:
-        raise UsageError(f"the model cannot be written ({error.strerror})", value=str(path)) from None
+        raise UsageError(
+            f"the model cannot be written: {(error.strerror or str(error)).lower()}",
+            value=str(path),
+            next_step="choose another file with --out",
+        ) from None

@@ -1,4 +1,4 @@
-"""What this machine offers."""
+"""Number of workers and memory settings of the process."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ _MALLOPT = {-1: 1 << 30, -3: 1 << 30, -2: 1 << 26, -8: 1}
 
 
 def worker_count(wanted: int) -> int:
-    """``wanted`` workers, or one a usable core where it is 0."""
+    """``wanted`` workers, or one per usable core if it is 0."""
     if wanted:
         return wanted
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def keep_memory() -> None:
-    """Let the memory of one array serve the next: pages that go back to the system and come again cost a tenth of the time.
+    """Keep freed memory in the process: returning pages to the system and requesting them again costs 10 % of the time.
 
-    For a process that is ours; does nothing where the C library is not glibc.
+    Changes settings of the whole process; does nothing if the C library is not glibc.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

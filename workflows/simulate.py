@@ -1,7 +1,9 @@
-"""A virtual device measured as a real one would be: a campaign on disk, and the truth beside it.
+"""Simulation of the standard campaign of a virtual device.
 
-Records: silence; to fit the paper's chirp twice, directions swapped, 0.35 of the level, each drive alone; held out the
-swapped chirp at another level and a random-phase multisine.
+Records: a silent one; to fit, the paper's chirp twice, with directions swapped, at 0.35 of the level, and on each drive alone;
+held out, the swapped chirp at another level and a random-phase multisine.
+
+Shapes: N samples, two drives and two senses.  Volts unless stated.
 """
 
 from __future__ import annotations
@@ -27,15 +29,15 @@ from populations.spec import load_spec
 from .config import RunConfig, load_config
 
 CAMPAIGN_CONFIG = Path(__file__).parent / "configs" / "campaign.toml"
-#: An effect that is named without sizes is given this many sigmas in the paper's chirp, before any refit.
+#: SNR of an effect that is named without sizes: norm of its change of the paper's chirp record over sigma, before any refit.
 _DEFAULT_SNR = 300.0
-#: Trials of a size, each a record.
+#: Largest number of simulated records to find the size of an effect.
 _TRIALS = 20
 _STREAM_NOISE, _STREAM_EFFECT = 105, 106
 
 
 def standard_excitations(seed: int) -> tuple[tuple[str, Role, Excitation], ...]:
-    """Names, roles and excitations of the standard campaign."""
+    """Name, role and excitation of each record of the standard campaign; ``seed`` sets the phases of the multisine."""
     back = Chirp((700.0, 400.0), (400.0, 700.0))
     return (
         ("silence", "noise", Silence(2, 1.0)),
@@ -51,8 +53,8 @@ def standard_excitations(seed: int) -> tuple[tuple[str, Role, Excitation], ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Virtual:
-    """What was simulated: the campaign, the model and all its parameters."""
+class Simulated:
+    """A simulated campaign, with the model and all its true parameters by name."""
 
     campaign: Campaign
     model: Model
@@ -64,7 +66,7 @@ def parse_values(text: str) -> dict[str, float]:
 
     Raises
     ------
-    ConfigError : not of that form.
+    ConfigError : the text does not have this form.
     """
     out: dict[str, float] = {}
     for part in filter(None, (p.strip() for p in text.split(","))):
@@ -74,12 +76,19 @@ def parse_values(text: str) -> dict[str, float]:
         except ValueError:
             sign = ""
         if not sign:
-            raise ConfigError("not name=number", value=part, allowed="theta_deg=12,split_hz=1.5")
+            raise ConfigError(
+                "a parameter is not given as name=number",
+                value=part,
+                allowed="for example theta_deg=12,split_hz=1.5",
+                next_step="correct --device or --effect",
+            )
     return out
 
 
 def device_parameters(changes: Mapping[str, float], seed: int) -> dict[str, float]:
-    """Plant parameters of device ``seed`` of the default population, with ``changes`` (split_hz moves f2_hz).
+    """Plant parameters by name of the first device that the default population draws with ``seed``.
+
+    ``changes`` replaces values by name; split_hz changes f2_hz.
 
     Raises
     ------
@@ -91,20 +100,25 @@ def device_parameters(changes: Mapping[str, float], seed: int) -> dict[str, floa
     allowed = (*PHYSICAL, "split_hz")
     for name, value in changes.items():
         if name not in allowed:
-            raise ConfigError("no such parameter of a device", value=name, allowed=", ".join(allowed))
+            raise ConfigError(
+                "a device has no such parameter",
+                value=name,
+                allowed=", ".join(allowed),
+                next_step="correct --device",
+            )
         if name != "split_hz":
             values[name] = value
     if "split_hz" in changes:
         values["f2_hz"] = values["f1_hz"] + changes["split_hz"]
     if values["f2_hz"] < values["f1_hz"]:
-        # f1 is the lower one by definition: renaming the axes is the same device.
+        # f1 is the lower frequency by definition; exchanging the axes describes the same device.
         x = to_cartesian(np.array([[values[name] for name in PHYSICAL]]))
         values = dict(zip(PHYSICAL, to_physical(x)[0].tolist()))
     return values
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:
-    """ "NAME" or "NAME:param=value,.." """
+    """Name and sizes of an effect from "NAME" or "NAME:param=value,.."; raises as :func:`parse_values`."""
     name, _, values = text.partition(":")
     return name.strip(), parse_values(values)
 
@@ -119,16 +133,25 @@ def sized(
     random: np.random.Generator,
     snr: float = _DEFAULT_SNR,
 ) -> dict[str, float]:
-    """Parameters of the effect ``name`` (in ``model``) that change the chirp by ``snr`` sigmas in all.
+    """Parameters of an effect whose SNR in the chirp record, ||change|| / sigma, is ``snr`` to 5 %.
 
-    Grid parameters are drawn from their grid, the others in random proportion, then scaled together within their ranges.
+    Parameters with a grid are drawn from it.  The others are drawn in random proportion and scaled together within their
+    ranges.
+
+    Parameters
+    ----------
+    model : contains the effect ``name``.
+    base : all other parameters by name.
+    chirp : record whose drive is simulated.
+    sigma_v : noise sd [V].
+    random : source of the random numbers.
     """
     effect = model.effect(name)
     members = effect.members(model.built.shape)
-    quiet = forward(model, base, chirp, instrument)
+    without = forward(model, base, chirp, instrument)
     if effect.stages == ("adc",):
-        # A clip level only counts below the largest sample.
-        level = float(np.max(np.abs(quiet))) * float(random.uniform(0.7, 0.98))
+        # Clipping has an effect only below the largest sample.
+        level = float(np.max(np.abs(without))) * float(random.uniform(0.7, 0.98))
         return {effect.full_name(member): 1.0 / level for member in members}
     fixed, shape = {}, {}
     for member in members:
@@ -142,34 +165,34 @@ def sized(
     bounds = {f: model.bounds(f) for f in shape}
     for _ in range(_TRIALS):
         trial = {f: float(np.clip(size * v, *bounds[f])) for f, v in shape.items()}
-        loud = forward(model, {**base, **fixed, **trial}, chirp, instrument)
-        moved = float(np.linalg.norm(loud - quiet)) / sigma_v
-        if moved == 0.0 or not np.isfinite(moved) or abs(moved / snr - 1.0) < 0.05:
+        changed = forward(model, {**base, **fixed, **trial}, chirp, instrument)
+        found = float(np.linalg.norm(changed - without)) / sigma_v
+        if found == 0.0 or not np.isfinite(found) or abs(found / snr - 1.0) < 0.05:
             break
-        low, high = (size, high) if moved < snr else (low, size)
-        size *= float(np.clip(snr / moved, 1e-6, 1e6))
+        low, high = (size, high) if found < snr else (low, size)
+        size *= float(np.clip(snr / found, 1e-6, 1e6))
         if not low < size < high:
-            # Curved effects overshoot: a proportional step would leap to and fro.
+            # For a nonlinear effect proportional steps oscillate; bisect instead.
             size = float(np.sqrt(low * high))
     return {**fixed, **trial} if shape else fixed
 
 
 def simulate(
     config: RunConfig, changes: Mapping[str, float], effects: Sequence[str], seed: int, folders: Sequence[str] = ()
-) -> Virtual:
+) -> Simulated:
     """The standard campaign of one virtual device.
 
     Parameters
     ----------
-    config : instrument, noise, hum, demodulation.
-    changes : plant parameters that differ from the drawn device.
-    effects : "NAME" or "NAME:param=value,..".
-    seed : device, sizes and noise.
-    folders : folders of users' own effects.
+    config : instrument, noise, hum and demodulation.
+    changes : plant parameters that replace those of the drawn device, by name.
+    effects : "NAME" or "NAME:param=value,.."; sizes that are not given have an SNR of 300.
+    seed : of the device, the sizes and the noise.
+    folders : folders with the user's own effects.
 
     Raises
     ------
-    ConfigError : an unknown effect or parameter, or a value out of range.
+    ConfigError : an unknown effect or parameter.
     """
     instrument = config.instrument.instrument()
     sigma = config.noise.sigma_v or 1e-3
@@ -194,14 +217,17 @@ def simulate(
         unknown = set(values) - set(full) - set(full.values())
         if unknown:
             raise ConfigError(
-                f"no such parameter of {name}", value=sorted(unknown)[0], allowed=", ".join(full.values())
+                f"the effect {name} has no such parameter",
+                value=sorted(unknown)[0],
+                allowed=", ".join(full.values()),
+                next_step="correct --effect",
             )
-        given = {f: values[k] for f, short in full.items() for k in (f, short) if k in values}
+        given = {f: values[k] for f, member in full.items() for k in (f, member) if k in values}
         if not given or any(m.grid for m in effect.members(model.built.shape)):
             drawn = sized(model, parameters, name, chirp, instrument, sigma, random)
             given = {**({} if given.keys() >= drawn.keys() else drawn), **given}
         parameters |= given
-    return Virtual(_measure(config, model, parameters, hum, sigma, excitations, instrument, seed), model, parameters)
+    return Simulated(_measure(config, model, parameters, hum, sigma, excitations, instrument, seed), model, parameters)
 
 
 def _measure(
@@ -235,5 +261,5 @@ def _measure(
 
 
 def campaign_config(path: Path | None) -> RunConfig:
-    """The configuration of `simulate`: ``path``, or the shipped campaign.toml."""
+    """The configuration of ``simulate``: the file ``path``, or the shipped campaign.toml."""
     return load_config(path or CAMPAIGN_CONFIG)

@@ -6,10 +6,10 @@ import numpy as np
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
 
-from ..simulate import Virtual, campaign_config, simulate
+from ..simulate import Simulated, campaign_config, simulate
 
 
-def hidden_device(seed: int) -> Virtual:
+def hidden_device(seed: int) -> Simulated:
     """The standard campaign of a random device with a random effect of the library, of a size that a chirp shows."""
     names = sorted(DEFAULT_COMPARE_MODEL.candidates())
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(108,)))

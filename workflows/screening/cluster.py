@@ -1,7 +1,7 @@
-"""Blocks on dask: local processes, or a cluster that somebody else runs.
+"""Work on dask: local processes, or an existing dask cluster.
 
-At most a few blocks a worker are in flight; a finished block is handed over and its future released at once, so a lost
-worker costs what was in flight and nothing that was done.  Workers that vanish for good end the run instead of hanging it.
+At most a few items per worker are in flight, and the future of a finished item is released at once, so a worker that is lost
+costs only its items in flight.  If no worker is left, the run stops with an error instead of waiting forever.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ _THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREAD
 
 @contextmanager
 def cluster(workers: int, scheduler: str | None) -> Iterator[Client]:
-    """A client of ``scheduler``, or of ``workers`` local processes of one thread each.
+    """A client of ``scheduler``, or of ``workers`` local processes with one thread each.
 
     Raises
     ------
-    UsageError : the scheduler does not answer.
+    UsageError : the scheduler does not respond.
     """
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout="5s", set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise UsageError(
-                f"the dask scheduler does not answer ({type(error).__name__})",
+                f"the dask scheduler does not respond ({type(error).__name__})",
                 value=scheduler,
                 allowed="tcp://host:port of a running scheduler",
-                next_step="start one with `dask scheduler`, or leave --scheduler out to run locally",
+                next_step="start one with `dask scheduler`, or run locally without --scheduler",
             ) from None
         try:
             yield client
@@ -66,11 +66,11 @@ def cluster(workers: int, scheduler: str | None) -> Iterator[Client]:
 def in_parallel(
     client: Client, function: Callable[..., Out], constant: Any, items: Sequence[In], patience_s: float = _PATIENCE_S
 ) -> Iterator[Out]:
-    """``function(constant, item)`` of every item, in the order in which they are done.
+    """``function(constant, item)`` of every item, in the order of completion.
 
     Raises
     ------
-    IncompleteError : no worker was left for ``patience_s`` seconds.
+    IncompleteError : there was no worker for ``patience_s`` seconds.
     """
     waiting = iter(items)
     running: Any = as_completed(loop=client.loop)
@@ -86,25 +86,26 @@ def in_parallel(
     for _ in range(_IN_FLIGHT * workers):
         if not submit():
             break
-    alone_since: float | None = None
+    no_worker_since: float | None = None
     while running.count():
         done = _next_done(running, 1.0)
         if done is not None:
-            alone_since = None
+            no_worker_since = None
             result = done.result()
             done.release()
             submit()
             yield result
             continue
         if client.status == "running" and client.scheduler_info(n_workers=-1)["workers"]:
-            alone_since = None
+            no_worker_since = None
             continue
-        alone_since = alone_since or time.monotonic()
-        if time.monotonic() - alone_since > patience_s:
+        no_worker_since = no_worker_since or time.monotonic()
+        if time.monotonic() - no_worker_since > patience_s:
             raise IncompleteError(
                 "no worker is left",
-                value=f"{patience_s:g} s without one",
-                next_step="look at the workers' logs (memory?), then go on with: gyroscreen run --resume",
+                value=f"{patience_s:g} s without a worker",
+                allowed="at least one worker",
+                next_step="check the logs of the workers (memory), then continue: gyroscreen run --resume latest",
             )
 
 

@@ -1,4 +1,4 @@
-"""Progress of a run: a bar on a terminal, a line now and then elsewhere; always on stderr, so stdout stays clean."""
+"""Progress of a run on stderr: a bar on a terminal, a line every 10 s elsewhere."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ _EVERY_S = 10.0
 
 @contextmanager
 def progress(total: int, done: int, quiet: bool, doing: str = "identifying") -> Iterator[Callable[[int], None]]:
-    """A function to call with the number of devices that were just finished; rate and time left are shown."""
+    """A function to call with the number of devices that have just finished; shows the rate and the remaining time.
+
+    ``total`` devices, ``done`` of them before the start; ``doing`` names the work.
+    """
     if quiet:
         yield lambda _: None
     elif sys.stderr.isatty():
@@ -49,7 +52,7 @@ def _bar(total: int, done: int, doing: str) -> Iterator[Callable[[int], None]]:
 
 
 class _Lines:
-    """A line at the start, at the end and every few seconds between."""
+    """One line every 10 s, and one at the end."""
 
     def __init__(self, total: int, done: int, doing: str) -> None:
         self._total, self._done, self._fresh, self._doing = total, done, 0, doing
@@ -64,7 +67,7 @@ class _Lines:
         self._last = now
         rate = self._fresh / max(now - self._started, 1e-9)
         left = (self._total - finished) / max(rate, 1e-9)
-        text = f"{self._doing} {finished}/{self._total} devices, {rate:.1f}/s, {left:.0f} s left"
-        # A night must not end because nobody reads its progress any more.
+        text = f"{self._doing}: {finished} of {self._total} devices, {rate:.1f}/s, {left:.0f} s left"
+        # A run must not stop because its stderr was closed.
         with suppress(OSError):
             print(text, file=sys.stderr, flush=True)

@@ -1,7 +1,9 @@
-"""Trim a device from its posterior, and say what that does to its verdict.
+"""Trim voltages of a device from its posterior, and its predicted values and verdict after the trim.
 
-The voltages come from the posterior alone.  What is foretold includes the uncertainty of the trim gains; of a virtual device
-the truth after the trim is known as well, with gains drawn for its own electrodes.
+The prediction includes the uncertainty of the trim gains.  For a virtual device the true values after the trim are computed
+too, with gains drawn for its own electrodes.
+
+Shapes: n draws of the posterior, E pairs of trim electrodes.
 """
 
 from __future__ import annotations
@@ -33,15 +35,15 @@ def trimmed_columns(
     rate: RateSettings,
     seed: np.random.SeedSequence,
 ) -> dict[str, float | str | None]:
-    """The trim columns of one device; empty where it was not identified or no trim can be made.
+    """The trim columns of one device; empty if it was not identified or cannot be trimmed.
 
     Parameters
     ----------
     table : electrodes and target.
-    limits : by which the trimmed device is judged.
-    result : with its posterior draws; only status "ok" is trimmed.
-    true_physical : (12,) of a virtual device, or ``None``.
-    rate : what turns parameters into rate biases.
+    limits : limits and rule for the trimmed device.
+    result : posterior draws; a device is trimmed only if its status is "ok".
+    true_physical : true physical parameters (12,) of a virtual device, or ``None``.
+    rate : settings for the rate biases.
     seed : random stream of the device's trim gains.
     """
     if result.status != "ok":
@@ -57,14 +59,14 @@ def trimmed_columns(
     after = quantities_of(done.after, rate.angular_gain, rate.phase_error_deg, rate.drive)
     after["split_hz"] = split_hz(to_cartesian(done.after))
     decision = decide(limits, {q: after[q][None] for q in limits.quantities}, ["ok"])
-    said = summarise({name: after[name] for name in ("theta_deg", "split_hz")})
+    summary = summarise({name: after[name] for name in ("theta_deg", "split_hz")})
     columns: dict[str, Any] = {
         "trim_voltages_v": ",".join(f"{v:.4g}" for v in done.voltages_v),
         "trim_at_limit": float(np.any(done.at_limit)),
-        "trimmed_theta_deg": said["theta_deg"],
-        "trimmed_theta_deg_sd": said["theta_deg_sd"],
-        "trimmed_split_hz": said["split_hz"],
-        "trimmed_split_hz_sd": said["split_hz_sd"],
+        "trimmed_theta_deg": summary["theta_deg"],
+        "trimmed_theta_deg_sd": summary["theta_deg_sd"],
+        "trimmed_split_hz": summary["split_hz"],
+        "trimmed_split_hz_sd": summary["split_hz_sd"],
         "trimmed_p_pass": float(decision.p_pass[0]),
         "trimmed_verdict": decision.verdict[0],
     }

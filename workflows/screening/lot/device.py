@@ -1,7 +1,9 @@
-"""One device of a lot, looked at again: its records, a fit with the effects that its lot needs, the scores of the others.
+"""The examination of one device: a fit with the effects that its lot needs, and the scores of the other effects.
 
-A look is a pure function of the configuration, the device's number and what is asked (``Request``), so it gives the same
-answer on every worker.  Scores are those of ``pipeline.criticism``: the device's own parameters are projected out.
+An examination is a pure function of the configuration and of its ``Request``, so it gives the same result on every worker.
+Scores are those of ``pipeline.criticism``: the device's own parameters are projected out.
+
+Shapes: N samples of a record, K columns of all candidate effects, P fitted parameters.
 """
 
 from __future__ import annotations
@@ -49,10 +51,15 @@ Source = tuple[RunConfig, tuple[Path, ...]]
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of device ``number``.
+    """A request to examine device ``number``.
 
-    ``start`` parameter -> value to fit from; ``terms`` beside the screening model; ``scored``: with scores of what is absent;
-    ``alone``: diagnose it by itself.
+    Parameters
+    ----------
+    number : of the device in the run.
+    start : parameter and value from which the fit starts.
+    terms : effects in the model in addition to the screening model.
+    scored : compute scores of the effects that are not in the model.
+    alone : diagnose the device by itself instead.
     """
 
     number: int
@@ -64,16 +71,17 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class DeviceExamination:
-    """What a device says.
+    """The result of a request.
 
     Parameters
     ----------
     number, terms : of the request.
-    why : why it could not be looked at; empty where it could.
+    why : why the examination failed; empty if it succeeded.
     parameters : name -> (value, sd) of the fit.
-    score, information : (K,), (K, K) of ``columns_of``'s columns, and the score's covariance (K, K).
-    status, p_pass, verdict : with the terms in its model.
-    effects, sizes, reason : what it lacks by itself, where that was asked.
+    score, information, covariance : score (K,), its information and its covariance (K, K), for the columns of
+        :func:`columns_of`.
+    status, p_pass, verdict : with the terms in the model.
+    effects, sizes, reason : the diagnosis of the device by itself, if requested.
     """
 
     number: int
@@ -93,7 +101,10 @@ class DeviceExamination:
 
 @lru_cache(maxsize=8)
 def columns_of(terms: tuple[str, ...]) -> tuple[SharedTerm, ...]:
-    """The absent effects whose parameters all exist at their null, and the columns of each."""
+    """The candidate effects and their columns, if ``terms`` are in the model.
+
+    Effects with a parameter that is scanned on a grid are left out: it does not exist at the null.
+    """
     model = Model(effects=(_SCREENING, *terms))
     found, place = [], 0
     for name in model.candidates():
@@ -108,21 +119,21 @@ def columns_of(terms: tuple[str, ...]) -> tuple[SharedTerm, ...]:
 
 
 def examine_device(source: Source, request: Request) -> DeviceExamination:
-    """Fit, score and judge one device; what goes wrong is said, never raised."""
+    """Fit, score and judge one device; a failure is reported in ``why`` and never raised."""
     with threadpool_limits(limits=1):
         try:
-            return _look(source, request)
+            return _examined(source, request)
         except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             return _failed(request, f"{error}")
 
 
 def _failed(request: Request, why: str) -> DeviceExamination:
-    nothing = np.zeros(0)
-    return DeviceExamination(request.number, request.terms, why, {}, nothing, nothing, nothing, reason=why)
+    empty = np.zeros(0)
+    return DeviceExamination(request.number, request.terms, why, {}, empty, empty, empty, reason=why)
 
 
-def subject_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, float | None]:
-    """Records of a device, their noise, and the mains frequency that its model carries."""
+def measurement_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, float | None]:
+    """Records of a device, their noise level, and the mains frequency in its model [Hz], if any."""
     config, folders = source
     if config.source.kind == "campaigns":
         campaign = read_campaign(folders[number])
@@ -143,22 +154,22 @@ def subject_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, float
     return Campaign(drawn.device_id[0], records, instrument, gain), NoiseLevel(sigma, "silent", silent_v.shape[0]), line
 
 
-def _look(source: Source, request: Request) -> DeviceExamination:
+def _examined(source: Source, request: Request) -> DeviceExamination:
     config, _ = source
-    campaign, noise, line = subject_of(source, request.number)
+    campaign, noise, line = measurement_of(source, request.number)
     model = Model(effects=(_SCREENING, *((_HUM,) if line else ())))
     start = dict(request.start) | ({f"{_HUM}.f": line} if line else {})
     score, information, covariance = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
     effects = sizes = reason = ""
     if request.scored or request.alone:
         view = CampaignProblem(campaign, model, noise)
-        begun = FitResult(True, (), {name: (value, 0.0) for name, value in start.items()}, (), ())
-        fit = view.fit(request.terms, begun)
+        first = FitResult(True, (), {name: (value, 0.0) for name, value in start.items()}, (), ())
+        fit = view.fit(request.terms, first)
         if not fit.ok:
             return _failed(request, fit.why or "the fit with these effects did not converge")
         fitted = view.campaign_fit(request.terms)
         if request.alone:
-            effects, sizes, reason = told(diagnose(view, request.terms))
+            effects, sizes, reason = diagnosis_texts(diagnose(view, request.terms))
         else:
             score, information, covariance = _scores(view, fitted, fit, columns_of(request.terms))
     else:
@@ -185,7 +196,7 @@ def _look(source: Source, request: Request) -> DeviceExamination:
 def _scores(
     view: CampaignProblem, fitted: CampaignFit, fit: FitResult, terms: Sequence[SharedTerm]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Score (K,), information and covariance (K, K) of the columns of ``terms`` in their own units."""
+    """Score (K,), information and covariance (K, K) of the columns of ``terms``, in the units of their parameters."""
     problem = CampaignResiduals(fitted.model, view.campaign, view.noise.sigma_v)
     tasks = problem.tasks(view.records, fitted.values)
 
@@ -209,7 +220,7 @@ def _scores(
 def _judged(
     config: RunConfig, campaign: Campaign, fitted: CampaignFit, rate: RateSettings, number: int
 ) -> tuple[str, float, str]:
-    """Status, P(conform) and verdict of a fit, by the gate and the limits of the run; draws are normal."""
+    """Status, P(conform) and verdict of a fit, from the gate and the limits of the run and normal draws."""
     i = config.identification
     chi2, rows = 0.0, 0
     residuals = {record.name: record.residual for record in fitted.records}
@@ -245,8 +256,8 @@ def _judged(
     return status, float(decision.p_pass[0]), decision.verdict[0]
 
 
-def told(found: Diagnosis) -> tuple[str, str, str]:
-    """Effects (rivals of a class joined by |), their sizes, and the reason, as the devices table has them."""
+def diagnosis_texts(found: Diagnosis) -> tuple[str, str, str]:
+    """Effects (members of a class joined by |), their sizes, and the reason, as the devices table states them."""
     if found.verdict in ("effect", "class"):
         members = {item.term: item.members for item in found.classes}
         effects = "+".join("|".join(members.get(term, (term,))) for term in found.terms)
@@ -254,20 +265,20 @@ def told(found: Diagnosis) -> tuple[str, str, str]:
         sizes = "" if fit is None else sizes_of(fit.parameters, found.terms)
         return effects, sizes, f"{found.verdict}: explains the misfit"
     if found.verdict == "adequate":
-        return "", "", "adequate: no effect is significant and no structure is left"
+        return "", "", "adequate: no effect is significant and the residual has no structure"
     if found.verdict == "fit_failed":
         return "unknown", "", f"fit_failed: {found.why}"
     worst = None if found.after is None else found.after.worst
     best = found.scores[0] if found.scores else None
-    parts = ["no effect of the library explains the misfit"]
+    parts = ["no known effect explains the misfit"]
     if worst is not None:
-        parts.append(f"structure is left in {worst.test} ({worst.where})")
+        parts.append(f"the residual has structure: {worst.test} ({worst.where})")
     if best is not None:
-        parts.append(f"nearest {best.name}, which takes {best.delta_chi2:.3g} of chi2")
+        parts.append(f"closest candidate {best.name}, which lowers chi2 by {best.delta_chi2:.3g}")
     return "unknown", "", "; ".join(parts)
 
 
 def sizes_of(parameters: Mapping[str, tuple[float, float]], terms: Sequence[str]) -> str:
-    """Sizes of some effects as text."""
+    """Sizes of the parameters of the effects ``terms``, as text "effect.parameter=value+-sd, .."."""
     own = [(n, v, sd) for n, (v, sd) in parameters.items() if n.partition(".")[0] in terms and "." in n]
     return ", ".join(f"{name}={value:.4g}+-{sd:.2g}" for name, value, sd in own)

@@ -1,7 +1,9 @@
-"""The devices of a run and of its lots: which are examined, what they stand for, and what their refits say together.
+"""The devices of a run and of its lots: order of examination, weights, and statistics of their fitted effect sizes.
 
-A scope is the whole run or one lot.  Devices are examined in the order of their names' hashes, so that a sample has nothing to
-do with where they were made or how they fared.
+A scope is the whole run or one lot.  Devices are examined in the order of the hashes of their ids, so that a sample depends
+neither on where the devices were made nor on their results.
+
+Shapes: n examined devices of a scope.
 """
 
 from __future__ import annotations
@@ -21,13 +23,13 @@ from reports.run.lot_effects import ParameterSize
 
 from .device import DeviceExamination
 
-#: A size is seen where it is so many sd from null.
-SEEN = 3.0
+#: A fitted size is significant if it is this many sd from its null value.
+SIGNIFICANT_SD = 3.0
 
 
 @dataclass(frozen=True)
 class LotDevice:
-    """A row of the devices table, as far as it is needed here."""
+    """The part of a row of the devices table from which an examination starts."""
 
     number: int
     device_id: str
@@ -38,7 +40,7 @@ class LotDevice:
 
 @dataclass(frozen=True)
 class Scope:
-    """The whole run ("") or one lot: its flagged and its ok devices, in the order in which they are examined."""
+    """The whole run ("") or one lot: devices with status misfit (flagged) and ok, in the order of examination."""
 
     lot: str
     flagged: tuple[LotDevice, ...]
@@ -46,20 +48,20 @@ class Scope:
 
     @property
     def population(self) -> int:
-        """Devices that could be fitted."""
+        """Number of devices that could be fitted."""
         return len(self.flagged) + len(self.ok)
 
-    def weights(self, looks: Mapping[int, DeviceExamination]) -> dict[int, float]:
-        """How many devices each examined one stands for."""
+    def weights(self, examined: Mapping[int, DeviceExamination]) -> dict[int, float]:
+        """Number of devices that each examined device represents, by device number."""
         out: dict[int, float] = {}
         for group in (self.flagged, self.ok):
-            seen = [device.number for device in group if device.number in looks]
-            out |= {number: len(group) / len(seen) for number in seen}
+            numbers = [device.number for device in group if device.number in examined]
+            out |= {number: len(group) / len(numbers) for number in numbers}
         return out
 
 
 def devices_of(table: pa.Table) -> tuple[LotDevice, ...]:
-    """The devices that a fit can start from, in the order in which they are examined."""
+    """The devices from which a fit can start, in the order of examination."""
     columns = {name: table.column(name).to_pylist() for name in ("device_id", "lot", "status", *PHYSICAL)}
     out = []
     for number, (name, lot, status) in enumerate(zip(columns["device_id"], columns["lot"], columns["status"])):
@@ -70,7 +72,7 @@ def devices_of(table: pa.Table) -> tuple[LotDevice, ...]:
 
 
 def scopes_of(devices: Sequence[LotDevice]) -> tuple[Scope, ...]:
-    """The whole run, then each lot where there are several."""
+    """The whole run, followed by each lot if there are several."""
 
     def scope(lot: str, own: Sequence[LotDevice]) -> Scope:
         return Scope(lot, tuple(d for d in own if d.flagged), tuple(d for d in own if not d.flagged))
@@ -80,8 +82,8 @@ def scopes_of(devices: Sequence[LotDevice]) -> tuple[Scope, ...]:
     return (scope("", devices), *single)
 
 
-def in_turn(devices: Sequence[LotDevice]) -> list[LotDevice]:
-    """Devices in an order that visits the lots in turn."""
+def lots_alternating(devices: Sequence[LotDevice]) -> list[LotDevice]:
+    """The devices in an order that alternates between the lots."""
     places: dict[str, int] = {}
     keyed = []
     for device in devices:
@@ -91,45 +93,48 @@ def in_turn(devices: Sequence[LotDevice]) -> list[LotDevice]:
 
 
 def parameters_of(name: str) -> tuple[tuple[str, str, float], ...]:
-    """Full names, units and nulls of an effect's parameters."""
+    """Full name, unit and null value of each parameter of an effect."""
     model = Model(effects=(name,))
     effect = model.effect(name)
     return tuple((effect.full_name(m), m.unit, m.null) for m in effect.members(model.built.shape))
 
 
 def bounds_of(name: str) -> tuple[tuple[float, float], ...]:
+    """Range of each parameter of an effect."""
     model = Model(effects=(name,))
     return tuple(model.bounds(full) for full, _, _ in parameters_of(name))
 
 
 def sizes_in(
-    scope: Scope, looks: Mapping[int, DeviceExamination], parameter: str, null: float
+    scope: Scope, examined: Mapping[int, DeviceExamination], parameter: str, null: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fitted sizes, their sds and weights of a scope's devices that have the parameter in their model."""
-    weights = scope.weights({n: one for n, one in looks.items() if parameter in one.parameters})
-    pairs = [looks[n].parameters[parameter] for n in sorted(weights)]
+    """Fitted sizes minus null, their sd and weights, each (n,), of the devices with the parameter in their model."""
+    weights = scope.weights({n: one for n, one in examined.items() if parameter in one.parameters})
+    pairs = [examined[n].parameters[parameter] for n in sorted(weights)]
     values = np.array([value - null for value, _ in pairs])
     return values, np.array([sd for _, sd in pairs]), np.array([weights[n] for n in sorted(weights)])
 
 
-def needed_in(scope: Scope, looks: Mapping[int, DeviceExamination], name: str, alpha: float) -> bool:
+def needed_in(scope: Scope, examined: Mapping[int, DeviceExamination], name: str, alpha: float) -> bool:
+    """Whether the fitted sizes of effect ``name`` are significant in the scope, at family-wise ``alpha``."""
     own = parameters_of(name)
     return any(
-        still_needed(*sizes_in(scope, looks, full, null), scope.population, alpha / len(own)) for full, _, null in own
+        still_needed(*sizes_in(scope, examined, full, null), scope.population, alpha / len(own))
+        for full, _, null in own
     )
 
 
-def lacks(lot: Scope, looks: Mapping[int, DeviceExamination], name: str, sizes: Sequence[ParameterSize]) -> bool:
-    """Whether a lot's mean size is null within ``SEEN`` sd, and surely below half of what carriers have."""
+def lacks(lot: Scope, examined: Mapping[int, DeviceExamination], name: str, sizes: Sequence[ParameterSize]) -> bool:
+    """Whether the mean size in a lot is not significant, and significantly below half the mean of affected devices."""
     for (full, _, null), size in zip(parameters_of(name), sizes):
-        mean, sd = _mean(*sizes_in(lot, looks, full, null))
-        if abs(mean) < SEEN * sd and abs(mean) + SEEN * sd < 0.5 * abs(size.mean or 0.0):
+        mean, sd = _mean(*sizes_in(lot, examined, full, null))
+        if abs(mean) < SIGNIFICANT_SD * sd and abs(mean) + SIGNIFICANT_SD * sd < 0.5 * abs(size.mean or 0.0):
             return True
     return False
 
 
 def _mean(values: FloatArray, sds: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Mean size by inverse variance, and its sd, from the sds or from the scatter, whichever is larger."""
+    """Mean size, weighted by inverse variance, and its sd: from the sd or from the scatter, whichever is larger."""
     if values.size == 0 or not np.all(sds > 0.0):
         return 0.0, float("inf")
     w = weights / sds**2
