@@ -1,13 +1,13 @@
-"""A film's thickness, or an etched width, across a wafer: the law that deposition and etching share.
+"""Deviation of a film thickness or of an etched width across a wafer.
 
     delta(x, y) = lot + wafer + bow b (rho^2 - 1/2) + wedge . (x, y) / R + N(x, y) + die,   rho^2 = (x^2 + y^2) / R^2
 
-lot, wafer, die normal; bow scaled by b ~ N(1, bow_spread) of each wafer; wedge a normal vector; N a Gaussian
-process with correlation exp(-d / length).  Evaluated at every spring, so that a wedge across the device tilts
-its up-down mode (1-theta) and a bow splits its rocking modes a little (2-theta).
+lot, wafer and die are normal; b ~ N(1, bow_spread) for each wafer; wedge is a normal vector; N is a Gaussian process with
+correlation exp(-d / length).  The deviation is evaluated at every spring: a gradient across the device tilts its up-down mode
+(1-theta), and a curvature splits its rocking modes slightly (2-theta).
 
-Source: variance shares lot / wafer / within 73/20/7 % (Oxide data of R's nlme) and 47/34/18 % (NIST handbook,
-ppc514).
+Shapes: B devices, J springs.
+Source: variance shares lot / wafer / within wafer 73/20/7 % (Oxide data of R's nlme) and 47/34/18 % (NIST handbook, ppc514).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .site import Site
 
 
 def across_wafer_parameters(unit: str, suffix: str, high: float) -> tuple[IrregularityParameter, ...]:
-    """The parameters of the law, with spreads in ``unit`` between 0 and ``high``."""
+    """Parameters of the deviation; spreads are in ``unit``, between 0 and ``high``, and their names end in ``suffix``."""
 
     def spread(name: str, meaning: str, low: float = 0.0) -> IrregularityParameter:
         return IrregularityParameter(f"{name}_{suffix}", unit, low, high, meaning)
@@ -32,16 +32,16 @@ def across_wafer_parameters(unit: str, suffix: str, high: float) -> tuple[Irregu
         spread("lot", "sd of the lot mean"),
         spread("wafer", "sd of the wafer mean within a lot"),
         spread("bow", "radial bow, edge minus centre", low=-high),
-        IrregularityParameter("bow_spread", "1", 0.0, 10.0, "sd of a wafer's bow over its mean"),
-        spread("wedge", "sd of each component of the linear tilt, centre to edge"),
-        spread("field", "sd of the smooth random map of a wafer"),
-        IrregularityParameter("field_length_mm", "mm", 0.1, 1e4, "correlation length of that map", null=15.0),
+        IrregularityParameter("bow_spread", "1", 0.0, 10.0, "sd of the bow of the wafers over its mean"),
+        spread("wedge", "sd of each component of the gradient, centre to edge"),
+        spread("field", "sd of the smooth random field on a wafer"),
+        IrregularityParameter("field_length_mm", "mm", 0.1, 1e4, "correlation length of the random field", null=15.0),
         spread("die", "sd from die to die"),
     )
 
 
 def across_wafer(p: Mapping[str, float], suffix: str, site: Site) -> FloatArray:
-    """delta at each spring, (J, B), in the unit of the spreads in ``p``."""
+    """delta (J, B) at each spring, in the unit of the spreads in ``p``."""
     x, y = site.spring_places()
     level = p[f"lot_{suffix}"] * site.normal("lot")[0] + p[f"wafer_{suffix}"] * site.normal("wafer")[0]
     bow = p[f"bow_{suffix}"] * (1.0 + p["bow_spread"] * site.normal("wafer", label="bow")[0])

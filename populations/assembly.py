@@ -1,31 +1,30 @@
-"""From the structure of a device to the parameters of its plant.
+"""Parameters of the plant from the structure of a device.
 
-Springs at azimuth phi_j and radius r with stiffness k_j, K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x
-y, relative to the nominal K0 = k0 J r^2 / 2 and written as mean and 2-theta anisotropy (``symmetric``):
+Springs at azimuth phi_j and radius r with stiffness k_j have K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x y.  Relative
+to the nominal K0 = k0 J r^2 / 2 and written as mean and 2-theta anisotropy (see ``symmetric``):
 
     K / K0 = (S0, -S2),   S0 = sum k_j / (J k0),   S2 = sum k_j exp(2 i phi_j) / (J k0)
-    then times (1 + e), e residual and stress;   plus electrostatic springs at the drive electrodes (+-45 deg)
+    times (1 + e), e: residual anisotropy and stress;   plus electrostatic springs at the drive electrodes (+-45 deg)
     I / I0 = (1 + p |d|^2, -p d^2),   p = mu (m_p / m) / (2 l^2),   d = x + i y the offset of the post
     omega_i^2 = omega0^2 eigenvalues of I^(-1/2) K I^(-1/2)
     omega3^2  = omega30^2 (S0 - softening)
     1/Q = p_gas / Q_gas + 1 / Q_anchor + 1 / Q_thermoelastic,   C = I^(-1/2) (omega0 / Q)(1 + anisotropy) I^(-1/2)
     c11 + c22 = 2 mean,   (c11 - c22)/2 + i c12 = anisotropy exp(-2 i theta)
 
-1-theta quantities couple rocking with up-down.  With zeta = -z, the mode shape of up-down has, in units of
-zeta / l,
+1-theta quantities couple rocking with up-down.  With zeta = -z, the shape of the up-down mode has, in units of zeta / l and
+to first order,
 
     a_x = -g (-(r/l) Im S1 + (m_p/m) d_y/l),   g = mu omega3^2 / (omega_r^2 - omega3^2)
     S1 = sum k_j exp(i phi_j) / (J k0)
 
-to first order, hence the updown_tilt t_x = -a_x; the tilt about y is taken by the up-down gain (a gauge, to
-first order nil). What the rocking modes see of up-down in return (of the same order times -1/mu) is in none
-of the effects and left out.
+so the updown_tilt is t_x = -a_x.  The tilt about y changes the up-down gain only, and in second order.  The converse, up-down
+motion in the rocking modes (of the same order, times -1/mu), is not modelled by any effect and is neglected.
 
-Electrodes: gain (V / V0) A / g^2 (drive; sense without the bias), times the arm for rocking; softening
-A V^2 / g^3, times arm^2 for rocking.
+Electrodes: the gain is (V / V0) A / g^2 for a drive and A / g^2 for a sense electrode, times the arm for rocking; the softening
+is A V^2 / g^3, times arm^2 for rocking.
 
-Shapes: B devices, J springs, electrodes D1, D2, S1, S2.  Frequencies Hz, rates 1/s, angles
-deg, lengths mm. Source: the paper, eq. (1), (2), (9), (10), (18), and the derivations above.
+Shapes: B devices, J springs, four electrodes D1, D2, S1, S2.  Frequencies in Hz, rates in 1/s, angles in deg, lengths in mm.
+Source: the paper, eq. (1), (2), (9), (10), (18), and the derivations above.
 """
 
 from __future__ import annotations
@@ -44,15 +43,15 @@ from pipeline.quantities import MODEL
 
 from .irregularity import CHANGES, Change
 from .nominal import NominalDevice
-from .symmetric import Symmetric, as_complex, axis_deg, congruence, inverse_root, product, turned
+from .symmetric import Symmetric, as_complex, axis_deg, congruence, inverse_root, product, rotated
 
 TAU = 2.0 * math.pi
-MOST_DAMPING_ANISOTROPY = 1.0  # C stays positive semidefinite
+MAX_DAMPING_ANISOTROPY = 1.0  # up to 1, C is positive semidefinite
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Sum of all changes of B devices (see ``Change`` for the meaning of each), and bias and pressure over nominal."""
+    """Sums of all changes of B devices; ``Change`` gives the meaning, unit and shape of each."""
 
     ln_stiffness: FloatArray
     ln_spring: FloatArray
@@ -74,9 +73,11 @@ ROWS = {"ln_area": 4, "ln_gap": 4, "ln_arm": 4, "ln_channel": 4, "ln_gas": 2}
 
 
 def combine(changes: Iterable[tuple[str, Change]], count: int, springs: int) -> Structure:
-    """Sum of named changes for ``count`` devices.
+    """Sum of named changes for ``count`` devices with ``springs`` springs.
 
-    Raises ConfigError when a change has the wrong shape, is complex where it should be real, or is not finite.
+    Raises
+    ------
+    ConfigError : a change has the wrong shape, is complex instead of real, or is not finite.
     """
     rows = {**ROWS, "ln_spring": springs, "azimuth_rad": springs}
     shape = {name: (rows[name], count) if name in rows else (count,) for name in CHANGES}
@@ -89,22 +90,23 @@ def combine(changes: Iterable[tuple[str, Change]], count: int, springs: int) -> 
             complex_for_real = np.iscomplexobj(part) and name not in COMPLEX
             if np.shape(part) != shape[name] or complex_for_real or not np.all(np.isfinite(part)):
                 raise ConfigError(
-                    f"irregularity {source} gives {name} of shape {np.shape(part)}, or one that is not finite",
-                    allowed=f"finite numbers of shape {shape[name]}",
-                    next_step="correct the irregularity's act(), or the size of its parameters",
+                    f"irregularity {source}: {name} has the wrong shape or type, or is not finite",
+                    value=np.shape(part),
+                    allowed=f"finite {'complex' if name in COMPLEX else 'real'} numbers of shape {shape[name]}",
+                    next_step="correct act() of the irregularity, or the values of its parameters",
                 )
             total[name] = total[name] + part
     return Structure(**total)
 
 
 def _sum(rows: Iterable[FloatArray]) -> FloatArray:
-    # Not numpy's sum, whose order of addition depends on the shape of the batch.
+    # numpy.sum adds in an order that depends on the number of devices; a device must not depend on its batch.
     return reduce(add, rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """Relative stiffness: rocking K / K0, up-down, and the 1-theta moment S1 of the springs."""
+    """Relative stiffness: of rocking K / K0, of up-down (B,), and the 1-theta moment S1 (B,) of the springs."""
 
     rocking: Symmetric
     updown: FloatArray
@@ -114,8 +116,7 @@ class Stiffness:
 def spring_stiffness(device: NominalDevice, ln_spring: FloatArray, azimuth_rad: FloatArray) -> Stiffness:
     """(S0, -S2), S0 and S1 of springs with ln(k / k0) and azimuth errors, both (J, B)."""
     nominal = np.deg2rad(np.array(device.spring_azimuth_deg))
-    # Nominal moments are exact zeros for a symmetric suspension, so they go by expansion about the nominal
-    # azimuth.
+    # Expanded about the nominal azimuths, so that the moments of a symmetric suspension are exactly zero.
     relative = [np.exp(row) for row in ln_spring]
     share = 1.0 / len(nominal)
     s0 = _sum([k - 1.0 for k in relative]) * share + 1.0
@@ -136,34 +137,34 @@ def spring_stiffness(device: NominalDevice, ln_spring: FloatArray, azimuth_rad: 
 
 
 def stiffness(device: NominalDevice, structure: Structure, bias: float) -> Stiffness:
-    """Relative stiffness with springs, anisotropy and electrostatic springs; ``bias`` is V / V0."""
+    """Relative stiffness from springs, anisotropy and electrostatic softening; ``bias`` is V / V0."""
     springs = spring_stiffness(device, structure.ln_spring, structure.azimuth_rad)
     common = np.exp(structure.ln_stiffness)
     rocking = product(springs.rocking, Symmetric(np.ones_like(common), structure.anisotropy))
     area, gap, arm = structure.ln_area, structure.ln_gap, structure.ln_arm
-    plain = [bias**2 * np.exp(area[k] - 3.0 * gap[k]) for k in (0, 1)]
-    levered = [plain[k] * np.exp(2.0 * arm[k]) for k in (0, 1)]
+    unlevered = [bias**2 * np.exp(area[k] - 3.0 * gap[k]) for k in (0, 1)]
+    levered = [unlevered[k] * np.exp(2.0 * arm[k]) for k in (0, 1)]
     soft = softening(device)
     soft3 = soft * (device.rocking_hz / device.updown_hz) ** 2 / device.lever
     total = Symmetric(
         common * rocking.mean - soft * ((levered[0] + levered[1]) / 2.0 - 1.0),
-        # -S2 of two negative springs at +45 and -45 deg: exp(+-90 deg i) each.
+        # -S2 of two negative springs at +45 and -45 deg, where exp(2 i phi) = +-i.
         as_complex(
             common * rocking.anisotropy.real,
             common * rocking.anisotropy.imag + 0.5 * soft * (levered[0] - levered[1]),
         ),
     )
-    updown = common * springs.updown - soft3 * ((plain[0] + plain[1]) / 2.0 - 1.0)
+    updown = common * springs.updown - soft3 * ((unlevered[0] + unlevered[1]) / 2.0 - 1.0)
     return Stiffness(total, updown, common * springs.moment)
 
 
 def softening(device: NominalDevice) -> float:
-    """Share of K0 that both drive electrodes take away at the nominal bias: -2 df / f0."""
+    """Relative reduction of K0 by both drive electrodes at the nominal bias: -2 df / f0."""
     return -2.0 * device.softening_hz_per_v2 * device.nominal_bias_v**2 / device.rocking_hz
 
 
 def inertia(device: NominalDevice, offset_mm: ComplexArray) -> Symmetric:
-    """I / I0 with the post off centre: I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y."""
+    """I / I0 with the post off centre by ``offset_mm`` (B,): I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y."""
     x, y = offset_mm.real / device.arm_mm, offset_mm.imag / device.arm_mm
     weight = device.lever * device.post_mass_fraction / 2.0
     return Symmetric(1.0 + weight * (x * x + y * y), as_complex(weight * (y * y - x * x), -2.0 * weight * x * y))
@@ -175,7 +176,7 @@ def inverse_quality(device: NominalDevice, structure: Structure, pressure: float
     gas = [1.0 / total - other for total in (device.quality_rocking, device.quality_updown)]
     gas_loss = [pressure * np.exp(structure.ln_pressure + ln) for ln in structure.ln_gas]
     anchor = np.exp(structure.ln_anchor)
-    # Written about the nominal total, so that a nominal device has exactly the nominal Q.
+    # Expanded about the nominal total, so that a nominal device has exactly the nominal Q.
     first, second = (
         1.0 / total + (share * (loss - 1.0) + (anchor - 1.0) / device.quality_anchor)
         for total, share, loss in zip((device.quality_rocking, device.quality_updown), gas, gas_loss)
@@ -184,9 +185,17 @@ def inverse_quality(device: NominalDevice, structure: Structure, pressure: float
 
 
 def parameters(device: NominalDevice, structure: Structure, bias: float, pressure: float) -> dict[str, FloatArray]:
-    """The parameters of ``pipeline.quantities.MODEL``, each (B,).
+    """The parameters of ``pipeline.quantities.MODEL`` by name, each (B,).
 
-    Raises ConfigError when a device would be unstable.
+    Parameters
+    ----------
+    device : the nominal device.
+    structure : its changes.
+    bias, pressure : V / V0 and p / p0.
+
+    Raises
+    ------
+    ConfigError : a device has no positive stiffness.
     """
     k = stiffness(device, structure, bias)
     root = inverse_root(inertia(device, structure.post_offset_mm))
@@ -194,7 +203,7 @@ def parameters(device: NominalDevice, structure: Structure, bias: float, pressur
     size = np.hypot(normalised.anisotropy.real, normalised.anisotropy.imag)
     if not (np.all(normalised.mean > size) and np.all(k.updown > 0.0)):
         raise ConfigError(
-            "the population holds a device without a restoring stiffness",
+            "the population contains a device without a positive stiffness",
             value=float(np.min(normalised.mean - size)),
             allowed="eigenvalues of K / K0 above 0",
             next_step="lower the spreads or the bias of the population",
@@ -207,9 +216,9 @@ def parameters(device: NominalDevice, structure: Structure, bias: float, pressur
     loss, loss3 = inverse_quality(device, structure, pressure)
     rate = TAU * device.rocking_hz * loss
     modulus = np.hypot(structure.damping_anisotropy.real, structure.damping_anisotropy.imag)
-    limited = structure.damping_anisotropy / np.maximum(modulus / MOST_DAMPING_ANISOTROPY, 1.0)
+    limited = structure.damping_anisotropy / np.maximum(modulus / MAX_DAMPING_ANISOTROPY, 1.0)
     c = congruence(root, Symmetric(rate, rate * limited))
-    along = turned(c.anisotropy, theta_deg)
+    along = rotated(c.anisotropy, theta_deg)
 
     updown, rocking = electrode_gains(structure, bias)
     mean = [(rocking[0] + rocking[1]) / 2.0, (rocking[2] + rocking[3]) / 2.0]
@@ -234,7 +243,7 @@ def parameters(device: NominalDevice, structure: Structure, bias: float, pressur
 
 
 def electrode_gains(structure: Structure, bias: float) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Gains over nominal of D1, D2, S1, S2, each (B,), as up-down and as rocking sees them."""
+    """Relative gains of D1, D2, S1, S2, each (B,), for up-down and for rocking; ``bias`` is V / V0."""
     volts = (bias, bias, 1.0, 1.0)
     ln = [structure.ln_area[k] - 2.0 * structure.ln_gap[k] + structure.ln_channel[k] for k in range(4)]
     updown = [volts[k] * np.exp(ln[k]) for k in range(4)]
@@ -250,12 +259,12 @@ def imbalance(first: FloatArray, second: FloatArray) -> FloatArray:
 def effects(
     device: NominalDevice, structure: Structure, bias: float, plant: dict[str, FloatArray]
 ) -> dict[str, dict[str, FloatArray]]:
-    """What the same structure does outside the plant's parameters: effect -> parameter -> (B,).
+    """Sizes of the effects of the same structure that are not parameters of the plant: effect -> parameter -> (B,).
 
         1/g [1/(V s)] = s0 omega0^2 / (2 G_r V0) exp(-ln_gap) / K_S,   s0 the nominal ``softening``
 
-    because motion is counted in pick-off volts: pulling with K_D V_b x / g at both drives lowers omega^2 by 2
-    G_r V_b / g.
+    because motion is measured in pick-off volts, where the force K_D V_b x / g at both drives lowers omega^2 by
+    2 G_r V_b / g.  ``plant`` contains the parameters of :func:`parameters`.
     """
     k = stiffness(device, structure, bias)
     updown, rocking = electrode_gains(structure, bias)

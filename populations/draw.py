@@ -1,11 +1,11 @@
-"""Draw virtual devices: the hierarchy's random numbers through the irregularities to the parameters of the plant.
+"""Draw virtual devices of a population.
 
-    device n --layout--> lot, wafer, die --irregularities--> changes --sum--> structure --assembly-->
-    parameters
+    device n --layout--> lot, wafer, die --irregularities--> changes --sum--> structure --assembly--> parameters
 
-once as fabricated (stages fabrication and probe; the prober's vacuum, nominal bias and temperature) and once
-as packaged (stages fabrication and package; lid pressure, operating bias and temperature).  Device n depends
-on (spec, seed, n) alone.
+twice: as fabricated (stages fabrication and probe; pressure of the prober, nominal bias and temperature) and as packaged
+(stages fabrication and package; lid pressure, operating bias and temperature).  Device n depends on (spec, seed, n) only.
+
+Shapes: B devices.
 """
 
 from __future__ import annotations
@@ -33,14 +33,12 @@ class Draw:
     index : device numbers n.
     device_id, lot, wafer, package : names, "D000123", "L01", "L01-W03", "P000123".
     die_x_mm, die_y_mm : centre of the die on its wafer.
-    fab : parameter of ``pipeline.quantities.MODEL`` -> (B,), as the wafer prober saw it (with the gains of
-    its own channels).
+    fab : parameter of ``pipeline.quantities.MODEL`` -> (B,), as the wafer prober measures it, with the gains of its channels.
     true : the same, as packaged, at the operating bias and temperature.
-    effects : effect -> parameter -> (B,), what the same device does outside these parameters, as packaged.
-    causes : contributions as packaged, (B,): "split_hz.<irregularity>" (projected on the device's anisotropy,
-    so that they add
-        up to the split to first order), "frequency_hz.<irregularity>" (mean rocking frequency) and
-        "ln_quality.<irregularity>" (ln of the mean rocking Q).
+    effects : effect -> parameter -> (B,), sizes of the effects that are not parameters of the plant, as packaged.
+    causes : contributions of each irregularity, (B,), as packaged: "split_hz.<irregularity>" (projected on the anisotropy of
+        the device, so that they add up to the split in first order), "frequency_hz.<irregularity>" (mean rocking frequency)
+        and "ln_quality.<irregularity>" (ln of the mean rocking Q).
     """
 
     index: IntArray
@@ -59,18 +57,20 @@ class Draw:
 def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
     """Devices ``first`` .. ``first + count - 1`` of the population.
 
-    Raises UsageError for a negative seed or first, or a count below 1; ConfigError when the population cannot
-    be built.
+    Raises
+    ------
+    UsageError : a negative seed or first, or a count below 1.
+    ConfigError : an irregularity gives invalid changes, or a device has no positive stiffness.
     """
     for name, value, least in (("seed", seed, 0), ("first", first, 0), ("count", count, 1)):
         if value < least:
             raise UsageError(f"{name} is too small", value=value, allowed=f"{least} or more", next_step=f"raise {name}")
     device, operating = spec.device, spec.operating
     index = np.arange(first, first + count, dtype=np.int64)
-    made = places(spec.wafer, index)
+    placed = places(spec.wafer, index)
     changes: list[tuple[str, Stage, Change]] = []
     for irregularity, values in spec.found():
-        site = Site(irregularity.name, seed, index, made, device, spec.wafer, operating)
+        site = Site(irregularity.name, seed, index, placed, device, spec.wafer, operating)
         changes.append((irregularity.name, irregularity.stage, irregularity.act(values, site)))
 
     springs = len(device.spring_azimuth_deg)
@@ -97,15 +97,15 @@ def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
             causes[f"frequency_hz.{name}"] = device.rocking_hz * (np.sqrt(k.mean) - 1.0)
             causes[f"ln_quality.{name}"] = np.log(1.0 / (loss * device.quality_rocking))
 
-    lots = tuple(f"L{lot + 1:02d}" for lot in made.lot.tolist())
+    lots = tuple(f"L{lot + 1:02d}" for lot in placed.lot.tolist())
     return Draw(
         index=index,
         device_id=tuple(f"D{n:06d}" for n in index.tolist()),
         lot=lots,
-        wafer=tuple(f"{lot}-W{wafer + 1:02d}" for lot, wafer in zip(lots, made.wafer_in_lot.tolist())),
+        wafer=tuple(f"{lot}-W{wafer + 1:02d}" for lot, wafer in zip(lots, placed.wafer_in_lot.tolist())),
         package=tuple(f"P{n:06d}" for n in index.tolist()),
-        die_x_mm=made.x_mm,
-        die_y_mm=made.y_mm,
+        die_x_mm=placed.x_mm,
+        die_y_mm=placed.y_mm,
         fab=fab,
         true=true,
         effects=effects(device, packaged, bias, true),

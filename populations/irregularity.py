@@ -1,8 +1,10 @@
-"""An irregularity: what fabrication or packaging does to a device.  One file each, found by itself.
+"""Irregularities: changes that fabrication or packaging makes to a device.  Each is one file, which is discovered.
 
-An irregularity is data (stage, parameters, source) and one pure function ``act(values, site) -> Change``.
-Changes add up (stiffness, area, pressure and the like as logarithms), so neither the order nor the number of
-the irregularities matters, and one whose parameters are null changes nothing, to the bit.
+An irregularity consists of data (stage, parameters, source) and one pure function ``act(values, site) -> Change``.  Changes add
+up (stiffness, area, pressure and similar quantities as logarithms), so the order of the irregularities does not matter, and an
+irregularity at its null values changes nothing, to the bit.
+
+Shapes: B devices, J springs, four electrodes D1, D2, S1, S2.
 """
 
 from __future__ import annotations
@@ -23,15 +25,14 @@ from pipeline.errors import ConfigError
 from .site import Site
 
 Stage = Literal["fabrication", "probe", "package"]
-"""fabrication: stays with the device; probe: only seen by the wafer prober; package: only in the package."""
+"""fabrication: always present; probe: only in the wafer prober; package: only in the package."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What an irregularity adds to the structure of B devices; ``None`` adds nothing.
+    """Changes of the structure of B devices; ``None`` is no change.
 
-    Shapes: (B,), springs (J, B), electrodes (4, B) in the order D1, D2, S1, S2.  A vector or a 2-theta
-    quantity is complex.
+    A vector or a 2-theta quantity is complex.  ``ln_`` marks the logarithm of a ratio to nominal.
     """
 
     ln_stiffness: FloatArray | None = None  # of all springs, (B,)
@@ -39,14 +40,14 @@ class Change:
     azimuth_rad: FloatArray | None = None  # of each spring, (J, B)
     anisotropy: ComplexArray | None = None  # e: K = K0 (1 + [[Re e, Im e], [Im e, -Re e]]), (B,)
     post_offset_mm: ComplexArray | None = None  # x + i y of the post's centre of mass, (B,)
-    ln_area: FloatArray | None = None  # of the electrodes, (4, B)
-    ln_gap: FloatArray | None = None  # (4, B)
-    ln_arm: FloatArray | None = None  # distance of an electrode's centroid from the centre, (4, B)
-    ln_channel: FloatArray | None = None  # gain of the tester's channels, (4, B)
+    ln_area: FloatArray | None = None  # of each electrode, (4, B)
+    ln_gap: FloatArray | None = None  # of each electrode, (4, B)
+    ln_arm: FloatArray | None = None  # centre of the device to the centroid of each electrode, (4, B)
+    ln_channel: FloatArray | None = None  # gain of each channel of the prober, (4, B)
     ln_pressure: FloatArray | None = None  # of the gas around the device, (B,)
     ln_gas: FloatArray | None = None  # gas damping at a given pressure: rocking, up-down, (2, B)
     ln_anchor: FloatArray | None = None  # anchor loss, (B,)
-    damping_anisotropy: ComplexArray | None = None  # as anisotropy, of C, (B,)
+    damping_anisotropy: ComplexArray | None = None  # like anisotropy, for C, (B,)
 
 
 CHANGES: tuple[str, ...] = tuple(field.name for field in fields(Change))
@@ -54,11 +55,10 @@ CHANGES: tuple[str, ...] = tuple(field.name for field in fields(Change))
 
 @dataclass(frozen=True)
 class IrregularityParameter:
-    """One number of an irregularity.
+    """One parameter of an irregularity.
 
-    ``null`` is the value of no effect, taken when the TOML leaves the parameter out; without one (``None``)
-    the TOML must state it.  ``assumption`` names the parameter among those that a study can sweep by that
-    name.
+    ``null`` is the value without effect and the default; if it is ``None``, the TOML file must state the parameter.
+    ``assumption`` is the name under which a study can vary the parameter.
     """
 
     name: str
@@ -70,13 +70,13 @@ class IrregularityParameter:
     assumption: str = ""
 
 
-#: The name by which the documentation imports it.
+#: The documented name.
 Parameter = IrregularityParameter
 
 
 @dataclass(frozen=True)
 class Irregularity:
-    """Name, stage, parameters, law and where the law comes from."""
+    """Name, stage, parameters, source and law of an irregularity."""
 
     name: str
     stage: Stage
@@ -87,9 +87,11 @@ class Irregularity:
 
 @lru_cache(maxsize=32)
 def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
-    """All irregularities by name: those shipped, then those in ``folders`` (one ``IRREGULARITY`` in each file).
+    """All irregularities by name: the shipped ones and those in ``folders``, with one ``IRREGULARITY`` in each file.
 
-    Raises ConfigError when a folder is missing, a file cannot be imported or holds none, or a name is taken.
+    Raises
+    ------
+    ConfigError : a folder does not exist; a file cannot be imported or defines no irregularity; a name occurs twice.
     """
     from . import irregularities
 
@@ -100,7 +102,7 @@ def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
     for folder in folders:
         if not Path(folder).is_dir():
             raise ConfigError(
-                "irregularity_folders names no folder",
+                "irregularity_folders: the folder does not exist",
                 value=folder,
                 allowed="an existing folder, relative to the population TOML",
                 next_step="correct irregularity_folders",
@@ -113,10 +115,10 @@ def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
         irregularity = getattr(module, "IRREGULARITY", None)
         if not isinstance(irregularity, Irregularity) or irregularity.name in found:
             raise ConfigError(
-                f"{where} must define one IRREGULARITY with a name of its own",
+                f"{where} must define one IRREGULARITY with a unique name",
                 value=irregularity,
                 allowed=f"a populations.irregularity.Irregularity not named {', '.join(sorted(found))}",
-                next_step="see populations/README.md",
+                next_step="see docs/add-an-irregularity.md",
             )
         found[irregularity.name] = irregularity
     return dict(sorted(found.items()))
@@ -134,6 +136,6 @@ def _load(path: Path) -> ModuleType:
         raise ConfigError(
             f"irregularity file {path} cannot be imported ({type(error).__name__}: {error})",
             allowed="a Python file that defines IRREGULARITY",
-            next_step="mend it, see populations/README.md",
+            next_step="correct it; see docs/add-an-irregularity.md",
         ) from error
     return module

@@ -1,11 +1,12 @@
-"""Which die is device n: lots, wafers and dies in the order of visits.
+"""The lot, wafer and die of each device number.
 
     batch = n // (W D),   slot = n mod W,   rank = (n mod W D) // W        W wafers a batch, D dies a wafer
     lot = batch L + slot mod L,             wafer = batch W + slot         L lots a batch
 
-The wafers of a batch are visited in turn, the dies of a wafer in a fixed well-spread order, so that the first
-few hundred devices already sample all wafers of the batch, each over its whole area.  Nothing here is random.
-Lengths in mm.
+Device numbers alternate between the wafers of a batch and take the dies of a wafer in a fixed low-discrepancy order, so that the
+first few hundred devices sample every wafer of the batch over its whole area.  Nothing here is random.
+
+Shapes: B devices, D dies per wafer.  Lengths in mm.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ PLASTIC = 1.324717957244746  # root of p^3 = p + 1; (1/p, 1/p^2) generate the R2
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where B devices were made: lot, wafer (numbered through all lots) and die (place on the wafer), each (B,)."""
+    """Lot, wafer (numbered through all lots), wafer in its lot, die and its centre on the wafer [mm], each (B,)."""
 
     lot: IntArray
     wafer: IntArray
@@ -38,14 +39,16 @@ class Places:
 
 @lru_cache(maxsize=32)
 def die_centres(wafer: Wafer) -> FloatArray:
-    """Centres (D, 2) [mm] of the dies: |(x, y)| <= diameter/2 - edge exclusion on a grid centred on a die.
+    """Centres (D, 2) [mm] of the dies: |(x, y)| <= diameter/2 - edge exclusion, on a grid centred on a die.
 
-    Raises ConfigError when no die fits.
+    Raises
+    ------
+    ConfigError : the wafer has no die, or more than 100000.
     """
     reach = wafer.diameter_mm / 2.0 - wafer.edge_exclusion_mm
     if reach < 0.0 or reach / wafer.pitch_mm > 200.0:
         raise ConfigError(
-            "wafer.edge_exclusion_mm and wafer.pitch_mm leave no die, or more than 100000",
+            "wafer.edge_exclusion_mm and wafer.pitch_mm leave no die or more than 100000 dies",
             value=(wafer.edge_exclusion_mm, wafer.pitch_mm),
             allowed=f"edge exclusion up to {wafer.diameter_mm / 2.0:g} mm, pitch from {max(reach, 0.0) / 200.0:g} mm",
             next_step="change [wafer] of the population",
@@ -60,9 +63,9 @@ def die_centres(wafer: Wafer) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def visiting_order(wafer: Wafer) -> IntArray:
-    """Eight permutations (8, D) of the dies, the images of one under the turns and mirrors of the square grid.
+    """Eight orders of the dies, permutations (8, D): the images of one under the symmetries of the square grid.
 
-    In the first, each point of the R2 sequence, mapped to the disc, takes its nearest free die.
+    In the first, each point of the R2 sequence, mapped to the disc, takes the nearest die that is still free.
     """
     centres = die_centres(wafer)
     radius = float(np.hypot(centres[:, 0], centres[:, 1]).max()) + wafer.pitch_mm / 2.0
@@ -70,8 +73,8 @@ def visiting_order(wafer: Wafer) -> IntArray:
     order = []
     for k in range(len(centres)):
         r = radius * math.sqrt((0.5 + k / PLASTIC) % 1.0)
-        turn = 2.0 * math.pi * ((0.5 + k / PLASTIC**2) % 1.0)
-        x, y = r * math.cos(turn), r * math.sin(turn)
+        angle = 2.0 * math.pi * ((0.5 + k / PLASTIC**2) % 1.0)
+        x, y = r * math.cos(angle), r * math.sin(angle)
         nearest = min(free, key=lambda die: (round(math.hypot(centres[die, 0] - x, centres[die, 1] - y), 9), die))
         free.remove(nearest)
         order.append(nearest)
@@ -94,7 +97,7 @@ def places(wafer: Wafer, index: IntArray) -> Places:
     wafers = lots * wafer.wafers_per_lot
     batch, within = np.divmod(index, wafers * dies)
     rank, slot = np.divmod(within, wafers)
-    # Another image on each wafer, so that a handful of devices does not share one place on all wafers.
+    # Each wafer uses another image, so that a few devices do not have the same place on all wafers.
     die = order[slot % len(order), rank]
     return Places(
         lot=batch * lots + slot % lots,

@@ -1,6 +1,6 @@
-"""The nominal device, its wafer and its operating point: data only, as a population TOML states them.
+"""The nominal device, its wafer and its operating point, as a population file states them.
 
-Units are in the names; every field carries its range, which msgspec checks.
+The unit of a field is the end of its name; ranges are checked when the file is read.  Shapes: J springs.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Count = Annotated[int, Meta(ge=1, le=1000)]
 class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The device as designed, at ``nominal_bias_v``, ``nominal_temperature_c`` and ``nominal_pressure_pa``.
 
-    Shapes below: J springs.  x, y are the axes of the paper's Figure 2; electrodes sit on the diagonals.
+    x and y are the axes of the paper's Figure 2; the electrodes lie on the diagonals.
     """
 
     rocking_hz: Positive  # f0, both rocking modes
@@ -27,16 +27,16 @@ class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     rocking_gain_per_s: Positive  # l^2 K_S K_D / I_0p
     updown_gain_per_s: Positive  # K_S K_D / m
     angular_gain: Annotated[float, Meta(gt=0.0, le=2.0)]  # kappa = I_p / I_0p
-    quality_rocking: Positive  # total Q of the rocking modes at the nominal pressure
-    quality_updown: Positive  # total Q of the up-down mode at the nominal pressure
-    quality_anchor: Positive  # anchor loss alone, all modes
-    quality_thermoelastic: Positive  # thermoelastic loss alone, all modes
+    quality_rocking: Positive  # total Q of the rocking modes, at the nominal pressure
+    quality_updown: Positive  # total Q of the up-down mode, at the nominal pressure
+    quality_anchor: Positive  # Q of the anchor loss alone, all modes
+    quality_thermoelastic: Positive  # Q of the thermoelastic loss alone, all modes
     spring_azimuth_deg: Annotated[tuple[float, ...], Meta(min_length=2, max_length=32)]  # (J,)
     spring_width_um: Positive
-    crystal_angle_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]  # the x axis from <100> on a (100) wafer
-    arm_mm: Positive  # l, from the centre to the electrode along x and y
-    post_mass_fraction: Fraction  # mass of the post over mass of the moving part
-    softening_hz_per_v2: Annotated[float, Meta(ge=-10.0, le=0.0)]  # shift of f0 by both drive electrodes
+    crystal_angle_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]  # from <100> to the x axis, on a (100) wafer
+    arm_mm: Positive  # l, distance of the electrodes from the centre along x and y
+    post_mass_fraction: Fraction  # mass of the post over that of the moving part
+    softening_hz_per_v2: Annotated[float, Meta(ge=-10.0, le=0.0)]  # shift of f0 by both drive electrodes together
     nominal_bias_v: Positive
     nominal_temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0)]
     nominal_pressure_pa: Positive
@@ -48,12 +48,12 @@ class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def spring_radius(self) -> float:
-        """r / l from (f_rocking / f_updown)^2 = m r^2 / (2 I_0p): the same springs carry both modes."""
+        """r / l from (f_rocking / f_updown)^2 = m r^2 / (2 I_0p), because the same springs act on both modes."""
         return math.sqrt(2.0 / self.lever) * self.rocking_hz / self.updown_hz
 
 
 class Wafer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The wafer and the order in which its dies become devices."""
+    """The wafer, and the number of wafers and lots of a batch."""
 
     diameter_mm: Positive
     pitch_mm: Positive
@@ -63,7 +63,7 @@ class Wafer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Operating(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where the packaged device runs, and the vacuum in which the wafer prober saw the bare die."""
+    """Operating point of the packaged device, and the pressure in the wafer prober."""
 
     bias_v: Positive
     temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0)]

@@ -1,13 +1,13 @@
-"""Where and when a batch of devices was made, with the random numbers of each level of the hierarchy.
+"""The places of a batch of devices, and random numbers for each level of the hierarchy.
 
 A random stream belongs to (irregularity, level, label) and to the number k of the lot, wafer or device:
 
     SeedSequence(seed, spawn_key=(crc32("irregularity/level/label"), k))
 
-so a draw depends on nothing but the seed and those names, and a new irregularity moves no other draw.
-Shapes: B devices, J springs; random numbers come as (size, B), so that every row is contiguous (numpy's
-elementary functions may round differently on strided memory, and a device must not depend on the batch it is
-drawn in).
+so a draw depends only on the seed and these names, and a new irregularity changes no other draw.
+
+Shapes: B devices, J springs, D dies per wafer.  Random numbers have the shape (size, B) with contiguous rows, because numpy's
+elementary functions may round differently on strided memory and a device must not depend on its batch.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ def field_factor(wafer: Wafer, length_mm: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What an irregularity may know: the nominal device, the place of each die, and its own random numbers.
+    """The input of an irregularity: the nominal device, the place of each die, and random numbers.
 
-    Ask once for each (level, label): the same question gives the same numbers.
+    The same (level, label) always gives the same numbers.
     """
 
     irregularity: str
@@ -62,7 +62,7 @@ class Site:
         return {"lot": self.places.lot, "wafer": self.places.wafer}.get(level, self.index)
 
     def normal(self, level: Level, size: int = 1, label: str = "") -> FloatArray:
-        """Standard normals (size, B), shared by all devices of the same lot or wafer."""
+        """Standard normals (size, B); at level "lot" or "wafer", devices of the same lot or wafer share them."""
         keys, back = np.unique(self._numbers(level), return_inverse=True)
         drawn = np.empty((size, len(keys)))
         for column, key in enumerate(keys.tolist()):
@@ -70,17 +70,17 @@ class Site:
         return np.take(drawn, back, axis=1)
 
     def fixed(self, size: int = 1, label: str = "") -> FloatArray:
-        """Standard normals (size,) that all devices of this seed share."""
+        """Standard normals (size,), the same for all devices of the seed."""
         return self._generator(f"fixed/{label}", 0).standard_normal(size)
 
     def uniform(self, level: Level, label: str = "") -> FloatArray:
-        """Uniform numbers in [0, 1), (B,)."""
+        """Uniform numbers (B,) in [0, 1)."""
         keys, back = np.unique(self._numbers(level), return_inverse=True)
         drawn = np.array([self._generator(f"{level}/{label}/uniform", key).random() for key in keys.tolist()])
         return np.take(drawn, back)
 
     def complex_normal(self, level: Level, label: str = "") -> ComplexArray:
-        """A 2-theta quantity (B,): a complex normal with unit sd in each component, so of no preferred axis."""
+        """A 2-theta quantity (B,) without preferred axis: a complex normal with unit sd in each component."""
         real, imaginary = self.normal(level, 2, label)
         return as_complex(real, imaginary)
 
@@ -88,7 +88,7 @@ class Site:
         """Gaussian process (B,) on each wafer: unit variance, correlation exp(-d / length)."""
         factor = field_factor(self.wafer, length_mm)
         keys, back = np.unique(self.places.wafer, return_inverse=True)
-        # One product a wafer and never a matrix of wafers: BLAS rounds by shape.
+        # One product per wafer: the rounding of BLAS depends on the shape of the matrices.
         maps = [factor @ self._generator("wafer/field", key).standard_normal(len(factor)) for key in keys.tolist()]
         return np.ascontiguousarray(np.stack(maps)[back, self.places.die])
 

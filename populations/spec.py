@@ -1,9 +1,9 @@
-"""A population as data: read from TOML, checked, changed by name, and written back exactly.
+"""Populations: read from TOML, checked, changed by name, and written back exactly.
 
 name = ".."                       [device] [wafer] [operating]: see ``nominal``
-irregularity_folders = ["mine"]   optional; one file an irregularity, relative to the TOML
-[irregularity.spring_thickness]   one table an irregularity; absent is no effect
-lot_pct = 0.5                     a parameter left out has its null value
+irregularity_folders = ["mine"]   optional: folders with your own irregularities, relative to this file
+[irregularity.spring_thickness]   one table per irregularity; without a table it is not in the population
+lot_pct = 0.5                     a parameter that is left out has its null value
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ANGULAR_GAIN = "angular_gain"
 
 
 class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A checked population; ``load_spec`` makes one.  Plain data: it pickles and compares by value."""
+    """A population.  :func:`load_spec` returns a checked one; instances pickle and compare by value."""
 
     name: str
     irregularity_folders: tuple[str, ...] = ()
@@ -40,12 +40,12 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         return self.device.angular_gain
 
     def found(self) -> tuple[tuple[Irregularity, Mapping[str, float]], ...]:
-        """The irregularities of this population with all their parameters, by name."""
+        """The irregularities of this population, sorted by name, each with all its parameters."""
         known = find(self.irregularity_folders)
         return tuple((known[name], _filled(known[name], self.irregularity[name])) for name in sorted(self.irregularity))
 
     def assumptions(self) -> dict[str, float]:
-        """Value of every named assumption of this population, ``angular_gain`` among them."""
+        """Value of every named assumption of this population, including ``angular_gain``."""
         values = {
             parameter.assumption: given[parameter.name]
             for irregularity, given in self.found()
@@ -55,17 +55,16 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         return {ANGULAR_GAIN: self.angular_gain, **values}
 
     def with_values(self, values: Mapping[str, float]) -> PopulationSpec:
-        """The same population with other values.
+        """The population with other values.
 
         Parameters
         ----------
-        values : named assumption (``residual_anisotropy`` [%], ``angular_gain`` [1], ``damping_anisotropy``
-        [1],
-            ``package_stress`` [MPa]) or "irregularity.parameter" -> value in the parameter's unit.
+        values : values in the unit of the parameter, by named assumption (``residual_anisotropy`` [%], ``angular_gain`` [1],
+            ``damping_anisotropy`` [1], ``package_stress`` [MPa]) or by "irregularity.parameter".
 
         Raises
         ------
-        ConfigError : unknown name, or a value of the wrong type or out of range.
+        ConfigError : an unknown name, a value of the wrong type, or one out of range.
         """
         targets = {ANGULAR_GAIN: ("device", ANGULAR_GAIN)}
         for irregularity, _ in self.found():
@@ -83,7 +82,7 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         return _checked(converted(data, PopulationSpec, where), Path(), where)
 
     def to_toml(self) -> str:
-        """TOML that reads back to an equal population."""
+        """TOML text that reads back to an equal population."""
         data = msgspec.to_builtins(self)
         tables = {key: data.pop(key) for key in ("device", "wafer", "operating")}
         tables |= {f"irregularity.{name}": values for name, values in sorted(data.pop("irregularity").items())}

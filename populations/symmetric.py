@@ -1,10 +1,11 @@
-"""Symmetric 2 x 2 matrices over batches, as a mean and a 2-theta complex number.
+"""Batches of symmetric 2 x 2 matrices, each as a mean and a complex 2-theta anisotropy.
 
     A = a0 I + [[Re a, Im a], [Im a, -Re a]],      eigenvalues a0 +- |a|,      axis of the larger one at arg(a) / 2
-    turning the axes by phi multiplies a by exp(2 i phi)
+    a rotation by phi multiplies a by exp(2 i phi)
 
-Their symmetric product A.B = (A B + B A) / 2 keeps the form, and N A N = 2 N.(N.A) - (N.N).A (Jordan algebra
-of spin factors).
+The symmetric product A.B = (A B + B A) / 2 has the same form, and N A N = 2 N.(N.A) - (N.N).A.
+
+Shapes: B devices.  Source: Jordan algebra of spin factors.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from pipeline.arrays import ComplexArray, FloatArray
 
 
 def as_complex(real: FloatArray, imag: FloatArray) -> ComplexArray:
-    """real + i imag, without the rounding and the zeros of unknown sign of a product with 1j."""
+    """real + i imag; a product with 1j would round and could change the sign of zeros."""
     result = np.empty(np.shape(real), dtype=np.complex128)
     result.real, result.imag = real, imag
     return result
 
 
 class Symmetric(NamedTuple):
-    """Mean a0 and anisotropy a, both (B,)."""
+    """Mean a0 (B,) and anisotropy a (B,)."""
 
     mean: FloatArray
     anisotropy: ComplexArray
@@ -46,19 +47,19 @@ def inverse_root(m: Symmetric) -> Symmetric:
     """M^(-1/2) of a positive definite M: eigenvalues (m0 +- |m|)^(-1/2) on the same axes."""
     size = np.hypot(m.anisotropy.real, m.anisotropy.imag)
     high, low = 1.0 / np.sqrt(m.mean - size), 1.0 / np.sqrt(m.mean + size)
-    # (low - high) / (2 |m|) without its 0 / 0 at |m| = 0
+    # (low - high) / (2 |m|), rewritten to avoid 0 / 0 at |m| = 0.
     slope = -(low * low * high * high) / (low + high)
     return Symmetric((low + high) / 2.0, slope * m.anisotropy)
 
 
 def axis_deg(anisotropy: ComplexArray) -> FloatArray:
-    """Angle (B,) [deg] in (-90, 90] of the axis that belongs to the smaller eigenvalue."""
+    """Angle (B,) [deg] in (-90, 90] of the axis of the smaller eigenvalue."""
     lower = np.rad2deg(np.arctan2(anisotropy.imag, anisotropy.real)) / 2.0 + 90.0
     return np.where(lower > 90.0, lower - 180.0, lower)
 
 
-def turned(anisotropy: ComplexArray, theta_deg: FloatArray) -> ComplexArray:
-    """The anisotropy a exp(-2 i theta) as seen in axes turned by theta."""
+def rotated(anisotropy: ComplexArray, theta_deg: FloatArray) -> ComplexArray:
+    """The anisotropy (B,) in axes rotated by theta (B,): a exp(-2 i theta)."""
     double = np.deg2rad(2.0 * theta_deg)
     c, s = np.cos(double), np.sin(double)
     x, y = anisotropy.real, anisotropy.imag

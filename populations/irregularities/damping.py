@@ -1,12 +1,11 @@
-"""Gas and anchor losses that differ from device to device at the same pressure.
+"""Spread of the gas and anchor losses at a given pressure.
 
     1/Q = (p / p0) exp(x_gas) / Q_gas + exp(x_anchor) / Q_anchor + 1 / Q_thermoelastic
 
-x_gas of rocking and of up-down are correlated (same gaps, same gas); Q_gas is what the nominal Q leaves after
-the other two.
+x_gas of rocking and x_gas of up-down are correlated, because the gaps and the gas are the same.  1/Q_gas is the nominal 1/Q minus
+the other two losses.
 
-Source: free-molecular damping is proportional to p; the sum of losses; Q spread of 11 % in packages (1800
-+-200 at 200 mTorr).
+Source: free-molecular damping is proportional to p; losses add; reported spread of packaged Q: 11 % (1800 +-200 at 200 mTorr).
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ IRREGULARITY = Irregularity(
     name="damping",
     stage="fabrication",
     parameters=(
-        IrregularityParameter("lot", "1", 0.0, 2.0, "sd of ln(gas damping) of the lots"),
-        IrregularityParameter("wafer", "1", 0.0, 2.0, "sd of ln(gas damping) of wafers in a lot"),
+        IrregularityParameter("lot", "1", 0.0, 2.0, "sd of ln(gas damping) from lot to lot"),
+        IrregularityParameter("wafer", "1", 0.0, 2.0, "sd of ln(gas damping) from wafer to wafer in a lot"),
         IrregularityParameter("die", "1", 0.0, 2.0, "sd of ln(gas damping) from die to die"),
         IrregularityParameter("anchor", "1", 0.0, 2.0, "sd of ln(anchor loss) from die to die"),
-        IrregularityParameter("correlation", "1", -1.0, 1.0, "between rocking and up-down at each level"),
+        IrregularityParameter("correlation", "1", -1.0, 1.0, "correlation of rocking and up-down at each level"),
     ),
-    source="sum of losses, gas damping proportional to pressure; magnitudes from the spread of packaged Q",
+    source="losses add, gas damping proportional to pressure; magnitudes from the reported spread of packaged Q",
     act=act,
 )

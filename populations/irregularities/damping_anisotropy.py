@@ -1,9 +1,10 @@
-"""Damping that depends on the direction of rocking, with axes of its own: hence zeta1, zeta2 and c12.
+"""Damping that depends on the direction of rocking; its axes are independent of the stiffness axes.
 
-    C = c0 (1 + [[Re d, Im d], [Im d, -Re d]]),   d = s n, n a complex normal, |d| held to at most ``limit``
+    C = c0 (1 + [[Re d, Im d], [Im d, -Re d]]),   d = s n, n a complex normal, |d| limited to ``limit``
 
-Source: the paper's rocking dampings differ by a factor 2.0 (3.167e-4, 1.586e-4); the spread is an assumption,
-to be swept.
+It determines zeta1, zeta2 and c12.
+
+Source: the paper's rocking dampings differ by a factor 2.0 (3.167e-4, 1.586e-4); the spread is an assumption, to be varied.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """damping_anisotropy, longer ones brought back to the limit on the same axis."""
+    """damping_anisotropy; a larger modulus is reduced to the limit, on the same axis."""
     d = p["die"] * site.complex_normal("die")
     return Change(damping_anisotropy=d / np.maximum(np.hypot(d.real, d.imag) / p["limit"], 1.0))
 

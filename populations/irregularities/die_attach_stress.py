@@ -1,12 +1,12 @@
-"""Stress of the die attach, a tensor in the plane: shifts, splits, and turns the axes.
+"""In-plane stress of the die attach: shifts the frequencies, changes the split and rotates the axes.
 
     f_i = f0 + h sigma_i   =>   e = h ((sigma_x - sigma_y) + 2 i sigma_xy) / f0,   d ln k = h (sigma_x + sigma_y) / f0
 
-The difference and 2 sigma_xy are normal with the same sd s (no preferred axis); the mean (sigma_x +
-sigma_y)/2 is normal with mean and sd given as ratios to s, so that sweeping s sweeps the whole package.
+sigma_x - sigma_y and 2 sigma_xy are normal with the same sd s, so there is no preferred axis.  (sigma_x + sigma_y)/2 is normal;
+its mean and sd are given as ratios to s, so that varying s varies the whole stress.
 
-Source: h = 4.8 Hz/MPa for springs of 1 mm x 20 um at 535 Hz (derivation: stress stiffening of a fixed-guided
-beam); 0.1 to 1 MPa for soft, 5 to 50 MPa for rigid die attach (assumed).
+Source: h = 4.8 Hz/MPa for springs of 1 mm x 20 um at 535 Hz (derivation: stress stiffening of a fixed-guided beam); 0.1 to
+1 MPa for soft, 5 to 50 MPa for rigid die attach (assumed).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ IRREGULARITY = Irregularity(
         IrregularityParameter("mean_ratio", "1", -100.0, 100.0, "mean of (sigma_x + sigma_y)/2 over difference_mpa"),
         IrregularityParameter("mean_spread_ratio", "1", 0.0, 100.0, "sd of (sigma_x + sigma_y)/2 over difference_mpa"),
         IrregularityParameter(
-            "hz_per_mpa", "Hz/MPa", 0.0, 1000.0, "h, shift of a rocking mode per stress along it", null=None
+            "hz_per_mpa", "Hz/MPa", 0.0, 1000.0, "h, frequency shift of a rocking mode per stress along it", null=None
         ),
     ),
     source="stress stiffening (derivation); stresses assumed",

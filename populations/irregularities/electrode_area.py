@@ -1,9 +1,9 @@
-"""Area of each electrode, and where its centroid lies.
+"""Area of each electrode and distance of its centroid from the centre (arm).
 
-    K ~ A,   rocking sees K times the arm   =>   sense_imbalance, drive_imbalance, electrode_mismatch, softening
+    K ~ A,   gain for rocking ~ K times the arm   =>   sense_imbalance, drive_imbalance, electrode_mismatch, softening
 
-Source: parallel-plate force and current eps A V / g^2 (the paper's part: sense gains differ by 7.4 %);
-magnitudes assumed.
+Source: parallel-plate force and current eps A V / g^2; the sense gains of the paper's device differ by 7.4 %; magnitudes
+assumed.
 """
 
 from __future__ import annotations

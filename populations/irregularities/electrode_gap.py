@@ -1,9 +1,8 @@
-"""Gap of each electrode: gains as 1/g^2, electrostatic softening as 1/g^3.
+"""Gap of each electrode: gains vary as 1/g^2, electrostatic softening as 1/g^3.
 
     ln g_k = lot + wafer + die_k,   K ~ A / g^2,   k_e = eps A V^2 / g^3
 
-Source: parallel plates (derivation); gap asymmetry of +-5 % on a 4 um design is reported in Sensors 12 (2012)
-6857.
+Source: parallel plates (derivation); Sensors 12 (2012) 6857 reports a gap asymmetry of +-5 % for a 4 um gap.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ IRREGULARITY = Irregularity(
     name="electrode_gap",
     stage="fabrication",
     parameters=(
-        IrregularityParameter("lot_pct", "% of g", 0.0, 30.0, "sd of the lot's mean gap"),
-        IrregularityParameter("wafer_pct", "% of g", 0.0, 30.0, "sd of a wafer's mean gap within a lot"),
+        IrregularityParameter("lot_pct", "% of g", 0.0, 30.0, "sd of the mean gap of a lot"),
+        IrregularityParameter("wafer_pct", "% of g", 0.0, 30.0, "sd of the mean gap of a wafer within a lot"),
         IrregularityParameter("die_pct", "% of g", 0.0, 30.0, "sd of the gap of a single electrode"),
     ),
     source="parallel plates; Sensors 12 (2012) 6857; magnitudes assumed",

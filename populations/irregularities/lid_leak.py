@@ -1,9 +1,8 @@
-"""Lids that leak: a few packages hold much more gas, hence low Q.
+"""Leaking lids: a few packages have a much higher pressure and therefore a low Q.
 
-    with probability ``fraction``: ln(p / p_lid) += N(ln_mean, ln_spread), never below 0
+    with probability ``fraction``: ln(p / p_lid) += max(N(ln_mean, ln_spread), 0)
 
-Source: seal yields of 98 to 100 % (J. MEMS, 2018-0257); loss of Q in leaking packages (Micromachines 14
-(2023) 1956).
+Source: seal yields of 98 to 100 % (J. MEMS, 2018-0257); loss of Q in leaking packages (Micromachines 14 (2023) 1956).
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ IRREGULARITY = Irregularity(
         IrregularityParameter(
             "ln_mean", "1", 0.0, 10.0, "mean of ln(pressure rise) at the time of the test", null=None
         ),
-        IrregularityParameter("ln_spread", "1", 0.0, 5.0, "its sd", null=None),
+        IrregularityParameter("ln_spread", "1", 0.0, 5.0, "sd of ln(pressure rise)", null=None),
     ),
     source="J. MEMS 2018-0257 (seal yield); Micromachines 14 (2023) 1956 (loss of Q)",
     act=act,

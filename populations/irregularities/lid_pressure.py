@@ -1,9 +1,8 @@
-"""Gas pressure under a sound lid.
+"""Gas pressure under a tight lid.
 
     ln(p / p_lid) = s n
 
-Source: getter and outgassing spread (assumed); with 75 % of the losses due to gas it gives the reported Q
-spread of packages.
+Source: spread of getter and outgassing (assumed); with 75 % of the losses due to gas it gives the reported spread of packaged Q.
 """
 
 from __future__ import annotations
@@ -23,6 +22,6 @@ IRREGULARITY = Irregularity(
     name="lid_pressure",
     stage="package",
     parameters=(IrregularityParameter("spread", "1", 0.0, 3.0, "sd of ln(pressure) from package to package"),),
-    source="assumed; packaged Q 1800 +-200 at 200 mTorr is reported",
+    source="assumed; consistent with the reported packaged Q of 1800 +-200 at 200 mTorr",
     act=act,
 )

@@ -1,9 +1,8 @@
-"""The post sits off centre: it adds a little inertia anisotropy, and couples rocking with up-down.
+"""Offset of the post from the centre: adds an anisotropy of inertia, and couples rocking with up-down.
 
     d = lot + die, a vector;   I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y;   static moment m_p d -> updown_tilt
 
-Source: parallel-axis theorem, static moment (derivation in populations/assembly.py); placement of a hand-set
-post assumed.
+Source: parallel-axis theorem and static moment (derivation in populations/assembly.py); placement errors assumed.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ IRREGULARITY = Irregularity(
     name="post_offset",
     stage="fabrication",
     parameters=(
-        IrregularityParameter("lot_um", "um", 0.0, 200.0, "sd per component of the lot's mean (a jig)"),
+        IrregularityParameter("lot_um", "um", 0.0, 200.0, "sd per component of the mean of a lot (jig)"),
         IrregularityParameter("die_um", "um", 0.0, 200.0, "sd per component from die to die"),
     ),
     source="parallel-axis theorem; magnitudes assumed",

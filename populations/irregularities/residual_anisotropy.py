@@ -1,9 +1,8 @@
-"""Stiffness anisotropy that no single cause accounts for: film stress, leaf mass, moments at the spring ends.
+"""Stiffness anisotropy from other causes, such as film stress, mass differences and moments at the spring ends.
 
-    e += s (r_lot n_lot + r_wafer n_wafer + n_die),   n complex normals (2-theta: no preferred axis)
+    e += s (r_lot n_lot + r_wafer n_wafer + n_die),   n complex normals without preferred axis
 
-Source: none found; an assumption, to be swept.  Splits before trimming of 1.9 Hz (the paper) and of 9 to 26
-Hz are reported.
+Source: an assumption, to be varied.  Reported splits before trimming are 1.9 Hz (the paper) and 9 to 26 Hz.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """anisotropy from three levels in a fixed ratio."""
+    """anisotropy: sum of lot, wafer and die, in a fixed ratio."""
     levels = p["lot_ratio"] * site.complex_normal("lot") + p["wafer_ratio"] * site.complex_normal("wafer")
     return Change(anisotropy=0.01 * p["die_pct"] * (levels + site.complex_normal("die")))
 
@@ -27,9 +26,9 @@ IRREGULARITY = Irregularity(
         IrregularityParameter(
             "die_pct", "%", 0.0, 10.0, "sd per component from die to die", assumption="residual_anisotropy"
         ),
-        IrregularityParameter("lot_ratio", "1", 0.0, 10.0, "sd of the lots over die_pct"),
-        IrregularityParameter("wafer_ratio", "1", 0.0, 10.0, "sd of the wafers over die_pct"),
+        IrregularityParameter("lot_ratio", "1", 0.0, 10.0, "sd from lot to lot, over die_pct"),
+        IrregularityParameter("wafer_ratio", "1", 0.0, 10.0, "sd from wafer to wafer, over die_pct"),
     ),
-    source="assumption; splits before trimming as reported by the paper",
+    source="assumption; consistent with the split before trimming that the paper reports",
     act=act,
 )

@@ -1,12 +1,11 @@
-"""Sidewalls that lean outwards towards the wafer's edge, as the plasma sheath bends there.
+"""Tilt of etched sidewalls towards the edge of the wafer, where the plasma sheath bends.
 
     T = T_edge rho along the radius at azimuth phi,   e = a T^2 exp(2 i phi)
 
-The lean couples in-plane with out-of-plane bending to second order, so it acts as T^2: a 2-theta field on the
-wafer.
+The tilt couples in-plane and out-of-plane bending in second order, so e varies as T^2.
 
-Source: radial tilt, 0 at the centre and 0.3 to 1 deg at the edge (assumed); T^2 exp(2 i phi) from the product
-of inertia of a leaning beam (derivation).
+Source: radial tilt of 0 at the centre and 0.3 to 1 deg at the edge (assumed); T^2 exp(2 i phi) from the product of inertia of a
+tilted beam (derivation).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ..symmetric import as_complex
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """anisotropy = a T^2 exp(2 i phi), (x + i y)^2 being rho^2 exp(2 i phi)."""
+    """anisotropy = a T^2 exp(2 i phi), where rho^2 exp(2 i phi) = (x + i y)^2."""
     radius = site.wafer.diameter_mm / 2.0
     x, y = p["edge_deg"] * site.places.x_mm / radius, p["edge_deg"] * site.places.y_mm / radius
     gain = 0.01 * p["anisotropy_pct_per_deg2"]
@@ -32,9 +31,9 @@ IRREGULARITY = Irregularity(
     parameters=(
         IrregularityParameter("edge_deg", "deg", 0.0, 5.0, "tilt of the sidewalls at the edge of the wafer"),
         IrregularityParameter(
-            "anisotropy_pct_per_deg2", "%/deg^2", -10.0, 10.0, "a, anisotropy per tilt squared", null=None
+            "anisotropy_pct_per_deg2", "%/deg^2", -10.0, 10.0, "a, anisotropy per square of the tilt", null=None
         ),
     ),
-    source="radial tilt of deep etching (magnitude assumed), T^2 law derived",
+    source="radial tilt of deep etching (magnitude assumed); T^2 law (derivation)",
     act=act,
 )

@@ -1,9 +1,9 @@
-"""Mismatch among the springs of one device.
+"""Stiffness mismatch between the springs of a device.
 
     d ln k_j = N(0, s) for each spring j
     four springs at right angles: e = (k2 + k4 - k1 - k3) / sum k, real, sd s / 2
 
-so four such springs alone can only give theta = 0 or 90 deg.
+so four springs at right angles that differ only in stiffness have theta = 0 or 90 deg.
 
 Source: K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x y (derivation); magnitude assumed.
 """
@@ -17,7 +17,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_spring of each spring on its own."""
+    """ln_spring, independent for each spring."""
     return Change(ln_spring=0.01 * p["die_pct"] * site.normal("die", len(site.device.spring_azimuth_deg)))
 
 

@@ -1,9 +1,8 @@
-"""Thickness of the springs (SOI layer, or thinning of the wafer): moves all modes together.
+"""Thickness of the springs (SOI layer or wafer thinning): shifts all modes by the same ratio.
 
     k = E w t^3 / L^3   =>   d ln k = 3 ln(1 + dt/t),   f ~ t^1.5 at fixed inertia
 
-Source: fixed-guided beam out of plane (derivation); SOI layer 25 +-1 um, total thickness variation of bulk
-wafers below 5 um.
+Source: fixed-guided beam, out of plane (derivation); SOI layer 25 +-1 um, total thickness variation of bulk wafers below 5 um.
 """
 
 from __future__ import annotations

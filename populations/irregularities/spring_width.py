@@ -1,8 +1,8 @@
-"""Width of the springs (lithography and etch bias): moves all modes together, a third as much as thickness.
+"""Width of the springs (lithography and etch bias): shifts all modes by the same ratio, a third of that of the thickness.
 
     k = E w t^3 / L^3   =>   d ln k = ln(1 + dw/w)
 
-Source: fixed-guided beam out of plane (derivation); magnitudes are assumptions.
+Source: fixed-guided beam, out of plane (derivation); magnitudes assumed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Gains of the wafer prober's channels: the bare die is seen through them, the packaged device is not.
+"""Channel gains of the wafer prober: they affect measurements of the bare die, not of the packaged device.
 
-    ln K_k += s n_k, the same for all devices of the prober
+    ln K_k += s n_k, the same for all devices
 
 Source: contact and amplifier tolerances (assumed).
 """

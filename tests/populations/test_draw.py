@@ -1,8 +1,8 @@
-"""The draw: streams, nulls, plug-ins, and the marginals of the default population.
+"""Random streams, null values, user irregularities, and the marginals of the default population.
 
 Published: the percentiles at the end of section 8 of the project's collected facts, from an earlier Monte Carlo
-of 48,480 dies.  They do not say at which stage; they are compared with the dies as fabricated, because the spreads
-listed there with the package's own added are wider than the percentiles given (lower Q, 5 %: 1050 against 1354).
+of 48,480 dies.  They do not name the stage.  They are compared with the dies as fabricated, because the spreads listed there
+would give wider percentiles after packaging (lower Q, 5 %: 1050 instead of 1354).
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ def quadrature_dps(values: dict[str, FloatArray]) -> FloatArray:
     return np.asarray(np.rad2deg(rate))
 
 
-def turn(a: FloatArray, b: FloatArray) -> FloatArray:
+def axis_distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.abs((a - b + 90.0) % 180.0 - 90.0))
 
 
-def test_device_depends_on_seed_and_number_alone_to_the_bit() -> None:
+def test_device_depends_on_seed_and_number_only_to_the_bit() -> None:
     block = draw(SPEC, 3, 0, 1000)
     for n in (0, 1, 7, 8, 15, 499, 998, 999):
         single = draw(SPEC, 3, n, 1)
@@ -97,7 +97,7 @@ def test_irregularity_at_null_or_absent_changes_nothing_to_the_bit(name: str) ->
     without = draw(msgspec.structs.replace(SPEC, irregularity=absent), 5, 30, 300)
     at_null = draw(msgspec.structs.replace(SPEC, irregularity={**absent, name: null}), 5, 30, 300)
     assert same(without, at_null)
-    assert not same(without, draw(SPEC, 5, 30, 300)), "and the default does something"
+    assert not same(without, draw(SPEC, 5, 30, 300)), "the default values must have an effect"
 
 
 @pytest.mark.parametrize("name", sorted(find()))
@@ -117,11 +117,11 @@ def test_irregularity_declares_units_ranges_meanings_source_and_acts_at_its_stag
     ]
 
 
-def test_new_irregularity_in_a_folder_moves_no_other_draw(tmp_path: Path) -> None:
-    # The how-to of populations/README.md, as written there.
-    readme = (Path(__file__).parents[2] / "populations" / "README.md").read_text(encoding="utf-8")
+def test_new_irregularity_in_a_folder_changes_no_other_draw(tmp_path: Path) -> None:
+    # The code block of the documentation, as it stands there.
+    document = (Path(__file__).parents[2] / "docs" / "add-an-irregularity.md").read_text(encoding="utf-8")
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "leaf_mass.py").write_text(readme.split("```python\n")[1].split("```")[0], encoding="utf-8")
+    (tmp_path / "mine" / "leaf_mass.py").write_text(document.split("```python\n")[1].split("```")[0], encoding="utf-8")
     table = "[irregularity.leaf_mass]\ndie_pct = {}\n"
     text = 'irregularity_folders = ["mine"]\n' + load_spec().to_toml().replace("irregularity_folders = []\n", "")
     file = tmp_path / "population.toml"
@@ -180,13 +180,13 @@ def _decimals(value: float) -> int:
     return 0 if value == int(value) else len(f"{value}".split(".")[1])
 
 
-def test_packaging_turns_theta_by_six_degrees_in_the_median() -> None:
-    turned = turn(many().true["theta_deg"], many().fab["theta_deg"])
-    # Density of the turn near its median is about 0.06 / deg: standard error 0.5 / (0.06 sqrt(n)) = 0.08 deg.
-    assert np.median(turned) == pytest.approx(5.9, abs=4 * 0.08)
+def test_packaging_changes_theta_by_six_degrees_in_the_median() -> None:
+    change = axis_distance(many().true["theta_deg"], many().fab["theta_deg"])
+    # The density of the change near its median is about 0.06 / deg: standard error 0.5 / (0.06 sqrt(n)) = 0.08 deg.
+    assert np.median(change) == pytest.approx(5.9, abs=4 * 0.08)
 
 
-def test_default_population_surrounds_the_paper_s_part() -> None:
+def test_the_paper_s_device_lies_within_the_default_population() -> None:
     true = many().true
     for name, paper in (
         ("f1_hz", 534.5),
@@ -203,7 +203,7 @@ def test_default_population_surrounds_the_paper_s_part() -> None:
         assert low < paper < high, name
 
 
-def test_three_percent_of_lids_leak_and_only_they_lose_most_of_their_quality() -> None:
+def test_three_percent_of_lids_leak_and_their_q_is_a_quarter_or_less() -> None:
     leaking = many().causes["ln_quality.lid_leak"] < 0.0
     expected = 0.03 * DEVICES
     # A rise of exp(N(2.5, 0.8)) is below 1, hence none, for 0.09 % of leakers.
@@ -212,7 +212,7 @@ def test_three_percent_of_lids_leak_and_only_they_lose_most_of_their_quality() -
     assert np.median(quality[leaking]) < 0.25 * np.median(quality[~leaking])
 
 
-def test_thickness_shows_its_variance_components() -> None:
+def test_thickness_has_the_declared_variance_components() -> None:
     """Nested one-way estimates of lot, wafer and residual variance of ln f, each within 4 standard errors."""
     values = {"lot_pct": 0.5, "wafer_pct": 0.4, "die_pct": 0.3}
     drawn = draw(only("spring_thickness", values), 2, 0, DEVICES)
@@ -226,13 +226,13 @@ def test_thickness_shows_its_variance_components() -> None:
     assert lot == pytest.approx(0.5**2, abs=4 * np.sqrt(2 / 59) * (0.5**2 + 0.4**2 / 2))
 
 
-def test_bow_and_field_are_seen_along_the_radius_and_the_distance() -> None:
+def test_bow_varies_with_the_radius_and_the_field_is_correlated_over_the_declared_length() -> None:
     bow = draw(only("spring_thickness", {"bow_pct": 0.6}), 0, 0, 101)
     rho2 = (bow.die_x_mm**2 + bow.die_y_mm**2) / 50.0**2
     expected = 535.5 * (1.0 + 0.006 * (rho2 - 0.5)) ** 1.5
     # A spring sits at 2 mm from the centre: 1e-5 of thickness.
     np.testing.assert_allclose(bow.true["f1_hz"], expected, rtol=2e-5)
-    assert np.all(bow.true["split_hz"] < 535.5 * 1e-4), "a smooth bowl hardly splits"
+    assert np.all(bow.true["split_hz"] < 535.5 * 1e-4), "a smooth bow causes almost no split"
     field = draw(only("spring_thickness", {"field_pct": 1.0, "field_length_mm": 15.0}), 0, 0, DEVICES)
     ln_t = 100.0 * np.log(field.true["f1_hz"] / 535.5) / 1.5
     by_wafer = {}
@@ -252,10 +252,10 @@ def test_residual_anisotropy_has_no_preferred_axis_and_rayleigh_splits() -> None
         assert abs(np.mean(np.exp(1j * order * theta))) < 4 / np.sqrt(4000)
 
 
-def test_four_equal_springs_get_no_split_from_a_turned_crystal() -> None:
-    turned = draw(only("misorientation", {"lot_deg": 5.0}), 0, 0, 50)
-    assert np.all(turned.true["split_hz"] < 1e-9)
-    assert np.ptp(turned.true["f1_hz"]) > 0.1
+def test_rotation_of_the_crystal_causes_no_split_of_four_equal_springs() -> None:
+    misoriented = draw(only("misorientation", {"lot_deg": 5.0}), 0, 0, 50)
+    assert np.all(misoriented.true["split_hz"] < 1e-9)
+    assert np.ptp(misoriented.true["f1_hz"]) > 0.1
 
 
 def test_causes_add_up_to_the_split_to_first_order() -> None:
@@ -265,20 +265,20 @@ def test_causes_add_up_to_the_split_to_first_order() -> None:
     np.testing.assert_allclose(total, drawn.true["split_hz"], rtol=0.06, atol=2e-3)
 
 
-def test_sweeping_an_assumption_moves_what_it_names_and_no_random_number() -> None:
+def test_varying_an_assumption_scales_its_quantity_and_keeps_the_random_numbers() -> None:
     base = draw(only("residual_anisotropy"), 1, 0, 100).true
     swept = draw(only("residual_anisotropy").with_values({"residual_anisotropy": 0.56}), 1, 0, 100).true
     np.testing.assert_allclose(swept["split_hz"], 2.0 * base["split_hz"], rtol=1e-3)
     np.testing.assert_allclose(swept["theta_deg"], base["theta_deg"], atol=1e-9)
     stiff = draw(SPEC.with_values({"package_stress": 1.23}), 1, 0, 400)
     soft = draw(SPEC, 1, 0, 400)
-    assert np.median(turn(stiff.true["theta_deg"], stiff.fab["theta_deg"])) > 3 * np.median(
-        turn(soft.true["theta_deg"], soft.fab["theta_deg"])
+    assert np.median(axis_distance(stiff.true["theta_deg"], stiff.fab["theta_deg"])) > 3 * np.median(
+        axis_distance(soft.true["theta_deg"], soft.fab["theta_deg"])
     )
 
 
 @pytest.mark.parametrize("arguments", [(-1, 0, 1), (0, -1, 1), (0, 0, 0)])
-def test_impossible_requests_are_refused(arguments: tuple[int, int, int]) -> None:
+def test_negative_seed_or_first_device_and_zero_devices_are_usage_errors(arguments: tuple[int, int, int]) -> None:
     with pytest.raises(UsageError, match="too small"):
         draw(SPEC, *arguments)
 

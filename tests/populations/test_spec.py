@@ -1,4 +1,4 @@
-"""Populations as data: round trips, sweeps, and one typed error for each way to get a TOML wrong."""
+"""Population files: round trips, changed values, and one typed error for each kind of mistake."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_default_names_every_shipped_irregularity_and_the_four_assumptions() -> 
 
 
 @given(st.floats(0.01, 2.0), st.floats(0.0, 10.0), st.floats(0.0, 2.0), st.floats(0.0, 100.0), st.text(max_size=20))
-def test_swept_population_survives_toml_and_pickle(
+def test_changed_population_is_unchanged_by_toml_and_pickle(
     tmp_path_factory: pytest.TempPathFactory, gain: float, residual: float, damping: float, stress: float, name: str
 ) -> None:
     values = {
@@ -50,11 +50,11 @@ def test_swept_population_survives_toml_and_pickle(
     again = load_spec(file)
     assert again.irregularity == spec.irregularity
     assert again.device == spec.device
-    assert load_spec().angular_gain == 0.7, "the original is left alone"
+    assert load_spec().angular_gain == 0.7, "the original is not changed"
     assert pickle.loads(pickle.dumps(spec)) == spec
 
 
-def test_folders_are_relative_to_the_file_and_kept_absolute(tmp_path: Path) -> None:
+def test_folders_are_relative_to_the_file_and_stored_as_absolute_paths(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     spec = load_spec(written(tmp_path, 'irregularity_folders = ["mine"]\n' + TEXT))
     assert spec.irregularity_folders == (str((tmp_path / "mine").resolve()),)
@@ -63,7 +63,7 @@ def test_folders_are_relative_to_the_file_and_kept_absolute(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("rocking_hz = 535.5", "rocking_khz = 535.5", "did you mean rocking_hz"),
         (
@@ -94,13 +94,15 @@ def test_folders_are_relative_to_the_file_and_kept_absolute(tmp_path: Path) -> N
         ("hz_per_mpa = 4.8", "", "die_attach_stress. lacks hz_per_mpa"),
         ("[operating]", "[operatng]", "did you mean operating"),
         ('name = "cloverleaf"', "name = cloverleaf", "is not TOML"),
-        ('name = "cloverleaf"', 'name = "c"\nirregularity_folders = ["nowhere"]', "names no folder"),
+        ('name = "cloverleaf"', 'name = "c"\nirregularity_folders = ["nowhere"]', "the folder does not exist"),
         ('name = "cloverleaf"', 'name = "c"\nirregularity = 3', "is not TOML"),
     ],
 )
-def test_wrong_population_gets_one_typed_message(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_wrong_population_file_is_a_config_error_that_names_the_fault(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     assert old in TEXT
-    with pytest.raises(ConfigError, match=said) as raised:
+    with pytest.raises(ConfigError, match=message) as raised:
         load_spec(written(tmp_path, TEXT.replace(old, new, 1)))
     assert raised.value.allowed
     assert raised.value.next_step
@@ -109,19 +111,19 @@ def test_wrong_population_gets_one_typed_message(tmp_path: Path, old: str, new: 
 def test_missing_file_and_broken_irregularities_are_config_errors(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         load_spec(tmp_path / "absent.toml")
-    for name, code, said in (
+    for name, code, message in (
         ("syntax", "def act(:", "SyntaxError"),
         ("empty", "x = 1", "must define one IRREGULARITY"),
         ("twice", "from populations.irregularities.lid_leak import IRREGULARITY", "must define one IRREGULARITY"),
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine.py").write_text(code, encoding="utf-8")
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             load_spec(written(tmp_path, f'irregularity_folders = ["{name}"]\n' + TEXT))
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"residual_anisotrpy": 0.3}, "did you mean residual_anisotropy"),
         ({"package_stress": -1.0}, "out of range"),
@@ -130,6 +132,6 @@ def test_missing_file_and_broken_irregularities_are_config_errors(tmp_path: Path
         ({"angular_gain": "0.7"}, "device.angular_gain is not valid"),
     ],
 )
-def test_wrong_sweep_gets_one_typed_message(values: dict[str, float], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_wrong_changed_value_is_a_config_error_that_names_the_fault(values: dict[str, float], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         load_spec().with_values(values)

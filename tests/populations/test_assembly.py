@@ -1,4 +1,4 @@
-"""The physics core: springs, post, electrodes and damping against dense matrices and known limits."""
+"""Springs, post, electrodes and damping agree with dense matrices and with known limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from populations.assembly import Structure, combine, effects, parameters, soften
 from populations.irregularities.misorientation import ln_young
 from populations.irregularity import Change
 from populations.spec import load_spec
-from populations.symmetric import Symmetric, as_complex, axis_deg, congruence, inverse_root, product, turned
+from populations.symmetric import Symmetric, as_complex, axis_deg, congruence, inverse_root, product, rotated
 
 DEVICE = load_spec().device
 small = st.floats(-0.3, 0.3)
@@ -48,23 +48,23 @@ def symmetric(mean: float, real: float, imag: float) -> Symmetric:
 
 
 @given(small, small, small, small, st.floats(-90.0, 90.0))
-def test_symmetric_algebra_equals_dense_matrices(a: float, b: float, c: float, d: float, turn: float) -> None:
+def test_symmetric_algebra_equals_dense_matrices(a: float, b: float, c: float, d: float, angle: float) -> None:
     first, second = symmetric(1.0, a, b), symmetric(0.8, c, d)
     x, y = dense(first), dense(second)
     np.testing.assert_allclose(dense(product(first, second)), (x @ y + y @ x) / 2.0, atol=1e-14)
     np.testing.assert_allclose(dense(congruence(first, second)), x @ y @ x, atol=1e-14)
     root = dense(inverse_root(first))
     np.testing.assert_allclose(root @ x @ root, np.eye(2), atol=1e-13)
-    q = np.array([[math.cos(math.radians(turn)), math.sin(math.radians(turn))]])
+    q = np.array([[math.cos(math.radians(angle)), math.sin(math.radians(angle))]])
     q = np.vstack([q, [[-q[0, 1], q[0, 0]]]])
-    rotated = Symmetric(second.mean, turned(second.anisotropy, np.array([turn])))
-    np.testing.assert_allclose(dense(rotated), q @ y @ q.T, atol=1e-14)
+    in_new_axes = Symmetric(second.mean, rotated(second.anisotropy, np.array([angle])))
+    np.testing.assert_allclose(dense(in_new_axes), q @ y @ q.T, atol=1e-14)
     theta = math.radians(float(axis_deg(second.anisotropy)[0]))
     lower = np.array([math.cos(theta), math.sin(theta)])
     np.testing.assert_allclose(y @ lower, np.linalg.eigvalsh(y)[0] * lower, atol=1e-13)
 
 
-def test_nominal_device_is_the_paper_s_without_split() -> None:
+def test_nominal_device_has_the_nominal_modes_and_no_split() -> None:
     found = plant(nominal())
     assert found["split_hz"] == 0.0
     assert found["f1_hz"] == DEVICE.rocking_hz
@@ -83,39 +83,39 @@ def test_nominal_gains_are_those_of_the_paper_s_modal_matrices() -> None:
     assert DEVICE.rocking_gain_per_s == pytest.approx(rocking, rel=1e-2)
 
 
-def test_four_springs_at_right_angles_can_only_point_along_x_or_y() -> None:
+def test_stiffness_mismatch_of_springs_at_right_angles_gives_theta_0_or_90_deg() -> None:
     stiff_y = plant(replace(nominal(), ln_spring=column(0.0, 0.01, 0.0, 0.0)))
     stiff_x = plant(replace(nominal(), ln_spring=column(0.01, 0.0, 0.0, 0.0)))
-    # A spring on the y axis resists rocking about x.
+    # A stiffer spring on the y axis raises the stiffness of rocking about x.
     assert stiff_y["theta_deg"] == pytest.approx(90.0, abs=1e-9)
     assert stiff_x["theta_deg"] == pytest.approx(0.0, abs=1e-9)
     assert stiff_x["split_hz"] == pytest.approx(535.5 * 0.01 / 4.0, rel=5e-3)
 
 
 @given(st.lists(st.floats(-0.01, 0.01), min_size=4, max_size=4), st.floats(-80.0, 80.0))
-def test_turning_all_springs_turns_theta_and_nothing_else(ln: list[float], turn: float) -> None:
+def test_rotating_all_springs_rotates_theta_and_keeps_the_split(ln: list[float], angle: float) -> None:
     azimuths = np.array([0.0, 50.0, 170.0, 260.0])
     before = plant(
         replace(nominal(), ln_spring=column(*ln)), msgspec.structs.replace(DEVICE, spring_azimuth_deg=tuple(azimuths))
     )
-    device = msgspec.structs.replace(DEVICE, spring_azimuth_deg=tuple(azimuths + turn))
+    device = msgspec.structs.replace(DEVICE, spring_azimuth_deg=tuple(azimuths + angle))
     after = plant(replace(nominal(), ln_spring=column(*ln)), device)
-    assert axis_distance(after["theta_deg"], before["theta_deg"] + turn) < 1e-6
+    assert axis_distance(after["theta_deg"], before["theta_deg"] + angle) < 1e-6
     assert after["split_hz"] == pytest.approx(before["split_hz"], rel=1e-9)
-    # An azimuth error common to all springs is the same turn.
-    error = replace(nominal(), ln_spring=column(*ln), azimuth_rad=np.deg2rad(column(*[turn] * 4)))
+    # An azimuth error common to all springs is the same rotation.
+    error = replace(nominal(), ln_spring=column(*ln), azimuth_rad=np.deg2rad(column(*[angle] * 4)))
     moved = plant(error, msgspec.structs.replace(DEVICE, spring_azimuth_deg=tuple(azimuths)))
     assert axis_distance(moved["theta_deg"], after["theta_deg"]) < 1e-6
 
 
-def test_thickness_moves_all_modes_as_its_power_three_halves() -> None:
+def test_mode_frequencies_vary_as_thickness_to_the_power_1_5() -> None:
     found = plant(replace(nominal(), ln_spring=column(*[3.0 * math.log(1.02)] * 4)))
     assert found["f1_hz"] / DEVICE.rocking_hz == pytest.approx(1.02**1.5, rel=1e-12)
     assert found["f3_hz"] / DEVICE.updown_hz == pytest.approx(1.02**1.5, rel=1e-12)
     assert found["split_hz"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_anisotropy_of_the_paper_s_part_gives_its_split_and_theta() -> None:
+def test_the_anisotropy_of_the_paper_s_device_gives_its_split_and_theta() -> None:
     e = 1.9 / 535.45 * np.exp(2j * np.deg2rad(-33.0 + 90.0))
     found = plant(replace(nominal(), anisotropy=np.array([e])))
     assert found["split_hz"] == pytest.approx(1.9, rel=2e-3)
@@ -123,9 +123,7 @@ def test_anisotropy_of_the_paper_s_part_gives_its_split_and_theta() -> None:
 
 
 @given(small, small, st.floats(-0.7, 0.7), st.floats(-0.7, 0.7))
-def test_damping_in_the_stiffness_axes_is_the_turned_matrix_of_equation_2(
-    a: float, b: float, c: float, d: float
-) -> None:
+def test_damping_in_the_stiffness_axes_is_the_rotated_damping_matrix(a: float, b: float, c: float, d: float) -> None:
     structure = replace(
         nominal(), anisotropy=np.array([a / 30 + 1j * b / 30]), damping_anisotropy=np.array([c + 1j * d])
     )
@@ -139,7 +137,7 @@ def test_damping_in_the_stiffness_axes_is_the_turned_matrix_of_equation_2(
     )
 
 
-def test_damping_anisotropy_beyond_one_is_held_at_a_positive_semidefinite_matrix() -> None:
+def test_damping_anisotropy_is_limited_so_that_damping_stays_positive_semidefinite() -> None:
     found = plant(replace(nominal(), anisotropy=np.array([1e-3 + 2e-3j]), damping_anisotropy=np.array([3.0 - 1.0j])))
     c11, c22 = (4.0 * math.pi * found[f"f{i}_hz"] * found[f"zeta{i}"] for i in (1, 2))
     assert found["c12_per_s"] ** 2 == pytest.approx(c11 * c22, rel=1e-9)
@@ -181,12 +179,12 @@ def test_bias_softens_as_its_square_and_a_gap_as_its_third_power() -> None:
     assert shift == pytest.approx(DEVICE.softening_hz_per_v2 * 3.0 * 25.0, rel=0.01)
     narrow = replace(nominal(), ln_gap=column(-0.01, 0.01, 0.0, 0.0))
     k = stiffness(DEVICE, narrow, 1.0).rocking
-    # D1 at (1, 1) pulls more: K_xy = -sum k x y with k < 0 is positive.
+    # The softening spring at D1, (1, 1), is larger: K_xy = -sum k x y with k < 0 is positive.
     assert k.anisotropy[0].imag == pytest.approx(0.5 * softening(DEVICE) * (math.exp(0.03) - math.exp(-0.03)), rel=1e-9)
     assert abs(k.anisotropy[0].real) < 1e-15
 
 
-def test_softening_effect_explains_the_whole_shift_by_the_bias() -> None:
+def test_the_softening_effect_equals_the_frequency_shift_by_the_bias() -> None:
     values = parameters(DEVICE, nominal(), 1.0, 1.0)
     inverse_gap = effects(DEVICE, nominal(), 1.0, values)["electrostatic_softening"]["1/g"][0]
     # M_D M_D^T = 2: both drives lower omega^2 by 2 G_r V_b / g.
@@ -205,7 +203,7 @@ def test_electrode_imbalances_and_mismatch_follow_gains_and_arms() -> None:
     assert other["m_D"][0] == pytest.approx(math.tanh(0.01), rel=1e-12)
 
 
-def test_leak_lowers_gas_q_in_proportion_to_the_pressure_down_to_the_other_losses() -> None:
+def test_gas_loss_is_proportional_to_the_pressure_and_adds_to_the_other_losses() -> None:
     loss = [plant(replace(nominal(), ln_pressure=np.array([math.log(p)])))["zeta1"] for p in (1.0, 2.0, 3.0, 1e-12)]
     assert loss[2] - loss[1] == pytest.approx(loss[1] - loss[0], rel=1e-9)
     assert 1.0 / (2.0 * loss[3]) == pytest.approx(1.0 / (1.0 / 9000.0 + 1e-6), rel=1e-9)
