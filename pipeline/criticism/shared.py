@@ -95,28 +95,28 @@ class Joint:
     size_sd: tuple[float, ...]
     right_side: bool
 
+    def log_p_family(self, count: float) -> float:
+        """The larger of ``log_p`` and ``log_p_without``, as the smallest of ``count`` terms."""
+        return max(float(log_any(p, count)) for p in (self.log_p, self.log_p_without))
+
 
 @dataclass(frozen=True)
 class Shared:
-    """What the units share.
+    """The shared term, if any.
 
     Parameters
     ----------
-    terms : tests of all terms, most significant first.
     found : the most significant shared term, or ``None``.
     rivals : terms that could replace ``found``.
     nearest, log_p_any : name of the most significant term, and its log p with the number of terms counted, no unit left out.
     aside : (n,) units that were set aside as odd.
-    dispersion : of the scores, at least 1.
     """
 
-    terms: tuple[Joint, ...]
     found: Joint | None
     rivals: tuple[str, ...]
     nearest: str
     log_p_any: float
     aside: tuple[bool, ...]
-    dispersion: float
 
 
 def shared(
@@ -133,7 +133,7 @@ def shared(
     trials : number of families of terms that are tested.
     """
     if not terms or evidence.score.shape[0] == 0:
-        return Shared((), None, (), "", 0.0, (False,) * evidence.score.shape[0], 1.0)
+        return Shared(None, (), "", 0.0, (False,) * evidence.score.shape[0])
     whole, scale = evidence.scaled()
     single_log_p, dispersion = _single_units(whole, terms)
     budget = MIN_PREVALENCE * population
@@ -145,27 +145,17 @@ def shared(
     joints = [_joint(kept, term, scale, dispersion, left) for term in terms]
     order = sorted(range(len(terms)), key=lambda i: joints[i].log_p)
     count = float(len(terms)) * trials
-    found = next(
-        (
-            i
-            for i in order
-            if joints[i].right_side
-            and max(float(log_any(p, count)) for p in (joints[i].log_p, joints[i].log_p_without)) < np.log(alpha)
-        ),
-        None,
-    )
+    found = next((i for i in order if joints[i].right_side and joints[i].log_p_family(count) < np.log(alpha)), None)
     rivals: tuple[str, ...] = ()
     if found is not None:
         others = [term for i, term in enumerate(terms) if i != found]
         rivals = tuple(o.name for o in others if _replaces(kept, terms[found], o, dispersion, alpha))
     return Shared(
-        tuple(joints[i] for i in order),
         None if found is None else joints[found],
         rivals,
         joints[order[0]].name,
         float(log_any(joints[order[0]].log_p, float(len(terms)))),
         tuple(odd.tolist()),
-        dispersion,
     )
 
 
@@ -192,9 +182,7 @@ def _single_units(whole: Evidence, terms: Sequence[SharedTerm]) -> tuple[FloatAr
 def _delta_chi2s(evidence: Evidence, columns: Sequence[int]) -> tuple[FloatArray, FloatArray]:
     """s_i' C_i^+ s_i (n,) and the ranks (n,)."""
     own = list(columns)
-    score, covariance = evidence.score[:, own], evidence.covariance[:, own][:, :, own]
-    inverse, rank = _inverses(covariance)
-    return np.einsum("ni,nij,nj->n", score, inverse, score), rank
+    return _quadratic(evidence.score[:, own], evidence.covariance[:, own][:, :, own])
 
 
 def _inverses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -206,10 +194,10 @@ def _inverses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.einsum("nij,nj,nkj->nik", vector, inverse, vector), good.sum(axis=1).astype(np.float64)
 
 
-def _quadratic(score: FloatArray, covariance: FloatArray) -> tuple[FloatArray, int]:
-    """s' C^+ s of m pairs (m, k), (m, k, k); and the largest rank."""
+def _quadratic(score: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """s' C^+ s and rank (m,) of m pairs (m, k), (m, k, k)."""
     inverse, rank = _inverses(covariance)
-    return np.einsum("ni,nij,nj->n", score, inverse, score), int(rank.max(initial=0.0))
+    return np.einsum("ni,nij,nj->n", score, inverse, score), rank
 
 
 def _joint(kept: Evidence, term: SharedTerm, scale: FloatArray, dispersion: float, budget: float) -> Joint:
@@ -244,7 +232,7 @@ def _log_common(score: FloatArray, covariance: FloatArray) -> float:
     if score.shape[0] == 0:
         return 0.0
     total, rank = _quadratic(score.sum(axis=0)[None], covariance.sum(axis=0)[None])
-    return float(log_tail(total, rank)[0]) if rank else 0.0
+    return float(log_tail(total, int(rank[0]))[0]) if rank[0] else 0.0
 
 
 def _log_spread(delta_chi2s: FloatArray, ranks: FloatArray) -> float:
@@ -294,8 +282,8 @@ def _replaces(kept: Evidence, term: SharedTerm, other: SharedTerm, dispersion: f
     each, ranks = _delta_chi2s(kept, both)
     each_alone, ranks_alone = _delta_chi2s(kept, second)
     log_p = [0.0]
-    if rank > rank_alone:
-        log_p.append(float(log_tail(float(joint[0] - alone[0]) / dispersion, rank - rank_alone)))
+    if rank[0] > rank_alone[0]:
+        log_p.append(float(log_tail(float(joint[0] - alone[0]) / dispersion, int(rank[0] - rank_alone[0]))))
     dof = int((ranks - ranks_alone).sum())
     if dof > 0:
         log_p.append(float(log_tail(float((each - each_alone).sum()) / dispersion, dof)))
