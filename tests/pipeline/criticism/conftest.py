@@ -1,4 +1,4 @@
-"""A problem that shares nothing with gyros: straight lines through noise, with a library of curves."""
+"""A problem without gyros: one straight line through noisy blocks, and curves as candidate terms."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CURVES: dict[str, Callable[[FloatArray], FloatArray]] = {
     "cube_like": lambda x: x**3 + 0.02 * x**5,
     "kink": lambda x: np.abs(x - 0.2),
     "bump": lambda x: np.exp(-40.0 * (x - 0.3) ** 2),
-    # Two terms whose difference is large and whose sum is a third.
+    # The sum of "left" and "right" is nearly "sum"; their difference is large.
     "sum": lambda x: np.sin(15.0 * x),
     "left": lambda x: 0.45 * np.sin(15.0 * x) + np.cos(28.0 * x),
     "right": lambda x: 0.5 * np.sin(15.0 * x) - np.cos(28.0 * x),
@@ -41,7 +41,7 @@ def blocks_of(name: str) -> list[FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """One straight line through all blocks + terms; the library may lack what the data hold."""
+    """One straight line through all blocks, plus terms; the library may lack the term that the data contain."""
 
     data: Sequence[FloatArray]
     library: tuple[str, ...] = ("square", "cube", "kink", "bump", "line")
@@ -94,13 +94,13 @@ class Lines:
         )
 
     def _best_line(self, design: list[FloatArray], columns: list[FloatArray]) -> list[FloatArray]:
-        y, left = np.concatenate(self.data[:-1]), []
+        y, chi2s = np.concatenate(self.data[:-1]), []
         for i in range(FREQUENCIES.size):
-            tried = np.concatenate(
+            trial = np.concatenate(
                 [np.concatenate([d, c[:, 2 * i : 2 * i + 2]], axis=1) for d, c in zip(design, columns)][:-1]
             )
-            left.append(float(np.sum((y - tried @ np.linalg.lstsq(tried, y, rcond=None)[0]) ** 2)))
-        best = int(np.argmin(left))
+            chi2s.append(float(np.sum((y - trial @ np.linalg.lstsq(trial, y, rcond=None)[0]) ** 2)))
+        best = int(np.argmin(chi2s))
         return [c[:, 2 * best : 2 * best + 2] for c in columns]
 
     def signatures(self, fit: FitResult) -> Signatures:
@@ -145,7 +145,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Toy:
-    """Makes problems: hidden terms with the SNR that survives the baseline on the fitted blocks, and some noise."""
+    """Makes problems with hidden terms, whose SNR is that left by the baseline on the fitted blocks, and noise."""
 
     def problem(
         self,

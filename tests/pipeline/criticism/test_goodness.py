@@ -1,4 +1,4 @@
-"""What is left: structure is found where there is some, and noise is called noise at the promised rate."""
+"""Structure in the residual is found, and noise is called structured no more often than the p-value says."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _fit(rng: np.random.Generator, residual: list[np.ndarray], **options: Any) -
     return FitResult(True, ("t",), {}, blocks, tuple(jacobian), columns={"t": (2,)}, shifts={"t": (1.0,)}, **options)
 
 
-def test_noise_is_called_structured_no_more_often_than_promised() -> None:
+def test_noise_is_called_structured_no_more_often_than_the_p_value_says() -> None:
     rng = np.random.default_rng(1)
     p = []
     for _ in range(200):
@@ -37,7 +37,7 @@ def test_noise_is_called_structured_no_more_often_than_promised() -> None:
     assert sum(value < 0.05 for value in p) <= stats.binom.ppf(0.999, 200, 0.05)
 
 
-def test_a_residual_that_repeats_is_structure_even_where_chi2_says_nothing() -> None:
+def test_a_repeatable_residual_is_structure_even_where_chi2_is_as_expected() -> None:
     rng = np.random.default_rng(2)
     same = 0.35 * rng.standard_normal(ROWS)
     noise = [np.sqrt(1.0 - 0.35**2) * rng.standard_normal(ROWS) for _ in range(2)]
@@ -49,7 +49,7 @@ def test_a_residual_that_repeats_is_structure_even_where_chi2_says_nothing() -> 
     assert found.p_value < 0.003
 
 
-def test_cochrans_q_of_parts_that_agree_is_chi_square() -> None:
+def test_q_is_chi_square_where_the_parts_agree() -> None:
     rng = np.random.default_rng(3)
     q: dict[tuple[str, bool], list[float]] = {}
     for _ in range(200):
@@ -57,15 +57,15 @@ def test_cochrans_q_of_parts_that_agree_is_chi_square() -> None:
         base = baseline(fit)
         for name, parts in partitions(fit).items():
             for columns in (None, (2,)):
-                seen = agreement(base, name, parts, columns)
-                assert seen.dof == (len(parts) - 1) * (3 if columns is None else 1)
-                q.setdefault((name, columns is None), []).append(float(np.exp(seen.log_p)))
+                result = agreement(base, name, parts, columns)
+                assert result.dof == (len(parts) - 1) * (3 if columns is None else 1)
+                q.setdefault((name, columns is None), []).append(float(np.exp(result.log_p)))
     assert len(q) == 4
     for p in q.values():
         assert stats.kstest(p, "uniform").pvalue > 0.001
 
 
-def test_the_sizes_of_parts_that_disagree_are_told_with_their_sd() -> None:
+def test_deviations_from_the_common_size_are_estimated_with_their_sd() -> None:
     rng = np.random.default_rng(4)
     jacobian = [rng.standard_normal((ROWS, 3)) for _ in range(3)]
     deviations = []
@@ -73,16 +73,16 @@ def test_the_sizes_of_parts_that_disagree_are_told_with_their_sd() -> None:
         residual = [rng.standard_normal(ROWS) + shift * j[:, 2] for j, shift in zip(jacobian, (0.5, -0.25, -0.25))]
         blocks = tuple(ResidualBlock(str(i), r[:, None]) for i, r in enumerate(residual))
         fit = FitResult(True, ("t",), {}, blocks, tuple(jacobian), columns={"t": (2,)}, shifts={"t": (1.0,)})
-        seen = agreement(baseline(fit), "block", partitions(fit)["block"], (2,))
-        deviations.append([value for value, _ in seen.sizes.values()])
-        sd = [spread for _, spread in seen.sizes.values()]
+        result = agreement(baseline(fit), "block", partitions(fit)["block"], (2,))
+        deviations.append([value for value, _ in result.sizes.values()])
+        sd = [spread for _, spread in result.sizes.values()]
     mean = np.mean(deviations, axis=0)
     assert mean == pytest.approx([0.5, -0.25, -0.25], abs=0.03)
-    # Deviations from a common size that is fitted too scatter less than a size alone: by sqrt(1 - 1/3).
+    # The common size is fitted too, so a deviation scatters less than a single size, by sqrt(1 - 1/3).
     assert np.std(deviations, axis=0) == pytest.approx(np.array(sd) * np.sqrt(2.0 / 3.0), rel=0.25)
 
 
-def test_a_region_is_named_with_its_share_and_what_a_new_model_took_away() -> None:
+def test_regions_have_their_share_of_the_misfit_and_the_share_that_a_new_model_explains() -> None:
     before = [Region("band", {"hz": i}, 100.0 + 300.0 * (i == 3) + 100.0 * (i == 5), 100.0) for i in range(8)]
     after = [Region("band", {"hz": i}, 100.0 + 30.0 * (i == 3), 100.0) for i in range(8)]
     found = region_shares(before)
@@ -99,7 +99,7 @@ def _spectrum(rng: np.random.Generator, colour: np.ndarray, line: float = 0.0) -
     return Spectrum(np.arange(10_000.0), chi2, 20)
 
 
-def test_a_line_too_weak_for_each_record_is_structure_in_all_of_them_together_and_coloured_noise_is_none() -> None:
+def test_a_weak_line_is_structure_in_the_pooled_spectrum_and_coloured_noise_is_not() -> None:
     rng = np.random.default_rng(5)
     fit = _fit(rng, [rng.standard_normal(ROWS) for _ in range(2)])
     coloured = 1.0 + 3.0 / (1.0 + (np.arange(10_000) / 1000.0) ** 2)

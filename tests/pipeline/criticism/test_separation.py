@@ -1,4 +1,4 @@
-"""The predicted SNR is what refits on old and new rows find, and no more is promised than the bound."""
+"""The predicted SNR equals the difference of refits to old and new rows, and never exceeds its upper bound."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ OLD, NEW = 60, 40
 
 
 def columns(rng, rows):
-    """Baseline (2), a and b: the two terms are alike on the old rows, not on the new ones."""
+    """Two baseline columns and term a or b; the terms are nearly equal on the old rows and differ on the new ones."""
     base = rng.standard_normal((rows, 2))
     a = rng.standard_normal((rows, 1))
     b = a + (0.05 if rows == OLD else 1.0) * rng.standard_normal((rows, 1))
@@ -45,7 +45,7 @@ def test_the_snr_is_the_difference_of_the_refits_on_old_and_new_rows(seed):
     for right, wrong in (("a", "b"), ("b", "a")):
         whole = np.concatenate([y, found[right].signal])
         chi2 = {t: fitted(whole, np.concatenate([old[t], new[t]]))[1] for t in ("a", "b")}
-        # The signal of the new rows is the right fit's own, so its refit is its fit.
+        # The new rows are the right fit's own prediction, so its refit does not change it.
         assert chi2[right] == pytest.approx(found[right].chi2)
         predicted = snr(found[right], found[wrong])
         assert np.sign(predicted) * predicted**2 == pytest.approx(chi2[wrong] - chi2[right], rel=1e-6, abs=1e-6)
@@ -53,7 +53,7 @@ def test_the_snr_is_the_difference_of_the_refits_on_old_and_new_rows(seed):
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=50)
-def test_units_of_the_parameters_do_not_matter_and_refitting_only_absorbs(seed):
+def test_the_snr_does_not_depend_on_parameter_units_and_never_exceeds_its_bound(seed):
     plain, scaled = predictions(seed)[3], predictions(seed, (1e6, 1.0, 1e-7))[3]
     found = separation(tuple(plain.values()))
     assert separation(tuple(scaled.values())).least == pytest.approx(found.least, rel=1e-6, abs=1e-5)
@@ -61,7 +61,7 @@ def test_units_of_the_parameters_do_not_matter_and_refitting_only_absorbs(seed):
     assert separation(bounds).least >= found.least - 1e-9
 
 
-def test_a_special_case_can_never_be_told_from_what_holds_it():
+def test_a_term_and_its_special_case_have_no_separation():
     rng = np.random.default_rng(4)
     wide_old, wide_new = rng.standard_normal((OLD, 3)), 100.0 * rng.standard_normal((NEW, 3))
     y = wide_old[:, :2] @ np.array([5.0, 7.0]) + rng.standard_normal(OLD)
@@ -74,7 +74,7 @@ def test_a_special_case_can_never_be_told_from_what_holds_it():
     assert separation(found).least == pytest.approx(0.0, abs=0.05)
 
 
-def test_the_pairs_are_told_worst_first():
+def test_pairs_are_sorted_by_snr():
     signals = {"a": 0.0, "b": 1.0, "c": 5.0}
     eye = np.zeros((1, 1))
     found = separation([Prediction(t, np.full(4, s), 0.0, eye, np.zeros((4, 1))) for t, s in signals.items()])
