@@ -62,7 +62,7 @@ class NoiseLevel:
 def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, int]:
     """Variance (S,) [V^2] of y (N, S) without offset, trend, harmonics of ``line_hz`` and other narrow lines; its dof.
 
-    Lines are sought relative to their neighbours only, because the noise level is unknown.  ``criticism.lines`` answers another
+    Lines are sought relative to their neighbours only, because the noise level is unknown.  ``criticism.regions`` answers another
     question: which bins exceed a known noise level as well as their neighbours.
     """
     samples = y.shape[0]
