@@ -199,7 +199,8 @@ def _ends(errors: Sequence[float | None], compared: float | None, where: str, re
 def _notes(
     comparison: ComparisonAnswer, last: DiagnosisAnswer | RefinementAnswer | None, places: Sequence[PlaceTable]
 ) -> tuple[str, ...]:
-    first = [words.largest_place_sentence(table.rows[0].place, table.rows[0].share) for table in places[:1]]
+    model = words.FIRST_MODEL if isinstance(last, RefinementAnswer) and len(last.ladder) > 1 else "model"
+    first = [words.largest_place_sentence(table.rows[0].place, table.rows[0].share, model) for table in places[:1]]
     if comparison.error and not comparison.fit_ok:
         first.append(words.UNCONVERGED)
     if last is None and not comparison.error:

@@ -87,10 +87,10 @@ def _known(value: Any) -> Any:
 
 
 def _chi2_width(delta_chi2: float, largest: float) -> float:
-    """Width [px] of the bar of a decrease of chi2, logarithmic from 1."""
+    """Width [px] of the bar of a decrease of chi2, logarithmic from 1; the largest has 70."""
     if not (delta_chi2 > 1.0 and largest > 1.0):
         return 1.0
-    return float(min(100.0 * math.log(delta_chi2) / math.log(largest), 100.0))
+    return float(min(70.0 * math.log(delta_chi2) / math.log(largest), 70.0))
 
 
 _WORDS: Mapping[str, Any] = {

@@ -153,9 +153,9 @@ def change_sentence(change: ErrorChange) -> str:
     return f"The {change.name} stays at {after} {change.where}{weak}."
 
 
-def largest_place_sentence(place: str, share: float) -> str:
-    """Where the largest part of the first model's misfit lies."""
-    return f"Largest part of the misfit of the {FIRST_MODEL}: {place} ({percent(share)})."
+def largest_place_sentence(place: str, share: float, model: str) -> str:
+    """Where the largest part of the misfit of a model ("model" or "first model") lies."""
+    return f"Largest part of the misfit of the {model}: {place} ({percent(share)})."
 
 
 def class_sentence(members: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import FuncFormatter
 
 from pipeline.learning.answers import Measured, Place, RungAnswer
 
@@ -91,7 +91,7 @@ def _errors(axes: Axes, ladder: Sequence[RungAnswer], errors: Pairs, relative: b
         _label(axes, k, rung.status or "", pair, floor, relative)
     log_ticks(axes.yaxis)
     if relative:
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100.0 * value:g} %"))
     axes.set_ylabel("relative error" if relative else "error")
     if any(held is not None for _, held in errors):
         handles = [Patch(fc="#c3ccd5", label="fitted records"), Patch(fc=MUTED, label="held-out records")]
