@@ -31,16 +31,16 @@ def exported(campaign: Campaign, result: DeviceResult) -> dict[str, Any]:
     if result.fit is None:
         raise MeasurementError(
             "there is no model to export: the fit failed",
-            value=result.status_reason,
+            value=result.estimate.reason,
             next_step="run gyroscreen check, then gyroscreen identify on the same campaign",
         )
-    draws = np.stack([result.draws[name] for name in PHYSICAL], axis=1)
+    draws = np.stack([result.estimate.draws[name] for name in PHYSICAL], axis=1)
     values = to_physical(result.fit.x[None])
     ss = state_space(gyro_mechanics(values), campaign.instrument.sample_rate_hz)
     antialias = campaign.instrument.antialias
     return {
         "device_id": campaign.device_id,
-        "status": result.status,
+        "status": result.estimate.status,
         "parameter_names": list(PHYSICAL),
         "parameters": values[0],
         "covariance": np.cov(draws.T),

@@ -1,17 +1,19 @@
-"""The goodness-of-fit gate: does the model explain the record well enough for its sd to be believed?
+"""The gate and the status of an estimate: does the model explain the records well enough for its sd to be believed?
 
-    error            = rms((measured - model) / sigma), full band, offset (and hum lines) removed and counted
-    theta_bias_bound = sd(theta) sqrt(excess) sqrt(1 - s^2) / s,   excess = chi2 - dof - 3 sqrt(2 dof), if positive
+    error            = rms((measured - model) / sigma), full band, offset and hum lines removed and counted
+    theta_bias_bound = sd(theta) sqrt(excess) sqrt(1 - s^2) / s,    excess = max(chi2 - dof - 3 sqrt(2 dof), 0)
 
-A fit hides most of a missing effect in its own parameters: of an effect's signature only a share s survives as residual
-(0.16 for the worst of the library, damping drift).  What survives is seen as excess; what is hidden may have moved theta by
-up to the bound.  Both are free of the number of samples N: sd falls as 1/sqrt(N) while the excess grows as N.
+The free parameters of a fit absorb most of the signature of a missing effect; at least the share s = 0.16 remains in the
+residual (the smallest share of the library, that of damping drift).  The excess measures the part that remains.  The part
+that was absorbed may have moved theta by up to the bound.  Error and bound do not depend on the number of samples N: sd
+falls as 1/sqrt(N) while the excess grows as N.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,10 +22,12 @@ from ..experiment.noise.lines import lines_removed, without_lines
 
 SURVIVING_SHARE = 0.16
 
+Status = Literal["ok", "not_converged", "fit_failed", "misfit"]
+
 
 @dataclass(frozen=True)
 class Gate:
-    """Above ``error_max`` or ``theta_bias_max_deg`` a device is a misfit."""
+    """Largest ``error`` and largest bound on the bias of theta [deg]; a device above either is a misfit."""
 
     error_max: float = 1.1
     theta_bias_max_deg: float = 0.5
@@ -31,18 +35,21 @@ class Gate:
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """How well a model explains a record; symbols at the head of the module."""
+    """How well a model explains the records: full-band error, and chi2 with its degrees of freedom for the bias bound."""
 
     error: float
-    relative_error: float
-    chi2_per_dof: float
-    theta_bias_bound_deg: float
+    chi2: float
+    dof: int
 
+    @property
+    def chi2_per_dof(self) -> float:
+        """chi2 / dof."""
+        return self.chi2 / self.dof
 
-def theta_bias_bound_deg(theta_sd_deg: float, chi2: float, dof: int) -> float:
-    """The bound of the head of the module [deg]; 0 without significant excess."""
-    excess = max(chi2 - dof - 3.0 * math.sqrt(2.0 * dof), 0.0)
-    return theta_sd_deg * math.sqrt(excess * (1.0 - SURVIVING_SHARE**2)) / SURVIVING_SHARE
+    def theta_bias_bound_deg(self, theta_sd_deg: float) -> float:
+        """Bound on the bias of theta [deg] from the sd of theta [deg]; 0 without significant excess."""
+        excess = max(self.chi2 - self.dof - 3.0 * math.sqrt(2.0 * self.dof), 0.0)
+        return theta_sd_deg * math.sqrt(excess * (1.0 - SURVIVING_SHARE**2)) / SURVIVING_SHARE
 
 
 def full_band_error(
@@ -56,13 +63,42 @@ def full_band_error(
     return float(error), float(np.linalg.norm(rest) / max(float(np.linalg.norm(measured_v)), 1e-300))
 
 
-def misfit_reason(goodness: GoodnessOfFit, gate: Gate) -> str | None:
-    """Why a device is a misfit, or ``None``."""
+def misfit_reason(goodness: GoodnessOfFit, theta_sd_deg: float | None, gate: Gate) -> str | None:
+    """Why the gate refuses the fit, or ``None``; the bias of theta is judged only where its sd [deg] is given."""
     if not goodness.error <= gate.error_max:
-        return f"error {goodness.error:.4g} above {gate.error_max:g}: the model does not explain the record"
-    if not goodness.theta_bias_bound_deg <= gate.theta_bias_max_deg:
+        return f"error {goodness.error:.4g} above {gate.error_max:g}: the model does not explain the records"
+    if theta_sd_deg is None:
+        return None
+    bound = goodness.theta_bias_bound_deg(theta_sd_deg)
+    if not bound <= gate.theta_bias_max_deg:
         return (
-            f"an unmodelled effect of the residual's size could bias theta by {goodness.theta_bias_bound_deg:.2g} deg,"
+            f"an unmodelled effect of the size of the residual could bias theta by {bound:.2g} deg,"
             f" above {gate.theta_bias_max_deg:g} deg"
         )
     return None
+
+
+def status_of(
+    goodness: GoodnessOfFit | None,
+    theta_sd_deg: float | None,
+    gate: Gate,
+    fit_failed: str | None = None,
+    not_converged: str | None = None,
+) -> tuple[Status, str | None]:
+    """Status of an estimate and its reason: fit_failed before misfit before not_converged before ok.
+
+    Parameters
+    ----------
+    goodness : ``None`` where nothing independent of the fit shows the noise level; the gate is then not applied.
+    theta_sd_deg : sd of theta [deg]; ``None`` where it is not known.
+    gate : its limits.
+    fit_failed, not_converged : why the fit failed, or why the posterior is not known well enough; ``None`` where not so.
+    """
+    if fit_failed is not None:
+        return "fit_failed", fit_failed
+    misfit = None if goodness is None else misfit_reason(goodness, theta_sd_deg, gate)
+    if misfit is not None:
+        return "misfit", misfit
+    if not_converged is not None:
+        return "not_converged", not_converged
+    return "ok", None

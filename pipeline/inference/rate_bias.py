@@ -13,13 +13,10 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
-from ..device.gyro import split_hz, to_cartesian
-from ..device.operation.bias import quantities_of, rate_biases_dps
+from ..device.operation.bias import rate_biases_dps
 from ..device.operation.rebalance import self_oscillation_hz
-from ..device.operation.trim import TrimResult
 from ..errors import ConfigError
-from .screening.device import RateSettings
-from .screening.summary import summarise
+from .estimate import intervals
 
 
 def bias_draws(
@@ -81,11 +78,4 @@ def bias_from_posterior(
     count = draws.shape[0]
     kappas = kappa * np.exp(kappa_sd / kappa * random.standard_normal(count))
     phis = phi + phi_sd * random.standard_normal(count)
-    return summarise(bias_draws(draws, kappas, phis, drive))
-
-
-def trimmed_summary(result: TrimResult, rate: RateSettings) -> dict[str, float]:
-    """<q>, <q>_sd, <q>_q05, <q>_q95 of every quantity after the trim (biases only where kappa is known)."""
-    draws = quantities_of(result.after, rate.angular_gain, rate.phase_error_deg, rate.drive)
-    draws["split_hz"] = split_hz(to_cartesian(result.after))
-    return summarise({name: values for name, values in draws.items() if not np.all(np.isnan(values))})
+    return intervals(bias_draws(draws, kappas, phis, drive))

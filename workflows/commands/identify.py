@@ -8,23 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from pipeline.device.model import load_model
 from pipeline.errors import UsageError
 from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.checks.check import CheckReport
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.identification.route import RouteResult, identify_modal
-from pipeline.inference.gate import Gate
+from pipeline.inference.identify import Identification
+from pipeline.inference.identify import identify as identify_device
 from pipeline.inference.modal.fit import ModalFit, fit_modal
-from pipeline.inference.screening.campaign import identify_campaign, is_inband, reference_comparison
-from pipeline.inference.screening.device import IdentificationSettings
-from pipeline.inference.screening.sample import SamplerSettings
 from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
-
-_SEED = 1
 
 
 def identify(measurement: Path, model: Path | None, json: bool) -> None:
@@ -35,7 +30,9 @@ def identify(measurement: Path, model: Path | None, json: bool) -> None:
         columns = modal_columns(route, fit_modal(route, found.antialias))
         lines = _modal_text(found.name, columns)
     else:
-        columns, lines = identified(found, model)
+        result = identify_device(found, None if model is None else load_model(model))
+        columns = {**result.columns, **({"reference": result.reference} if found.reference else {})}
+        lines = _text(result)
     print(json_.dumps(plain(columns)) if json else "\n".join(lines))
 
 
@@ -82,25 +79,6 @@ def _modal_text(name: str, c: dict[str, Any]) -> list[str]:
     ]
 
 
-def identified(campaign: Campaign, model: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Columns and text of a campaign; a lone record fits itself."""
-    if not campaign.with_role("fit"):
-        campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
-    if model is None and is_inband(campaign):
-        result = identify_campaign(
-            campaign, IdentificationSettings(), SamplerSettings(), Gate(), np.random.SeedSequence(_SEED)
-        )
-        columns: dict[str, Any] = {"device_id": campaign.device_id, **result.columns}
-        reference = reference_comparison(campaign, result.columns)
-    else:
-        from ..learning.general import identify_general
-
-        columns, reference = identify_general(campaign, model)
-    if campaign.reference:
-        columns["reference"] = reference
-    return columns, _text(columns, reference)
-
-
 def rounded(value: float, sd: float | None) -> str:
     """``value`` with as many digits as two digits of its sd deserve."""
     if sd is None or not sd > 0.0 or not math.isfinite(sd):
@@ -109,7 +87,8 @@ def rounded(value: float, sd: float | None) -> str:
     return f"{value:.{max(digits, 0)}f}" if digits < 13 else f"{value:.6g}"
 
 
-def _text(columns: dict[str, Any], reference: dict[str, dict[str, float]]) -> list[str]:
+def _text(result: Identification) -> list[str]:
+    columns = result.columns
     lines = [f"device {columns['device_id']}: {columns['status']}"]
     if columns.get("status_reason"):
         lines.append(f"  {columns['status_reason']}")
@@ -124,7 +103,7 @@ def _text(columns: dict[str, Any], reference: dict[str, dict[str, float]]) -> li
     error = "unknown (no silent record and no repeats)" if columns.get("error") is None else f"{columns['error']:.4f}"
     if columns.get("relative_error") is not None:
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")
-    for name, r in reference.items():
+    for name, r in result.reference.items():
         lines.append(f"  reference {name}: {r['reference']:g} +- {r['reference_sd']:g}, z = {r['z']:+.2f}")
     return lines
 

@@ -107,8 +107,9 @@ def _first_fit(campaign: Campaign, folder: Path) -> Path:
 
 def _columns(step: StreamStep) -> dict[str, Any]:
     s = step.snapshot
-    values: dict[str, Any] = {"time_s": s.duration_s, "status": s.status, "status_reason": s.reason}
-    values |= {name: plain(value) for name, value in s.columns.items()}
+    estimate = s.estimate
+    values: dict[str, Any] = {"time_s": s.duration_s, "status": estimate.status, "status_reason": estimate.reason}
+    values |= {name: plain(value) for name, value in estimate.columns.items()}
     values |= {"p_pass": plain(step.p_pass), "verdict": step.verdict}
     if step.route is not None:
         values |= {"lattice_theta_deg": step.route.axes.mean_deg, "lattice_split_hz": step.route.arx_split_hz}
@@ -117,13 +118,13 @@ def _columns(step: StreamStep) -> dict[str, Any]:
 
 def _line(step: StreamStep) -> str:
     s = step.snapshot
-    c = s.columns
+    c = s.estimate.columns
     if "theta_deg" in c:
         theta = f"{rounded(c['theta_deg'], c['theta_deg_sd'])} +- {c['theta_deg_sd']:.2g}"
         split = f"{rounded(c['split_hz'], c['split_hz_sd'])} +- {c['split_hz_sd']:.2g}"
         judged = f"{theta:20s} {split:24s} {step.p_pass:10.4f}  {step.verdict:9s}"
     else:
-        judged = f"{s.status}: {s.reason}"
+        judged = f"{s.estimate.status}: {s.estimate.reason}"
     route = step.route
     lattice = "" if route is None else f"  {route.axes.mean_deg:.2f}, {route.arx_split_hz:.4f}"
     return f"{s.duration_s:8.3f}   {judged}{lattice}"

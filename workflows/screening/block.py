@@ -15,9 +15,9 @@ import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
-from pipeline.device.operation.bias import quantities_of
 from pipeline.errors import GyroscreenError
-from pipeline.inference.screening.device import DeviceResult
+from pipeline.inference.estimate import quantities
+from pipeline.inference.screening.device import DeviceResult, failed_result
 from pipeline.quantities import MODEL, NAMES
 from pipeline.store.schema import devices_table, posterior_table
 from populations.draw import Draw, draw
@@ -55,12 +55,6 @@ def blocks_of(config: RunConfig, devices: int) -> tuple[DeviceBlock, ...]:
     return tuple(DeviceBlock(i, i * size, min(size, devices - i * size)) for i in range(-(-devices // size)))
 
 
-def failed_result(reason: str) -> DeviceResult:
-    """The result of a device that could not be identified."""
-    columns: dict[str, float | str | None] = {"status": "fit_failed", "status_reason": reason}
-    return DeviceResult(columns, {}, "fit_failed", reason, None)
-
-
 def _identified(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> DeviceResult:
     # One device that fails must not stop the run; its row states the reason.
     try:
@@ -73,9 +67,7 @@ def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[s
     """fab_<q> and true_<q>, each (B,), of a draw."""
     out: dict[str, FloatArray] = {}
     for prefix, values in (("fab", drawn.fab), ("true", drawn.true)):
-        rate = rate_of(config, angular_gain)
-        all_q = quantities_of(physical_of(values), angular_gain, rate.phase_error_deg, rate.drive)
-        all_q["split_hz"] = values["split_hz"]
+        all_q = quantities(physical_of(values), rate_of(config, angular_gain), values["split_hz"])
         out |= {f"{prefix}_{name}": all_q[name] for name in NAMES}
     return out
 
@@ -91,8 +83,8 @@ def judged(results: Sequence[DeviceResult], limits: Limits) -> dict[str, list[An
     """p_pass, verdict and failed_limits of each result."""
     out: dict[str, list[Any]] = {"p_pass": [], "verdict": [], "failed_limits": []}
     for result in results:
-        draws = {q: result.draws.get(q, np.full(1, np.nan))[None] for q in limits.quantities}
-        decision = decide(limits, draws, [result.status])
+        draws = {q: result.estimate.draws.get(q, np.full(1, np.nan))[None] for q in limits.quantities}
+        decision = decide(limits, draws, [result.estimate.status])
         out["p_pass"].append(float(decision.p_pass[0]))
         out["verdict"].append(decision.verdict[0])
         out["failed_limits"].append(decision.failed_limits[0])
@@ -122,7 +114,8 @@ def tables_of(
     devices = devices_table({"device_id": list(device_id), **fixed, **columns, **judged(results, limits)})
     statuses: dict[str, int] = {}
     for result in results:
-        statuses[result.status] = statuses.get(result.status, 0) + 1
+        status = result.estimate.status
+        statuses[status] = statuses.get(status, 0) + 1
     posterior = _posterior(device_id, results, stored_draws) if stored_draws else None
     return BlockTables(index, devices, posterior, statuses)
 
@@ -131,14 +124,15 @@ def _posterior(device_id: Sequence[str], results: Sequence[DeviceResult], stored
     """At most ``stored_draws`` draws of each device, evenly spaced along its chains."""
     parts: dict[str, list[Any]] = {"device_id": [], "draw": [], **{q.name: [] for q in MODEL}}
     for identity, result in zip(device_id, results):
-        if not result.draws:
+        draws = result.estimate.draws
+        if not draws:
             continue
-        total = result.draws["theta_deg"].size
+        total = draws["theta_deg"].size
         kept = np.linspace(0, total - 1, min(stored_draws, total)).round().astype(np.int64)
         parts["device_id"] += [identity] * kept.size
         parts["draw"].append(np.arange(kept.size, dtype=np.int32))
         for q in MODEL:
-            parts[q.name].append(result.draws[q.name][kept])
+            parts[q.name].append(draws[q.name][kept])
     return posterior_table({k: (v if k == "device_id" else np.concatenate(v) if v else []) for k, v in parts.items()})
 
 

@@ -13,12 +13,13 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.common_tables import DeviceTable
-from pipeline.inference.screening.campaign import identify_campaign, reference_comparison
-from pipeline.inference.screening.device import DeviceResult, RateSettings
+from pipeline.inference.estimate import RateSettings, reference_comparison
+from pipeline.inference.screening.campaign import identify_campaign
+from pipeline.inference.screening.device import DeviceResult, failed_result
 from pipeline.toml_files import decode, read_bytes
 
 from ..config import RunConfig
-from .block import BlockTables, DeviceBlock, failed_result, tables_of
+from .block import BlockTables, DeviceBlock, tables_of
 from .settings import CAMPAIGN_STREAM, device_seed, settings_of
 from .trimming import trimmed_columns
 
@@ -50,7 +51,7 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
         campaign = read_campaign(folder)
         device_id = campaign.device_id
         result = identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed)
-        compared = reference_comparison(campaign, result.columns)
+        compared = reference_comparison(campaign.reference, result.columns)
         if compared:
             text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())
             result = replace(result, columns={**result.columns, "reference": text})

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import populations
-from pipeline.inference.screening.device import IdentificationSettings, RateSettings
+from pipeline.inference.estimate import RateSettings
+from pipeline.inference.screening.device import IdentificationSettings
 from populations.spec import PopulationSpec, load_spec
 
 from ..config import RunConfig

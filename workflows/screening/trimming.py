@@ -14,11 +14,10 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.device.gyro import PHYSICAL, split_hz, to_cartesian
-from pipeline.device.operation.bias import quantities_of
 from pipeline.device.operation.trim import trim, trimmed_physical
 from pipeline.errors import ConfigError
-from pipeline.inference.screening.device import DeviceResult, RateSettings
-from pipeline.inference.screening.summary import summarise
+from pipeline.inference.estimate import RateSettings, intervals, quantities
+from pipeline.inference.screening.device import DeviceResult
 from reports.decision import conforms, decide
 from reports.limits import Limits
 
@@ -46,20 +45,19 @@ def trimmed_columns(
     rate : settings for the rate biases.
     seed : random stream of the device's trim gains.
     """
-    if result.status != "ok":
+    if result.estimate.status != "ok":
         return {}
     electrodes = table.electrodes()
     random, own = (np.random.default_rng(child) for child in seed.spawn(2))
-    draws = np.stack([result.draws[name] for name in PHYSICAL], axis=1)
+    draws = np.stack([result.estimate.draws[name] for name in PHYSICAL], axis=1)
     kept = np.linspace(0, draws.shape[0] - 1, min(_DRAWS, draws.shape[0])).round().astype(np.int64)
     try:
         done = trim(draws[kept], electrodes, table.target(), random)
     except ConfigError:
         return {}
-    after = quantities_of(done.after, rate.angular_gain, rate.phase_error_deg, rate.drive)
-    after["split_hz"] = split_hz(to_cartesian(done.after))
+    after = quantities(done.after, rate, split_hz(to_cartesian(done.after)))
     decision = decide(limits, {q: after[q][None] for q in limits.quantities}, ["ok"])
-    summary = summarise({name: after[name] for name in ("theta_deg", "split_hz")})
+    summary = intervals({name: after[name] for name in ("theta_deg", "split_hz")})
     columns: dict[str, Any] = {
         "trim_voltages_v": ",".join(f"{v:.4g}" for v in done.voltages_v),
         "trim_at_limit": float(np.any(done.at_limit)),
@@ -73,7 +71,7 @@ def trimmed_columns(
     if true_physical is not None:
         gains = electrodes.draw_gains(own, 1)[0]
         true = trimmed_physical(true_physical, done.voltages_v, electrodes, gains)
-        values = quantities_of(true[None], rate.angular_gain, rate.phase_error_deg, rate.drive)
+        values = quantities(true[None], rate)
         columns |= {
             "trimmed_true_split_hz": float(values["split_hz"][0]),
             "trimmed_true_theta_deg": float(values["theta_deg"][0]),

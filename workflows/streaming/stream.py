@@ -16,9 +16,9 @@ from pipeline.experiment.files.channels import correct
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Channels, Record
 from pipeline.identification.route import RouteResult
+from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.campaign import campaign_noise
-from pipeline.inference.screening.device import RateSettings
 from pipeline.inference.screening.snapshot import Snapshot
 from pipeline.inference.screening.stream import StreamSettings, estimate, noise_of, start_stream, steps
 from reports.decision import Verdict, decide
@@ -75,8 +75,9 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
 
 def verdict_of(snapshot: Snapshot, limits: Limits) -> tuple[float, Verdict]:
     """P(conform) and the verdict of the rule."""
-    draws = {name: snapshot.draws.get(name, np.full(1, np.nan))[None] for name in limits.quantities}
-    decision = decide(limits, draws, [snapshot.status])
+    estimate = snapshot.estimate
+    draws = {name: estimate.draws.get(name, np.full(1, np.nan))[None] for name in limits.quantities}
+    decision = decide(limits, draws, [estimate.status])
     return float(decision.p_pass[0]), decision.verdict[0]
 
 

@@ -128,7 +128,7 @@ def _row(config: RunConfig, drawn: Draw, i: int, gain: float) -> Row:
     result = identify_virtual(config, drawn, i, gain)
     theta, split = float(drawn.true["theta_deg"][i]), float(drawn.true["split_hz"][i])
     if result.fit is None:
-        return Row(split, result.status, np.nan, np.nan, False, False, 0.0)
+        return Row(split, result.estimate.status, np.nan, np.nan, False, False, 0.0)
     _, _, sigma = virtual_records(config, drawn, i)
     adc = config.instrument.instrument().adc
     total = np.sqrt(sigma**2 + (adc.lsb_v**2 / 12.0 if adc else 0.0))
@@ -139,7 +139,7 @@ def _row(config: RunConfig, drawn: Draw, i: int, gain: float) -> Row:
     high = float(difference(c["theta_deg_q95"], theta))
     return Row(
         split,
-        result.status,
+        result.estimate.status,
         off / sd_theta,
         (c["split_hz"] - split) / sd_split,
         low <= 0.0 <= high,

@@ -24,13 +24,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
-from pipeline.device.operation.bias import quantities_of
 from pipeline.errors import UsageError
 from pipeline.experiment.noise.lines import silent_sigma
 from pipeline.experiment.record import Record
 from pipeline.identification.arx import fit_arx
 from pipeline.identification.bandpass import bandpass
 from pipeline.identification.failure import IdentificationError
+from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.compressed import BandData, nuisance_basis
 from pipeline.inference.screening.inband import Band, make_band
 from pipeline.inference.screening.snapshot import Snapshot, snapshot
@@ -122,9 +122,7 @@ def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, 
         if time_s in FIXED:
             fixed[time_s] = p
     physical = physical_of(drawn.true)[i]
-    rate = rate_of(config, angular_gain)
-    truth = quantities_of(physical, angular_gain, rate.phase_error_deg, rate.drive)
-    truth["split_hz"] = np.asarray(drawn.true["split_hz"][i])
+    truth = quantities(physical, rate_of(config, angular_gain), np.asarray(drawn.true["split_hz"][i]))
     return InterimResults(bool(conforms(limits, truth)), tuple(p_pass), fixed)
 
 

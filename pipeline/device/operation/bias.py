@@ -21,7 +21,6 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...errors import ConfigError
-from ..gyro import PHYSICAL
 
 
 def rate_biases_dps(
@@ -58,21 +57,3 @@ def rate_biases_dps(
         "inphase_bias_dps": np.rad2deg(inphase),
         "rate_bias_dps": np.rad2deg(leaked + inphase),
     }
-
-
-def quantities_of(
-    physical: FloatArray, angular_gain: float | FloatArray | None, phase_error_deg: float, drive: Literal["f1", "f2"]
-) -> dict[str, FloatArray]:
-    """All result quantities of physical parameters (..., 12) by name; rate biases are nan without an angular gain."""
-    named = dict(zip(PHYSICAL, np.moveaxis(physical, -1, 0)))
-    named["split_hz"] = named["f2_hz"] - named["f1_hz"]
-    for i in (1, 2, 3):
-        named[f"quality{i}"] = 0.5 / named[f"zeta{i}"]
-    if angular_gain is None:
-        unknown = np.full(physical.shape[:-1], np.nan)
-        biases = dict.fromkeys(
-            ("quadrature_rate_dps", "quadrature_bias_dps", "inphase_bias_dps", "rate_bias_dps"), unknown
-        )
-    else:
-        biases = rate_biases_dps(physical, angular_gain, phase_error_deg, drive)
-    return named | biases

@@ -6,20 +6,17 @@ go through the general fit of ``campaign_fit``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ...axial import wrap
 from ...errors import MeasurementError
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.noise.lines import hum_line
 from ...experiment.record import Campaign
-from ...quantities import AXES
+from ..estimate import RateSettings
 from ..gate import Gate
-from .device import DeviceResult, IdentificationSettings, RateSettings, identify_device, prepare
+from .device import DeviceResult, IdentificationSettings, identify_device, prepare
 from .sample import SamplerSettings
 
 
@@ -74,24 +71,3 @@ def identify_campaign(
         return result
     # A noise level read off the driven records themselves cannot say how well they are explained.
     return replace(result, columns={**result.columns, "error": None, "chi2_per_dof": None})
-
-
-def reference_comparison(campaign: Campaign, columns: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-    """Each [reference] value against <q>, <q>_sd of ``columns``: both with sd, and z = difference / combined sd."""
-    out: dict[str, dict[str, float]] = {}
-    for name, (value, sd) in campaign.reference.items():
-        found, found_sd = columns.get(name), columns.get(f"{name}_sd")
-        if not isinstance(found, float) or not isinstance(found_sd, float):
-            continue
-        difference = found - value
-        if name in AXES:
-            difference = float(wrap(difference))
-        combined = float(np.hypot(sd, found_sd))
-        out[name] = {
-            "reference": value,
-            "reference_sd": sd,
-            "posterior": found,
-            "posterior_sd": found_sd,
-            "z": difference / combined if combined > 0.0 else float("nan"),
-        }
-    return out

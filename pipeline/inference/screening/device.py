@@ -10,28 +10,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from ...arrays import FloatArray
-from ...device.gyro import gyro_modes, split_hz, to_physical
-from ...device.operation.bias import quantities_of
+from ...device.gyro import gyro_modes, to_physical
 from ...experiment.antialias import behind_filter
 from ...experiment.forward.modal_bank import respond
 from ...experiment.instrument import Instrument
 from ...experiment.record import Record
 from ...identification.failure import IdentificationError
 from ...identification.route import RouteResult, identify_record
-from ..gate import Gate, GoodnessOfFit, full_band_error, misfit_reason, theta_bias_bound_deg
+from ..estimate import Estimate, RateSettings, cartesian_quantities, estimate_from
+from ..gate import Gate, GoodnessOfFit, full_band_error
 from ..general.starts import gyro_start
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
 from .inband import Band, make_band
-from .sample import Posterior, SamplerSettings, sample
-from .summary import summarise
+from .sample import Posterior, SamplerSettings, not_converged_reason, sample
 
-Status = Literal["ok", "not_converged", "fit_failed", "misfit"]
 Value = float | str | None
 
 
@@ -46,26 +43,12 @@ class IdentificationSettings:
     line_hz: float | None = None
 
 
-@dataclass(frozen=True)
-class RateSettings:
-    """What turns parameters into rate biases; kappa unknown gives none."""
-
-    angular_gain: float | None = None
-    phase_error_deg: float = 0.0
-    drive: Literal["f1", "f2"] = "f1"
-
-
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
-    """Columns of the devices table, posterior draws by quantity (n,), status and its reason.
-
-    ``fit`` and ``draws`` are ``None`` / empty where the fit failed.
-    """
+    """Columns of the devices table, the estimate behind them, and the fit; ``None`` where the fit failed."""
 
     columns: dict[str, Value]
-    draws: dict[str, FloatArray]
-    status: Status
-    status_reason: str | None
+    estimate: Estimate
     fit: Fit | None
 
 
@@ -150,8 +133,11 @@ def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> F
     return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
 
 
-def _failed(columns: dict[str, Value], reason: str) -> DeviceResult:
-    return DeviceResult({**columns, "status": "fit_failed", "status_reason": reason}, {}, "fit_failed", reason, None)
+def failed_result(reason: str, columns: dict[str, Value] | None = None) -> DeviceResult:
+    """The result of a device that could not be identified, with the columns that are known nevertheless."""
+    estimate = Estimate("fit_failed", reason)
+    status: dict[str, Value] = {"status": estimate.status, "status_reason": reason}
+    return DeviceResult({**(columns or {}), **status}, estimate, None)
 
 
 def identify_device(
@@ -201,11 +187,11 @@ def identify_device(
         fit = second if second is not None and (fit is None or _rank(second) > _rank(fit)) else fit
     if fit is None or not fit.converged:
         why = "the likelihood has no maximum near any start; check that hold and antialias are declared as they are"
-        return _failed(columns, why if found else f"{why}; the paper's route: {reason}")
+        return failed_result(why if found else f"{why}; the paper's route: {reason}", columns)
     try:
         posterior = sample(fit, sampler, seed)
     except np.linalg.LinAlgError:
-        return _failed(columns, "the parameters are not determined: the curvature of the likelihood is singular")
+        return failed_result("the parameters are not determined: the curvature of the likelihood is singular", columns)
     return _result(columns, fit_records, sigma_v, instrument, settings, sampler, gate, rate, fit, posterior)
 
 
@@ -221,10 +207,6 @@ def _result(
     fit: Fit,
     posterior: Posterior,
 ) -> DeviceResult:
-    flat = posterior.flat()
-    draws = quantities_of(to_physical(flat), rate.angular_gain, rate.phase_error_deg, rate.drive)
-    draws["split_hz"] = split_hz(flat)
-    summary = summarise({k: v for k, v in draws.items() if not np.all(np.isnan(v))})
     errors = [
         full_band_error(
             i.record.sense_v,
@@ -236,29 +218,22 @@ def _result(
         for i in fit_records
     ]
     weight = np.array([i.record.sense_v.shape[0] for i in fit_records], dtype=float)
-    pooled = [math.sqrt(float(np.average([e[k] ** 2 for e in errors], weights=weight))) for k in (0, 1)]
-    goodness = GoodnessOfFit(
-        pooled[0], pooled[1], fit.chi2 / fit.dof, theta_bias_bound_deg(summary["theta_deg_sd"], fit.chi2, fit.dof)
+    error, relative_error = (math.sqrt(float(np.average([e[k] ** 2 for e in errors], weights=weight))) for k in (0, 1))
+    estimate = estimate_from(
+        cartesian_quantities(posterior.flat(), rate),
+        GoodnessOfFit(error, fit.chi2, fit.dof),
+        gate,
+        not_converged_reason(posterior, sampler),
     )
-    status: Status = "ok"
-    why = misfit_reason(goodness, gate)
-    if why is not None:
-        status = "misfit"
-    elif posterior.rhat > sampler.rhat_max or posterior.ess < sampler.ess_min:
-        status = "not_converged"
-        why = f"R-hat {posterior.rhat:.4g} (at most {sampler.rhat_max:g}), ESS {posterior.ess:.0f}"
-        why += f" (at least {sampler.ess_min:g})"
     columns = {
         **columns,
-        **summary,
-        "error": goodness.error,
-        "relative_error": goodness.relative_error,
-        "chi2_per_dof": goodness.chi2_per_dof,
-        "theta_bias_bound_deg": goodness.theta_bias_bound_deg,
+        **estimate.columns,
+        "error": error,
+        "relative_error": relative_error,
         "rhat": posterior.rhat,
         "ess": posterior.ess,
         "acceptance": posterior.acceptance,
-        "status": status,
-        "status_reason": why,
+        "status": estimate.status,
+        "status_reason": estimate.reason,
     }
-    return DeviceResult(columns, draws, status, why, fit)
+    return DeviceResult(columns, estimate, fit)

@@ -113,7 +113,7 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
         return _run(log_posterior, moves, "laplace", settings, streams, fit, factor, importance, settings.steps, 1)
     mixture = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
     steps, posterior = 1000, None
-    while posterior is None or (steps <= _MAX_STEPS and not _converged(posterior, settings)):
+    while posterior is None or (steps <= _MAX_STEPS and not_converged_reason(posterior, settings) is not None):
         posterior = _run(
             log_posterior, mixture, "ensemble", settings, streams, fit, factor, importance, steps, steps // 50
         )
@@ -121,8 +121,14 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
     return posterior
 
 
-def _converged(posterior: Posterior, settings: SamplerSettings) -> bool:
-    return posterior.rhat <= settings.rhat_max and posterior.ess >= settings.ess_min
+def not_converged_reason(posterior: Posterior, settings: SamplerSettings) -> str | None:
+    """Why the draws are not sufficient, or ``None``."""
+    if posterior.rhat <= settings.rhat_max and posterior.ess >= settings.ess_min:
+        return None
+    return (
+        f"R-hat {posterior.rhat:.4g} (at most {settings.rhat_max:g}),"
+        f" ESS {posterior.ess:.0f} (at least {settings.ess_min:g})"
+    )
 
 
 def _run(

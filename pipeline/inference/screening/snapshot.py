@@ -14,20 +14,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from ...arrays import FloatArray
-from ...device.gyro import split_hz, to_physical
-from ...device.operation.bias import quantities_of
-from ..gate import Gate, GoodnessOfFit, misfit_reason, theta_bias_bound_deg
+from ..estimate import Estimate, RateSettings, cartesian_quantities, estimate_from
+from ..gate import Gate, GoodnessOfFit, status_of
 from .compressed import BandData, log_likelihood
-from .device import RateSettings, best_fit, explains
+from .device import best_fit, explains
 from .fit import Fit
-from .summary import summarise
-
-Status = Literal["ok", "not_converged", "fit_failed", "misfit"]
 
 _FREEDOM = 20.0
 _PROPOSALS = 4000
@@ -43,17 +38,13 @@ _LEAST_ESS = 200.0
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A device as its first ``duration_s`` seconds tell.
+    """The estimate from the first ``duration_s`` seconds of a record.
 
-    status and reason as in the results; ``draws`` by quantity (n,), empty where the fit failed; ``x`` (12,) where the next
-    snapshot may start, ``None`` where nothing was found.
+    ``x`` (12,) is the cartesian point from which the next snapshot may start its fit; ``None`` where nothing was found.
     """
 
     duration_s: float
-    status: Status
-    reason: str | None
-    columns: dict[str, float]
-    draws: dict[str, FloatArray]
+    estimate: Estimate
     x: FloatArray | None
 
 
@@ -150,24 +141,23 @@ def snapshot(
     duration = data.band.samples / data.band.sample_rate_hz
     fit = _found(data, sigma_v, previous, starts)
     if fit is None or not fit.converged or fit.dof <= 0:
-        x = None if fit is None else fit.x
-        return Snapshot(duration, "fit_failed", "the likelihood has no maximum near any start yet", {}, {}, x)
-    ratio = fit.chi2 / fit.dof
-    # Few bins scatter more than the gate of a whole record allows for: 3 sd of chi2 are taken off.
-    error = math.sqrt(max(ratio - 3.0 * math.sqrt(2.0 / fit.dof), 0.0))
-    if (why := misfit_reason(GoodnessOfFit(error, math.nan, ratio, 0.0), gate)) is not None:
-        return Snapshot(duration, "misfit", why, {"chi2_per_dof": ratio}, {}, fit.x)
+        failed = Estimate("fit_failed", "the likelihood has no maximum near any start yet")
+        return Snapshot(duration, failed, None if fit is None else fit.x)
+    return Snapshot(duration, _estimate(fit, rate, gate, seed), fit.x)
+
+
+def _estimate(fit: Fit, rate: RateSettings, gate: Gate, seed: np.random.SeedSequence) -> Estimate:
+    # The error of a few bins scatters more than that of a whole record: 3 sd of chi2 are taken off.
+    error = math.sqrt(max(fit.chi2 / fit.dof - 3.0 * math.sqrt(2.0 / fit.dof), 0.0))
+    goodness = GoodnessOfFit(error, fit.chi2, fit.dof)
+    columns = {"chi2_per_dof": goodness.chi2_per_dof}
+    status, reason = status_of(goodness, None, gate)
+    if status != "ok":
+        return Estimate(status, reason, columns)
     try:
         cartesian, known = posterior_draws(fit, seed)
     except (np.linalg.LinAlgError, ValueError):
-        return Snapshot(duration, "fit_failed", "the data do not determine the parameters yet", {}, {}, fit.x)
+        return Estimate("fit_failed", "the data do not determine the parameters yet")
     if not known:
-        broad = "the posterior is too broad to be known yet"
-        return Snapshot(duration, "not_converged", broad, {"chi2_per_dof": ratio}, {}, fit.x)
-    draws = quantities_of(to_physical(cartesian), rate.angular_gain, rate.phase_error_deg, rate.drive)
-    draws["split_hz"] = split_hz(cartesian)
-    columns = summarise({name: values for name, values in draws.items() if not np.all(np.isnan(values))})
-    bound = theta_bias_bound_deg(columns["theta_deg_sd"], fit.chi2, fit.dof)
-    columns |= {"chi2_per_dof": ratio, "theta_bias_bound_deg": bound}
-    why = misfit_reason(GoodnessOfFit(error, math.nan, ratio, bound), gate)
-    return Snapshot(duration, "ok" if why is None else "misfit", why, columns, draws, fit.x)
+        return Estimate("not_converged", "the posterior is still too broad for importance sampling", columns)
+    return estimate_from(cartesian_quantities(cartesian, rate), goodness, gate)

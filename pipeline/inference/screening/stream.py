@@ -29,10 +29,10 @@ from ...identification.failure import IdentificationError
 from ...identification.lattice import Lattice, advance, arx_of, start_lattice
 from ...identification.modes import modes_of, to_continuous
 from ...identification.route import RouteResult, route_from_modes
+from ..estimate import RateSettings
 from ..gate import Gate
 from ..general.starts import gyro_start
 from .compressed import BandData, nuisance_basis
-from .device import RateSettings
 from .fit import start_from_modes
 from .inband import make_band
 from .snapshot import Snapshot, snapshot

@@ -12,11 +12,11 @@ from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.noise.measure import Hum, measured
 from pipeline.experiment.record import Record
+from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.device import (
     FitRecord,
     IdentificationSettings,
-    RateSettings,
     identify_device,
     prepare,
 )

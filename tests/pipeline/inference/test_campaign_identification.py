@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.estimate import reference_comparison
 from pipeline.inference.gate import Gate
-from pipeline.inference.screening.campaign import identify_campaign, reference_comparison
+from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.device import IdentificationSettings
 from pipeline.inference.screening.sample import SamplerSettings
 
@@ -35,7 +36,7 @@ def test_without_silence_the_estimates_stand_and_the_error_is_null(bench, paper_
 
 def test_reference_values_are_compared_in_units_of_both_uncertainties(bench, paper_device):
     campaign = campaign_of(bench, paper_device, True)
-    z = reference_comparison(campaign, identify(campaign).columns)["f1_hz"]["z"]
+    z = reference_comparison(campaign.reference, identify(campaign).columns)["f1_hz"]["z"]
     assert abs(z + 1.0) < 0.01
     off = replace(campaign, reference={"theta_deg": (paper_device[6] + 180.0, 0.1)})
-    assert abs(reference_comparison(off, identify(off).columns)["theta_deg"]["z"]) < 0.1
+    assert abs(reference_comparison(off.reference, identify(off).columns)["theta_deg"]["z"]) < 0.1

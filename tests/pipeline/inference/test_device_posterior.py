@@ -60,7 +60,7 @@ def test_intervals_cover_and_no_device_is_lost_down_to_a_split_of_20_mhz(bench):
     for i, device in enumerate(devices):
         result = bench.identify(device, seed=100 + i)
         c = result.columns
-        assert result.status == "ok", (i, result.status_reason)
+        assert result.estimate.status == "ok", (i, result.estimate.reason)
         for name, truth in (("theta_deg", device[6]), ("split_hz", device[1] - device[0])):
             wrap = axial if name == "theta_deg" else (lambda d: d)
             off = wrap(c[name] - truth)
@@ -85,8 +85,8 @@ def test_theta_near_90_deg_is_an_arc_and_not_a_jump(bench, paper_device):
 
 def test_posterior_draws_have_the_mean_and_covariance_of_the_laplace_approximation(bench, paper_device):
     result = bench.identify(paper_device, seed=7)
-    names = [n for n in PHYSICAL if n in result.draws]
-    x = np.stack([result.draws[n] for n in names], axis=1)
+    names = [n for n in PHYSICAL if n in result.estimate.draws]
+    x = np.stack([result.estimate.draws[n] for n in names], axis=1)
     centre = to_physical(result.fit.x[None])[0][[PHYSICAL.index(n) for n in names]]
     ess = result.columns["ess"]
     np.testing.assert_array_less(np.abs(x.mean(0) - centre), 5.0 * x.std(0) / np.sqrt(ess))
@@ -95,8 +95,8 @@ def test_posterior_draws_have_the_mean_and_covariance_of_the_laplace_approximati
 def test_a_missing_effect_is_a_misfit_and_not_a_tiny_sd(bench, paper_device):
     y, sigma = bench.record(paper_device, seed=9)
     result = bench.identify_record(y + 0.004 * y**2, sigma)
-    assert result.status == "misfit"
-    assert "error" in result.status_reason
+    assert result.estimate.status == "misfit"
+    assert "error" in result.estimate.reason
 
 
 def test_devices_are_identified_the_same_whatever_was_identified_before(bench, paper_device):
@@ -108,5 +108,5 @@ def test_devices_are_identified_the_same_whatever_was_identified_before(bench, p
 def test_a_record_without_a_gyro_fails_with_a_reason(bench):
     noise = np.random.default_rng(0).normal(size=bench.drive.shape)
     result = bench.identify_record(noise, np.full(2, 1.0))
-    assert result.status == "fit_failed"
-    assert result.status_reason
+    assert result.estimate.status == "fit_failed"
+    assert result.estimate.reason

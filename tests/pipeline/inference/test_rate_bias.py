@@ -8,8 +8,8 @@ from pipeline.device.operation.rebalance import measured_biases_dps, operate, se
 from pipeline.device.operation.trim import Target, trim
 from pipeline.device.operation.trim_electrodes import standard_electrodes
 from pipeline.errors import ConfigError
-from pipeline.inference.rate_bias import bias_draws, bias_from_posterior, trimmed_summary
-from pipeline.inference.screening.device import RateSettings
+from pipeline.inference.estimate import RateSettings, intervals, quantities
+from pipeline.inference.rate_bias import bias_draws, bias_from_posterior
 
 PAPER = np.array([534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007])
 KAPPA, PHI = 0.7, 1.0
@@ -58,14 +58,14 @@ def test_after_a_trim_the_rate_bias_has_lost_its_quadrature_and_kept_its_damping
     draws = np.tile(PAPER, (2000, 1))
     rate = RateSettings(KAPPA, PHI, "f1")
     found = trim(draws, standard_electrodes(gain_sd=0.02), Target(), random)
-    after = trimmed_summary(found, rate)
+    after = intervals(quantities(found.after, rate))
     before = rate_biases_dps(PAPER, KAPPA, PHI, "f1")
     assert abs(after["quadrature_rate_dps"]) < 0.05 * abs(before["quadrature_rate_dps"])
     # Damping stays in the x, y frame whatever the stiffness axes do: C_xy is not tunable by springs.
     assert after["inphase_bias_dps"] == pytest.approx(before["inphase_bias_dps"], abs=1e-6)
     assert after["inphase_bias_dps_sd"] == pytest.approx(0.0, abs=1e-6)
     assert 0.0 < after["split_hz_q05"] < after["split_hz"] < after["split_hz_q95"] < 0.2
-    unknown = trimmed_summary(found, RateSettings())
+    unknown = intervals(quantities(found.after, RateSettings()))
     assert "rate_bias_dps" not in unknown
     assert unknown["split_hz"] == after["split_hz"]
 

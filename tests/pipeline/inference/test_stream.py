@@ -7,9 +7,9 @@ from pipeline.device.gyro import split_hz, to_cartesian
 from pipeline.errors import MeasurementError
 from pipeline.identification.bandpass import bandpass
 from pipeline.identification.lattice import advance, arx_of, start_lattice
+from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.compressed import BandData
-from pipeline.inference.screening.device import RateSettings
 from pipeline.inference.screening.fit import maximise
 from pipeline.inference.screening.stream import StreamSettings, estimate, feed, noise_of, start_stream, steps
 
@@ -27,7 +27,7 @@ def grown(bench):
     return drive, np.concatenate([silence, y]), truth, sigma
 
 
-def looked(bench, drive, sense, settings, block=997):
+def snapshots_of(bench, drive, sense, settings, block=997):
     """Every snapshot of a record fed in blocks."""
     stream, found, noise, previous = start_stream(bench.instrument, settings), [], None, None
     for first in range(0, drive.shape[0], block):
@@ -41,22 +41,22 @@ def looked(bench, drive, sense, settings, block=997):
     return stream, found
 
 
-def test_theta_and_split_close_in_on_the_truth_and_their_sd_says_how_far_they_are(bench, grown):
+def test_theta_and_split_converge_to_the_truth_within_their_sd(bench, grown):
     drive, sense, truth, _ = grown
-    _, found = looked(bench, drive, sense, StreamSettings(first_s=0.5, every_s=0.5, line_hz=60.0))
-    assert [s.status for s, _ in found] == ["ok"] * 6
-    sds = np.array([s.columns["theta_deg_sd"] for s, _ in found])
+    _, found = snapshots_of(bench, drive, sense, StreamSettings(first_s=0.5, every_s=0.5, line_hz=60.0))
+    assert [s.estimate.status for s, _ in found] == ["ok"] * 6
+    sds = np.array([s.estimate.columns["theta_deg_sd"] for s, _ in found])
     assert np.all(np.diff(sds) < 0.0)
     assert sds[-1] < 5e-4
     split = float(split_hz(to_cartesian(truth[None]))[0])
     for s, _ in found:
-        assert abs(s.columns["theta_deg"] - truth[6]) < 4.0 * s.columns["theta_deg_sd"]
-        assert abs(s.columns["split_hz"] - split) < 4.0 * s.columns["split_hz_sd"]
+        assert abs(s.estimate.columns["theta_deg"] - truth[6]) < 4.0 * s.estimate.columns["theta_deg_sd"]
+        assert abs(s.estimate.columns["split_hz"] - split) < 4.0 * s.estimate.columns["split_hz_sd"]
 
 
-def test_the_last_look_is_the_batch_fit_of_the_same_samples(bench, grown):
+def test_the_last_snapshot_is_the_batch_fit_of_the_same_samples(bench, grown):
     drive, sense, _, _ = grown
-    stream, found = looked(bench, drive, sense, StreamSettings(first_s=3.0, every_s=1.0, line_hz=60.0))
+    stream, found = snapshots_of(bench, drive, sense, StreamSettings(first_s=3.0, every_s=1.0, line_hz=60.0))
     sigma_v, _ = noise_of(stream)
     # One sample before the drive starts belongs to the stream's data; the batch band starts with the drive.
     snapshot, route = found[-1]
@@ -64,7 +64,7 @@ def test_the_last_look_is_the_batch_fit_of_the_same_samples(bench, grown):
     fit = maximise([data], sigma_v, snapshot.x)
     assert fit.converged
     assert np.all(np.abs(fit.x - snapshot.x) < 0.1 * np.sqrt(np.diag(fit.covariance)))
-    assert abs(route.axes.mean_deg - snapshot.columns["theta_deg"]) < 0.2
+    assert abs(route.axes.mean_deg - snapshot.estimate.columns["theta_deg"]) < 0.2
 
 
 def test_the_lattice_of_the_stream_is_that_of_the_driven_samples_behind_the_bandpass(bench, grown):
@@ -99,10 +99,10 @@ def test_without_silence_and_without_a_level_the_noise_is_unknown(bench, grown):
         noise_of(stream)
 
 
-def test_a_model_that_does_not_explain_the_data_is_a_misfit_at_every_look(bench, grown):
+def test_every_snapshot_of_data_that_the_model_does_not_explain_is_a_misfit(bench, grown):
     drive, sense, _, sigma = grown
     clipped = np.clip(sense, -1.0, 1.0)
     settings = StreamSettings(first_s=2.0, every_s=1.0, sigma_v=tuple(sigma.tolist()), line_hz=60.0)
-    _, found = looked(bench, drive, clipped, settings)
+    _, found = snapshots_of(bench, drive, clipped, settings)
     assert found
-    assert all(s.status in ("misfit", "fit_failed") for s, _ in found)
+    assert all(s.estimate.status in ("misfit", "fit_failed") for s, _ in found)

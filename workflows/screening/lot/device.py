@@ -21,20 +21,18 @@ from pipeline.criticism.ladder import Diagnosis, diagnose
 from pipeline.criticism.problem import Candidate, FitResult
 from pipeline.criticism.scores import baseline, project
 from pipeline.criticism.shared import SharedTerm
-from pipeline.device.gyro import PHYSICAL, split_hz, to_cartesian
+from pipeline.device.gyro import PHYSICAL
 from pipeline.device.model import Model
-from pipeline.device.operation.bias import quantities_of
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
 from pipeline.experiment.noise.lines import hum_line, silent_sigma
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.gate import GoodnessOfFit, misfit_reason, theta_bias_bound_deg
+from pipeline.inference.estimate import RateSettings, quantities
 from pipeline.inference.general.fit import CampaignFit, fit_campaign
+from pipeline.inference.general.goodness import band_goodness, fit_status
 from pipeline.inference.general.residuals import CampaignResiduals
-from pipeline.inference.screening.device import RateSettings
 from pipeline.learning.campaign.problem import CampaignProblem
-from pipeline.learning.campaign.rows import spectra_of
 from pipeline.learning.campaign.signatures import signature_of, tangent_of
 from populations.draw import draw
 from reports.decision import decide
@@ -221,27 +219,9 @@ def _judged(
     config: RunConfig, campaign: Campaign, fitted: CampaignFit, rate: RateSettings, number: int
 ) -> tuple[str, float, str]:
     """Status, P(conform) and verdict of a fit, from the gate and the limits of the run and normal draws."""
-    i = config.identification
-    chi2, rows = 0.0, 0
-    residuals = {record.name: record.residual for record in fitted.records}
-    for record in campaign.with_role("fit"):
-        spectra = spectra_of(record)
-        inside = (spectra.frequency_hz >= i.low_hz) & (spectra.frequency_hz <= i.high_hz)
-        own = spectra(residuals[record.name])[np.concatenate([inside, inside])]
-        chi2, rows = chi2 + float(np.vdot(own, own)), rows + own.size
-    dof = rows - len(fitted.names)
-    theta_sd = fitted.parameters["theta_deg"][1]
-    goodness = GoodnessOfFit(
-        fitted.error["fit"] or float("nan"),
-        fitted.relative_error["fit"] or float("nan"),
-        chi2 / dof,
-        theta_bias_bound_deg(theta_sd, chi2, dof),
-    )
-    status = (
-        "fit_failed"
-        if not fitted.fit_ok
-        else ("ok" if misfit_reason(goodness, config.gate.gate()) is None else "misfit")
-    )
+    band = config.identification
+    goodness = band_goodness(fitted, campaign, band.low_hz, band.high_hz)
+    status, _ = fit_status(fitted, goodness, config.gate.gate())
     random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM, number)))
     size = np.sqrt(np.maximum(np.diag(fitted.x_covariance), 1e-300))
     value, vector = np.linalg.eigh(fitted.x_covariance / np.outer(size, size))
@@ -249,8 +229,7 @@ def _judged(
     x = fitted.x + random.standard_normal((_DRAWS, size.size)) @ root.T
     values = [fitted.model.to_values(one) for one in x]
     physical = np.array([[one.get(name, 0.0) for name in PHYSICAL] for one in values])
-    draws = quantities_of(physical, rate.angular_gain, rate.phase_error_deg, rate.drive)
-    draws["split_hz"] = split_hz(to_cartesian(physical))
+    draws = quantities(physical, rate)
     limits = config.judged_by()
     decision = decide(limits, {q: draws[q][None] for q in limits.quantities}, [status])
     return status, float(decision.p_pass[0]), decision.verdict[0]

@@ -31,10 +31,10 @@ from pipeline.identification.lattice import fit_arx_lattice
 from pipeline.identification.modes import ContinuousModes, hold_gain
 from pipeline.identification.reduction import order_study
 from pipeline.identification.route import identify_record
+from pipeline.inference.estimate import intervals
 from pipeline.inference.screening.compressed import BandData, nuisance_basis
 from pipeline.inference.screening.fit import Fit, maximise, start_from_modes
 from pipeline.inference.screening.inband import Band, make_band
-from pipeline.inference.screening.summary import summarise
 from reports.paper.content import BiasRow, OrderView, PaperRecord, ResponseView, StepsView
 
 from .numbers import Eq14
@@ -175,7 +175,7 @@ def fit_summary(fit: Fit, seed: int = 1) -> dict[str, float]:
     factor = np.linalg.cholesky(fit.covariance / np.outer(scale, scale)) * scale[:, None]
     draws = fit.x + np.random.default_rng(seed).standard_normal((4000, fit.x.size)) @ factor.T
     physical = to_physical(draws)
-    return summarise(dict(zip(PHYSICAL, physical.T)) | {"split_hz": physical[:, 1] - physical[:, 0]})
+    return intervals(dict(zip(PHYSICAL, physical.T)) | {"split_hz": physical[:, 1] - physical[:, 0]})
 
 
 def fit_record(record: Record, sigma_v: float) -> dict[str, float]:

@@ -1,0 +1,120 @@
+"""Identify the device of a campaign: one entry point for every plant.
+
+    two drives, two senses, hold "zoh" or "foh", at rest, no model given  ->  in-band likelihood, posterior draws
+    anything else                                                         ->  general fit, normal intervals
+
+Both paths apply the same gate and the same status rule.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..device.model import SCREENING_MODEL, Model, PlantSpec
+from ..experiment.noise.level import noise_level
+from ..experiment.noise.lines import hum_line
+from ..experiment.record import Campaign
+from .estimate import normal_intervals, reference_comparison
+from .gate import Gate, GoodnessOfFit
+from .general.fit import CampaignFit, fit_campaign
+from .general.goodness import band_goodness, fit_status, full_band_goodness
+from .general.starts import driven_band
+from .screening.campaign import identify_campaign, is_inband
+from .screening.device import IdentificationSettings
+from .screening.sample import SamplerSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What was identified.
+
+    Parameters
+    ----------
+    columns : the columns of the devices table that apply, in their units.
+    reference : quantity -> comparison with the [reference] value of the campaign.
+    """
+
+    columns: dict[str, Any]
+    reference: dict[str, dict[str, float]]
+
+
+def identify(
+    campaign: Campaign,
+    model: Model | None = None,
+    settings: IdentificationSettings | None = None,
+    sampler: SamplerSettings | None = None,
+    gate: Gate | None = None,
+    seed: int = 1,
+) -> Identification:
+    """Identify the device of ``campaign`` from its fit records; from all records where none has the role "fit".
+
+    Parameters
+    ----------
+    campaign : any numbers of drives and senses.
+    model : plant and effects for the general fit; ``None`` chooses the path and the model by the campaign.
+    settings, sampler, gate : those of the default run without them.
+    seed : of the posterior draws.
+
+    Raises
+    ------
+    MeasurementError : nothing to fit, or no noise.
+    ConfigError : a model that does not apply to the records.
+    """
+    settings, gate = settings or IdentificationSettings(), gate or Gate()
+    if not campaign.with_role("fit"):
+        campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
+    if model is None and is_inband(campaign):
+        stream = np.random.SeedSequence(seed)
+        columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns
+    else:
+        columns = _general_columns(campaign, model, settings, gate)
+    return Identification(
+        {"device_id": campaign.device_id, **columns}, reference_comparison(campaign.reference, columns)
+    )
+
+
+def default_models(campaign: Campaign) -> tuple[Model, ...]:
+    """Models to try without a model file: the screening gyro for 2 x 2, else one mode, sensed as velocity or displacement."""
+    record = campaign.with_role("fit")[0]
+    silent = campaign.with_role("noise")
+    hum = ("mains_hum",) if silent and hum_line(silent[0].sense_v, record.sample_rate_hz) else ()
+    if record.drive_v.shape[1] == record.sense_v.shape[1] == 2:
+        return (replace(SCREENING_MODEL, effects=SCREENING_MODEL.effects + hum),)
+    return (Model(PlantSpec("modal", 1, "velocity"), hum), Model(PlantSpec("modal", 1, "displacement"), hum))
+
+
+def _general_columns(
+    campaign: Campaign, model: Model | None, settings: IdentificationSettings, gate: Gate
+) -> dict[str, Any]:
+    noise = noise_level(campaign)
+    candidates = default_models(campaign) if model is None else (model,)
+    fits = [fit_campaign(candidate, campaign, noise) for candidate in candidates]
+    fit = min(fits, key=lambda fit: (not fit.fit_ok, fit.chi2))
+    status, reason = fit_status(fit, _goodness(fit, campaign, settings), gate)
+    estimates = dict(fit.parameters)
+    if fit.split_hz is not None:
+        estimates["split_hz"] = fit.split_hz
+    return {
+        "status": status,
+        "status_reason": reason,
+        **normal_intervals(estimates),
+        "model": fit.model.to_toml().splitlines()[0],
+        "noise_from": noise.source,
+        "error": fit.error["fit"] if noise.source != "local" else None,
+        "relative_error": fit.relative_error["fit"],
+        "relative_error_validate": fit.relative_error["validate"],
+        "chi2_per_dof": fit.chi2 / fit.dof,
+    }
+
+
+def _goodness(fit: CampaignFit, campaign: Campaign, settings: IdentificationSettings) -> GoodnessOfFit | None:
+    """What the gate judges: for a gyro the data that the in-band path would judge, so that both paths agree."""
+    if fit.model.plant.kind != "gyro":
+        return None if fit.noise.source == "local" else full_band_goodness(fit)
+    low_hz, high_hz = settings.low_hz, settings.high_hz
+    if not all(low_hz < fit.values[name] < high_hz for name in ("f1_hz", "f2_hz", "f3_hz")):
+        low_hz, high_hz = driven_band(campaign.with_role("fit"))
+    return band_goodness(fit, campaign, low_hz, high_hz)

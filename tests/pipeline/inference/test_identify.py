@@ -1,0 +1,72 @@
+"""One entry point for every plant; the in-band path and the general fit give a campaign the same status."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.device.gyro import PHYSICAL
+from pipeline.device.model import SCREENING_MODEL, Model, PlantSpec
+from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.forward.record import forward
+from pipeline.experiment.instrument import AntiAlias, Instrument
+from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.gate import Gate
+from pipeline.inference.identify import identify
+
+RATE, SIGMA_V = 10_000.0, 1e-3
+INSTRUMENT = Instrument(antialias=AntiAlias())
+PAPER = dict(zip(PHYSICAL, [534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.3, 13.33, 28.6, 0.0386, 0.0007]))
+
+
+def campaign_of(model, values, drive, silent=True):
+    random = np.random.default_rng(1)
+    channels = model.with_channels(drive.shape[1], drive.shape[1])
+    bare = Record("chirp", RATE, drive, np.zeros_like(drive), role="fit")
+    volts = forward(channels, values, bare, INSTRUMENT)
+    records = [replace(bare, sense_v=volts + SIGMA_V * random.standard_normal(volts.shape))]
+    if silent:
+        noise = SIGMA_V * random.standard_normal(drive.shape)
+        records.append(Record("silence", RATE, np.zeros_like(drive), noise, role="noise"))
+    return Campaign("C1", tuple(records), INSTRUMENT, 0.7, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("split_hz", "tilt", "status", "refused_for"),
+    [(0.05, 0.0, "ok", None), (0.05, 2e-3, "misfit", "bias theta"), (1.9, 2e-2, "misfit", "error")],
+)
+def test_both_paths_give_the_same_status_for_the_same_reason(split_hz, tilt, status, refused_for):
+    values = {**PAPER, "f2_hz": PAPER["f1_hz"] + split_hz, "updown_tilt.t_x": tilt}
+    campaign = campaign_of(SCREENING_MODEL.with_effect("updown_tilt"), values, drive_samples(Chirp(), RATE))
+    in_band, general = identify(campaign).columns, identify(campaign, SCREENING_MODEL).columns
+    assert "theta_u1_deg" in in_band
+    assert "theta_u1_deg" not in general
+    for columns in (in_band, general):
+        assert columns["status"] == status
+        assert (columns["error"] > Gate().error_max) == (refused_for == "error")
+        assert refused_for is None or refused_for in columns["status_reason"]
+
+
+def test_a_campaign_of_one_drive_and_one_sense_is_identified_as_one_mode():
+    values = {"f1_hz": 534.5, "zeta1": 1e-3, "gain1_s1d1": 20.0}
+    plant = PlantSpec("modal", 1, "velocity")
+    drive = drive_samples(Chirp((400.0,), (700.0,), (1.0,), 1.0), RATE)
+    campaign = campaign_of(Model(plant), values, drive)
+    campaign = replace(campaign, reference={"f1_hz": (534.5, 0.1)})
+    found = identify(campaign)
+    assert found.columns["status"] == "ok"
+    assert found.columns["model"] == Model(plant).with_channels(1, 1).to_toml().splitlines()[0]
+    for name, truth in values.items():
+        assert abs(found.columns[name] - truth) < 4.5 * found.columns[f"{name}_sd"]
+    assert abs(found.reference["f1_hz"]["z"]) < 0.1
+
+
+def test_a_record_without_a_role_is_fitted_and_without_silence_its_error_is_null():
+    values = {**PAPER, "f2_hz": PAPER["f1_hz"] + 1.9}
+    campaign = campaign_of(SCREENING_MODEL, values, drive_samples(Chirp(), RATE), silent=False)
+    campaign = replace(campaign, records=tuple(replace(r, role=None) for r in campaign.records))
+    for model in (None, SCREENING_MODEL):
+        columns = identify(campaign, model).columns
+        assert columns["status"] == "ok"
+        assert columns["error"] is None
+        assert abs(columns["theta_deg"] - PAPER["theta_deg"]) < 4.5 * columns["theta_deg_sd"]
