@@ -1,8 +1,9 @@
-"""Analog anti-alias filters as sums of poles.
+"""Butterworth anti-alias filters as sums of poles.
 
     G(s) = sum_j r_j / (s - q_j),   G(0) = 1
 
-q_j [rad/s] and r_j [rad/s] hold all poles, conjugates included.
+q_j and r_j [rad/s] include the conjugates.  Source: Oppenheim and Schafer, Discrete-Time Signal Processing, app. B.
+Shapes: B devices, P poles (one of each conjugate pair), S senses, D drives.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from .instrument import AntiAlias
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """Modes as seen behind the filter: H(s) G(s) = sum_k R_k / (s - p_k) + conj, k over plant and filter poles.
+    """Modes and filter together: H(s) G(s) = sum_k R_k / (s - p_k) + conj, with k over the poles of plant and filter.
 
-    poles (B, P) [rad/s], Im >= 0; residues (B, P, S, D).  The residue of a real pole is halved, since conj is added.
+    poles (B, P) [rad/s], Im >= 0; residues (B, P, S, D) [1/s].  The residue of a real pole is halved, because conj is added.
     """
 
     poles: ComplexArray
@@ -29,7 +30,7 @@ class Bank:
 
 
 def filter_poles(antialias: AntiAlias) -> tuple[ComplexArray, ComplexArray]:
-    """Poles q_j and residues r_j of the filter, both (order,)."""
+    """Poles q_j and residues r_j of the filter, both (order,) [rad/s]."""
     order = antialias.order
     corner = 2.0 * math.pi * antialias.corner_hz
     q = corner * np.exp(1j * math.pi * (2.0 * np.arange(1, order + 1) + order - 1) / (2.0 * order))
@@ -39,7 +40,7 @@ def filter_poles(antialias: AntiAlias) -> tuple[ComplexArray, ComplexArray]:
 
 
 def filter_response(antialias: AntiAlias | None, s: ComplexArray) -> ComplexArray:
-    """G(s) at complex frequencies ``s`` [rad/s], the shape of ``s``; 1 without a filter."""
+    """G(s) at complex frequencies ``s`` [rad/s] of any shape; 1 without a filter."""
     if antialias is None:
         return np.ones_like(s, dtype=np.complex128)
     q, _ = filter_poles(antialias)
@@ -47,7 +48,7 @@ def filter_response(antialias: AntiAlias | None, s: ComplexArray) -> ComplexArra
 
 
 def behind_filter(modes: Modes, antialias: AntiAlias | None) -> Bank:
-    """Partial fractions of H(s) G(s): R_k G(p_k) at the plant's poles, r_j H(q_j) at the filter's."""
+    """Partial fractions of H(s) G(s): residues R_k G(p_k) at the poles of the plant and r_j H(q_j) at those of the filter."""
     if antialias is None:
         return Bank(modes.poles, modes.residues)
     q, r = filter_poles(antialias)

@@ -1,4 +1,4 @@
-"""Excitations: drive samples v (N, D) in volts.
+"""Excitations: drive samples v (N, D) in volts, N samples, D drives.
 
 chirp      v_d = A_d cos(2 pi (f_a t + (f_b - f_a) t^2 / (2 T)) + phase): linear sweep from f_a to f_b over the record
 multisine  v_d = sum_l a cos(2 pi f_l t + phi_l), random phases, scaled to the peak A_d
@@ -16,9 +16,9 @@ from ..arrays import FloatArray
 
 @dataclass(frozen=True)
 class Chirp:
-    """Linear sweeps, one a drive; an amplitude of zero leaves a drive silent (single-drive excitation).
+    """A linear sweep on each drive; an amplitude of zero leaves a drive silent.
 
-    ``start_hz``, ``stop_hz``, ``amplitude_v``: one value a drive [Hz, Hz, V]; ``duration_s`` [s].
+    ``start_hz``, ``stop_hz``, ``amplitude_v``: one value per drive [Hz, Hz, V]; ``duration_s`` [s].
     """
 
     start_hz: tuple[float, ...] = (400.0, 700.0)
@@ -29,7 +29,10 @@ class Chirp:
 
 @dataclass(frozen=True)
 class Multisine:
-    """Sum of lines at the multiples of 1/period in [low, high] Hz, random phases, one set a drive."""
+    """Lines at the multiples of 1/period between ``low_hz`` and ``high_hz``, with random phases for each drive.
+
+    ``amplitude_v``: peak, one value per drive [V]; ``duration_s``, ``period_s`` [s]; ``seed`` of the phases.
+    """
 
     low_hz: float = 400.0
     high_hz: float = 700.0
@@ -41,7 +44,7 @@ class Multisine:
 
 @dataclass(frozen=True)
 class Silence:
-    """No drive."""
+    """All drives at zero for ``duration_s`` [s]."""
 
     drives: int = 2
     duration_s: float = 1.0

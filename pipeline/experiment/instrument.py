@@ -1,8 +1,8 @@
-"""The instrument: hold, bias, anti-alias filter and converter.
+"""The instrument: hold, bias, anti-alias filter and ADC.
 
     drive samples v[n] --hold--> v(t) --device--> S(t) --anti-alias--> sampled at f_s --ADC--> record
 
-Units: volts, hertz.  The bias is not in the drive samples.
+Units: volts, hertz.  The drive samples do not contain the bias.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ HOLDS: tuple[Hold, ...] = ("zoh", "foh", "bandlimited")
 
 @dataclass(frozen=True)
 class AntiAlias:
-    """Analog low-pass in front of the converter; unit gain at zero frequency."""
+    """Analog low-pass filter before the ADC, with unit gain at zero frequency."""
 
     kind: Literal["butterworth"] = "butterworth"
     order: int = 8
@@ -25,7 +25,7 @@ class AntiAlias:
 
 @dataclass(frozen=True)
 class Adc:
-    """Mid-tread converter of ``bits`` bits over +- ``full_scale_v`` volts."""
+    """Mid-tread ADC of ``bits`` bits over +- ``full_scale_v`` volts."""
 
     bits: int = 16
     full_scale_v: float = 10.0
@@ -38,7 +38,10 @@ class Adc:
 
 @dataclass(frozen=True)
 class Instrument:
-    """Everything between the drive samples and the record that is not the device."""
+    """Everything between the drive samples and the record except the device.
+
+    hold : how drive samples become volts between samples ("zoh", "foh", "bandlimited"); antialias, adc : ``None`` is none.
+    """
 
     sample_rate_hz: float = 10_000.0
     hold: Hold = "zoh"

@@ -1,7 +1,6 @@
-"""A record: one run of an experiment, sampled uniformly.
+"""Records and campaigns: one run of an experiment, and all records of one device.
 
-Shapes: N samples, D drives, S senses.  Units: volts, seconds, hertz; rate in deg/s as measured on a rate
-table.
+Shapes: N samples, D drives, S senses.  Units: volts, seconds, hertz; rates in deg/s as on a rate table.
 """
 
 from __future__ import annotations
@@ -17,10 +16,12 @@ Role = Literal["noise", "fit", "validate"]
 
 @dataclass(frozen=True)
 class Clock:
-    """What the time column of a record says.
+    """Sample rate and jitter of the time column of a record.
 
-    ``sample_rate_hz`` : (N - 1) / (t[N-1] - t[0]) [Hz].
-    ``jitter_samples`` : largest distance of a time stamp from the uniform grid, in samples.
+    Parameters
+    ----------
+    sample_rate_hz : (N - 1) / (t[N-1] - t[0]) [Hz].
+    jitter_samples : largest distance of a time stamp from the uniform grid, in samples.
     """
 
     sample_rate_hz: float
@@ -29,11 +30,11 @@ class Clock:
 
 @dataclass(frozen=True)
 class Channels:
-    """What was mended between the files and the records; every default mends nothing.
+    """Corrections that turn the columns of the files into the channels of the records; the defaults change nothing.
 
-    Channel k of the files is multiplied by ``*_polarity[k-1]``, after ``drive_offset_v[k-1]`` [V] has been
-    taken off a drive; then channel k of the record is column ``*_order[k-1]`` of the files; then sense sample
-    n + ``lag_samples`` is paired with drive sample n.
+    They are applied in this order: ``drive_offset_v[k-1]`` [V] is subtracted from drive column k; column k is multiplied by
+    ``*_polarity[k-1]`` (+1 or -1); channel k of the record becomes column ``*_order[k-1]``; sense sample n + ``lag_samples``
+    is paired with drive sample n.
     """
 
     sense_polarity: tuple[int, ...] | None = None
@@ -46,20 +47,20 @@ class Channels:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One record.
+    """One uniformly sampled run of an experiment.
 
     Parameters
     ----------
-    name : where it came from (file name, or what a simulation calls it).
+    name : file name, or the name that a simulation gives.
     sample_rate_hz : f_s [Hz].
     drive_v : (N, D) commanded drive samples without the bias [V].
     sense_v : (N, S) sense samples [V].
-    role : "noise" (silent), "fit" or "validate"; ``None`` where nothing was declared.
-    at_rest : the device stood still before the first sample.
-    rate_dps : declared angular rate [deg/s]; ``None`` is unknown.
-    bias_v : bias during this record [V]; ``None`` is the instrument's.
-    clock : what its time column says; ``None`` where there was none.
-    file : file of its [[record]] in campaign.toml; ``None`` where it comes from none.
+    role : "noise" (silent), "fit" or "validate"; ``None`` where none was declared.
+    at_rest : whether the device was at rest before the first sample.
+    rate_dps : declared angular rate [deg/s]; ``None`` means unknown.
+    bias_v : bias during this record [V]; ``None`` means the bias of the instrument.
+    clock : sample rate and jitter of its time column; ``None`` where there was no time column.
+    file : file of its [[record]] in campaign.toml; ``None`` where it was not read from a campaign.
     """
 
     name: str
@@ -88,11 +89,11 @@ class Campaign:
     device_id : name of the device.
     records : in the order of ``campaign.toml``, roles filled in.
     instrument : shared by the records.
-    angular_gain : kappa = I_p / I_0p, or ``None`` (then no rate bias can be given).
+    angular_gain : kappa = I_p / I_0p, or ``None`` (then no rate bias can be computed).
     phase_error_deg : phase error of the demodulation [deg].
-    drive : which mode sets omega_0 of the drive loop.
+    drive : the mode whose frequency is omega_0 of the drive loop.
     reference : quantity -> (value, sd) from another instrument, in the units of the results columns.
-    channels : what was mended when the files were read.
+    channels : corrections that were applied when the files were read.
     """
 
     device_id: str
@@ -105,5 +106,5 @@ class Campaign:
     channels: Channels = field(default_factory=Channels)
 
     def with_role(self, role: Role) -> tuple[Record, ...]:
-        """The records of one role, in order."""
+        """The records with this role, in order."""
         return tuple(record for record in self.records if record.role == role)

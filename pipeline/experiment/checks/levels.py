@@ -114,7 +114,7 @@ def clipping(record: Record, found: Level, adc: Adc | None) -> list[Finding]:
 
 
 def dead(record: Record, found: Level, others: float) -> list[Finding]:
-    """A sense channel that is constant, or holds only noise while the loudest other channel has ``others`` V rms."""
+    """A sense channel that is constant, or holds only noise although another channel has ``others`` V rms."""
     if found.rms_v == 0.0:
         text = f"is constant at {found.offset_v:.4g} V"
     elif is_driven(record) and found.rms_v < 1.5 * found.floor_v and others > 20.0 * found.rms_v:

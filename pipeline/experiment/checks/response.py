@@ -134,8 +134,8 @@ def _denominator(bands: list[_DrivenBand], order: int, centre: float, half: floa
     a = np.zeros(order + 1, dtype=np.complex128)
     for _ in range(_ITERATIONS):
         q, _r = np.linalg.qr(regressors * weight[:, None])
-        left = [part * weight[:, None] - q @ (q.conj().T @ (part * weight[:, None])) for part in powers]
-        stacked = np.concatenate(left)
+        projected = [part * weight[:, None] - q @ (q.conj().T @ (part * weight[:, None])) for part in powers]
+        stacked = np.concatenate(projected)
         solution = np.linalg.lstsq(stacked[:, :order], -stacked[:, order], rcond=None)[0]
         a = np.append(solution, 1.0)
         size = np.abs(values @ a)

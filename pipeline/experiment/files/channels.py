@@ -1,4 +1,7 @@
-"""What [channels] of campaign.toml does to a record when it is read."""
+"""Apply [channels] of campaign.toml to a record: offsets, polarity, order and lag.
+
+Shapes: N samples, D drives, S senses.  Units: volts, samples.
+"""
 
 from __future__ import annotations
 
@@ -17,21 +20,25 @@ def _per_channel(
 ) -> FloatArray | None:
     if values is None:
         return None
-    wanted = f"a permutation of 1..{count}" if permutation else f"{count} values, one a column of the files"
+    wanted = f"a permutation of 1..{count}" if permutation else f"one value per column of the files ({count})"
     if len(values) != count or (permutation and sorted(values) != list(range(1, count + 1))):
         raise ConfigError(
-            f"[channels] {what} does not fit the records",
+            f"[channels] {what} does not match the columns of the records",
             value=list(values),
             allowed=wanted,
-            next_step="correct it",
+            next_step=f"correct {what} in campaign.toml",
         )
     return np.array(values)
 
 
 def correct(record: Record, channels: Channels) -> Record:
-    """``record`` with ``channels`` applied to it, in the order that :class:`Channels` states.
+    """``record`` with ``channels`` applied, in the order that :class:`Channels` states.
 
-    Raises :class:`ConfigError` where ``channels`` is for another number of channels, or a lag leaves nothing.
+    A lag shortens the record by its number of samples.
+
+    Raises
+    ------
+    ConfigError : ``channels`` is for another number of channels, or the lag leaves too few samples.
     """
     drive, sense = record.drive_v, record.sense_v
     if (offset := _per_channel(channels.drive_offset_v, drive.shape[1], "drive_offset_v")) is not None:
@@ -49,13 +56,12 @@ def correct(record: Record, channels: Channels) -> Record:
         count = drive.shape[0] - abs(lag)
         if count < MIN_SAMPLES:
             raise ConfigError(
-                "[channels] lag_samples leaves nothing of a record",
+                f"[channels] lag_samples leaves fewer than {MIN_SAMPLES} samples of {record.name}",
                 value=lag,
-                allowed=f"below {drive.shape[0] - MIN_SAMPLES} in size for {record.name}",
-                next_step="correct it",
+                allowed=f"at most {drive.shape[0] - MIN_SAMPLES} in absolute value",
+                next_step="correct lag_samples in campaign.toml",
             )
-        # A sense that comes early loses the drive's first samples: the device moved already unless those were
-        # zero.
+        # A negative lag drops the first drive samples; unless they were zero, the device already moves at the new start.
         at_rest = at_rest and (lag > 0 or not np.any(drive[:-lag]))
         drive, sense = (drive[:count], sense[lag:]) if lag > 0 else (drive[-lag:], sense[:count])
     return dataclasses.replace(record, drive_v=drive, sense_v=sense, at_rest=at_rest)

@@ -1,8 +1,10 @@
-"""From the columns of a file to a record: which column is which, and whether they make one.
+"""Assemble a record from the columns of a file, and check them.
 
     time_s [s]    drive<k>_V [V]    sense<k>_V [V]    k = 1, 2, ...
 
-Time must be uniform: t[n] = t[0] + n / f_s.  Everything must be finite and of one length.
+Time must be uniform, t[n] = t[0] + n / f_s.  All columns must hold finite numbers and have the same length.
+
+Shapes: N samples, D drives, S senses.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from ..record import Clock, Record
 
 #: Relative disagreement allowed between the time column and the declared sample rate.
 RATE_TOLERANCE = 1e-4
-#: Largest distance of a time stamp from the uniform grid that is still called rounding, in samples.
+#: Largest distance of a time stamp from the uniform grid that counts as rounding, in samples.
 JITTER_TOLERANCE = 0.05
 #: Fewest samples of a record.
 MIN_SAMPLES = 16
@@ -31,31 +33,31 @@ _ALIKE = re.compile(r"(drive|sense|time)\D*(\d*)", re.IGNORECASE)
 
 
 def _renamed(name: str, found: Mapping[str, NDArray[Any]], mapping: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """Columns under their names here; a mapped file column loses its own name."""
-    for ours, theirs in mapping.items():
-        if ours != "time_s" and not _NAME.fullmatch(ours):
+    """Columns under the names of this project; a column that is mapped loses the name it has in the file."""
+    for record_name, file_name in mapping.items():
+        if record_name != "time_s" and not _NAME.fullmatch(record_name):
             raise MeasurementError(
-                "[columns] maps to a name that is no column of a record",
-                value=ours,
+                "[columns] has a key that is not a column of a record",
+                value=record_name,
                 allowed="time_s, drive<k>_V, sense<k>_V",
-                next_step='write, for example, drive1_V = "V1"',
+                next_step='write, for example, drive1_V = "V1" (the name in the file on the right)',
             )
-        if theirs not in found:
-            near = difflib.get_close_matches(theirs, found, n=1)
+        if file_name not in found:
+            near = difflib.get_close_matches(file_name, found, n=1)
             raise MeasurementError(
-                f"{name}: no column {theirs!r}, which [columns] wants for {ours}",
+                f"{name}: no column {file_name!r}, to which [columns] maps {record_name}",
                 value=sorted(found)[:12],
-                allowed="a column of the file",
-                next_step=f"did you mean {near[0]!r}" if near else "correct [columns]",
+                allowed="the name of a column in the file",
+                next_step=f"did you mean {near[0]!r}" if near else "correct [columns] in campaign.toml",
             )
-    taken = set(mapping.values())
-    columns = {key: values for key, values in found.items() if key not in taken}
-    columns.update({ours: found[theirs] for ours, theirs in mapping.items()})
+    mapped = set(mapping.values())
+    columns = {key: values for key, values in found.items() if key not in mapped}
+    columns.update({record_name: found[file_name] for record_name, file_name in mapping.items()})
     return columns
 
 
 def _numbered(name: str, columns: Mapping[str, NDArray[Any]], kind: str) -> list[str]:
-    """``kind1_V``, ``kind2_V``, ... without a gap, at least one."""
+    """Names ``kind1_V``, ``kind2_V``, ... of the columns of one kind, checked to have no gap."""
     numbers = sorted(int(m[2]) for key in columns if (m := _NAME.fullmatch(key)) and m[1] == kind)
     wanted = f"{kind}{next(k for k in range(1, len(numbers) + 2) if k not in numbers)}_V"
     if not numbers or numbers[-1] != len(numbers):
@@ -76,17 +78,17 @@ def _numbered(name: str, columns: Mapping[str, NDArray[Any]], kind: str) -> list
 
 
 def _no_lookalikes(name: str, columns: Mapping[str, NDArray[Any]]) -> None:
-    """A column that was meant as a channel but is misspelt must not be dropped in silence."""
+    """Reject a misspelt channel name, whose column would otherwise be ignored."""
     for key in columns:
         if key == "time_s" or _NAME.fullmatch(key) or not (alike := _ALIKE.match(key)):
             continue
         kind = alike[1].lower()
         meant = "time_s" if kind == "time" else f"{kind}{int(alike[2] or 1) or 1}_V"
         raise MeasurementError(
-            f"{name}: a column looks like a channel but is not named as one",
+            f"{name}: a column resembles a channel, but its name is not that of one",
             value=key,
-            allowed="time_s, drive<k>_V, sense<k>_V with volts and seconds in them",
-            next_step=f"rename it to {meant}; if it is no channel, to a name that starts otherwise",
+            allowed="time_s [s], drive<k>_V [V], sense<k>_V [V]",
+            next_step=f"rename it to {meant}, or map it under [columns]; if it is not a channel, give it another name",
         )
 
 
@@ -96,8 +98,8 @@ def _numbers(name: str, key: str, values: NDArray[Any]) -> FloatArray:
         raise MeasurementError(
             f"{name}: column {key} does not hold numbers",
             value=shown,
-            allowed="decimal numbers throughout",
-            next_step="correct or remove the rows with text",
+            allowed="numbers in every row",
+            next_step="correct or remove the rows that contain text",
         )
     numbers = np.array(values, dtype=np.float64)
     bad = np.flatnonzero(~np.isfinite(numbers))
@@ -105,14 +107,14 @@ def _numbers(name: str, key: str, values: NDArray[Any]) -> FloatArray:
         raise MeasurementError(
             f"{name}: column {key} has {bad.size} values that are not finite, the first in row {bad[0]}",
             value=float(numbers[bad[0]]),
-            allowed="finite numbers (rows count from 0)",
-            next_step="cut the record with start/stop, or measure it again; gaps cannot be filled in",
+            allowed="finite numbers (rows are counted from 0)",
+            next_step="cut the record with start and stop in its [[record]], or measure again; missing samples are not filled in",
         )
     return numbers
 
 
 def _clock(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
-    """f_s and jitter of a time column, or the error that names the first bad row."""
+    """Sample rate and jitter of a time column (N,) [s]; raises an error that names the first bad row."""
     steps = np.diff(time_s)
     typical = float(np.median(steps))
     fault, row = "", 0
@@ -127,8 +129,9 @@ def _clock(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
         raise MeasurementError(
             f"{name}: {fault}, first in row {row}",
             value=float(time_s[row]),
-            allowed=f"steps of {typical:.6g} s throughout (rows count from 0)",
-            next_step=f"cut the record with start = .. / stop = {row}, or measure it again",
+            allowed=f"steps of {typical:.6g} s everywhere (rows are counted from 0)",
+            next_step=f"cut the record before this row with stop = {row} or after it with start in its [[record]], or measure"
+            " again",
         )
     count = time_s.size
     rate = (count - 1) / float(time_s[-1] - time_s[0])
@@ -138,16 +141,16 @@ def _clock(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
     if not (np.isfinite(rate) and away[row] <= JITTER_TOLERANCE):
         raise MeasurementError(
             f"{name}: time is not uniform, worst in row {row}",
-            value=f"{away[row]:.3g} samples off the grid",
-            allowed=f"{JITTER_TOLERANCE} samples (rows count from 0)",
-            next_step="write more digits of time_s, or resample; leave time_s out if the clock was uniform",
+            value=f"{away[row]:.3g} samples off the uniform grid",
+            allowed=f"at most {JITTER_TOLERANCE} samples (rows are counted from 0)",
+            next_step="export time_s with more digits, or resample; if the clock is uniform, remove time_s",
         )
     if declared_hz is not None and abs(rate / declared_hz - 1.0) > RATE_TOLERANCE:
         raise MeasurementError(
-            f"{name}: the time column has another sample rate than the instrument",
-            value=f"{rate:.9g} Hz against {declared_hz:.9g} Hz",
-            allowed=f"agreement to {RATE_TOLERANCE:g}",
-            next_step=f"write sample_rate_hz = {rate:.9g} under [instrument], or leave out a wrong time_s",
+            f"{name}: the sample rates of the time column and of [instrument] differ",
+            value=f"{rate:.9g} Hz in time_s, {declared_hz:.9g} Hz declared",
+            allowed=f"a relative difference of at most {RATE_TOLERANCE:g}",
+            next_step=f"write sample_rate_hz = {rate:.9g} under [instrument], or remove time_s if it is wrong",
         )
     return Clock(float(f"{rate:.12g}"), float(away[row]))
 
@@ -158,17 +161,18 @@ def assemble(
     sample_rate_hz: float | None,
     mapping: Mapping[str, str] | None = None,
 ) -> Record:
-    """The record that ``found`` holds.
+    """A record from the columns of a file.
 
     Parameters
     ----------
-    name : of the file, for messages and as the record's name.
-    found : columns as read; those that are no channel are ignored unless they look like one.
+    name : of the file, used in messages and as the name of the record.
+    found : name -> column (N,) as read; other columns are ignored unless their names resemble those of channels.
     sample_rate_hz : declared f_s [Hz]; ``None`` takes that of ``time_s``.
-    mapping : column here -> column of the file.
+    mapping : name of a record column -> name in the file.
 
-    Raises :class:`MeasurementError`: a column is missing, misspelt, not finite, of another length, or time is
-    not uniform.
+    Raises
+    ------
+    MeasurementError : a column is missing, misspelt, not finite or of another length, or time is not uniform.
     """
     columns = _renamed(name, found, mapping or {})
     drives, senses = _numbered(name, columns, "drive"), _numbered(name, columns, "sense")
@@ -178,21 +182,21 @@ def assemble(
     lengths = {key: values.size for key, values in numbers.items()}
     if len(set(lengths.values())) != 1 or min(lengths.values()) < MIN_SAMPLES:
         raise MeasurementError(
-            f"{name}: columns differ in length"
+            f"{name}: the columns differ in length"
             if len(set(lengths.values())) != 1
             else f"{name}: the record is too short",
             value=lengths,
             allowed=f"one length of at least {MIN_SAMPLES} samples",
-            next_step="export all columns over the same time",
+            next_step="export all columns over the same time span",
         )
-    with np.errstate(all="ignore"):  # absurd time stamps overflow on their way to being refused
+    with np.errstate(all="ignore"):  # absurd time stamps may overflow before they are rejected
         clock = _clock(name, numbers["time_s"], sample_rate_hz) if "time_s" in numbers else None
     if clock is None and sample_rate_hz is None:
         raise MeasurementError(
-            f"{name}: there is no time_s and no declared sample rate",
+            f"{name}: the sample rate is unknown, because there is no time_s and none is declared",
             value=sorted(columns)[:12],
-            allowed="a column time_s, or a campaign.toml with [instrument] sample_rate_hz",
-            next_step="put the file in a folder with a campaign.toml that states sample_rate_hz",
+            allowed="a column time_s, or sample_rate_hz under [instrument] of a campaign.toml",
+            next_step="put the file into a folder with a campaign.toml that states sample_rate_hz",
         )
     rate = sample_rate_hz if sample_rate_hz is not None else clock.sample_rate_hz if clock else float("nan")
     return Record(

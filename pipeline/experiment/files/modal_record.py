@@ -1,10 +1,11 @@
-"""The modal record: poles and residues where somebody else identified them.
+"""Modal records: poles and residues that were identified elsewhere (paper, eq. 14).
 
     H(s) = sum_m (s R1_m + R0_m) / (s^2 + 2 zeta_m w_m s + w_m^2),   w_m = 2 pi f_m
 
-Shapes: M modes, S senses (rows), D drives (columns).  R1 [1/s], R0 [1/s^2] for volts over volts; sense
-channels as seen behind the anti-alias filter.  ``sd`` holds the standard deviations of R1 and of R0 / w, both
-in 1/s.
+H is volts per volt, from the drives to the senses after the anti-alias filter.
+
+Shapes: M modes, S senses (rows), D drives (columns).  Units: R1 [1/s], R0 [1/s^2]; ``sd`` holds the standard deviations of R1
+and of R0 / w, both in 1/s.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ class ModalRecord:
     Parameters
     ----------
     name : device id, or the name of the file.
-    frequency_hz, zeta : (M,) undamped frequency [Hz] and damping ratio.
-    R1, R0 : (M, S, D) [1/s], [1/s^2].
-    sd : (M, 2, S, D) sd of R1 and R0 / w [1/s]; ``None`` where nothing was stated.
-    antialias : the filter that the residues contain; ``None`` is no filter.
-    rate_dps : declared angular rate [deg/s]; ``None`` is unknown.
+    frequency_hz, zeta : (M,) undamped frequencies [Hz] and damping ratios.
+    R1, R0 : (M, S, D) [1/s] and [1/s^2].
+    sd : (M, 2, S, D) sd of R1 and of R0 / w [1/s]; ``None`` where the file states none.
+    antialias : the filter that the residues contain; ``None`` means no filter.
+    rate_dps : declared angular rate [deg/s]; ``None`` means unknown.
     angular_gain, phase_error_deg, drive, reference : as in a campaign.
     """
 
@@ -59,6 +60,8 @@ class ModalRecord:
 
 
 class ModeTable(msgspec.Struct, forbid_unknown_fields=True):
+    """One [[mode]] table; sd is [sd of R1, sd of R0 / w]."""
+
     frequency_hz: Positive
     zeta: Annotated[float, Meta(gt=0.0, lt=1.0)]
     R1: Matrix
@@ -67,6 +70,8 @@ class ModeTable(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class ModalTable(msgspec.Struct, forbid_unknown_fields=True):
+    """The whole file."""
+
     kind: Literal["modal"]
     mode: Annotated[list[ModeTable], Meta(min_length=1)]
     name: str | None = None
@@ -84,14 +89,14 @@ class _Kind(msgspec.Struct):
 def _matrix(rows: Matrix, shape: tuple[int, int] | None, what: str, where: str) -> FloatArray:
     widths = {len(row) for row in rows}
     if len(widths) != 1 or 0 in widths or (shape is not None and (len(rows), *widths) != shape):
-        wanted = f"{shape[0]} rows of {shape[1]}" if shape else "rows S1, S2, .. of equal length, one value a drive"
+        wanted = f"{shape[0]} rows of {shape[1]}" if shape else "rows S1, S2, .. of equal length, one value per drive"
         raise MeasurementError(
-            f"{where}: {what} has another shape", value=rows, allowed=wanted, next_step=f"correct {what}"
+            f"{where}: {what} has the wrong shape", value=rows, allowed=wanted, next_step=f"correct {what}"
         )
     matrix = np.array(rows, dtype=np.float64)
     if not np.all(np.isfinite(matrix)):
         raise MeasurementError(
-            f"{where}: {what} is not finite",
+            f"{where}: {what} contains values that are not finite",
             value=rows,
             allowed="finite numbers",
             next_step=f"correct {what}",
@@ -105,10 +110,10 @@ def _deviations(modes: list[ModeTable], shape: tuple[int, int], where: str) -> F
         return None
     if any(sd is None for sd in stated):
         raise MeasurementError(
-            f"{where}: some modes state their sd and some do not",
+            f"{where}: some modes have an sd and some have none",
             value=[sd is not None for sd in stated],
             allowed="sd for all modes or for none",
-            next_step="state the missing ones",
+            next_step="add the missing sd, or remove all",
         )
     sd = np.array([[_matrix(part, shape, "sd", where) for part in pair] for pair in stated if pair is not None])
     if np.any(sd <= 0.0):
@@ -122,10 +127,12 @@ def _deviations(modes: list[ModeTable], shape: tuple[int, int], where: str) -> F
 
 
 def decode_modal_record(text: bytes, path: Path) -> ModalRecord | None:
-    """The modal record in ``text``; ``None`` if the TOML does not say ``kind = "modal"``.
+    """The modal record in ``text``; ``None`` if the TOML does not state ``kind = "modal"``.
 
-    Raises :class:`ConfigError` for wrong TOML or keys, :class:`MeasurementError` for matrices that make no
-    modal record.
+    Raises
+    ------
+    ConfigError : wrong TOML or keys.
+    MeasurementError : matrices of different shapes, or values that are not finite or not positive.
     """
     if toml.decode(text, _Kind, path.name).kind != "modal":
         return None
@@ -153,23 +160,27 @@ def decode_modal_record(text: bytes, path: Path) -> ModalRecord | None:
 def read_modal_record(path: Path) -> ModalRecord:
     """The modal record in the TOML file ``path``.
 
-    Raises :class:`ConfigError` for wrong TOML, keys or kind, :class:`MeasurementError` for what is missing or
-    inconsistent.
+    Raises
+    ------
+    ConfigError : wrong TOML, keys or kind.
+    MeasurementError : the file is missing, or its matrices are inconsistent.
     """
     record = decode_modal_record(toml.read_bytes(existing(path)), path)
     if record is None:
         raise ConfigError(
-            f"{path.name} is no modal record",
+            f"{path.name} is not a modal record",
             allowed='kind = "modal" and [[mode]] tables',
-            next_step='add kind = "modal"',
+            next_step='write kind = "modal" at its top',
         )
     return record
 
 
 def write_modal_record(record: ModalRecord, path: Path) -> None:
-    """Write ``record`` so that :func:`read_modal_record` gives it back, every number exact.
+    """Write ``record`` so that :func:`read_modal_record` returns it with every number exact.
 
-    Raises :class:`UsageError` if the file cannot be written.
+    Raises
+    ------
+    UsageError : the file cannot be written.
     """
     parts = [
         toml.table(

@@ -1,4 +1,4 @@
-"""campaign.toml says what it says: roles, conditions, mends; and what is wrong in it comes out as one message."""
+"""campaign.toml is read back exactly, corrections are applied in order, and every error in it gives one message."""
 
 import dataclasses
 import json
@@ -72,7 +72,7 @@ def test_round_trip_keeps_every_number_and_condition(tmp_path, form):
         (["validate", None, None], ["validate", "fit", "fit"]),
     ],
 )
-def test_the_last_record_without_a_role_validates(tmp_path, declared, roles):
+def test_the_last_record_without_a_role_becomes_the_held_out_record(tmp_path, declared, roles):
     records = tuple(record(k, role=role) for k, role in enumerate(declared))
     write_campaign(Campaign("d", records, Instrument(FS)), tmp_path)
     assert [r.role for r in read_campaign(tmp_path).records] == roles
@@ -116,7 +116,11 @@ GOOD = '[[record]]\nfile = "a.csv"\n'
         ("[reference]\nf1_hz = [534.6, 0.0]\n" + GOOD, ConfigError, ["f1_hz", "sd"]),
         ("[reference]\nf1_hz = 534.6\n" + GOOD, ConfigError, ["reference"]),
         ("[channels]\nsense_polarity = [1, 0]\n" + GOOD, ConfigError, ["sense_polarity"]),
-        ("[channels]\nsense_polarity = [1, -1]\n" + GOOD, ConfigError, ["sense_polarity", "1 values"]),
+        (
+            "[channels]\nsense_polarity = [1, -1]\n" + GOOD,
+            ConfigError,
+            ["sense_polarity", "one value per column of the files (1)"],
+        ),
         ("[channels]\nsense_order = [2]\n" + GOOD, ConfigError, ["permutation"]),
         ("[channels]\nlag_samples = 95\n" + GOOD, ConfigError, ["lag_samples"]),
         ("[columns]\nvolts = 'sense1_V'\n" + GOOD, MeasurementError, ["volts", "sense<k>_V"]),
@@ -127,7 +131,7 @@ GOOD = '[[record]]\nfile = "a.csv"\n'
         (GOOD + "start = 90\n", MeasurementError, ["start"]),
     ],
 )
-def test_wrong_campaigns_give_one_message_that_says_what_to_do(tmp_path, text, kind, words):
+def test_a_wrong_campaign_gives_one_message_with_a_next_step(tmp_path, text, kind, words):
     with pytest.raises(GyroscreenError) as error:
         read_campaign(folder_with(tmp_path, text))
     assert type(error.value) is kind
@@ -136,12 +140,12 @@ def test_wrong_campaigns_give_one_message_that_says_what_to_do(tmp_path, text, k
     assert error.value.next_step
 
 
-def test_folder_without_a_campaign_says_so(tmp_path):
+def test_a_folder_without_campaign_toml_is_reported(tmp_path):
     with pytest.raises(MeasurementError, match=r"campaign\.toml"):
         read_campaign(tmp_path)
 
 
-def test_records_of_one_campaign_have_the_same_channels(tmp_path):
+def test_records_with_different_channels_are_refused(tmp_path):
     folder_with(tmp_path, GOOD + '[[record]]\nfile = "b.csv"\n')
     found = {"drive1_V": np.zeros(50), "sense1_V": np.zeros(50), "sense2_V": np.ones(50)}
     write_columns(tmp_path, "b", found, "csv")
@@ -149,7 +153,7 @@ def test_records_of_one_campaign_have_the_same_channels(tmp_path):
         read_campaign(tmp_path)
 
 
-def test_one_file_is_a_campaign_of_one(tmp_path):
+def test_a_single_file_is_read_as_a_campaign_of_one_record(tmp_path):
     folder = folder_with(tmp_path, GOOD)
     single = read_measurement(folder / "a.csv")
     assert (single.device_id, single.records[0].role) == ("a", "fit")
@@ -159,7 +163,7 @@ def test_one_file_is_a_campaign_of_one(tmp_path):
     assert read_measurement(folder / "campaign.toml").device_id == whole.device_id == tmp_path.name
 
 
-def test_mends_are_applied_in_the_documented_order():
+def test_channel_corrections_are_applied_in_the_documented_order():
     n = np.arange(40.0)
     drive, sense = np.stack([n + 5.0, 10.0 * n], axis=1), np.stack([n, 100.0 * n], axis=1)
     channels = Channels((1, -1), (-1, 1), (2, 1), (2, 1), (5.0, 0.0), 3)
@@ -169,7 +173,7 @@ def test_mends_are_applied_in_the_documented_order():
     assert done.at_rest
 
 
-def test_a_record_that_loses_driven_samples_is_no_longer_at_rest():
+def test_a_lag_that_drops_driven_samples_ends_the_state_of_rest():
     driven = record(at_rest=True)
     assert not correct(driven, Channels(lag_samples=-2)).at_rest
     waiting = dataclasses.replace(driven, drive_v=np.concatenate([np.zeros((2, 2)), driven.drive_v[2:]]))
@@ -179,12 +183,12 @@ def test_a_record_that_loses_driven_samples_is_no_longer_at_rest():
 signs = st.none() | st.tuples(*[st.sampled_from([-1, 1])] * 2)
 orders = st.none() | st.permutations([1, 2]).map(tuple)
 offsets = st.none() | st.tuples(*[st.integers(-5, 5).map(float)] * 2)
-mends = st.builds(Channels, signs, signs, orders, orders, offsets, st.integers(-5, 5))
+corrections = st.builds(Channels, signs, signs, orders, orders, offsets, st.integers(-5, 5))
 
 
 @settings(max_examples=60, deadline=None)
-@given(mends, mends)
-def test_two_mends_in_a_row_equal_their_composition(first, second):
+@given(corrections, corrections)
+def test_two_corrections_in_a_row_equal_their_composition(first, second):
     # A lag forward and back loses samples at both ends, so lags are composed alone.
     second = dataclasses.replace(second, lag_samples=second.lag_samples if first.lag_samples == 0 else 0)
     raw = record(samples=50)
@@ -194,10 +198,10 @@ def test_two_mends_in_a_row_equal_their_composition(first, second):
     assert np.array_equal(once.sense_v, twice.sense_v)
 
 
-def test_unwritable_folder_and_other_rates_are_usage_errors(tmp_path):
-    (tmp_path / "taken").write_text("")
+def test_unwritable_folders_other_rates_and_formats_are_usage_errors(tmp_path):
+    (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="cannot be written"):
-        write_campaign(full_campaign(), tmp_path / "taken")
+        write_campaign(full_campaign(), tmp_path / "file")
     with pytest.raises(UsageError, match="sample rate"):
         write_campaign(dataclasses.replace(full_campaign(), instrument=Instrument(5_000.0)), tmp_path)
     with pytest.raises(UsageError, match="format"):
@@ -229,7 +233,7 @@ def test_mutated_campaign_files_give_typed_errors_only(tmp_path, seed):
 
 @pytest.mark.silverbox
 @pytest.mark.skipif(not SILVERBOX.exists(), reason="the measured record is not beside the project")
-def test_a_foreign_file_is_used_as_it_is(tmp_path):
+def test_a_file_with_foreign_column_names_is_read_without_conversion(tmp_path):
     parts = [(40650, 105712, "fit"), (105712, 127400, "validate"), (100, 40575, "validate")]
     entries = [
         f"[[record]]\nfile = {json.dumps(str(SILVERBOX))}\nname = 'part {k}'\nrole = '{role}'\n"
@@ -243,7 +247,7 @@ def test_a_foreign_file_is_used_as_it_is(tmp_path):
     assert [r.drive_v.shape for r in campaign.records] == [(stop - start, 1) for start, stop, _ in parts]
     assert [r.role for r in campaign.records] == ["fit", "validate", "validate"]
     assert not any(r.at_rest for r in campaign.records)
-    # The arrow is a filtered Gaussian noise of rising amplitude.
+    # The third part of the Silverbox record is filtered Gaussian noise of rising amplitude ("arrow").
     arrow = campaign.records[2].drive_v[:, 0]
     quarters = np.array_split(arrow, 4)
     assert all(a.std() < b.std() for a, b in pairwise(quarters))

@@ -1,7 +1,9 @@
-"""The door behind which all readers stand.
+"""Read and write record files: the only entry point to the readers of the file formats.
 
-One format, one module; the suffix finds it.  Whatever a library behind the door does with a damaged file --
-any exception, any warning -- comes out as one :class:`MeasurementError`.
+Each format is one module, which the suffix of the file selects.  Any exception or warning that a library raises for a damaged
+file becomes one :class:`MeasurementError`.
+
+Shapes: columns (N,).
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from ...record import Record
 from ..columns import assemble
 from .table import Columns
 
-#: Suffix -> module.  Modules are imported when they are needed: each brings a library of its own.
+#: Suffix -> module.  A module is imported only when it is needed, because each imports a library of its own.
 FORMATS: dict[str, str] = {
     ".parquet": "parquet",
     ".csv": "csv",
@@ -30,7 +32,7 @@ FORMATS: dict[str, str] = {
     ".mat": "mat",
     ".tdms": "tdms",
 }
-#: What ``write_columns`` writes, and the suffix it gives.
+#: Formats that ``write_columns`` can write, and their suffixes.
 WRITTEN: dict[str, str] = {
     "parquet": ".parquet",
     "csv": ".csv",
@@ -46,40 +48,46 @@ def _module(name: str) -> ModuleType:
 
 
 def existing(path: Path) -> Path:
-    """``path`` if it is there, else an error that names the nearest that is."""
+    """``path`` if it exists.
+
+    Raises
+    ------
+    MeasurementError : it does not; the message names the most similar file beside it.
+    """
     if path.exists():
         return path
     try:
-        beside = sorted(entry.name for entry in path.parent.iterdir())
+        neighbours = sorted(entry.name for entry in path.parent.iterdir())
     except OSError:
-        beside = []
-    near = difflib.get_close_matches(path.name, beside, n=1)
+        neighbours = []
+    near = difflib.get_close_matches(path.name, neighbours, n=1)
     raise MeasurementError(
         "no such file or folder",
         value=str(path),
-        allowed=", ".join(beside[:8]) if beside else "a path that exists",
+        allowed=", ".join(neighbours[:8]) if neighbours else "a path that exists",
         next_step=f"did you mean {near[0]}" if near else "check the path",
     )
 
 
 def read_columns(path: Path) -> Columns:
-    """All numeric vectors of a file, by name, unchecked.
+    """All numeric vectors (N,) of a file by name, not yet checked (see ``columns.assemble``).
 
-    Raises :class:`MeasurementError` for whatever goes wrong.
+    Raises
+    ------
+    MeasurementError : the file is missing, damaged, too large or of an unknown format.
     """
     existing(path)
     name = FORMATS.get(path.suffix.lower())
     if name is None or not path.is_file():
         raise MeasurementError(
-            "not a record of a known format" if path.is_file() else "a record is a file",
+            "the file has no known format" if path.is_file() else "a record must be a file, not a folder",
             value=str(path),
             allowed=", ".join(FORMATS),
-            next_step="rename the file after its format, or convert it",
+            next_step="give the file the suffix of its format, or convert it",
         )
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
-            # A library that warns about a file was not sure what it read; its own ageing is no concern of the
-            # file's.
+            # A warning means that the library guessed about the file, except for warnings about the library itself.
             warnings.simplefilter("error")
             warnings.simplefilter("ignore", DeprecationWarning)
             warnings.simplefilter("ignore", PendingDeprecationWarning)
@@ -91,12 +99,12 @@ def read_columns(path: Path) -> Columns:
         ) from error
     except MemoryError as error:
         raise MeasurementError(
-            f"{path.name}: the file asks for more memory than there is",
+            f"{path.name}: the file needs more memory than is available",
             value=str(path),
-            next_step="split the record, or copy the file again if it should be small",
+            next_step="split the record; if the file should be small it is damaged, so copy it again from its source",
         ) from error
     except Exception as error:
-        # The one place where everything is caught: these libraries promise nothing about damaged files.
+        # Everything is caught here, because the libraries may raise anything for a damaged file.
         raise MeasurementError(
             f"{path.name}: cannot be read as {name}",
             value=f"{type(error).__name__}: {error}"[:160],
@@ -111,20 +119,24 @@ def read_record(path: Path, sample_rate_hz: float | None) -> Record:
 
     Parameters
     ----------
-    path : the file; its suffix says the format.
-    sample_rate_hz : what the time column is held against (relative 1e-4), and what stands in for it where
-        there is none;
-        ``None`` takes the rate from the time column.
+    path : the file; its suffix states the format.
+    sample_rate_hz : declared sample rate [Hz], with which a time column must agree to a relative 1e-4; ``None`` takes the
+        rate from the time column.
 
-    Raises :class:`MeasurementError`.
+    Raises
+    ------
+    MeasurementError : the file cannot be read, or its columns are not a record.
     """
     return assemble(path.name, read_columns(path), sample_rate_hz)
 
 
 def write_columns(folder: Path, stem: str, columns: Columns, form: str) -> Path:
-    """Write ``columns`` to ``folder/stem`` plus the suffix of ``form``; returns the path.
+    """Write ``columns`` (N,) to ``folder/stem`` plus the suffix of the format ``form``; returns the path.
 
-    Raises :class:`UsageError` for an unknown format or a folder that cannot be written.
+    Raises
+    ------
+    UsageError : unknown format, or the folder cannot be written.
+    ConfigError : the format needs an optional package that is not installed.
     """
     if form not in WRITTEN:
         raise UsageError(
@@ -138,8 +150,8 @@ def write_columns(folder: Path, stem: str, columns: Columns, form: str) -> Path:
         raise UsageError(
             "the record cannot be written",
             value=f"{path}: {error}",
-            next_step="choose a folder that can be written",
+            next_step="choose a folder with write permission",
         ) from error
-    except MeasurementError as error:  # a missing extra
+    except MeasurementError as error:  # an optional package is missing
         raise ConfigError(error.what, allowed=error.allowed, next_step=error.next_step) from error
     return path

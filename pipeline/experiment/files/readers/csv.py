@@ -1,6 +1,4 @@
-"""CSV with one header line; comma, semicolon or tab between fields, and a decimal comma where semicolons or
-tabs part them.
-"""
+"""CSV with one header line; fields separated by comma, semicolon or tab, with a decimal comma allowed for the latter two."""
 
 from __future__ import annotations
 
@@ -12,31 +10,31 @@ import pyarrow.csv as pa_csv
 from ....errors import MeasurementError
 from .table import MAX_VALUES, Columns, allow
 
-#: Longest text of one value.
-_BYTES_A_VALUE = 32
+#: Longest text of one value [bytes]: a file holds at least its size divided by this many values.
+_MAX_BYTES_PER_VALUE = 32
 _MAX_HEADER_BYTES = 65_536
 
 
 def _dialect(path: Path) -> tuple[str, str]:
-    """Delimiter and decimal point, from the first two lines."""
+    """Delimiter and decimal mark, from the first two lines."""
     with path.open("rb") as file:
         header = file.readline(_MAX_HEADER_BYTES).decode("utf-8-sig")
         first = file.readline(_MAX_HEADER_BYTES).decode("utf-8")
     delimiter = max(",;\t", key=header.count)
     if header.count(delimiter) == 0:
         raise MeasurementError(
-            "the first line is not a header of several columns",
+            "the first line is not a header with several columns",
             value=header[:80],
-            allowed="names such as time_s,drive1_V,sense1_V",
+            allowed="column names such as time_s,drive1_V,sense1_V",
             next_step="write the column names on the first line",
         )
     return delimiter, "," if delimiter != "," and "," in first else "."
 
 
 def read(path: Path) -> Columns:
-    """All columns; one that does not hold numbers throughout is named."""
+    """All columns (N,); columns of text are kept, so that a message can name them."""
     size = path.stat().st_size
-    allow(size // _BYTES_A_VALUE, 2**62)
+    allow(size // _MAX_BYTES_PER_VALUE, 2**62)
     delimiter, decimal = _dialect(path)
     table = pa_csv.read_csv(
         path,
@@ -50,12 +48,12 @@ def read(path: Path) -> Columns:
         raise MeasurementError(
             "a column name occurs twice",
             value=table.column_names,
-            allowed="one column a name",
+            allowed="a different name for each column",
             next_step="rename or remove one of them",
         )
     return {name.strip(): table.column(name).to_numpy() for name in table.column_names}
 
 
 def write(path: Path, columns: Columns) -> None:
-    """Shortest text that reads back as the same number."""
+    """Each number as the shortest text that reads back exactly."""
     pa_csv.write_csv(pa.table(dict(columns)), path)

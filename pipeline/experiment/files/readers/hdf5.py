@@ -1,4 +1,4 @@
-"""HDF5: vectors at the root, or in the one group that the file holds (MAT v7.3 is such a file)."""
+"""HDF5: vectors at the root, or in the only group of the file (a MAT file of version 7.3 has this form)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .table import Columns, allow, vector
 
 
 def _datasets(group: Any) -> dict[str, Any]:
-    """Vectors of a group; only hard links are followed, since others lead out of the file."""
+    """Vectors of a group; only hard links are followed, because other links can leave the file."""
     hard = [name for name in group if isinstance(group.get(name, getlink=True), h5py.HardLink)]
     members = {name: group[name] for name in hard if not name.startswith("#")}
     return {
@@ -33,14 +33,14 @@ def read(path: Path) -> Columns:
             file[name] for name in file if not name.startswith("#") and file.get(name, getclass=True) is h5py.Group
         ]
         found = _datasets(file) or (_datasets(groups[0]) if len(groups) == 1 else {})
-        # Unallocated chunks read as fill values, so a damaged shape is bounded by its own limit alone.
+        # Chunks that were never written read as fill values, so the file size does not bound a damaged shape.
         allow(sum(int(member.size) for member in found.values()), path.stat().st_size)
         values = {name: vector(member[()]) for name, member in found.items()}
     return {name: column for name, column in values.items() if column is not None}
 
 
 def write(path: Path, columns: Columns) -> None:
-    """One checksummed dataset a column."""
+    """One dataset with checksums per column."""
     with h5py.File(path, "w") as file:
         for name, values in columns.items():
             file.create_dataset(name, data=values, fletcher32=True)

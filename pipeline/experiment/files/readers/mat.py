@@ -1,10 +1,11 @@
-"""MATLAB files: v5 read here, v7.3 as the HDF5 file that it is.
+"""MATLAB files: version 5 is parsed here, version 7.3 is read as HDF5.
 
-A v5 file is a row of elements, each a tag (type, bytes) and its data; type 15 is a deflated element, type 14 a
-matrix: flags, dimensions and name, then for numbers their data and for a struct its field names and matrices.
+A version 5 file is a sequence of elements, each a tag (type, number of bytes) and its data.  Type 15 is a deflated element.
+Type 14 is a matrix: flags, dimensions and name, followed by the data of an array, or by the field names and matrices of a
+struct.
 
-scipy.io.loadmat is not used: it believes types and sizes, and a single wrong byte can end the interpreter
-(1 of some 1000 mutated files, scipy 1.17).  scipy writes.
+Source: MathWorks, MAT-File Format.  scipy.io.loadmat is not used for reading, because it trusts types and sizes: one wrong
+byte can crash the interpreter (1 of about 1000 mutated files, scipy 1.17).  scipy is used for writing.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from .table import MAX_VALUES, Columns, allow, vector
 _HEADER = 128
 _COMPRESSED, _MATRIX = 15, 14
 _STRUCT = 2
-#: Classes of real numbers in full storage.
+#: Array classes of real numbers in full (not sparse) storage.
 _NUMBERS = range(6, 16)
 _COMPLEX_FLAG = 0x0800
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-#: No number of a MAT file has more bytes than this; names and dimensions come on top.
+#: Largest size of a file or of an inflated element [bytes]: the values, plus room for names and dimensions.
 _MAX_BYTES = 8 * MAX_VALUES + 2**20
 
 Value = NDArray[Any] | dict[str, NDArray[Any]] | None
@@ -38,7 +39,7 @@ Value = NDArray[Any] | dict[str, NDArray[Any]] | None
 
 def _damaged(where: str) -> MeasurementError:
     return MeasurementError(
-        "not a sound MAT file of version 5",
+        "the file is not a valid MAT file of version 5",
         value=where,
         allowed="elements of known types that lie inside the file",
         next_step="the file is damaged: copy it again from its source",
@@ -46,7 +47,7 @@ def _damaged(where: str) -> MeasurementError:
 
 
 def _elements(data: bytes, order: str) -> list[tuple[int, bytes]]:
-    """Type and data of the elements in ``data``, each checked to lie inside it."""
+    """Type and data of the elements in ``data``, checked to lie inside it; ``order`` is "<" or ">"."""
     found, at = [], 0
     while at + 8 <= len(data):
         kind, count = struct.unpack_from(order + "II", data, at)
@@ -72,17 +73,17 @@ def _inflated(body: bytes) -> bytes:
     if stream.unconsumed_tail:
         allow(MAX_VALUES + 1, len(body))
     if not stream.eof:
-        raise _damaged("deflated element that does not end")
+        raise _damaged("incomplete deflated element")
     return data
 
 
 def _fields(rest: list[tuple[int, bytes]], order: str) -> dict[str, NDArray[Any]]:
-    """Vectors of a 1 x 1 struct: length of a name, names, one matrix a field."""
+    """Vectors of a 1 x 1 struct; ``rest`` holds the length of a name, the names, and one matrix per field."""
     if len(rest) < 2 or len(rest[0][1]) != 4:
-        raise _damaged("struct without names")
+        raise _damaged("struct without field names")
     length, names = struct.unpack(order + "i", rest[0][1])[0], rest[1][1]
     if length < 1 or len(names) != length * (len(rest) - 2):
-        raise _damaged("struct whose fields do not fit its names")
+        raise _damaged("struct with different numbers of names and fields")
     fields = {}
     for k, (kind, body) in enumerate(rest[2:]):
         value = _matrix(body, order)[1] if kind == _MATRIX else None
@@ -92,7 +93,7 @@ def _fields(rest: list[tuple[int, bytes]], order: str) -> dict[str, NDArray[Any]
 
 
 def _matrix(body: bytes, order: str) -> tuple[str, Value]:
-    """Name and value of a matrix; ``None`` for what cannot be a vector of real numbers or a struct of them."""
+    """Name and value of a matrix; ``None`` unless it is a vector of real numbers or a struct of such vectors."""
     parts = _elements(body, order)
     if [kind for kind, _ in parts[:3]] != [6, 5, 1] or len(parts[0][1]) != 8 or len(parts[1][1]) % 4:
         raise _damaged("matrix without flags, dimensions and name")
@@ -122,18 +123,18 @@ def _variables(data: bytes, order: str) -> dict[str, Value]:
 
 
 def read(path: Path) -> Columns:
-    """All real vectors, as variables or inside the one struct that the file holds."""
+    """All real vectors (N,), as variables or inside the only struct of the file."""
     size = path.stat().st_size
     with path.open("rb") as file:
         start = file.read(1024)
-    # MATLAB puts 512 bytes of its own in front of the HDF5 file; other writers put none.
+    # MATLAB writes 512 bytes of its own before the HDF5 data; other programs write none.
     if start[:8] == _HDF5_MAGIC or start[512:520] == _HDF5_MAGIC:
         return hdf5.read(path)
     if size > _MAX_BYTES:
         allow(MAX_VALUES + 1, size)
     orders = {b"IM": "<", b"MI": ">"}
     if start[126:128] not in orders or start[:4] == b"\0\0\0\0":
-        raise _damaged("header of another version")
+        raise _damaged("header of an unknown version")
     found = _variables(path.read_bytes()[_HEADER:], orders[start[126:128]])
     structs = [value for value in found.values() if isinstance(value, dict) and value]
     columns = dict(structs[0]) if len(structs) == 1 else {}
@@ -141,5 +142,5 @@ def read(path: Path) -> Columns:
 
 
 def write(path: Path, columns: Columns) -> None:
-    """Version 5, column vectors, deflated (which carries a checksum)."""
+    """Version 5, column vectors, deflated (which includes a checksum)."""
     savemat(path, dict(columns), do_compression=True, oned_as="column")

@@ -1,4 +1,4 @@
-"""NumPy archives of vectors.  No pickles: an archive is data, never code."""
+"""NumPy archives of vectors; pickled objects are rejected, because loading them can run code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .table import Columns, allow, vector
 
 
 def _check_sizes(path: Path) -> None:
-    """The header of each member must claim exactly the bytes that follow it."""
+    """Check that the header of each member states exactly the number of bytes that follow it."""
     size = path.stat().st_size
     total = 0
     with zipfile.ZipFile(path) as archive:
@@ -26,7 +26,7 @@ def _check_sizes(path: Path) -> None:
                 count = int(np.prod([int(n) for n in shape], dtype=object))
                 if count * dtype.itemsize + file.tell() != member.file_size:
                     raise MeasurementError(
-                        "a vector is longer or shorter than its header says",
+                        "a vector is longer or shorter than its header states",
                         value=member.filename,
                         allowed=f"{count * dtype.itemsize} bytes",
                         next_step="the file is damaged: copy it again from its source",
@@ -44,6 +44,6 @@ def read(path: Path) -> Columns:
 
 
 def write(path: Path, columns: Columns) -> None:
-    """One member a column."""
+    """One member per column."""
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **columns)

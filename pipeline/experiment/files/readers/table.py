@@ -1,8 +1,8 @@
-"""What every reader gives back, and how much it may hold.
+"""The result of every reader, and the limits on its size.
 
-A reader is one module with ``read(path) -> Columns`` and ``write(path, columns)``.  It may raise anything:
-the door (``read_columns``) turns every failure into one :class:`MeasurementError`.  Sizes are checked before
-memory is asked for, since a damaged header can claim any size.
+A reader is a module with ``read(path) -> Columns`` and ``write(path, columns)``.  It may raise any exception;
+``readers.read_columns`` converts all of them to :class:`MeasurementError`.  Sizes are checked before memory is allocated,
+because a damaged header can state any size.
 """
 
 from __future__ import annotations
@@ -14,27 +14,32 @@ from numpy.typing import NDArray
 
 from ....errors import MeasurementError
 
-#: Column name -> vector, as it lies in the file; checked and converted later, by ``columns.assemble``.
+#: Column name -> vector (N,) as stored in the file; ``columns.assemble`` checks and converts it.
 Columns = dict[str, NDArray[Any]]
 
-#: Largest number of values read from one file (268 MB as float64, eleven minutes of five columns at 10 kHz).
+#: Largest number of values read from one file: 268 MB as float64, or eleven minutes of five columns at 10 kHz.
 MAX_VALUES = 2**25
-#: Deflate cannot expand by more than this.
+#: Largest number of values per byte of file; deflate expands by less than this factor.
 MAX_EXPANSION = 1100
 
 
 def allow(values: int, file_bytes: int) -> None:
-    """Refuse a file that claims more ``values`` than may be read, or than its size in bytes can hold."""
+    """Check the number of ``values`` that a file states against the limit and against its size in bytes.
+
+    Raises
+    ------
+    MeasurementError : there are too many.
+    """
     if not 0 <= values <= MAX_VALUES:
         raise MeasurementError(
-            "the file claims too many values",
+            "the file holds too many values",
             value=values,
-            allowed=f"at most {MAX_VALUES} values in a record",
-            next_step="split the record, or leave out columns that are not needed",
+            allowed=f"at most {MAX_VALUES} values per record",
+            next_step="split the record, or remove columns that are not needed",
         )
     if values > MAX_EXPANSION * max(file_bytes, 1):
         raise MeasurementError(
-            "the file claims more values than its size can hold",
+            "the file states more values than its size can hold",
             value=values,
             allowed=f"at most {MAX_EXPANSION * file_bytes} in {file_bytes} bytes",
             next_step="the file is damaged: copy it again from its source",
@@ -42,7 +47,7 @@ def allow(values: int, file_bytes: int) -> None:
 
 
 def vector(values: NDArray[Any]) -> NDArray[Any] | None:
-    """A row or column vector as (N,); ``None`` where ``values`` is no real vector of numbers."""
+    """A row or column vector as (N,); ``None`` if ``values`` is not a vector of real numbers."""
     if values.dtype.kind not in "fiub" or values.ndim == 0 or values.size != max(values.shape, default=0):
         return None
     return np.ravel(values)

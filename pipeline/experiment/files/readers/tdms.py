@@ -1,4 +1,4 @@
-"""TDMS (LabVIEW), through npTDMS, an extra: ``pip install "gyroscreen[tdms]"``."""
+"""TDMS (LabVIEW), read with the optional package npTDMS: ``pip install "gyroscreen[tdms]"``."""
 
 from __future__ import annotations
 
@@ -26,39 +26,37 @@ def _library() -> Any:
     return nptdms
 
 
-class _Doubt(logging.Handler):
-    """npTDMS logs what it guesses about damaged files, and reads on; a guess is no measurement."""
+class _RaisingHandler(logging.Handler):
+    """Raises for every log entry, because npTDMS logs its guesses about damaged files and continues."""
 
     def emit(self, record: logging.LogRecord) -> None:
         raise ValueError(record.getMessage())
 
 
 @contextmanager
-def _doubts_are_errors(library: Any) -> Iterator[None]:
-    logger, console, doubt = logging.getLogger("nptdms"), library.log.log_manager.console_handler, _Doubt()
+def _log_entries_raise(library: Any) -> Iterator[None]:
+    logger, console, handler = logging.getLogger("nptdms"), library.log.log_manager.console_handler, _RaisingHandler()
     level = console.level
     console.setLevel(logging.CRITICAL)
-    logger.addHandler(doubt)
+    logger.addHandler(handler)
     try:
         yield
     finally:
-        logger.removeHandler(doubt)
+        logger.removeHandler(handler)
         console.setLevel(level)
 
 
 def read(path: Path) -> Columns:
-    """Channels of the one group that the file holds; ``time_s`` from the waveform increment where no channel
-    has it.
-    """
-    # The file is opened here, since the library leaves its own open where it fails.
+    """Channels (N,) of the only group of the file; without a channel ``time_s``, time follows from the waveform increment."""
+    # The file is opened here, because the library does not close it when it fails.
     library = _library()
-    with path.open("rb") as stream, _doubts_are_errors(library), library.TdmsFile.open(stream) as file:
+    with path.open("rb") as stream, _log_entries_raise(library), library.TdmsFile.open(stream) as file:
         groups = [group for group in file.groups() if group.channels()]
         if len(groups) != 1:
             raise MeasurementError(
-                "a TDMS record is one group",
+                "the file must have exactly one group with channels",
                 value=[group.name for group in groups],
-                allowed="one group with channels",
+                allowed="one group per file",
                 next_step="write each record to its own file",
             )
         channels = groups[0].channels()
@@ -71,7 +69,7 @@ def read(path: Path) -> Columns:
 
 
 def write(path: Path, columns: Columns) -> None:
-    """One group named ``record``."""
+    """One group named ``record``, one channel per column."""
     library = _library()
     with library.TdmsWriter(path) as writer:
         writer.write_segment([library.ChannelObject("record", name, values) for name, values in columns.items()])

@@ -1,4 +1,4 @@
-"""Modal records: the paper's equation (14), round trips, and what is wrong in them."""
+"""Modal records: the paper's equation (14), round trips, and error messages."""
 
 from pathlib import Path
 
@@ -46,13 +46,13 @@ def test_round_trip_keeps_every_number(tmp_path, sd, shape):
 
 
 @pytest.mark.skipif(not EQ14.exists(), reason="the paper is not beside the project")
-def test_the_papers_residues_are_velocities_seen_through_its_filter():
+def test_the_papers_residues_are_velocities_behind_its_filter():
     record = read_modal_record(EQ14)
     assert record.rate_dps == 0.0
     w = 2.0 * np.pi * record.frequency_hz[:, None, None]
     at_resonance = (1j * w * record.R1 + record.R0) / (1j * w)
     velocity = at_resonance / filter_response(record.antialias, 1j * w)
-    # Real where the sense is a velocity; the paper's own residues are so to 7 %, and M3 is the printed one.
+    # Residues of a velocity are real at resonance; those of the paper are to 7 %, and M3 agrees with the printed one.
     assert np.linalg.norm(velocity.imag) < 0.08 * np.linalg.norm(velocity.real)
     assert velocity[2].real == pytest.approx(np.array([[27.49, 27.53], [29.70, 29.74]]), abs=0.03)
 
@@ -81,7 +81,7 @@ MODE = "[[mode]]\nfrequency_hz = 534.5\nzeta = 3e-4\nR1 = [[1.0, 2.0]]\nR0 = [[3
         (MODE, ConfigError, ['kind = "modal"']),
     ],
 )
-def test_wrong_modal_records_say_what_is_wrong(tmp_path, text, kind, words):
+def test_a_wrong_modal_record_gives_a_typed_message(tmp_path, text, kind, words):
     path = tmp_path / "m.toml"
     path.write_text(text)
     with pytest.raises(GyroscreenError) as error:
@@ -91,6 +91,6 @@ def test_wrong_modal_records_say_what_is_wrong(tmp_path, text, kind, words):
         assert word in str(error.value)
 
 
-def test_unwritable_path_is_a_usage_error(tmp_path):
+def test_an_unwritable_path_is_a_usage_error(tmp_path):
     with pytest.raises(UsageError, match="cannot be written"):
         write_modal_record(example(), tmp_path / "missing" / "m.toml")

@@ -1,4 +1,4 @@
-"""Every format gives back what was written, and one error for whatever is wrong with a file."""
+"""Every format returns what was written, and every damaged file gives one measurement error."""
 
 import subprocess
 import sys
@@ -30,7 +30,7 @@ def csv_of(tmp_path, found, name="r.csv", **changes):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_format_gives_back_every_bit(tmp_path, form):
+def test_every_format_returns_every_bit(tmp_path, form):
     if form == "tdms":
         pytest.importorskip("nptdms")
     written = columns()
@@ -63,7 +63,7 @@ def mat73_struct(path, found):
 
 
 @pytest.mark.parametrize("write", [mat5, mat5_struct, mat73, mat73_struct])
-def test_both_generations_of_mat_files_are_read(tmp_path, write):
+def test_mat_files_of_version_5_and_7_3_are_read(tmp_path, write):
     found = columns()
     write(tmp_path / "r.mat", found)
     record = read_record(tmp_path / "r.mat", None)
@@ -73,7 +73,7 @@ def test_both_generations_of_mat_files_are_read(tmp_path, write):
 @pytest.mark.parametrize("oned_as", ["row", "column"])
 @pytest.mark.parametrize("do_compression", [True, False])
 def test_mat_integers_and_shapes_are_read(tmp_path, oned_as, do_compression):
-    # MATLAB stores small numbers in fewer bytes; scipy writes the types asked for.
+    # MATLAB stores small integers in fewer bytes; scipy writes the given types.
     found = {"drive1_V": np.arange(50, dtype=np.int16), "sense1_V": np.arange(50, dtype=np.float32) / 4, "id": 7}
     savemat(tmp_path / "r.mat", found, oned_as=oned_as, do_compression=do_compression)
     record = read_record(tmp_path / "r.mat", 100.0)
@@ -81,14 +81,14 @@ def test_mat_integers_and_shapes_are_read(tmp_path, oned_as, do_compression):
     assert np.array_equal(record.sense_v[:, 0], np.arange(50) / 4)
 
 
-def test_csv_of_other_countries_is_read(tmp_path):
+def test_csv_with_semicolons_and_decimal_commas_is_read(tmp_path):
     (tmp_path / "r.csv").write_text(
         "time_s;drive1_V;sense1_V\n" + "".join(f"{k / 100};{k};-{k},5\n".replace(".", ",") for k in range(20))
     )
     assert read_record(tmp_path / "r.csv", 100.0).sense_v[3, 0] == -3.5
 
 
-def test_labels_beside_the_channels_are_left_alone(tmp_path):
+def test_other_columns_are_ignored(tmp_path):
     found = columns() | {"temperature_C": np.full(400, 21.0)}
     assert read_record(csv_of(tmp_path, found), FS).sense_v.shape == (400, 2)
 
@@ -143,7 +143,7 @@ def spoil_numbering(c):
         (spoil_numbering, ["no column sense2_V", "sense3_V"]),
     ],
 )
-def test_what_is_no_record_is_said_with_its_place_and_mend(tmp_path, spoil, words):
+def test_a_wrong_column_is_reported_with_its_row_and_a_remedy(tmp_path, spoil, words):
     found = columns()
     spoil(found)
     path = write_columns(tmp_path, "r", found, "parquet")
@@ -169,7 +169,7 @@ def test_what_is_no_record_is_said_with_its_place_and_mend(tmp_path, spoil, word
         ("r.npz", "", ["cannot be read as npz"]),
     ],
 )
-def test_wrong_files_give_one_typed_message(tmp_path, name, text, words):
+def test_a_wrong_file_gives_one_typed_message(tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     with pytest.raises(MeasurementError) as error:
         read_record(tmp_path / name, FS)
@@ -177,13 +177,13 @@ def test_wrong_files_give_one_typed_message(tmp_path, name, text, words):
         assert word in str(error.value)
 
 
-def test_missing_file_names_its_neighbour(tmp_path):
+def test_a_missing_file_names_the_most_similar_one(tmp_path):
     (tmp_path / "record-1.csv").touch()
     with pytest.raises(MeasurementError, match=r"did you mean record-1\.csv"):
         read_record(tmp_path / "record_1.csv", FS)
 
 
-def test_time_or_a_declared_rate_is_needed(tmp_path):
+def test_a_record_needs_a_time_column_or_a_declared_rate(tmp_path):
     found = columns()
     del found["time_s"]
     path = write_columns(tmp_path, "r", found, "npz")
@@ -199,9 +199,9 @@ def test_objects_in_an_archive_are_never_unpickled(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["hdf5", "npz", "parquet"])
-def test_absurd_sizes_are_refused_before_memory_is_asked_for(tmp_path, form, monkeypatch):
+def test_absurd_sizes_are_refused_before_memory_is_allocated(tmp_path, form, monkeypatch):
     if form == "hdf5":
-        # A terabyte in a file of a few kilobytes: no chunk was ever written.
+        # A terabyte in a file of a few kilobytes, because no chunk was ever written.
         with h5py.File(tmp_path / "r.h5", "w") as file:
             for name in ("drive1_V", "sense1_V"):
                 file.create_dataset(name, shape=(2**36,), chunks=(1024,), dtype="f8")
@@ -231,7 +231,7 @@ def test_flipped_bits_in_parquet_pages_are_never_read_as_data(tmp_path):
         assert np.array_equal(record.drive_v, truth.drive_v)
 
 
-# The mutations run in a process of their own: a reader that ends the interpreter must fail the test, not the run.
+# The mutations run in a process of their own, so that a reader that crashes the interpreter fails only this test.
 FUZZ = """
 import sys, warnings
 from pathlib import Path
