@@ -6,6 +6,7 @@ One function states one fact.  Campaigns and modal records share them.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -58,7 +59,7 @@ class ErrorChange:
 
 def effect_words(name: str) -> str:
     """Name of an effect in words: "pickoff_pole" is "pick-off pole"."""
-    return " ".join(_SPELLED.get(word, word) for word in name.split("_"))
+    return re.sub(rf"\b({'|'.join(_SPELLED)})\b", lambda match: _SPELLED[match[0]], name.replace("_", " "))
 
 
 def sentence(text: str) -> str:

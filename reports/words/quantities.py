@@ -279,11 +279,11 @@ def undecided_sentence(total: Yield, statuses: Sequence[StatusCount]) -> str:
 
 def process_sentence(clusters: Sequence[Clustering]) -> str:
     """The yield of the process with groups as draws, by the highest level that has at least three groups."""
-    told = [one for one in clusters if one.groups >= 3 and one.interval is not None]
-    if not told:
+    counted = [one for one in clusters if one.groups >= 3 and one.interval is not None]
+    if not counted:
         few = [f"{one.groups} {one.by}{'s' if one.groups > 1 else ''}" for one in clusters]
         return f"{' and '.join(few)}: too few to estimate the scatter of the process between them." if few else ""
-    best = told[-1]
+    best = counted[-1]
     assert best.interval is not None
     return (
         f"For the process, with {best.by}s as independent draws ({best.groups} {best.by}s): "

@@ -140,6 +140,7 @@ def test_an_unknown_misfit_is_never_headed_by_a_name() -> None:
 
 def test_numbers_have_the_digits_that_matter() -> None:
     assert effect_words("offdiagonal_damping") == "off-diagonal damping"
+    assert effect_words("tilt about the other axis (absorbed by updown_gain)").endswith("(absorbed by up-down gain)")
     assert [error_words(value) for value in (None, 1.0004, 12.34, 1234.5)] == ["–", "1.00", "12.3", "1\u202f234"]
     assert error_words(0.00123, relative=True) == "0.12\u00a0%"
     assert [explained_words(share) for share in (None, 0.99995, 1.0, -0.1)] == [
