@@ -24,11 +24,13 @@ from typing import Literal
 
 import numpy as np
 
-from .goodness import ResidualTests, goodness
+from .goodness import ResidualTests, excess, goodness
 from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
 from .scores import Baseline, Projected, Score, baseline, project
 from .significance import DRAWS, Null, log_tail, score_all
 
+#: Why a term is refused whose refit ended at a limit.
+AT_LIMIT = "after its refit, a parameter is at the limit of its range, or the term duplicates part of the model"
 HeldOutStatus = Literal["confirmed", "partial", "refused"]
 #: Rows of a chunk: longer than the correlation of the noise.
 _CHUNK = 256
@@ -84,7 +86,7 @@ class FitTests:
     signatures, projected : absent terms at this fit, and their columns with the baseline projected out.
     scores, null : of the absent terms, most significant first, and the null that gave their p-values.
     goodness : tests of structure in the residual.
-    regions : residual energy by region.
+    regions, excess : residual energy by region, and that above the common noise level (0 where the level is unknown).
     """
 
     fit: FitResult
@@ -95,6 +97,7 @@ class FitTests:
     null: Null
     goodness: ResidualTests
     regions: tuple[Region, ...]
+    excess: float
 
     @property
     def invisible(self) -> tuple[str, ...]:
@@ -104,6 +107,15 @@ class FitTests:
     def significant(self, alpha: float) -> tuple[Score, ...]:
         """Candidates that are significant at ``alpha``, family-wise."""
         return tuple(score for score in self.scores if score.p_value < alpha)
+
+    def is_significant(self, delta_chi2: float, parameters: int, alpha: float) -> bool:
+        """Whether a refit lowers chi2 as significantly as the score of its term had to."""
+        critical = max(self.null.critical(alpha), np.log(alpha))
+        return bool(_log_p_of_decrease(self, delta_chi2, parameters) <= critical)
+
+    def is_negligible(self, delta_chi2: float, parameters: int, alpha: float) -> bool:
+        """Whether ``parameters`` of the fit could be removed, at this increase of chi2, without a significant loss."""
+        return bool(_log_p_of_increase(self, delta_chi2, parameters) > self.null.critical(alpha))
 
 
 def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
@@ -118,7 +130,8 @@ def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
             projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
         )
         regions, structure = residual_tests.result()
-    return FitTests(fit, base, signatures, projected, scores, null, structure, regions)
+    misfit = excess(regions) if fit.noise_known else 0.0
+    return FitTests(fit, base, signatures, projected, scores, null, structure, regions, misfit)
 
 
 def _residual_tests(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], ResidualTests]:
@@ -126,22 +139,30 @@ def _residual_tests(problem: Problem, fit: FitResult, base: Baseline) -> tuple[t
     return regions, goodness(fit, base, problem.probes(fit), regions, problem.spectrum(fit))
 
 
-def log_p_of_decrease(delta_chi2: float, parameters: int, tests: FitTests) -> float:
-    """log p of a decrease of chi2 from the tested fit by adding ``parameters``, at its noise level (at least the nominal)."""
+def _log_p_of_decrease(tests: FitTests, delta_chi2: float, parameters: int) -> float:
+    """log p of a decrease of chi2 by added ``parameters``, at the noise level of the tested fit (at least the nominal)."""
     if tests.fit.noise_known:
         return float(log_tail(delta_chi2 / max(tests.goodness.level, 1.0) ** 2, parameters))
     dof = max(tests.fit.dof - parameters, 1)
-    return float(
-        log_tail(min(delta_chi2 * dof / max(tests.fit.chi2 - delta_chi2, 1e-300), _LARGEST_F), parameters, dof)
-    )
+    ratio = delta_chi2 * dof / max(tests.fit.chi2 - delta_chi2, 1e-300)
+    return float(log_tail(min(ratio, _LARGEST_F), parameters, dof))
 
 
-def log_p_of_increase(delta_chi2: float, parameters: int, tests: FitTests) -> float:
-    """log p of an increase of chi2 from the tested fit by removing ``parameters``."""
+def _log_p_of_increase(tests: FitTests, delta_chi2: float, parameters: int) -> float:
+    """log p of an increase of chi2 by removed ``parameters``."""
     if tests.fit.noise_known:
-        return log_p_of_decrease(delta_chi2, parameters, tests)
+        return _log_p_of_decrease(tests, delta_chi2, parameters)
     dof = max(tests.fit.dof, 1)
     return float(log_tail(min(delta_chi2 * dof / max(tests.fit.chi2, 1e-300), _LARGEST_F), parameters, dof))
+
+
+def log_p_without(fit: FitResult, smaller: FitResult) -> float:
+    """log p of the increase of chi2 from ``fit`` to a fit with fewer terms."""
+    level = fit.chi2 / max(fit.dof, 1)
+    level = max(1.0, level) if fit.noise_known else max(level, 1e-300)
+    increase = max(smaller.chi2 - fit.chi2, 0.0) / level
+    parameters = max(smaller.dof - fit.dof, 1)
+    return float(log_tail(increase, parameters, None if fit.noise_known else max(fit.dof, 1)))
 
 
 def wald(fit: FitResult, term: str) -> float:
@@ -163,7 +184,7 @@ def is_clear(fit: FitResult, term: str) -> bool:
     return wald(fit, term) > _CLEAR_WALD
 
 
-def is_nonzero(fit: FitResult, term: str) -> bool:
+def _is_nonzero(fit: FitResult, term: str) -> bool:
     """Whether the size of a term exceeds its sd; chi2 that falls without that comes from a discontinuity at the null."""
     return not any(fit.shifts.get(term, ())) or wald(fit, term) > 1.0
 
@@ -204,6 +225,47 @@ def paired_difference(
     if decrease < 0.0:
         actual = min(actual, _MAX_INFLATION**2 * nominal)
     return PairedDifference(decrease, 2.0 * float(np.sqrt(max(nominal, actual))))
+
+
+@dataclass(frozen=True)
+class RefitTest:
+    """Test of a fit with one more term.
+
+    Parameters
+    ----------
+    delta_chi2, held : decrease of the fitted and of the held-out chi2.
+    outcome : "failed" where the fit is useless, "at limit" where it ended at the limit of a parameter.
+    reason : why the term is not added.
+    """
+
+    delta_chi2: float
+    held: PairedDifference
+    outcome: Literal["accepted", "refused", "at limit", "failed"] = "accepted"
+    reason: str = ""
+
+
+def refit_test(tests: FitTests, score: Score, fit: FitResult, rules: Rules) -> RefitTest:
+    """Whether ``fit``, which adds the term of ``score`` to the tested fit, is significantly better."""
+    delta_chi2, held, name = tests.fit.chi2 - fit.chi2, PairedDifference(0.0, 0.0), score.name
+    if not fit.ok or fit.chi2 > tests.fit.chi2 * (1.0 + 1e-9):
+        return RefitTest(delta_chi2, held, "failed", "its fit failed or raised chi2")
+    if name in fit.at_limit:
+        return RefitTest(delta_chi2, held, "at limit", AT_LIMIT)
+    reason = ""
+    if not _is_nonzero(fit, name):
+        reason = "after its refit, its size is not significantly different from zero"
+    elif not tests.is_significant(delta_chi2, score.parameters, rules.alpha):
+        reason = "after its refit, the decrease of chi2 is not significant"
+    elif delta_chi2 < rules.least_share * tests.excess:
+        reason = f"after its refit, it explains less than {100 * rules.least_share:.0f} % of the misfit"
+    else:
+        held = held_out_difference(tests.fit, fit)
+        if held.status == "refused":
+            reason = f"the held-out chi2 rises by {-held.delta_chi2:.3g} +- {held.sd:.2g}"
+        elif lacks_support(fit, held):
+            change = f"the held-out chi2 falls by {held.delta_chi2:.3g} +- {held.sd:.2g} only"
+            reason = f"{change}, and the noise level is unknown"
+    return RefitTest(delta_chi2, held, "refused" if reason else "accepted", reason)
 
 
 def lacks_support(fit: FitResult, held: PairedDifference) -> bool:

@@ -10,30 +10,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
 from .fit_tests import (
+    AT_LIMIT,
     FitTests,
     PairedDifference,
     Rules,
     fit_tests,
     held_out_difference,
     is_clear,
-    is_nonzero,
     lacks_support,
-    log_p_of_decrease,
+    log_p_without,
+    refit_test,
 )
-from .goodness import excess
 from .pairs import best_pairs
 from .problem import FitResult, Problem
 from .scores import Score
-from .significance import log_tail
 
 #: Relative difference below which two values of a scanned parameter are the same grid point.
 _SAME_POINT = 0.05
-_AT_LIMIT = "after its refit, a parameter is at the limit of its range, or the term duplicates part of the model"
 
 Fits = Mapping[frozenset[str], FitResult]
 
@@ -111,21 +108,13 @@ class ForwardSelection:
         return tuple(term for term in self.last.fit.terms if term in steps)
 
 
-@dataclass(frozen=True)
-class _Refusal:
-    """Why a refitted term is not added."""
-
-    reason: str
-    kind: Literal["failed", "at limit", "other"] = "other"
-
-
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """The terms to add (none, one, or a pair), reasons of refusals, and terms whose fit failed or ended at a limit."""
+    """The terms to add (none, one, or a pair), why others were refused or failed, and scores of those that ended at a limit."""
 
     steps: tuple[SelectionStep, ...]
     refused: Mapping[str, str] = field(default_factory=dict)
-    failed: tuple[str, ...] = ()
+    failed: Mapping[str, str] = field(default_factory=dict)
     at_limit: Mapping[str, Score] = field(default_factory=dict)
 
 
@@ -143,7 +132,7 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
     while len(steps) < rules.rungs:
         found = _next(cache, tests[-1], at_limit, rules)
         at_limit |= found.at_limit
-        refused |= {**found.refused, **dict.fromkeys(found.failed, "its fit failed or raised chi2")}
+        refused |= {**found.refused, **found.failed}
         if not found.steps:
             # After the first step a failure is no longer the outcome: the misfit that is left decides the verdict.
             if found.failed and not found.refused and not steps:
@@ -164,13 +153,11 @@ def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules
     do so again.
     """
     reasons: dict[str, str] = {}
-    failed: list[str] = []
+    failed: dict[str, str] = {}
     limited: dict[str, Score] = {}
     trials: list[SelectionStep] = []
     significant = tests.significant(rules.alpha)
     largest = max((score.delta_chi2 for score in significant), default=0.0)
-    # Where many terms each explain a small part of the misfit, something else causes it.
-    misfit = excess(tests.regions) if tests.fit.noise_known else 0.0
     leading = [score for score in significant if score.delta_chi2 >= rules.contender_share * largest]
     # With an unknown noise level F-tests find some term in any misfit: once the strongest are refused, weaker ones are too.
     held_out_decides = not tests.fit.noise_known and bool(tests.fit.held)
@@ -180,49 +167,27 @@ def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules
             trials and (score not in leading or _settled(trials, tests, score, rules))
         ):
             break
-        if score.delta_chi2 < rules.least_expected * misfit:
+        if score.delta_chi2 < rules.least_expected * tests.excess:
             reasons[name] = f"its expected decrease of chi2 is below {100 * rules.least_expected:.0f} % of the misfit"
         elif held_out_decides and len(reasons) + len(failed) >= rules.contenders:
             reasons[name] = "not refitted: stronger candidates were refused"
         elif name in at_limit and _same_point(score, at_limit[name]):
-            reasons[name] = _AT_LIMIT
+            reasons[name] = AT_LIMIT
         else:
-            trial = _trial(cache, tests, score, misfit, rules)
-            if isinstance(trial, SelectionStep):
-                trials.append(trial)
-            elif trial.kind == "failed":
-                failed.append(name)
+            fit = cache.fit((*tests.fit.terms, name), tests.fit)
+            test = refit_test(tests, score, fit, rules)
+            if test.outcome == "accepted":
+                trials.append(SelectionStep(name, fit, test.delta_chi2, test.held))
+            elif test.outcome == "failed":
+                failed[name] = test.reason
             else:
-                reasons[name] = trial.reason
-                limited |= {name: score} if trial.kind == "at limit" else {}
+                reasons[name] = test.reason
+                limited |= {name: score} if test.outcome == "at limit" else {}
     if significant:
         sizes = {score.name: score.parameters for score in tests.scores}
         best = max(trials, key=lambda step: step.delta_chi2 - 2.0 * sizes[step.term], default=None)
-        return _Pass(() if best is None else (best,), reasons, tuple(failed), limited)
+        return _Pass(() if best is None else (best,), reasons, failed, limited)
     return _Pass(_pair(cache, tests, rules))
-
-
-def _trial(cache: FitCache, tests: FitTests, score: Score, misfit: float, rules: Rules) -> SelectionStep | _Refusal:
-    """Refit with a candidate in the model and judge the result."""
-    fit = cache.fit((*tests.fit.terms, score.name), tests.fit)
-    if not fit.ok or fit.chi2 > tests.fit.chi2 * (1.0 + 1e-9):
-        return _Refusal("", "failed")
-    if score.name in fit.at_limit:
-        return _Refusal(_AT_LIMIT, "at limit")
-    if not is_nonzero(fit, score.name):
-        return _Refusal("after its refit, its size is not significantly different from zero")
-    delta_chi2 = tests.fit.chi2 - fit.chi2
-    if not _significant(delta_chi2, tests, score.parameters, rules.alpha):
-        return _Refusal("after its refit, the decrease of chi2 is not significant")
-    if delta_chi2 < rules.least_share * misfit:
-        return _Refusal(f"after its refit, it explains less than {100 * rules.least_share:.0f} % of the misfit")
-    held = held_out_difference(tests.fit, fit)
-    if held.status == "refused":
-        return _Refusal(f"the held-out chi2 rises by {-held.delta_chi2:.3g} +- {held.sd:.2g}")
-    if lacks_support(fit, held):
-        change = f"the held-out chi2 falls by {held.delta_chi2:.3g} +- {held.sd:.2g} only"
-        return _Refusal(f"{change}, and the noise level is unknown")
-    return SelectionStep(score.name, fit, delta_chi2, held)
 
 
 def _same_point(now: Score, before: Score) -> bool:
@@ -257,7 +222,7 @@ def _pair(cache: FitCache, tests: FitTests, rules: Rules) -> tuple[SelectionStep
     if not (one.ok and both.ok and both.chi2 <= one.chi2 <= fit.chi2) or {first, second} & set(both.at_limit):
         return ()
     parameters = scores[first].parameters + scores[second].parameters
-    if not _significant(fit.chi2 - both.chi2, tests, parameters, rules.alpha):
+    if not tests.is_significant(fit.chi2 - both.chi2, parameters, rules.alpha):
         return ()
     held = held_out_difference(fit, both)
     if held.status == "refused" or lacks_support(both, held):
@@ -266,11 +231,6 @@ def _pair(cache: FitCache, tests: FitTests, rules: Rules) -> tuple[SelectionStep
         SelectionStep(first, one, fit.chi2 - one.chi2, held_out_difference(fit, one), alone=False),
         SelectionStep(second, both, one.chi2 - both.chi2, held_out_difference(one, both), alone=False),
     )
-
-
-def _significant(delta_chi2: float, tests: FitTests, parameters: int, alpha: float) -> bool:
-    """Whether the decrease of chi2 in a refit is as significant as the score had to be."""
-    return bool(log_p_of_decrease(delta_chi2, parameters, tests) <= max(tests.null.critical(alpha), np.log(alpha)))
 
 
 def _prune(cache: FitCache, fit: FitResult, rules: Rules) -> tuple[FitResult, tuple[str, ...]]:
@@ -284,11 +244,7 @@ def _prune(cache: FitCache, fit: FitResult, rules: Rules) -> tuple[FitResult, tu
             smaller = cache.fit(tuple(name for name in fit.terms if name != term), fit)
             if not smaller.ok:
                 continue
-            level = fit.chi2 / max(fit.dof, 1)
-            level = max(1.0, level) if fit.noise_known else max(level, 1e-300)
-            increase = max(smaller.chi2 - fit.chi2, 0.0) / level
-            own = max(smaller.dof - fit.dof, 1)
-            log_p = float(log_tail(increase, own, None if fit.noise_known else max(fit.dof, 1)))
+            log_p = log_p_without(fit, smaller)
             if log_p > np.log(rules.alpha) and (worst is None or log_p > worst[0]):
                 worst = (log_p, smaller, term)
         if worst is None:

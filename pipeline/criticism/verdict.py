@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from .fit_tests import FitTests, Rules, is_clear, log_p_of_increase
+from .fit_tests import FitTests, Rules, is_clear
 from .goodness import Agreement, agreement, partitions
 from .problem import FitResult, Problem, Signatures
 from .scores import Projected, baseline, project
@@ -174,7 +174,6 @@ def _wrong_forms(tests: FitTests, alpha: float) -> dict[str, Agreement]:
 def _classes(cache: FitCache, selection: ForwardSelection, rules: Rules) -> tuple[TermClass, ...]:
     """The class of every added term, by refits of those rivals that projection cannot exclude."""
     last = selection.last
-    critical = last.null.critical(rules.alpha)
     classes = []
     for term in selection.added:
         if not last.fit.columns.get(term):
@@ -183,14 +182,14 @@ def _classes(cache: FitCache, selection: ForwardSelection, rules: Rules) -> tupl
         every = rivals(last.fit, term, last.signatures)
         members = [term]
         size = len(last.fit.columns[term])
-        near = [r for r in every if r.sin_angle < _SMALL_SINE or log_p_of_increase(r.left / 4.0, size, last) > critical]
+        near = [r for r in every if r.sin_angle < _SMALL_SINE or last.is_negligible(r.left / 4.0, size, rules.alpha)]
         for rival in near[: rules.class_refits]:
             swapped = tuple(rival.name if name == term else name for name in last.fit.terms)
             fit = cache.fit(swapped, last.fit)
             if not fit.ok:
                 continue
             left = max(fit.chi2 - last.fit.chi2 + (rival.joint if rival.sin_angle >= _SMALL_SINE else 0.0), 0.0)
-            if log_p_of_increase(left, size, last) > critical:
+            if last.is_negligible(left, size, rules.alpha):
                 members.append(rival.name)
         classes.append(TermClass(term, tuple(members), every))
     return tuple(classes)
