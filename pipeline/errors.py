@@ -2,11 +2,12 @@
 
 Which one to raise:
 
-- :class:`UsageError` / :class:`ConfigError` -- the user wrote something that cannot be run (exit code 2);
-- :class:`MeasurementError` -- a measurement cannot be read, or what it holds is not a record (5);
-- :class:`IntegrityError` -- stored results are not what was committed (4);
-- :class:`IncompleteError` -- a run stopped before its end and can be resumed (3);
-- :class:`GateError` -- everything ran, but a gate that the user set was not met (1).
+- :class:`UsageError`: the arguments of a command or function cannot be used (exit code 2);
+- :class:`ConfigError`: a TOML file (run, population, limits, model, campaign) cannot be used (2);
+- :class:`MeasurementError`: a measurement cannot be read or is not a record (5);
+- :class:`IntegrityError`: stored results differ from what was committed (4);
+- :class:`IncompleteError`: a run stopped before its end and can be resumed (3);
+- :class:`GateError`: the run is complete, but a gate that the user set failed (1).
 
 Every message says what is wrong, which value was found, what is allowed and what to do next.
 """
@@ -17,13 +18,13 @@ from typing import Any, ClassVar
 
 
 class GyroscreenError(Exception):
-    """Base of all errors that a user can cause and mend.
+    """Base of all errors that a user can cause and correct.
 
     Parameters
     ----------
-    what : one clause, no full stop.
-    value : the offending value, shown with ``repr``; ``None`` hides it.
-    allowed : what would have been accepted.
+    what : one clause without a full stop.
+    value : the value that is wrong, shown with ``repr``; ``None`` shows none.
+    allowed : the values that are accepted.
     next_step : what to do now.
     """
 
@@ -46,7 +47,7 @@ class GyroscreenError(Exception):
         return "; ".join(parts)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Exceptions cross process borders by pickle, which would drop keyword-only arguments.
+        # Workers send exceptions by pickle, which by default loses keyword-only arguments.
         return (_rebuild, (type(self), self.what, self.value, self.allowed, self.next_step))
 
 
@@ -55,21 +56,21 @@ def _rebuild(kind: type[GyroscreenError], what: str, value: Any, allowed: str, n
 
 
 class UsageError(GyroscreenError):
-    """A command was called with arguments that make no sense."""
+    """A command or function was called with arguments that cannot be used."""
 
 
 class ConfigError(GyroscreenError):
-    """A TOML file (run, population, limits, model) does not say something that can be run."""
+    """A TOML file (run, population, limits, model, campaign) cannot be read or has a wrong key or value."""
 
 
 class GateError(GyroscreenError):
-    """A gate that the user set (yield target, strict convergence) was not met."""
+    """A gate that the user set (yield target, strict convergence) failed."""
 
     exit_code: ClassVar[int] = 1
 
 
 class IncompleteError(GyroscreenError):
-    """A run stopped before its end; what is committed is kept and it can be resumed."""
+    """A run stopped before its end; committed blocks are kept and it can be resumed."""
 
     exit_code: ClassVar[int] = 3
 
@@ -81,6 +82,6 @@ class IntegrityError(GyroscreenError):
 
 
 class MeasurementError(GyroscreenError):
-    """A measurement could not be read, or is not a record."""
+    """A measurement cannot be read or is not a record."""
 
     exit_code: ClassVar[int] = 5

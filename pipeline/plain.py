@@ -1,4 +1,4 @@
-"""Values as JSON can hold them."""
+"""Conversion of values to types that JSON can represent."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def plain(value: Any) -> Any:
-    """``value`` for JSON: arrays as lists, nan and infinity as null."""
+    """``value`` with mappings as dicts, arrays and tuples as lists, and nan and infinity as ``None``."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

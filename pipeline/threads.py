@@ -1,4 +1,4 @@
-"""Work spread over threads: what takes long here (compiled loops, transforms, products) runs free of the lock."""
+"""Work in threads.  Compiled loops, transforms and matrix products release the interpreter lock, so they run in parallel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Out = TypeVar("Out")
 
 
 def mapped(job: Callable[[In], Out], items: Iterable[In], threads: int) -> list[Out]:
-    """``[job(item) for item in items]``, ``threads`` of them at once; raises what the first failing job raised."""
+    """``[job(item) for item in items]`` with ``threads`` jobs at once; raises the error of the first item that fails."""
     each = list(items)
     if threads <= 1 or len(each) <= 1:
         return [job(item) for item in each]
@@ -22,12 +22,15 @@ def mapped(job: Callable[[In], Out], items: Iterable[In], threads: int) -> list[
 
 
 def once(make: Callable[[In], Out]) -> Callable[[In], Out]:
-    """``make``, its results kept, called once for an argument however many threads ask: what compiles takes seconds."""
-    kept, lock = cache(make), Lock()
+    """``make`` with a cache: one call per argument, even if several threads request it at the same time.
+
+    For functions that compile code, which takes seconds.
+    """
+    cached, lock = cache(make), Lock()
 
     @wraps(make)
-    def held(argument: In) -> Out:
+    def locked(argument: In) -> Out:
         with lock:
-            return kept(argument)
+            return cached(argument)
 
-    return held
+    return locked

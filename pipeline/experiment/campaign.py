@@ -1,20 +1,20 @@
-"""campaign.toml: a folder of records of one device, in and out.
+"""Campaigns: a folder of records of one device with a campaign.toml, read and written.
 
     [device]         id, angular_gain = I_p / I_0p
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
     [[record]]       file, role, rate_dps, bias_v, at_rest; name; start, stop (start <= n < stop of the file)
     [reference]      quantity = [value, sd]
-    [columns]        drive1_V = "V1"      a column of the files that has another name there
-    [channels]       what mends the files (``check`` prints these lines), applied in this order:
-                     drive_offset_v = [5.0, 5.0]  taken off the drive columns of the files
+    [columns]        drive1_V = "V1"      name in the files of a column that is named differently there
+    [channels]       corrections of the files (``check`` prints these lines), applied in this order:
+                     drive_offset_v = [5.0, 5.0]  subtracted from the drive columns of the files
                      sense_polarity = [1, -1]     factor of each sense column; drive_polarity likewise
-                     sense_order = [2, 1]         sense1 of the record is sense2 of the files; drive_order too
-                     lag_samples = 3              sense is 3 samples late: drive[n] goes with sense[n + 3]
+                     sense_order = [2, 1]         sense1 of the record is sense2 of the files; drive_order likewise
+                     lag_samples = 3              sense is 3 samples late: drive[n] belongs to sense[n + 3]
 
-Without a role: the last record validates and the rest fit, where no record is declared "validate"; else all
-of them fit.  A record alone fits.  A written TOML that is wrong is a :class:`ConfigError`, a file that is no
-record a :class:`MeasurementError`.
+Roles that are not stated: if no record has the role "validate", the last record validates and the others fit; otherwise all
+fit.  A single record fits.  A wrong campaign.toml is a :class:`ConfigError`, a file that is not a record a
+:class:`MeasurementError`.
 """
 
 from __future__ import annotations
@@ -43,6 +43,8 @@ Sign = Literal[-1, 1]
 
 
 class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[[record]]``: a file, its role and its conditions."""
+
     file: Annotated[str, Meta(min_length=1)]
     name: str | None = None
     role: Role | None = None
@@ -54,6 +56,8 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[channels]``: corrections of the files."""
+
     sense_polarity: tuple[Sign, ...] | None = None
     drive_polarity: tuple[Sign, ...] | None = None
     sense_order: tuple[Annotated[int, Meta(ge=1)], ...] | None = None
@@ -63,6 +67,8 @@ class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A campaign.toml."""
+
     record: Annotated[list[RecordTable], Meta(min_length=1)]
     kind: Literal["campaign"] = "campaign"
     device: DeviceTable = DeviceTable()
@@ -74,9 +80,9 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def _roles(declared: Sequence[Role | None]) -> list[Role]:
-    open_places = [k for k, role in enumerate(declared) if role is None]
-    others_fit = len(open_places) > 1 or "fit" in declared
-    last = open_places[-1] if open_places and others_fit and "validate" not in declared else None
+    undeclared = [k for k, role in enumerate(declared) if role is None]
+    others_fit = len(undeclared) > 1 or "fit" in declared
+    last = undeclared[-1] if undeclared and others_fit and "validate" not in declared else None
     return [role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)]
 
 
@@ -85,7 +91,7 @@ def _cut(record: Record, start: int, stop: int | None, where: str) -> Record:
     end = count if stop is None else stop
     if end > count or end - start < MIN_SAMPLES:
         raise MeasurementError(
-            f"{where}: start and stop do not lie in the record",
+            f"{where}: start and stop do not lie within the record",
             value=[start, end],
             allowed=f"0 <= start, start + {MIN_SAMPLES} <= stop <= {count}",
             next_step="correct start and stop of this [[record]]",
@@ -93,7 +99,7 @@ def _cut(record: Record, start: int, stop: int | None, where: str) -> Record:
     return dataclasses.replace(record, drive_v=record.drive_v[start:end], sense_v=record.sense_v[start:end])
 
 
-def _one(folder: Path, entry: RecordTable, role: Role, rate: float | None, document: CampaignTable) -> Record:
+def _record_of(folder: Path, entry: RecordTable, role: Role, rate: float | None, document: CampaignTable) -> Record:
     path = existing(folder / entry.file)
     whole = assemble(entry.file, read_columns(path), rate, document.columns)
     record = _cut(correct(whole, _channels(document.channels)), entry.start, entry.stop, entry.file)
@@ -119,14 +125,14 @@ def _same_shape(records: Sequence[Record]) -> None:
         wanted = (first.drive_v.shape[1], first.sense_v.shape[1])
         if found != wanted:
             raise MeasurementError(
-                f"{record.name} has other channels than {first.name}",
+                f"{record.name} has different channels from {first.name}",
                 value=f"{found[0]} drives, {found[1]} senses",
                 allowed=f"{wanted[0]} drives, {wanted[1]} senses, as in the first record",
-                next_step="put records of other channels into a campaign of their own",
+                next_step="put records with different channels into a separate campaign",
             )
         if record.sample_rate_hz != first.sample_rate_hz:
             raise MeasurementError(
-                f"{record.name} has another sample rate than {first.name}",
+                f"{record.name} has a different sample rate from {first.name}",
                 value=record.sample_rate_hz,
                 allowed=f"{first.sample_rate_hz} Hz, as in the first record",
                 next_step="state sample_rate_hz under [instrument]",
@@ -134,13 +140,15 @@ def _same_shape(records: Sequence[Record]) -> None:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """All records of a campaign, mended, with their roles.
+    """All records of a campaign, corrected as [channels] says, with their roles.
 
-    ``path`` is the folder or its campaign.toml.  Files are named relative to that folder.  Without
-    ``sample_rate_hz``, the first record's time column states it for all.
+    ``path`` is the folder or its campaign.toml; file names are relative to that folder.  If ``sample_rate_hz`` is not stated,
+    the time column of the first record determines it for all.
 
-    Raises :class:`ConfigError` for a wrong campaign.toml, :class:`MeasurementError` for what is missing or is
-    no record.
+    Raises
+    ------
+    ConfigError : a wrong key or value in campaign.toml.
+    MeasurementError : a file is missing or is not a record.
     """
     file = existing(existing(path) / "campaign.toml") if path.is_dir() else existing(path)
     document = toml.decode(toml.read_bytes(file), CampaignTable, file.name)
@@ -148,7 +156,7 @@ def read_campaign(path: Path) -> Campaign:
     records: list[Record] = []
     for entry, role in zip(document.record, _roles([entry.role for entry in document.record])):
         records.append(
-            _one(
+            _record_of(
                 file.parent,
                 entry,
                 role,
@@ -170,13 +178,13 @@ def read_campaign(path: Path) -> Campaign:
 
 
 def read_measurement(path: Path) -> Campaign | ModalRecord:
-    """Whatever measurement ``path`` is: a campaign's folder or campaign.toml, a modal record, or the file of
-    one record.
+    """The measurement at ``path``: a campaign (folder or campaign.toml), a modal record, or a single record.
 
-    A single record becomes a campaign of one, with the default instrument at the sample rate of its time
-    column.
+    A single record becomes a campaign of one record, with the default instrument at the sample rate of its time column.
 
-    Raises :class:`ConfigError` or :class:`MeasurementError`.
+    Raises
+    ------
+    ConfigError, MeasurementError : as :func:`read_campaign` and :func:`read_modal_record`.
     """
     existing(path)
     if path.is_dir():
@@ -197,21 +205,23 @@ def _vectors(record: Record) -> dict[str, FloatArray]:
 
 
 def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet") -> None:
-    """Write ``campaign`` so that :func:`read_campaign` gives it back, every number exact.
+    """Write ``campaign`` so that :func:`read_campaign` returns the same numbers.
 
-    The records are written as they are, mended; so ``channels`` is not written.  campaign.toml comes last: a
-    folder with one is complete.
+    The records are written with their corrections applied, so ``channels`` is not written.  campaign.toml is written last: a
+    folder that contains it is complete.
 
-    Raises :class:`UsageError` if a record's rate is not the instrument's or the folder cannot be written.
+    Raises
+    ------
+    UsageError : the sample rate of a record differs from that of the instrument, or the folder cannot be written.
     """
     entries = []
     for k, record in enumerate(campaign.records, start=1):
         if record.sample_rate_hz != campaign.instrument.sample_rate_hz:
             raise UsageError(
-                f"{record.name} has another sample rate than the instrument",
+                f"{record.name} has a different sample rate from the instrument",
                 value=record.sample_rate_hz,
                 allowed=f"{campaign.instrument.sample_rate_hz} Hz",
-                next_step="resample it, or write a campaign of its own",
+                next_step="resample it, or write it to a separate campaign",
             )
         file = write_columns(folder, f"record-{k}", _vectors(record), format).name
         conditions = {"role": record.role, "rate_dps": record.rate_dps, "bias_v": record.bias_v}
@@ -247,5 +257,5 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
         raise UsageError(
             "campaign.toml cannot be written",
             value=f"{folder}: {error}",
-            next_step="choose a folder that can be written",
+            next_step="choose another folder",
         ) from error

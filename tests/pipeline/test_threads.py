@@ -1,4 +1,4 @@
-"""Work that is shared out among threads is the same work, done once."""
+"""Work in threads gives the same results as a loop; a cached function is called once per argument."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from pipeline.threads import mapped, once
 
 
-def test_results_keep_the_order_of_their_items_and_the_first_failure_is_told() -> None:
+def test_results_have_the_order_of_the_items_and_the_first_failure_is_raised() -> None:
     def slow_first(item: int) -> int:
         time.sleep(0.02 if item == 0 else 0.0)
         return item * item
@@ -24,16 +24,16 @@ def test_results_keep_the_order_of_their_items_and_the_first_failure_is_told() -
         mapped(fails, range(5), 3)
 
 
-def test_what_many_threads_ask_for_at_once_is_made_once() -> None:
-    made = []
+def test_a_result_that_several_threads_request_at_once_is_computed_once() -> None:
+    computed = []
 
     @once
     def make(size: int) -> object:
-        made.append(size)
+        computed.append(size)
         time.sleep(0.02)
         return object()
 
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(make, [3] * 4))
-    assert made == [3]
+    assert computed == [3]
     assert all(each is found[0] for each in found)

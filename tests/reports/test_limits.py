@@ -1,4 +1,4 @@
-"""Limits: every wrong table is one typed error; arcs of axes close modulo 180 deg."""
+"""Limits: wrong tables are config errors; arcs of axes close modulo 180 deg."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.errors import ConfigError
 from reports.limits import DEFAULT_LIMITS, Limit, load_limits
 
 
-def test_default_limits_are_the_ones_of_facts_section_8() -> None:
+def test_default_limits_have_their_documented_values() -> None:
     bounds = {limit.quantity: (limit.low, limit.high) for limit in DEFAULT_LIMITS.limits}
     assert bounds["f1_hz"] == pytest.approx((0.98 * 535.5, 1.02 * 535.5))
     assert bounds["f2_hz"] == bounds["f1_hz"]
@@ -63,13 +63,13 @@ def test_a_file_and_its_table_give_the_same_limits(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_judged_by_is_refused(table: dict[str, Any], match: str) -> None:
+def test_wrong_limits_are_a_config_error_that_names_the_fault(table: dict[str, Any], match: str) -> None:
     with pytest.raises(ConfigError, match=match):
         load_limits(table)
 
 
 @pytest.mark.parametrize("content", [b"[limits", b"\xff\xfe"])
-def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_missing_or_not_toml_is_a_config_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "limits.toml"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match="not TOML"):
@@ -79,7 +79,7 @@ def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes) -> N
 
 
 @given(st.floats(-90, 90), st.floats(0.01, 179.9), st.floats(0.001, 0.999), st.integers(-3, 3))
-def test_an_arc_holds_what_lies_on_it_whatever_the_turn(low: float, width: float, part: float, turns: int) -> None:
+def test_an_arc_contains_its_axes_modulo_180_deg(low: float, width: float, part: float, turns: int) -> None:
     limit = Limit("theta_deg", low, low + width)
     inside = low + part * width + 180.0 * turns
     outside = low + width + part * (180.0 - width) + 180.0 * turns
@@ -87,19 +87,19 @@ def test_an_arc_holds_what_lies_on_it_whatever_the_turn(low: float, width: float
     assert not limit.admits(np.array(outside)) or part * (180.0 - width) < 1e-9
     assert limit.margin(np.array(inside)) >= -1e-9
     assert limit.margin(np.array(outside)) <= 1e-9
-    # The limits themselves conform, whatever the modulo rounds.
+    # The limits themselves conform in spite of the rounding of the modulo.
     assert limit.admits(wrap(low))
     assert limit.admits(wrap(low + width))
 
 
 @given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4))
-def test_axes_differ_by_the_smaller_turn(a: float, b: float) -> None:
-    turn = float(difference(a, b))
-    assert -90.0 < turn <= 90.0
-    assert math.isclose(math.cos(2 * math.radians(turn)), math.cos(2 * math.radians(a - b)), abs_tol=1e-9)
+def test_the_difference_of_two_axes_is_the_smaller_angle(a: float, b: float) -> None:
+    angle = float(difference(a, b))
+    assert -90.0 < angle <= 90.0
+    assert math.isclose(math.cos(2 * math.radians(angle)), math.cos(2 * math.radians(a - b)), abs_tol=1e-9)
 
 
-def test_axes_near_90_deg_are_neighbours() -> None:
+def test_axes_at_both_sides_of_90_deg_are_close() -> None:
     assert difference(89.0, -89.0) == pytest.approx(-2.0)
     assert in_arc(-89.5, 89.0, -89.0)
     assert not in_arc(0.0, 89.0, -89.0)

@@ -1,4 +1,4 @@
-"""The night, end to end: same table whatever the workers, blocks or interruptions."""
+"""The screening run from the command to the report; its table does not depend on workers, blocks or interruptions."""
 
 import json
 import os
@@ -53,19 +53,19 @@ def digest(results: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of eight devices with one worker, blocks of two."""
-    tmp = tmp_path_factory.mktemp("night")
+def one_worker(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of eight devices with one worker, in blocks of two."""
+    tmp = tmp_path_factory.mktemp("batch")
     run(tmp, "one")
     return tmp / "one"
 
 
-def test_workers_and_blocks_do_not_change_the_table(night: Path, tmp_path: Path) -> None:
+def test_workers_and_blocks_do_not_change_the_table(one_worker: Path, tmp_path: Path) -> None:
     run(tmp_path, "two", block=3, workers=2)
-    assert digest(tmp_path / "two") == digest(night)
+    assert digest(tmp_path / "two") == digest(one_worker)
 
 
-def test_a_run_killed_half_way_and_resumed_gives_the_same_table(night: Path, tmp_path: Path) -> None:
+def test_a_run_that_is_killed_and_resumed_gives_the_same_table(one_worker: Path, tmp_path: Path) -> None:
     config, results = tmp_path / "killed.toml", tmp_path / "killed"
     config.write_text(CONFIG.format(devices=8, block=1))
     process = subprocess.Popen(
@@ -84,21 +84,23 @@ def test_a_run_killed_half_way_and_resumed_gives_the_same_table(night: Path, tmp
     committed = open_run(results).committed_blocks()
     assert 3 <= len(committed) < 8
     assert call(["run", "--resume", "latest", "--out", str(results), "--workers", "2", "--json"]) == 0
-    assert digest(results) == digest(night)
+    assert digest(results) == digest(one_worker)
 
 
-def test_results_query_report_and_verify(night: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert call(["query", "SELECT count(*) AS n FROM devices", "--results", str(night), "--format", "json"]) == 0
+def test_query_report_and_verify_read_the_results(
+    one_worker: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert call(["query", "SELECT count(*) AS n FROM devices", "--results", str(one_worker), "--format", "json"]) == 0
     assert json.loads(capfd.readouterr().out) == [{"n": 8}]
     page = tmp_path / "page.html"
-    assert call(["report", "--results", str(night), "--out", str(page)]) == 0
+    assert call(["report", "--results", str(one_worker), "--out", str(page)]) == 0
     assert page.read_text(encoding="utf-8").lower().startswith("<!doctype html>")
-    assert call(["verify", "--results", str(night)]) == 0
+    assert call(["verify", "--results", str(one_worker)]) == 0
 
 
-def test_a_query_from_the_shell_says_nothing_but_its_answer(night: Path) -> None:
-    asked = command("query", "SELECT count(*) AS n FROM devices", "--results", str(night), "--format", "json")
-    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+def test_a_query_from_the_shell_prints_only_its_result(one_worker: Path) -> None:
+    query = command("query", "SELECT count(*) AS n FROM devices", "--results", str(one_worker), "--format", "json")
+    done = subprocess.run(query, capture_output=True, text=True, check=False)
     assert (done.returncode, json.loads(done.stdout), done.stderr) == (0, [{"n": 8}], "")
 
 
@@ -109,19 +111,19 @@ def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> Non
     assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
 
 
-def test_a_cluster_that_somebody_else_runs_gives_the_same_table(night: Path, tmp_path: Path) -> None:
-    config, results = tmp_path / "far.toml", tmp_path / "far"
+def test_an_existing_dask_cluster_gives_the_same_table(one_worker: Path, tmp_path: Path) -> None:
+    config, results = tmp_path / "remote.toml", tmp_path / "remote"
     config.write_text(CONFIG.format(devices=8, block=4))
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as elsewhere:
-        code = call(["run", str(config), "--out", str(results), "--scheduler", elsewhere.scheduler_address, "--json"])
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as remote:
+        code = call(["run", str(config), "--out", str(results), "--scheduler", remote.scheduler_address, "--json"])
     assert code == 0
-    assert digest(results) == digest(night)
+    assert digest(results) == digest(one_worker)
 
 
-def test_measured_campaigns_are_judged_like_virtual_devices(tmp_path: Path) -> None:
+def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(tmp_path: Path) -> None:
     for seed in (1, 2):
-        made = simulate(campaign_config(None), {}, ["offdiagonal_damping:c12=0.5"], seed)
-        write_campaign(made.campaign, tmp_path / "lot" / f"device-{seed}")
+        simulated = simulate(campaign_config(None), {}, ["offdiagonal_damping:c12=0.5"], seed)
+        write_campaign(simulated.campaign, tmp_path / "lot" / f"device-{seed}")
     (tmp_path / "lot" / "broken").mkdir()
     (tmp_path / "lot" / "broken" / "campaign.toml").write_text("nothing = true\n")
     with (tmp_path / "lot" / "device-1" / "campaign.toml").open("a") as file:
@@ -137,7 +139,7 @@ def test_measured_campaigns_are_judged_like_virtual_devices(tmp_path: Path) -> N
     assert "nothing" in rows["broken"]["status_reason"]
 
 
-def test_a_gate_that_the_user_set_fails_with_code_1_and_keeps_the_results(tmp_path: Path) -> None:
+def test_a_yield_below_the_target_has_exit_code_1_and_keeps_the_results(tmp_path: Path) -> None:
     config = tmp_path / "gate.toml"
     config.write_text(
         CONFIG.format(devices=2, block=2) + "[targets]\nyield_min = 1.0\n[limits.split_hz]\nmax = 0.001\n"

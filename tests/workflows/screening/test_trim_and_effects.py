@@ -1,4 +1,4 @@
-"""What a run may add: trims after the test, and effects beside the model's own."""
+"""Virtual devices with a trim after the test, and with effects that the screening model lacks."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def rows(tmp_path, text, count=6):
     return virtual_block(load_config(path), DeviceBlock(0, 0, count)).devices.to_pylist()
 
 
-def test_trimmed_truth_lies_within_what_the_posterior_foretells(tmp_path):
+def test_the_true_split_after_the_trim_agrees_with_its_prediction(tmp_path):
     found = rows(tmp_path, "[trim]\nsplit_hz = 0.5\ntheta_deg = 0.0\n", 10)
     z = [(r["trimmed_true_split_hz"] - r["trimmed_split_hz"]) / r["trimmed_split_hz_sd"] for r in found]
     assert np.sqrt(np.mean(np.square(z))) < 2.5
@@ -24,7 +24,7 @@ def test_trimmed_truth_lies_within_what_the_posterior_foretells(tmp_path):
         assert len(r["trim_voltages_v"].split(",")) == 4
 
 
-def test_a_trim_that_costs_nothing_changes_nothing(tmp_path):
+def test_a_trim_with_almost_no_voltage_changes_neither_split_nor_verdict(tmp_path):
     found = rows(tmp_path, "[trim]\nsplit_hz = 0.0\nmost_v = 1e-6\n", 2)
     for r in found:
         assert r["trim_at_limit"] == 1.0
@@ -41,7 +41,7 @@ def test_an_effect_outside_the_model_is_flagged_as_misfit(tmp_path):
             assert "error" in r["status_reason"] or "bias" in r["status_reason"]
 
 
-def test_an_effect_that_no_irregularity_sizes_is_refused(tmp_path):
+def test_an_effect_that_the_population_does_not_draw_is_a_config_error(tmp_path):
     path = tmp_path / "run.toml"
     path.write_text('[experiment]\neffects = ["loop_delay"]\n')
     with pytest.raises(ConfigError, match="does not draw sizes"):

@@ -1,4 +1,4 @@
-"""Wrong input of every kind: one typed message, the right exit code, no traceback, nothing lost."""
+"""The command line: wrong input gives one message and its exit code, without a traceback."""
 
 from importlib import metadata
 from pathlib import Path
@@ -35,7 +35,7 @@ def with_nan(tmp: Path) -> list[str]:
     return record(tmp, sense1_V=values)
 
 
-def foreign(tmp: Path) -> list[str]:
+def without_runs(tmp: Path) -> list[str]:
     results = tmp / "results"
     results.mkdir()
     pd.DataFrame({"a": [1]}).to_parquet(results / "foreign.parquet")
@@ -72,7 +72,7 @@ CASES = {
     "limits crossed": (lambda tmp: config(tmp, "[limits.split_hz]\nmin = 3.0\nmax = 1.0\n"), 2, ("split_hz", "3.0")),
     "zero devices": (lambda tmp: ["run", "--devices", "0", "--out", str(tmp)], 2, ("devices", "0")),
     "unwritable folder": (unwritable, 2, ("file", "--out")),
-    "no run in the folder": (foreign, 2, ("results", "gyroscreen run")),
+    "no run in the folder": (without_runs, 2, ("results", "gyroscreen run")),
     "unknown command": (lambda _: ["rum"], 2, ("rum",)),
     "not TOML": (lambda tmp: config(tmp, "[run\n"), 2, ("TOML",)),
     "no scheduler": (
@@ -84,7 +84,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_wrong_input_gets_one_message_and_its_exit_code(case, tmp_path, capfd):
+def test_wrong_input_gives_one_message_and_its_exit_code(case, tmp_path, capfd):
     arguments, code, words = CASES[case]
     assert call(arguments(tmp_path)) == code
     captured = capfd.readouterr()
@@ -105,7 +105,7 @@ def test_wrong_input_gets_one_message_and_its_exit_code(case, tmp_path, capfd):
         ("SELECT * FROM read_csv('/etc/passwd')", ("read_csv",)),
     ],
 )
-def test_bad_sql_gets_one_message(sql, words, tmp_path, capfd):
+def test_wrong_sql_gives_one_message(sql, words, tmp_path, capfd):
     from pipeline.store.provenance import provenance
     from pipeline.store.run import create_run
     from pipeline.store.schema import devices_table
