@@ -1,20 +1,21 @@
-"""Effects: terms of the physics of a device and its read-out, one file each, found by themselves.
+"""Effects: terms of the physics of a device and its read-out, one file each.
 
-A file in ``pipeline/device/effects`` or in a user's folder holds  EFFECT = Effect(...): frozen parameters, and one pure
-function for each stage of the signal path that the effect touches (most touch one):
+Each file in ``pipeline/device/effects``, or in a folder of the user, defines EFFECT = Effect(...): parameters, at most one
+pure function per stage of the signal path (most effects have one stage), and declared properties.  No list of effects is
+kept anywhere else.
 
-| stage       | signature                                       | what it may do |
+| stage       | signature                                       | purpose |
 |---|---|---|
-| drive       | (v, p, context) -> u                            | samples (N, D) [V] that make force; memoryless |
+| drive       | (v, p, context) -> u                            | samples (N, D) [V] to force; memoryless |
 | mechanics   | (mechanics, p, context) -> Mechanics            | linear and time-invariant; may append coordinates |
-| force       | (t, q, qd, u, p, laws, out) -> None             | adds acceleration (n,) [V/s] to ``out``; compiled   |
+| force       | (t, q, qd, u, p, laws, out) -> None             | compiled force law, see ``force_law`` |
 | sense       | (x, xd, s, t, p, context) -> s                  | pick-off volts (M, S) from motion x (M, S) [V s] |
 | readout     | (readout, p, context) -> Readout                | linear and time-invariant |
-| adc         | (y, p, context) -> y                            | on the samples (N, S) [V] |
-| disturbance | (t, p, context) -> basis (N, L)                 | regressors with a free amplitude a channel and record |
+| adc         | (y, p, context) -> y                            | acts on the samples (N, S) [V] |
+| disturbance | (t, p, context) -> basis (N, L)                 | regressors with a free amplitude per channel and record |
 
-p (k,) are the effect's parameters in the order declared, families spread out.  At the null value the stages are not
-even called, so the null is no effect bit by bit.
+p (k,) are the parameters in the order of declaration, with families expanded.  At the null value no stage is called, so the
+result is bit-identical to the model without the effect.
 """
 
 from __future__ import annotations
@@ -23,82 +24,96 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
-import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
-
-from numba import njit, types
-from numba.core.errors import NumbaExperimentalFeatureWarning
+from typing import Any
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
-from ..threads import once
 from . import effects as library
+from .force_law import Laws
 from .mechanics import Mechanics
 from .parameters import Parameter, Shape
 from .readout import Readout
 
+__all__ = ["Context", "Effect", "Laws", "LookAlike", "SizeRange", "find_effects", "load_effect"]
 
-class Laws(NamedTuple):
-    """What force laws may use of the linear mechanics and of the record.
-
-    damping, stiffness (n, n); drive (n, D); motion (D, n): x = motion q is the motion [V s] of the drive electrodes;
-    bias_v of the record and operating_bias_v of the device [V]; ``axes``: nonlinear laws act on the first so many
-    coordinates.
-    """
-
-    damping: FloatArray
-    stiffness: FloatArray
-    drive: FloatArray
-    motion: FloatArray
-    bias_v: float
-    operating_bias_v: float
-    axes: int
+_STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbance")
 
 
 @dataclass(frozen=True)
 class Context:
-    """What the other stages may use: biases [V], and the plant's parameters by name."""
+    """Conditions for all stages except force: biases [V], and the parameters of the plant by name."""
 
     bias_v: float
     operating_bias_v: float
     plant: Mapping[str, Any]
 
 
-_VECTOR = types.Array(types.float64, 1, "C")
-_MATRIX = types.Array(types.float64, 2, "C")
-LAWS_TYPE = types.NamedTuple((_MATRIX, _MATRIX, _MATRIX, _MATRIX, types.float64, types.float64, types.int64), Laws)
-FORCE_SIGNATURE = types.void(types.float64, _VECTOR, _VECTOR, _VECTOR, _VECTOR, LAWS_TYPE, _VECTOR)
-# Function pointers in tuples are what keeps the one integrator from being compiled again for every combination.  Filters are
-# set once: setting them around each call is not safe with threads.
-warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
-FORCE_TYPE = types.FunctionType(FORCE_SIGNATURE)
+@dataclass(frozen=True, eq=False)
+class LookAlike:
+    """Other effects that together reproduce the records of an effect.
 
-_STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbance")
+    Parameters
+    ----------
+    effects : names of the other effects.
+    example : parameter -> value of the imitated effect; there the others explain all but 1e-4 of its delta_chi2 (tested).
+    always : the others imitate the effect at every value of its parameters, not only near the example.
+    start : full parameter name -> value at which a fit of the others starts, if not at their null.
+    """
+
+    effects: tuple[str, ...]
+    example: Mapping[str, float]
+    always: bool = False
+    start: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SizeRange:
+    """Plausible sizes of an effect, for studies that draw them.
+
+    Parameters
+    ----------
+    typical : norm of the parameters without a grid; about SNR 100 on the standard campaign (a factor of 10 does not matter).
+    largest : largest plausible magnitude of a parameter; may be a function of the plant's parameters by name.
+    signed : both signs are plausible.
+    """
+
+    typical: float
+    largest: float | Callable[[Mapping[str, float]], float]
+    signed: bool = True
 
 
 @dataclass(frozen=True, repr=False)
 class Effect:
-    """One effect (stages at the head of the module).
+    """One effect.  The stages are described at the head of the module.
 
     Parameters
     ----------
-    name : the name in model files and reports; also the file's name.
+    name : name in model files and reports; also the name of the file.
     law : the equation.
     source : citation or derivation.
-    signature : how a record shows it.
+    signature : how records show the effect, in words.
     parameters : parameters and families, in the order in which ``p`` holds them.
-    plants : where it makes sense: "gyro", "modal" (any channels), "resonator" (modal, one drive and one sense).
-    condition : declared condition of a record that fixes the (only) parameter: "rate", or none.
+    plants : plants to which it applies: "gyro", "modal" (any channels), "resonator" (modal, one drive and one sense).
+    condition : condition of a record that, if declared, fixes the only parameter: "rate", or none.
+    depends_on_bias : the law contains the bias, so records at another bias help to identify the effect.
+    mimics_hold : a wrongly declared hold of the drive samples looks like this effect.
+    look_alikes : other effects that reproduce its records.
+    resonance : names of the frequency [Hz] and damping ratio of an additional mode; its residue is free for every drive and
+        sense, and the learning loop scans the two on a fine grid.
+    mains_frequency : name of the parameter that is the mains frequency [Hz]; the effect is added if silence shows a mains line.
+    potential : (q (M, n), p, axes) -> (M,), potential energy of ``force``, if the force has one; checked by a test.
+    size : plausible sizes; by default a tenth of the parameters' scales, up to their range.
 
     Raises
     ------
-    ConfigError : something is not declared, no stage is given, or a null value lies outside its range.
+    ConfigError : a required field is empty, no stage is given, a declared name is not a parameter, or a null value is out of
+        range.
     """
 
     name: str
@@ -115,16 +130,23 @@ class Effect:
     disturbance: Callable[[FloatArray, FloatArray, Context], FloatArray] | None = None
     plants: tuple[str, ...] = ("gyro", "modal")
     condition: str = ""
+    depends_on_bias: bool = False
+    mimics_hold: bool = False
+    look_alikes: tuple[LookAlike, ...] = ()
+    resonance: tuple[str, str] | None = None
+    mains_frequency: str = ""
+    potential: Callable[[FloatArray, FloatArray, int], FloatArray] | None = None
+    size: SizeRange | None = None
 
     def __post_init__(self) -> None:
-        for field in ("name", "law", "source", "signature", "parameters", "plants"):
-            if not getattr(self, field):
-                raise ConfigError(f"effect {self.name!r} does not declare {field}", next_step="fill it in")
+        for required in ("name", "law", "source", "signature", "parameters", "plants"):
+            if not getattr(self, required):
+                raise ConfigError(f"effect {self.name!r} does not declare {required}", next_step=f"declare {required}")
         if not self.stages:
             raise ConfigError("an effect without a stage", value=self.name, allowed=f"one of {', '.join(_STAGES)}")
         names = [parameter.name for parameter in self.parameters]
         if len(set(names)) != len(names):
-            raise ConfigError(f"effect {self.name!r} has two parameters of one name", value=names)
+            raise ConfigError(f"effect {self.name!r} has two parameters with the same name", value=names)
         for parameter in self.parameters:
             if not (parameter.unit and parameter.meaning and parameter.low <= parameter.null <= parameter.high):
                 raise ConfigError(
@@ -132,59 +154,56 @@ class Effect:
                     value=parameter.name,
                     allowed="low <= null <= high",
                 )
+        for name in (*(self.resonance or ()), *filter(None, [self.mains_frequency])):
+            if name not in names:
+                raise ConfigError(f"effect {self.name!r} has no such parameter", value=name, allowed=", ".join(names))
+        if self.potential is not None and self.force is None:
+            raise ConfigError(f"effect {self.name!r} declares a potential without a force", next_step="add the force")
 
     def __repr__(self) -> str:
         return f"load_effect({self.origin!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Functions of a user's file cannot be pickled by name: the file is read again on the other side.
+        # Functions of a user's file cannot be pickled by name, so the receiver loads the file again.
         return load_effect, (self.origin,)
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages it touches, in the order of the signal."""
+        """Names of its stages, in the order of the signal path."""
         return tuple(stage for stage in _STAGES if getattr(self, stage) is not None)
 
     @property
     def origin(self) -> str:
-        """Name of the library module, or path of the user's file."""
+        """Name of the module in ``pipeline.device.effects``, or path of the user's file."""
         function: Any = getattr(self, self.stages[0])
         module = str(function.__module__)
         return module.rpartition(".")[2] if module.startswith(library.__name__) else str(function.__code__.co_filename)
 
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
-        """Its parameters on a plant of ``shape``, families spread out: the order of ``p``."""
+        """Its parameters on a plant of ``shape`` with families expanded, in the order of ``p``."""
         return tuple(member for parameter in self.parameters for member in parameter.members(shape))
 
     def full_name(self, member: Parameter) -> str:
-        """Name of a parameter in a model: "effect.parameter", or the result quantity that it is."""
+        """Name of a parameter in a model: "effect.parameter", or the name of the result quantity that it is."""
         return member.quantity or f"{self.name}.{member.name}"
 
+    def direction(self, shape: Shape) -> Parameter | None:
+        """The parameter that is an angle of a sense vector, defined modulo 180 deg; None if it has none."""
+        return next((member for member in self.members(shape) if member.per == "direction"), None)
+
+    @property
+    def mode(self) -> tuple[str, str] | None:
+        """Full names of the frequency and the damping ratio of the mode that it adds; None if it adds none."""
+        return (
+            None if self.resonance is None else (f"{self.name}.{self.resonance[0]}", f"{self.name}.{self.resonance[1]}")
+        )
+
     def is_null(self, p: FloatArray, shape: Shape) -> bool:
-        """Whether ``p`` is no effect: all parameters that exist at the null are there."""
+        """Whether the effect is absent at ``p`` (k,): all parameters without a grid (or all, if each has one) are null."""
         members = self.members(shape)
         if all(member.grid for member in members):
             return all(value == member.null for value, member in zip(p, members))
         return all(value == member.null for value, member in zip(p, members) if not member.grid)
-
-
-@once
-def compiled_force(force: Callable[..., None]) -> Any:
-    """``force`` compiled to the one signature that the integrator calls.
-
-    Raises
-    ------
-    ConfigError : numba cannot compile it.
-    """
-    try:
-        return njit(FORCE_SIGNATURE, cache=True, error_model="numpy")(force)
-    except Exception as error:
-        raise ConfigError(
-            "the force law of an effect does not compile",
-            value=f"{force.__module__}: {str(error).strip().splitlines()[0] if str(error).strip() else error}",
-            allowed="plain arithmetic on numbers and arrays",
-            next_step="see docs/add-an-effect.md",
-        ) from error
 
 
 def _effect_of(module: ModuleType, where: str) -> Effect:
@@ -196,11 +215,11 @@ def _effect_of(module: ModuleType, where: str) -> Effect:
 
 @lru_cache(maxsize=256)
 def load_effect(origin: str) -> Effect:
-    """The effect of a library module ("cubic_stiffness") or of a user's file ("/some/folder/my_effect.py").
+    """The effect in a module of the library ("cubic_stiffness") or in a user's file ("/some/folder/my_effect.py").
 
     Raises
     ------
-    ConfigError : the file cannot be read or run, or holds no effect.
+    ConfigError : the file cannot be read, fails when run, or defines no effect.
     """
     if not origin.endswith(".py"):
         return _effect_of(importlib.import_module(f"{library.__name__}.{origin}"), origin)
@@ -217,7 +236,7 @@ def load_effect(origin: str) -> Effect:
         raise
     except Exception as error:
         raise ConfigError(
-            "the file of an effect fails when run",
+            "the file of an effect fails when it is run",
             value=f"{origin}: {type(error).__name__}: {error}",
             next_step="run it with python to see where",
         ) from error
@@ -225,23 +244,25 @@ def load_effect(origin: str) -> Effect:
 
 
 def find_effects(folders: Sequence[Path] = ()) -> dict[str, Effect]:
-    """All effects by name, sorted: the library's, then every ``*.py`` in ``folders`` not starting with "_".
+    """All effects by name, sorted: those of the library and every ``*.py`` in ``folders`` whose name does not start with "_".
 
     Raises
     ------
-    ConfigError : a folder does not exist, a file fails, or two effects have one name.
+    ConfigError : a folder does not exist, a file fails, or two effects have the same name.
     """
     origins = sorted(module.name for module in pkgutil.iter_modules(library.__path__))
     for folder in folders:
         if not Path(folder).is_dir():
-            raise ConfigError("no such folder of effects", value=str(folder))
+            raise ConfigError("the folder of effects does not exist", value=str(folder))
         origins += sorted(str(path.resolve()) for path in Path(folder).glob("*.py") if not path.name.startswith("_"))
     found: dict[str, Effect] = {}
     for origin in dict.fromkeys(origins):
         effect = load_effect(origin)
         if effect.name in found:
             raise ConfigError(
-                "two effects of one name", value=effect.name, next_step=f"rename the one in {origin} (name = ...)"
+                "two effects with the same name",
+                value=effect.name,
+                next_step=f"rename the one in {origin} (name = ...)",
             )
         found[effect.name] = effect
     return dict(sorted(found.items()))

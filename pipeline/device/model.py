@@ -21,7 +21,7 @@ from .model_toml import ModelFields, model_toml, read_model
 from .parameters import Parameter, read_prior
 from .plant import C12, Plant, PlantSpec
 
-__all__ = ["DEFAULT_COMPARE_MODEL", "SCREENING_MODEL", "Model", "PlantSpec", "load_model"]
+__all__ = ["DEFAULT_COMPARE_MODEL", "SCREENING_MODEL", "Model", "PlantSpec", "load_model", "mains_effects"]
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,11 @@ class Model:
             found += [(effect.full_name(member), member) for member in effect.members(self.built.shape)]
         # c12 belongs to the smooth coordinates of the plant, so it must come directly after the plant's parameters.
         return tuple(sorted(found, key=lambda item: (len(item[0].split(".")), item[0] == C12)))
+
+    def parameters_of(self, effect: str) -> frozenset[str]:
+        """Full names of the parameters of an effect."""
+        found = self.effect(effect)
+        return frozenset(found.full_name(member) for member in found.members(self.built.shape))
 
     @cached_property
     def free(self) -> tuple[str, ...]:
@@ -272,8 +277,13 @@ class Model:
 
 #: The paper's own model (c12 = 0): compare, diagnose and refine start from it.
 DEFAULT_COMPARE_MODEL = Model()
-#: The model of the screening run.
-SCREENING_MODEL = Model(effects=("offdiagonal_damping",))
+#: The model of the screening run: every effect with a parameter that is a result quantity.
+SCREENING_MODEL = Model(effects=tuple(n for n, e in find_effects().items() if any(p.quantity for p in e.parameters)))
+
+
+def mains_effects() -> dict[str, str]:
+    """Effects that explain a mains line in silent records, each with the full name of its mains frequency."""
+    return {n: f"{n}.{e.mains_frequency}" for n, e in find_effects().items() if e.mains_frequency}
 
 
 def load_model(path: str | Path, effect_folders: Iterable[str | Path] = ()) -> Model:

@@ -54,6 +54,7 @@ class Parameter:
         level).
     fitted : false if only the values of the grid are possible (mains frequency).
     quantity : name of the result quantity that the parameter is (c12_per_s), or none.
+    typical : range from which studies draw a parameter with a grid, log-uniformly; by default the range of the grid.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Parameter:
     grid: tuple[float, ...] = ()
     fitted: bool = True
     quantity: str = ""
+    typical: tuple[float, float] | None = None
 
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
         """The members of the family on a plant of ``shape``."""

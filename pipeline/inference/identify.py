@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..device.model import SCREENING_MODEL, Model, PlantSpec
+from ..device.model import SCREENING_MODEL, Model, PlantSpec, mains_effects
 from ..experiment.noise.level import noise_level
 from ..experiment.noise.lines import hum_line
 from ..experiment.record import Campaign
@@ -80,7 +80,7 @@ def default_models(campaign: Campaign) -> tuple[Model, ...]:
     """Models to try without a model file: the screening gyro for 2 x 2, else one mode, sensed as velocity or displacement."""
     record = campaign.with_role("fit")[0]
     silent = campaign.with_role("noise")
-    hum = ("mains_hum",) if silent and hum_line(silent[0].sense_v, record.sample_rate_hz) else ()
+    hum = tuple(mains_effects()) if silent and hum_line(silent[0].sense_v, record.sample_rate_hz) else ()
     if record.drive_v.shape[1] == record.sense_v.shape[1] == 2:
         return (replace(SCREENING_MODEL, effects=SCREENING_MODEL.effects + hum),)
     return (Model(PlantSpec("modal", 1, "velocity"), hum), Model(PlantSpec("modal", 1, "displacement"), hum))

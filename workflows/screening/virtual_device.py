@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.device.gyro import PHYSICAL, gyro_modes
-from pipeline.device.model import Model
+from pipeline.device.model import SCREENING_MODEL, Model
 from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import behind_filter
 from pipeline.experiment.excitation import drive_samples
@@ -29,8 +29,6 @@ from populations.draw import Draw, draw
 
 from ..config import RunConfig
 from .settings import EFFECT_STREAM, NOISE_STREAM, POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
-
-_SCREENING_EFFECT = "offdiagonal_damping"
 
 
 def physical_of(values: Mapping[str, FloatArray]) -> FloatArray:
@@ -60,11 +58,11 @@ def virtual_model(config: RunConfig) -> Model:
     ConfigError : an effect that does not exist or that the population does not draw; an unknown parameter in a size.
     """
     named = config.experiment.effects
-    model = Model(effects=tuple(dict.fromkeys((_SCREENING_EFFECT, *named, *config.effects))))
+    model = Model(effects=tuple(dict.fromkeys((*SCREENING_MODEL.effects, *named, *config.effects))))
     for name, table in config.effects.items():
         effect = model.effect(name)
         own = [member.name for member in effect.members(model.built.shape)]
-        if name in named or name == _SCREENING_EFFECT or effect.disturbance is not None:
+        if name in named or name in SCREENING_MODEL.effects or effect.disturbance is not None:
             raise ConfigError(
                 "[effects] cannot contain this effect",
                 value=name,

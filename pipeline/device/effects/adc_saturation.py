@@ -1,4 +1,4 @@
-"""The converter's input stage clips below full scale."""
+"""ADC input saturation below full scale."""
 
 from __future__ import annotations
 
@@ -15,12 +15,18 @@ def adc(y: FloatArray, p: FloatArray, context: Context) -> FloatArray:
 
 EFFECT = Effect(
     name="adc_saturation",
-    law="y clipped at +- level, both channels, below full scale",
-    source="supply rails of the input amplifier",
-    signature="only at the peaks: flat tops, odd harmonics, nothing below the level",
+    law="y is clipped at +-level, the same level in both channels, below full scale",
+    source="supply limits of the input amplifier",
+    signature="flat peaks and odd harmonics; samples below the level are unchanged",
     parameters=(
         Parameter(
-            "1/level", "1/V", 0.0, 1e3, "inverse level", scale=0.1, grid=tuple(0.02 * 1.03**k for k in range(200))
+            "1/level",
+            "1/V",
+            0.0,
+            1e3,
+            "inverse of the clip level",
+            scale=0.1,
+            grid=tuple(0.02 * 1.03**k for k in range(200)),
         ),
     ),
     adc=adc,

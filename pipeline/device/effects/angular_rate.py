@@ -1,4 +1,4 @@
-"""Coriolis coupling of the rocking modes."""
+"""Coriolis coupling of the rocking modes by an angular rate."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, SizeRange
 from ..mechanics import Mechanics
 from ..parameters import Parameter
 
@@ -22,9 +22,10 @@ EFFECT = Effect(
     name="angular_rate",
     law="psi'' += -2 Omega I_p/I_0p [[0, -1], [1, 0]] psi'",
     source="the paper, eq. (2)",
-    signature="antisymmetric across the channels, H12 - H21, at the rocking resonances",
-    parameters=(Parameter("Omega", "rad/s", -100.0, 100.0, "Omega I_p/I_0p", scale=0.1),),
+    signature="antisymmetric cross-channel response (H12 - H21) at the rocking resonances",
+    parameters=(Parameter("Omega", "rad/s", -100.0, 100.0, "rate times angular gain I_p/I_0p", scale=0.1),),
     mechanics=mechanics,
     plants=("gyro",),
     condition="rate",
+    size=SizeRange(7e-3, 50.0),
 )

@@ -1,9 +1,11 @@
-"""Springs that stiffen (or soften) with the square of the motion."""
+"""Cubic (Duffing) stiffness."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from ...arrays import FloatArray
-from ..effect import Effect, Laws
+from ..effect import Effect, Laws, SizeRange
 from ..parameters import Parameter
 
 
@@ -15,12 +17,18 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
         out[i] -= p[0] * square * q[i]
 
 
+def potential(q: FloatArray, p: FloatArray, axes: int) -> FloatArray:
+    return np.asarray(p[0] / 4.0 * np.sum(q[:, :axes] ** 2, axis=1) ** 2)
+
+
 EFFECT = Effect(
     name="cubic_stiffness",
     law="psi'' -= k3 |psi|^2 psi,  potential k3 |psi|^4 / 4",
-    source="Duffing; isotropic in psi by the fourfold symmetry of the suspension, Nayfeh & Mook (1979), section 4.1",
-    signature="leaning peak, shift grows as the square of the level, up-sweep differs from down-sweep, third harmonic",
+    source="Duffing oscillator, Nayfeh & Mook (1979), section 4.1; isotropic in psi by the fourfold symmetry of the suspension",
+    signature="leaning peaks; frequency shift ~ level squared; up-sweep differs from down-sweep; third harmonic",
     parameters=(Parameter("k3", "1/(V^2 s^4)", -1e15, 1e15, "cubic stiffness, either sign", scale=1e9),),
     force=force,
+    potential=potential,
+    size=SizeRange(1e8, 1e12),
     plants=("gyro", "resonator"),
 )

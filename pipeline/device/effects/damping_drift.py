@@ -1,9 +1,9 @@
-"""Damping that drifts during a record."""
+"""Linear drift of the damping during a record."""
 
 from __future__ import annotations
 
 from ...arrays import FloatArray
-from ..effect import Effect, Laws
+from ..effect import Effect, Laws, SizeRange
 from ..parameters import Parameter
 
 
@@ -15,9 +15,10 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 
 EFFECT = Effect(
     name="damping_drift",
-    law="C (1 + gamma t), t from the start of the record, all modes",
-    source="free molecular gas damping is proportional to pressure, so C follows a leak or outgassing",
-    signature="peaks passed late are broader than those passed early; flips with the sweep direction",
-    parameters=(Parameter("gamma", "1/s", -0.3, 10.0, "relative drift of all damping", scale=0.05),),
+    law="C (1 + gamma t) for all modes, t from the start of the record",
+    source="free-molecular gas damping is proportional to pressure, so C follows a leak or outgassing",
+    signature="resonances that the sweep passes late are broader than those it passes early; reverses with the sweep direction",
+    parameters=(Parameter("gamma", "1/s", -0.3, 10.0, "relative drift rate of the damping", scale=0.05),),
     force=force,
+    size=SizeRange(2e-3, 1.0, signed=False),
 )

@@ -1,9 +1,9 @@
-"""Electrostatic force goes with the square of the voltage."""
+"""Square-law nonlinearity of the electrostatic drive force."""
 
 from __future__ import annotations
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, SizeRange
 from ..parameters import Parameter
 
 
@@ -13,10 +13,12 @@ def drive(v: FloatArray, p: FloatArray, context: Context) -> FloatArray:
 
 EFFECT = Effect(
     name="drive_nonlinearity",
-    law="force on u = v + eps v^2 / (2 V_b);  eps = 1 for the ideal square law",
+    law="force proportional to u = v + eps v^2 / (2 V_b);  eps = 1 for the ideal square law",
     source="(V_b + v)^2 = V_b^2 + 2 V_b (v + v^2 / (2 V_b)): Senturia, Microsystem Design (2001), section 6.4",
-    signature="response at twice the drive frequency and at offset; beats of the drives; grows as level squared",
-    parameters=(Parameter("eps", "1", -2.0, 2.0, "share of the ideal square law", scale=0.1),),
+    signature="response at zero and twice the drive frequency and at sums of the drive frequencies, ~ level squared",
+    parameters=(Parameter("eps", "1", -2.0, 2.0, "fraction of the ideal square law", scale=0.1),),
     drive=drive,
     plants=("gyro",),
+    depends_on_bias=True,
+    size=SizeRange(0.3, 2.0, signed=False),
 )

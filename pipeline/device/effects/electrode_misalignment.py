@@ -1,4 +1,4 @@
-"""The drive electrodes are turned against the sense electrodes."""
+"""Rotation of the drive electrodes relative to the sense electrodes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, LookAlike, SizeRange
 from ..mechanics import Mechanics
 from ..parameters import Parameter
 
@@ -21,10 +21,13 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 
 EFFECT = Effect(
     name="electrode_misalignment",
-    law="torques (tau_x, tau_y) turned by phi against the sense frame",
-    source="rotation of one electrode mask against the other; turning both together is a gauge of theta",
-    signature="residues of the rocking modes no longer symmetric in the frame of the sense electrodes",
-    parameters=(Parameter("phi", "deg", -45.0, 45.0, "angle of the drive frame against the sense frame", scale=0.1),),
+    law="torques (tau_x, tau_y) rotated by phi relative to the sense frame",
+    source="misalignment of the two electrode masks; a rotation of both together is a gauge freedom of theta",
+    signature="the residues of the rocking modes are not symmetric in the frame of the sense electrodes",
+    parameters=(Parameter("phi", "deg", -45.0, 45.0, "angle from the sense frame to the drive frame", scale=0.1),),
     mechanics=mechanics,
     plants=("gyro",),
+    # Apart from theta, it is an opposite rotation of the sense electrodes: crosstalk a = -b; the mismatch restores up-down.
+    look_alikes=(LookAlike(("pickoff_crosstalk", "electrode_mismatch"), {"phi": 4.0}),),
+    size=SizeRange(0.1, 20.0),
 )

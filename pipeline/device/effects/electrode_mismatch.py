@@ -1,4 +1,4 @@
-"""Rocking sees other electrode gains than up-down does."""
+"""Electrode gains that differ between rocking and up-down motion."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, LookAlike, SizeRange
 from ..mechanics import Mechanics
 from ..parameters import Parameter
 
@@ -26,13 +26,18 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 
 EFFECT = Effect(
     name="electrode_mismatch",
-    law="up-down sees the imbalances s, d; rocking s + m_S, d + m_D; K_1 goes with 1 -, K_2 with 1 +",
-    source="an electrode whose centre is displaced has another lever arm, so another gain for torque than for force",
-    signature="gains of the rocking modes differ from those of the up-down mode; no new frequency, no level dependence",
+    law="imbalances are s, d for up-down and s + m_S, d + m_D for rocking motion; K_1, K_2 ~ 1 -+ imbalance",
+    source="a displaced electrode has another lever arm, so its gain differs between torque and force",
+    signature="channel gains of the rocking modes differ from those of the up-down mode; no new frequency, no level dependence",
     parameters=(
-        Parameter("m_D", "1", -0.5, 0.5, "mismatch of the drive electrodes", scale=0.01),
-        Parameter("m_S", "1", -0.5, 0.5, "mismatch of the sense electrodes", scale=0.01),
+        Parameter("m_D", "1", -0.5, 0.5, "drive imbalance of rocking minus that of up-down", scale=0.01),
+        Parameter("m_S", "1", -0.5, 0.5, "sense imbalance of rocking minus that of up-down", scale=0.01),
     ),
     mechanics=mechanics,
     plants=("gyro",),
+    look_alikes=(
+        LookAlike(("updown_tilt",), {"m_D": 2e-3, "m_S": 2e-3}),
+        LookAlike(("updown_tilt", "pickoff_crosstalk", "electrode_misalignment"), {"m_D": 2e-3, "m_S": -1e-3}),
+    ),
+    size=SizeRange(2e-3, 0.3),
 )

@@ -1,9 +1,9 @@
-"""The pull of the drive electrodes grows as their gap closes."""
+"""Electrostatic softening: the drive force grows as the gap closes."""
 
 from __future__ import annotations
 
 from ...arrays import FloatArray
-from ..effect import Effect, Laws
+from ..effect import Effect, Laws, SizeRange
 from ..parameters import Parameter
 
 
@@ -21,10 +21,12 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 
 EFFECT = Effect(
     name="electrostatic_softening",
-    law="electrode k pulls with K_Dk {(V_b/2 + u_k)/(1 - x_k/g)^2 - V_b/2 - V_b x_k/g},  x = M_D^T psi + z",
+    law="force of electrode k: K_Dk {(V_b/2 + u_k)/(1 - x_k/g)^2 - V_b/2 - V_b x_k/g},  x = M_D^T psi + z",
     source="parallel plate, force (V_b + v)^2 / (g - x)^2: Senturia, Microsystem Design (2001), section 6.4",
-    signature="as a softening cubic with even harmonics; drive and motion multiply; grows as bias^2",
-    parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse gap of the drive electrodes", scale=10.0),),
+    signature="like a softening cubic stiffness, with even harmonics and products of drive and motion; ~ bias squared",
+    parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse of the drive gap", scale=10.0),),
     force=force,
     plants=("gyro",),
+    depends_on_bias=True,
+    size=SizeRange(50.0, 500.0, signed=False),
 )

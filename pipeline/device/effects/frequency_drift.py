@@ -1,9 +1,9 @@
-"""Stiffness that drifts during a record."""
+"""Linear drift of the stiffness during a record."""
 
 from __future__ import annotations
 
 from ...arrays import FloatArray
-from ..effect import Effect, Laws
+from ..effect import Effect, Laws, SizeRange
 from ..parameters import Parameter
 
 
@@ -15,9 +15,10 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 
 EFFECT = Effect(
     name="frequency_drift",
-    law="K (1 + beta t), t from the start of the record, all modes",
+    law="K (1 + beta t) for all modes, t from the start of the record",
     source="temperature coefficient of Young's modulus of silicon: Hopcroft et al., JMEMS 19 (2010) 229",
-    signature="detuning late in a record; flips with the direction of the sweep",
-    parameters=(Parameter("beta", "1/s", -0.1, 0.1, "relative drift of all stiffness", scale=1e-4),),
+    signature="detuning that grows during a record; reverses with the sweep direction",
+    parameters=(Parameter("beta", "1/s", -0.1, 0.1, "relative drift rate of the stiffness", scale=1e-4),),
     force=force,
+    size=SizeRange(1e-6, 1e-2),
 )

@@ -1,9 +1,9 @@
-"""The gain of the pick-offs drifts during a record."""
+"""Linear drift of the pick-off gain during a record."""
 
 from __future__ import annotations
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, SizeRange
 from ..parameters import Parameter
 
 
@@ -13,9 +13,10 @@ def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatA
 
 EFFECT = Effect(
     name="gain_drift",
-    law="S (1 + gamma t), t from the start of the record, both channels",
-    source="warming of amplifier and bias reference",
-    signature="amplitudes late in a record differ from those early; flips with the direction of the sweep; no detuning",
-    parameters=(Parameter("gamma", "1/s", -0.3, 1.0, "relative drift of the gain", scale=1e-3),),
+    law="S (1 + gamma t) in both channels, t from the start of the record",
+    source="thermal drift of the amplifier and of the bias reference",
+    signature="amplitudes late in a record differ from those early in it; reverses with the sweep direction; no detuning",
+    parameters=(Parameter("gamma", "1/s", -0.3, 1.0, "relative drift rate of the gain", scale=1e-3),),
     sense=sense,
+    size=SizeRange(5e-4, 0.2),
 )

@@ -1,11 +1,11 @@
-"""The record comes late."""
+"""Constant loop delay."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, LookAlike, SizeRange
 from ..parameters import Parameter
 from ..readout import Readout
 
@@ -16,9 +16,12 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 
 EFFECT = Effect(
     name="loop_delay",
-    law="exp(-s tau), both channels",
+    law="exp(-s tau) in both channels",
     source="conversion and transport time of the data acquisition",
-    signature="phase linear in frequency, all channels alike, amplitudes untouched",
+    signature="phase lag proportional to frequency, equal in all channels; amplitudes unchanged",
     parameters=(Parameter("tau", "s", 0.0, 1e-2, "delay", scale=1e-6),),
     readout=readout,
+    mimics_hold=True,
+    look_alikes=(LookAlike(("pickoff_pole",), {"tau": 2e-7}, always=True),),
+    size=SizeRange(5e-7, 1e-3, signed=False),
 )

@@ -1,4 +1,4 @@
-"""Hum of the mains."""
+"""Mains hum: harmonics of 50 or 60 Hz."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ def disturbance(t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
 
 EFFECT = Effect(
     name="mains_hum",
-    law="S += sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t), free in every channel and record, h up to top",
+    law="S += sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t), h = 1 .. top; a_h, b_h free per channel and record",
     source="the paper, section 3.1 and figure 4 (multiples of 60 Hz)",
-    signature="fixed lines, present in silence",
+    signature="lines at fixed frequencies, also in silent records",
     parameters=(
         Parameter("f", "Hz", 50.0, 60.0, "mains frequency", 60.0, grid=(50.0, 60.0), fitted=False),
-        Parameter("top", "1", 1.0, 1e3, "highest harmonic", 16.0, grid=(1.0, 5.0, 16.0), fitted=False),
+        Parameter("top", "1", 1.0, 1e3, "number of the highest harmonic", 16.0, grid=(1.0, 5.0, 16.0), fitted=False),
     ),
     disturbance=disturbance,
+    mains_frequency="f",
 )

@@ -1,11 +1,11 @@
-"""Damping that grows with speed."""
+"""Quadratic damping (drag)."""
 
 from __future__ import annotations
 
 import math
 
 from ...arrays import FloatArray
-from ..effect import Effect, Laws
+from ..effect import Effect, Laws, SizeRange
 from ..parameters import Parameter
 
 
@@ -22,8 +22,9 @@ EFFECT = Effect(
     name="nonlinear_damping",
     law="psi'' -= d |psi'| psi',  d >= 0",
     source="quadratic drag: Nayfeh & Mook, Nonlinear Oscillations (1979), section 3.3",
-    signature="resonance peaks are compressed as the level grows, without a shift of frequency",
-    parameters=(Parameter("d", "1/(V s)", 0.0, 1e6, "quadratic drag", scale=0.1),),
+    signature="resonance peaks grow less than the level; no frequency shift",
+    parameters=(Parameter("d", "1/(V s)", 0.0, 1e6, "drag coefficient", scale=0.1),),
     force=force,
     plants=("gyro", "resonator"),
+    size=SizeRange(3e-3, 10.0, signed=False),
 )

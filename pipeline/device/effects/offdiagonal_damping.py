@@ -1,13 +1,14 @@
-"""Off-diagonal damping in the stiffness axes."""
+"""Off-diagonal damping c12 in the stiffness axes."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, SizeRange
 from ..mechanics import Mechanics
 from ..parameters import Parameter
 
@@ -20,14 +21,20 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
     return replace(m, damping=damping)
 
 
+def _passive(plant: Mapping[str, float]) -> float:
+    c11, c22 = (4.0 * np.pi * plant[f"f{i}_hz"] * plant[f"zeta{i}"] for i in (1, 2))
+    return float(0.9 * np.sqrt(c11 * c22))
+
+
 EFFECT = Effect(
     name="offdiagonal_damping",
-    law="C = Q^T [[c11, c12], [c12, c22]] Q with the axes Q of K; |c12| <= sqrt(c11 c22)",
+    law="C = Q^T [[c11, c12], [c12, c22]] Q, Q the principal axes of K; |c12| <= sqrt(c11 c22)",
     source="the paper, eq. (2) and section 5.1",
-    signature="reciprocal, in quadrature across the channels at the rocking resonances",
+    signature="reciprocal cross-channel response in quadrature at the rocking resonances",
     parameters=(
         Parameter("c12", "1/s", -100.0, 100.0, "off-diagonal damping in the stiffness axes", quantity="c12_per_s"),
     ),
     mechanics=mechanics,
     plants=("gyro",),
+    size=SizeRange(0.02, _passive),
 )

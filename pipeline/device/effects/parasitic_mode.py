@@ -1,13 +1,15 @@
-"""One more mode of the structure or its package."""
+"""Parasitic resonance: one additional mode of the structure or its package."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, LookAlike, SizeRange
 from ..mechanics import Mechanics
 from ..parameters import Parameter
+
+_GRID = tuple(300.0 * 1.02**k for k in range(141))
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
@@ -18,7 +20,7 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
     c[:, n, n], k[:, n, n] = 2.0 * p[1] * omega, omega**2
     drive = np.append(m.drive, np.broadcast_to(p[2 : 2 + drives], (m.drive.shape[0], 1, drives)), axis=1)
     velocity, position = (np.pad(old, ((0, 0), (0, 0), (0, 1))) for old in (m.velocity_sense, m.position_sense))
-    # A displacement pick-off sees omega w, so that b keeps its meaning.
+    # A displacement pick-off measures omega w, so that b has the same unit as for a velocity pick-off.
     displacement = bool(np.any(m.position_sense))
     (position if displacement else velocity)[:, :, n] = vector * (omega if displacement else 1.0)
     return Mechanics(c, g, k, drive, velocity, position)
@@ -27,13 +29,16 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 EFFECT = Effect(
     name="parasitic_mode",
     law="w'' + 2 zeta omega w' + omega^2 w = b.v,  S += (cos a, sin a) w';  300 Hz <= f",
-    source="one more structural mode has a residue of rank one",
-    signature="a resonance where the plant has none, with the same sense vector for all drives",
+    source="the residue of a structural mode has rank one",
+    signature="a resonance at a frequency where the plant has none, with the same sense vector for all drives",
     parameters=(
-        Parameter("f", "Hz", 300.0, 1e5, "frequency", 1e3, grid=tuple(300.0 * 1.02**k for k in range(141))),
-        Parameter("zeta", "1", 1e-5, 0.5, "damping ratio", 3e-3, 1e-4, grid=(1e-3, 1e-2)),
+        Parameter("f", "Hz", 300.0, 1e5, "frequency", 1e3, grid=_GRID, typical=(300.0, 2500.0)),
+        Parameter("zeta", "1", 1e-5, 0.5, "damping ratio", 3e-3, 1e-4, grid=(1e-3, 1e-2), typical=(5e-4, 2e-2)),
         Parameter("b", "1/s", -1e3, 1e3, "drive vector", scale=0.01, per="drive"),
         Parameter("a", "deg", -90.0, 90.0, "sense angle", 45.0, grid=(-67.5, -22.5, 22.5, 67.5), per="direction"),
     ),
     mechanics=mechanics,
+    look_alikes=(LookAlike(("capacitive_feedthrough",), {"f": 3e4, "zeta": 1e-2, "b_d1": 40.0, "a": 0.0}),),
+    resonance=("f", "zeta"),
+    size=SizeRange(1.0, 900.0),
 )

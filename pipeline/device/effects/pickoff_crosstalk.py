@@ -1,11 +1,11 @@
-"""The pick-off channels see each other."""
+"""Crosstalk between the pick-off channels."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, SizeRange
 from ..parameters import Parameter
 from ..readout import Readout
 
@@ -17,12 +17,13 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="pickoff_crosstalk",
     law="S <- (1 + [[0, a], [b, 0]]) S",
-    source="capacitive or inductive coupling of the two pick-off amplifiers, flat over the band",
-    signature="one channel repeated in the other, all modes and feedthrough alike",
+    source="capacitive or inductive coupling between the two pick-off amplifiers, independent of frequency",
+    signature="a copy of one channel in the other, equal for all modes and for feedthrough",
     parameters=(
         Parameter("a", "1", -0.9, 0.9, "from channel 2 to channel 1", scale=0.01),
         Parameter("b", "1", -0.9, 0.9, "from channel 1 to channel 2", scale=0.01),
     ),
     readout=readout,
     plants=("gyro",),
+    size=SizeRange(1e-3, 0.5),
 )

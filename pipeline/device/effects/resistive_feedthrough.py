@@ -1,11 +1,11 @@
-"""Drive voltage couples into the pick-offs through leakage or shared ground."""
+"""Resistive feedthrough from the drives to the pick-offs."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, SizeRange
 from ..parameters import Parameter
 from ..readout import Readout
 
@@ -17,8 +17,10 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="resistive_feedthrough",
     law="S += R v",
-    source="Ohmic leakage or a shared ground: the paper's electrical cross-coupling, section 2.2",
-    signature="floor in phase with the drive at all frequencies",
-    parameters=(Parameter("R", "1", -10.0, 10.0, "coupling", scale=1e-3, per="path"),),
+    source="ohmic leakage or a shared ground: electrical cross-coupling, the paper, section 2.2",
+    signature="broadband response in phase with the drive, independent of frequency",
+    parameters=(Parameter("R", "1", -10.0, 10.0, "coupling gain", scale=1e-3, per="path"),),
     readout=readout,
+    mimics_hold=True,
+    size=SizeRange(3e-4, 1.0),
 )

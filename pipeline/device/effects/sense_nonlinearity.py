@@ -1,9 +1,9 @@
-"""The pick-off's sensitivity grows as its gap closes."""
+"""Pick-off nonlinearity: the sensitivity grows as the gap closes."""
 
 from __future__ import annotations
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, SizeRange
 from ..parameters import Parameter
 
 
@@ -15,8 +15,9 @@ EFFECT = Effect(
     name="sense_nonlinearity",
     law="S = x' / (1 - x/g)^2",
     source="current of a biased parallel plate, V_b dC/dt with C = eps A / (g - x): Senturia (2001), section 6.4",
-    signature="harmonics 2f and 3f of the motion without any shift of frequency; mostly outside 400 to 700 Hz",
-    parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse gap of the sense electrodes", scale=10.0),),
+    signature="second and third harmonics of the motion without a frequency shift; mostly outside 400 to 700 Hz",
+    parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse of the sense gap", scale=10.0),),
     sense=sense,
     plants=("gyro",),
+    size=SizeRange(2.0, 500.0, signed=False),
 )

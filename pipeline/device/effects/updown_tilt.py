@@ -1,11 +1,11 @@
-"""The up-down mode tilts as it moves."""
+"""Tilt of the up-down mode shape about x."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect
+from ..effect import Context, Effect, LookAlike, SizeRange
 from ..gyro import M_D, M_S
 from ..mechanics import Mechanics
 from ..parameters import Parameter
@@ -20,10 +20,13 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 
 EFFECT = Effect(
     name="updown_tilt",
-    law="z is driven by f_z - t_x tau_x and seen as z' (1, 1) + t_x z' (1, -1)",
-    source="mode shape psi_x = -t_x z from K_zx = sum k y of the springs; reciprocity fixes the drive side",
-    signature="the up-down residue is no longer along (1, 1); only at the up-down resonance",
+    law="z is driven by f_z - t_x tau_x and measured as z' (1, 1) + t_x z' (1, -1)",
+    source="mode shape psi_x = -t_x z from the spring coupling K_zx = sum k y; reciprocity gives the drive side",
+    signature="the residue of the up-down mode is not along (1, 1); visible only at the up-down resonance",
     parameters=(Parameter("t_x", "1", -1.0, 1.0, "rotation about x in the up-down mode", scale=0.01),),
     mechanics=mechanics,
     plants=("gyro",),
+    # A mismatch of the gains, with the imbalances and rocking gains adjusted, is the more general law.
+    look_alikes=(LookAlike(("electrode_mismatch",), {"t_x": 3e-3}, always=True),),
+    size=SizeRange(2e-3, 0.5),
 )

@@ -6,7 +6,7 @@ from typing import Any
 
 from numba import njit, types
 
-from ...device.effect import FORCE_TYPE, LAWS_TYPE
+from ...device.force_law import FORCE_TYPE, LAWS_TYPE
 from ...threads import once
 from .kernels import MOST_FORCES, deviation_from_linear, first_order_deviation, linear_states
 

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from ...arrays import FloatArray, IntArray
-from ...device.effect import Laws, compiled_force
+from ...device.force_law import Laws, compiled_force
 from ...device.mechanics import Mechanics, state_matrix
 from ...errors import ConfigError
 from ..instrument import Hold

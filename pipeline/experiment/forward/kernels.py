@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from ...arrays import FloatArray
-from ...device.effect import Laws
+from ...device.force_law import Laws
 
 #: Most force effects that can act at once.
 MOST_FORCES = 8

@@ -18,8 +18,6 @@ from ...experiment.instrument import HOLDS, Hold
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit, fit_campaign
 
-#: Effects of the read-out that a wrong hold looks like.
-STAND_INS = ("capacitive_feedthrough", "loop_delay", "pickoff_pole", "resistive_feedthrough")
 #: Samples of each fit record that are asked.
 _ASKED = 12_000
 #: Relative error of a better hold, as a share of that with the declared one.
@@ -68,7 +66,7 @@ def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -
 
 def stand_ins_of(fit: CampaignFit, given: Sequence[str] = ()) -> tuple[str, ...]:
     """Effects of a fit that a wrong hold looks like and that the user did not put there."""
-    return tuple(name for name in STAND_INS if name in fit.model.effects and name not in given)
+    return tuple(e.name for e in fit.model.ordered_effects() if e.mimics_hold and e.name not in given)
 
 
 def _forces_of(fit: CampaignFit, given: Sequence[str]) -> tuple[str, ...]:

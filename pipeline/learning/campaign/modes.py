@@ -29,7 +29,6 @@ from ...experiment.forward.modal_bank import hold_gains
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign
 
-NAME = "parasitic_mode"
 #: Wide and narrow modes: zeta, relative step of the grid, margin around the driven band (as a share of its edges).
 _WIDE = (1e-2, 0.02, 1e9)
 _NARROW = (1.5e-3, 0.003, 0.05)
@@ -205,7 +204,9 @@ def _respond(
             out[p, f] = total * transfer[f] / aliases
 
 
-def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: FloatArray) -> LocalCandidate:
+def mode_candidate(
+    name: str, mode: tuple[str, str], fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: FloatArray
+) -> LocalCandidate:
     """The decrease of chi2 by an additional mode at each grid point; ``sigma_v`` (S,) is the noise level [V]."""
     base = baseline(fit)
     stacked = [_by_bin(base, scan.places, senses) for scan in scans]
@@ -235,10 +236,10 @@ def mode_candidate(fit: FitResult, scans: Sequence[Scan], senses: int, sigma_v: 
     found = [scored(first) for first in range(0, len(points), _SCORED)]
     delta_chi2s, levels = (np.concatenate(part).tolist() for part in zip(*found))
     return LocalCandidate(
-        NAME,
+        name,
         tuple(delta_chi2s),
         (drives * senses,) * len(points),
-        tuple({f"{NAME}.f": point.f_hz, f"{NAME}.zeta": point.zeta} for point in points),
+        tuple({mode[0]: point.f_hz, mode[1]: point.zeta} for point in points),
         levels=tuple(levels),
     )
 

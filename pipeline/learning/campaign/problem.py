@@ -19,7 +19,6 @@ from ...inference.general.fit import CampaignFit, fit_with_columns
 from ...inference.general.residuals import CampaignResiduals
 from ..where.partition import RecordPartition, record_partitions, residual_spectra
 from ..where.regions import structure_regions
-from .modes import NAME as MODE
 from .modes import Scan, mode_candidate, mode_scans
 from .rows import TOP_HZ, FourierRows, fit_result, spectra_of, strata_of
 from .signatures import KnownSignatures, disturbance_candidate, known_signatures, probe_signatures
@@ -50,7 +49,9 @@ class CampaignProblem:
         self.model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])
         self._fits: dict[frozenset[str], tuple[CampaignFit, FitResult]] = {}
         self._known: KnownSignatures | None = None
-        self._mode_starts: dict[frozenset[str], tuple[float, ...]] = {}
+        # Effects that add a mode, with the full names of its frequency and damping ratio.
+        self._modes = {name: effect.mode for name, effect in self.model.library.items() if effect.mode is not None}
+        self._mode_starts: dict[tuple[str, frozenset[str]], tuple[float, ...]] = {}
 
     @cached_property
     def spectra(self) -> tuple[FourierRows, ...]:
@@ -85,7 +86,7 @@ class CampaignProblem:
             for term in terms:
                 model = model.with_effect(term)
             values = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
-            likely = {f"{MODE}.f": self._mode_starts.get(key - {MODE}, ())}
+            likely = {mode[0]: self._mode_starts.get((name, key - {name}), ()) for name, mode in self._modes.items()}
             try:
                 fitted, columns = fit_with_columns(model, self.campaign, self.noise, values, likely, self.threads)
                 result = fit_result(fitted, columns, terms, self.campaign, self.spectra, self.strata)
@@ -98,9 +99,9 @@ class CampaignProblem:
         """Signatures of all absent effects; those of an earlier fit are reused until the model has moved by ``_STALE``."""
         fitted = self.campaign_fit(fit.terms)
         library, absent = fitted.model.library, fitted.model.candidates()
-        names = [name for name in absent if name != MODE and library[name].disturbance is None]
+        names = [name for name in absent if name not in self._modes and library[name].disturbance is None]
         with ThreadPoolExecutor(self.threads) as pool:
-            mode = pool.submit(self._mode, fit) if MODE in absent else None
+            scanned = [pool.submit(self._mode, name, fit) for name in absent if name in self._modes]
             disturbances = [
                 pool.submit(disturbance_candidate, fitted, self.records, name)
                 for name in absent
@@ -112,16 +113,17 @@ class CampaignProblem:
                 known = known_signatures(residuals, fitted, names, self.records, self.spectra, self.strata, pool)
                 self._known = known
         candidates = tuple(c for c in known.candidates if c.name in names)
-        local = [*(job.result() for job in disturbances), *(() if mode is None else mode.result())]
+        local = [*(job.result() for job in disturbances), *(mode for job in scanned for mode in job.result())]
         return Signatures(candidates, known.blocks, tuple(local), known.grams)
 
-    def _mode(self, fit: FitResult) -> tuple[LocalCandidate, ...]:
-        """An additional mode as a candidate, if its grid is not empty; its best frequencies are kept as starts of a fit."""
+    def _mode(self, name: str, fit: FitResult) -> tuple[LocalCandidate, ...]:
+        """The mode of an effect as a candidate, if its grid is not empty; its best frequencies are kept as starts of a fit."""
         if not any(scan.points for scan in self.scans):
             return ()
-        found = mode_candidate(fit, self.scans, self.model.built.shape.senses, self.noise.sigma_v)
+        mode, senses = self._modes[name], self.model.built.shape.senses
+        found = mode_candidate(name, mode, fit, self.scans, senses, self.noise.sigma_v)
         order = np.argsort(found.delta_chi2s)[::-1][:_MODE_STARTS]
-        self._mode_starts[frozenset(fit.terms)] = tuple(found.grid[i][f"{MODE}.f"] for i in order)
+        self._mode_starts[name, frozenset(fit.terms)] = tuple(found.grid[i][mode[0]] for i in order)
         return (found,)
 
     def probes(self, fit: FitResult) -> Signatures:

@@ -20,7 +20,6 @@ from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit, RecordFit
 from ...inference.general.gauss_newton import Sensitivity
 from ..where.partition import resonances_of
-from .modes import NAME as MODE
 
 #: Upper end of the rows [Hz]: drives below 700 Hz excite hardly anything above it, for any effect of the library.
 TOP_HZ = 2500.0
@@ -93,8 +92,7 @@ def fit_result(
     """
     free, noise_known = fitted.model.free, fitted.noise.source != "local"
     columns = {
-        term: tuple(i for i, name in enumerate(free) if name.startswith(f"{term}.") or _is_quantity(term, name))
-        for term in terms
+        term: tuple(i for i, name in enumerate(free) if name in fitted.model.parameters_of(term)) for term in terms
     }
     derived = {}
     if fitted.theta_deg is not None and fitted.split_hz is not None:
@@ -119,7 +117,7 @@ def fit_result(
         at_limit=tuple(
             term
             for term in terms
-            if any(_at_limit(fitted, free[i]) for i in columns[term]) or (term == MODE and _overlaps_resonance(fitted))
+            if any(_at_limit(fitted, free[i]) for i in columns[term]) or _overlaps_resonance(fitted, term)
         ),
     )
 
@@ -217,11 +215,10 @@ def _at_limit(fitted: CampaignFit, name: str) -> bool:
     return value in (low, high) and value != null
 
 
-def _overlaps_resonance(fitted: CampaignFit) -> bool:
-    """Whether the additional mode lies in the resonance of a plant mode: it then only corrects that mode's residue."""
-    f, zeta = (fitted.values[f"{MODE}.{name}"] for name in ("f", "zeta"))
+def _overlaps_resonance(fitted: CampaignFit, term: str) -> bool:
+    """Whether a term adds a mode in the resonance of a plant mode: it then only corrects that mode's residue."""
+    mode = fitted.model.effect(term).mode
+    if mode is None:
+        return False
+    f, zeta = (fitted.values[name] for name in mode)
     return any(abs(f - other) < _APART * (zeta * f + width) for other, width in resonances_of(fitted.values))
-
-
-def _is_quantity(term: str, name: str) -> bool:
-    return term == "offdiagonal_damping" and name == "c12_per_s"

@@ -154,7 +154,8 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
     """The candidate, and for each record its columns (k, 2 F S) by grid point; ``None`` if the effect does not apply."""
     effect = at.model.library[name]
     members = effect.members(at.model.built.shape)
-    angle = next((m.name for m in members if m.per == "direction" or (m.name == "a" and m.grid)), None)
+    direction = effect.direction(at.model.built.shape)
+    angle = None if direction is None else direction.name
     grid: dict[str, tuple[float, ...]] = {}
     if angle is not None and len(members) > 1:
         grid[angle] = _AXES_DEG

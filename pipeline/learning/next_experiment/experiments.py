@@ -25,8 +25,7 @@ from ...experiment.instrument import Adc
 from ...experiment.record import Campaign, Record
 from ..campaign.rows import TOP_HZ
 
-#: Effects whose law holds the bias, and the share of the bias that is tried.
-_BIASED = {"electrostatic_softening", "drive_nonlinearity"}
+#: Share of the bias that is tried where an effect depends on it.
 _LESS_BIAS = 0.7
 #: Relative level of the low-level experiment.
 _LOWER = 0.35
@@ -124,7 +123,7 @@ def experiments(
     shapes += _wide(campaign, level, duration, drives)
     shapes += _resonant([f for f in lines if f < _top(campaign)], level, duration, drives)
     found = [replace(shape, bias_v=condition.bias_v, rate_dps=condition.rate_dps) for shape in shapes]
-    if _BIASED & set(terms):
+    if any(model.library[term].depends_on_bias for term in terms if term in model.library):
         bias = campaign.instrument.bias_v if condition.bias_v is None else condition.bias_v
         found.append(replace(found[0], bias_v=_LESS_BIAS * bias))
     if any(model.library[term].condition == "rate" for term in terms if term in model.library):

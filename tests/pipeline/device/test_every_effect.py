@@ -196,20 +196,20 @@ def test_energy_falls_without_drive(name: str, angle: float, share: float) -> No
 
 def test_a_wrong_file_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("EFFECT = 1 / 0\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match="fails when run"):
+    with pytest.raises(ConfigError, match="fails when it is run"):
         find_effects((tmp_path,))
     (tmp_path / "broken.py").write_text("x = 1\n", encoding="utf-8")
     load_effect.cache_clear()
     with pytest.raises(ConfigError, match="no EFFECT"):
         find_effects((tmp_path,))
-    with pytest.raises(ConfigError, match="no such folder"):
+    with pytest.raises(ConfigError, match="folder of effects does not exist"):
         find_effects((tmp_path / "absent",))
 
 
 def test_a_name_can_be_taken_only_once(user_folder: Path, tmp_path: Path) -> None:
     text = (user_folder / "squeeze_film.py").read_text(encoding="utf-8")
     (tmp_path / "mine.py").write_text(text.replace('"squeeze_film"', '"gain_drift"'), encoding="utf-8")
-    with pytest.raises(ConfigError, match="two effects of one name"):
+    with pytest.raises(ConfigError, match="two effects with the same name"):
         find_effects((tmp_path,))
 
 

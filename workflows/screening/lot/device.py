@@ -22,7 +22,7 @@ from pipeline.criticism.problem import Candidate, FitResult
 from pipeline.criticism.scores import baseline, project
 from pipeline.criticism.shared import SharedTerm
 from pipeline.device.gyro import PHYSICAL
-from pipeline.device.model import Model
+from pipeline.device.model import SCREENING_MODEL, Model, mains_effects
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
@@ -41,7 +41,6 @@ from ...config import RunConfig
 from ..settings import population, rate_of
 from ..virtual_device import shared_record, virtual_records
 
-_SCREENING, _HUM = "offdiagonal_damping", "mains_hum"
 _DRAWS, _STREAM = 400, 109
 
 Source = tuple[RunConfig, tuple[Path, ...]]
@@ -103,7 +102,7 @@ def columns_of(terms: tuple[str, ...]) -> tuple[SharedTerm, ...]:
 
     Effects with a parameter that is scanned on a grid are left out: it does not exist at the null.
     """
-    model = Model(effects=(_SCREENING, *terms))
+    model = Model(effects=(*SCREENING_MODEL.effects, *terms))
     found, place = [], 0
     for name in model.candidates():
         effect = model.effect(name)
@@ -155,8 +154,9 @@ def measurement_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, f
 def _examined(source: Source, request: Request) -> DeviceExamination:
     config, _ = source
     campaign, noise, line = measurement_of(source, request.number)
-    model = Model(effects=(_SCREENING, *((_HUM,) if line else ())))
-    start = dict(request.start) | ({f"{_HUM}.f": line} if line else {})
+    hum = mains_effects() if line else {}
+    model = Model(effects=(*SCREENING_MODEL.effects, *hum))
+    start = dict(request.start) | (dict.fromkeys(hum.values(), line) if line else {})
     score, information, covariance = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
     effects = sizes = reason = ""
     if request.scored or request.alone:

@@ -10,11 +10,13 @@ import pytest
 
 from pipeline.criticism.selection import forward_selection
 from pipeline.experiment.forward.record import forward
-from pipeline.learning.campaign.modes import NAME, mode_candidate
+from pipeline.learning.campaign.modes import mode_candidate
 from workflows.learning import view_of
 from workflows.studies.hidden.draw import hide
 from workflows.studies.hidden.effects import LIBRARY
 from workflows.studies.hidden.narrowed import Narrowed
+
+NAME = "parasitic_mode"
 
 
 @pytest.mark.usefixtures("brief_records")
@@ -35,7 +37,7 @@ def test_the_scan_peaks_at_the_mode_with_the_fall_that_its_strength_promises(f_h
     change = [100.0 / unit * (b - a) for a, b in zip(without, once)]
     records = [replace(r, sense_v=r.sense_v + c) for r, c in zip(hidden.campaign.records, change)]
     louder = view_of(replace(hidden.campaign, records=tuple(records)), threads=1)
-    found = mode_candidate(louder.fit(()), louder.scans, 2, louder.noise.sigma_v)
+    found = mode_candidate(NAME, (f"{NAME}.f", f"{NAME}.zeta"), louder.fit(()), louder.scans, 2, louder.noise.sigma_v)
     best = int(np.argmax(found.delta_chi2s))
     assert abs(found.grid[best][f"{NAME}.f"] / f_hz - 1.0) < 0.03
     # Held-out records and what the plant absorbs are not in the fall; the grid is a little off the mode.
