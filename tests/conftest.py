@@ -22,3 +22,13 @@ def brief_records(monkeypatch: pytest.MonkeyPatch) -> None:
 
     brief = [(name, role, replace(e, duration_s=1.0)) for name, role, e in standard_excitations(1)]
     monkeypatch.setattr(draw, "standard_excitations", lambda seed: brief)
+
+
+@pytest.fixture
+def short_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The standard campaign without its last record, and with records of 0.1 s."""
+    from workflows.simulate import standard_excitations
+    from workflows.studies.hidden import draw
+
+    short = [(name, role, replace(e, duration_s=0.1)) for name, role, e in standard_excitations(1)[:-1]]
+    monkeypatch.setattr(draw, "standard_excitations", lambda seed: short)

@@ -4,16 +4,16 @@
     S = K_S (M_S psi' + (1, 1)^T z'),   K_S = diag(1 - s, 1 + s),   K_D = diag(1 - d, 1 + d)
     M_S = [[-1, -1], [1, -1]],          M_D = [[-1, 1], [1, 1]]
 
-Three sets of the same twelve numbers:
+Three equivalent sets of parameters:
 
 physical   f1, f2, f3 [Hz], zeta1, zeta2, zeta3, theta [deg], c12 [1/s], G_r, G_z [1/s], s, d   (columns of ``PHYSICAL``)
 cartesian  x = (omega0, eps_c, eps_s, c0, d_c, d_s [rad/s, 1/s], omega3, c33, ln G_r, ln G_z, s, d):
                K = omega0^2 I + omega0 E,  E = [[eps_c, eps_s], [eps_s, -eps_c]]
                C = c0 I + [[d_c, d_s], [d_s, -d_c]]           in the fixed x, y frame
-           Smooth where physical is not: at vanishing split, and for theta through +-90 deg.
+           Smooth where the physical parameters are not: at zero split, and where theta crosses +-90 deg.
 modes      poles p_k and residues R_k of H(s) = sum_k R_k / (s - p_k) + conj, from v to S.
 
-theta is the angle of the axis u1 = (cos, sin) that belongs to the lower eigenvalue omega1^2 of K.
+theta is the angle of the principal axis u1 = (cos, sin) of the lower eigenvalue omega1^2 of K.  Shapes: B devices.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ TAU = 2.0 * math.pi
 
 
 def to_cartesian(physical: FloatArray) -> FloatArray:
-    """Cartesian parameters (B, 12) of physical parameters (B, 12)."""
+    """Cartesian parameters (..., 12) from physical parameters (..., 12); units at the head of the module."""
     f1, f2, f3, zeta1, zeta2, zeta3, theta_deg, c12, g_r, g_z, s, d = np.moveaxis(physical, -1, 0)
     omega1, omega2, omega3 = TAU * f1, TAU * f2, TAU * f3
     double = np.deg2rad(2.0 * theta_deg)
@@ -88,10 +88,10 @@ def to_cartesian(physical: FloatArray) -> FloatArray:
 
 
 def to_physical(cartesian: FloatArray) -> FloatArray:
-    """Physical parameters (B, 12) of cartesian parameters (B, 12); theta_deg in (-90, 90]."""
+    """Physical parameters (..., 12) from cartesian parameters (..., 12); theta_deg in (-90, 90]."""
     omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = np.moveaxis(cartesian, -1, 0)
     eps = np.hypot(eps_c, eps_s)
-    # The lower axis carries -eps, hence the turn of 2 theta by 180 deg.
+    # The lower axis has the eigenvalue -eps, so 2 theta is the angle of -(eps_c, eps_s).
     double = np.arctan2(-eps_s, -eps_c)
     theta_deg = np.rad2deg(double) / 2.0
     theta_deg = np.where(theta_deg <= -90.0, theta_deg + 180.0, theta_deg)
@@ -127,7 +127,7 @@ def split_hz(cartesian: FloatArray) -> FloatArray:
 
 
 def gyro_mechanics(physical: FloatArray) -> Mechanics:
-    """Mechanics in the coordinates (psi_x, psi_y, z) of physical parameters (B, 12)."""
+    """Mechanics in the coordinates (psi_x, psi_y, z) from physical parameters (B, 12)."""
     x = to_cartesian(physical)
     batch = x.shape[0]
     omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = x.T
@@ -153,7 +153,7 @@ def gyro_mechanics(physical: FloatArray) -> Mechanics:
 
 
 def gyro_modes(physical: FloatArray) -> Modes:
-    """Modes of physical parameters (B, 12), through the eigenvectors of the state matrix."""
+    """Modes from physical parameters (B, 12), by the eigenvectors of the state matrix; errors as in :func:`modes_of`."""
     return modes_of(gyro_mechanics(physical))
 
 
@@ -161,7 +161,7 @@ def gyro_modes(physical: FloatArray) -> Modes:
 def _pole_near(
     start: complex, other: complex, kxx: float, kxy: float, kyy: float, cxx: float, cxy: float, cyy: float
 ) -> complex:
-    """Newton on det(s^2 I + s C + K) / (s - other) = 0 from ``start``: never falls on the root ``other``."""
+    """Root of det(s^2 I + s C + K) / (s - other) by Newton's method from ``start``; it never returns the root ``other``."""
     p = start
     for _ in range(40):
         a, b, c = p * p + p * cxx + kxx, p * cxy + kxy, p * p + p * cyy + kyy
@@ -180,11 +180,11 @@ def _pole_near(
 
 @njit(cache=True)
 def cartesian_modes(x: FloatArray, poles: ComplexArray, residues: ComplexArray) -> None:
-    """Modes of one device in closed form; x (12,) -> poles (3,), residues (3, 2, 2), written in place.
+    """Modes of one device with cartesian parameters x (12,): writes poles (3,) [rad/s] and residues (3, 2, 2) [rad/s].
 
-    The rocking pair solves det P(s) = 0, P(s) = s^2 I + s C + K, and R = s adj P / (det P)' there: the same modes as
-    :func:`gyro_modes`, a thousand times faster.  Where both poles coincide (an exceptional point) they are held
-    1e-6 rad/s apart, which changes the response by less than 1e-9.
+    The rocking poles solve det P(s) = 0 with P(s) = s^2 I + s C + K, and their residues are s adj P / (det P)'.  The result is
+    that of :func:`gyro_modes`, a thousand times faster.  Coinciding poles (an exceptional point) are moved 1e-6 rad/s apart,
+    which changes the response by less than 1e-9.
     """
     omega0, eps_c, eps_s, c0, d_c, d_s = x[0], x[1], x[2], x[3], x[4], x[5]
     kxx, kyy, kxy = omega0 * (omega0 + eps_c), omega0 * (omega0 - eps_c), omega0 * eps_s

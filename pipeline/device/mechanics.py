@@ -2,7 +2,7 @@
 
     q'' + (C + G) q' + K q = F u,      S = V q' + D q                                    (mass-normalised)
 
-q (n) coordinates, u (D) drive volts, S (S) pick-off volts before the filter; every array carries a leading batch axis B.
+q (n,) coordinates [V s], u (D,) drive volts, S (S,) pick-off volts before the filter; every array has a leading batch axis B.
 
 | symbol | field          | shape     | unit |
 |---|---|---|---|
@@ -53,7 +53,7 @@ class Modes:
 
 
 def state_matrix(mechanics: Mechanics) -> FloatArray:
-    """A of d/dt (q, q') = A (q, q') + ..., (B, 2n, 2n)."""
+    """A (B, 2n, 2n) in d/dt (q, q') = A (q, q') + ..."""
     stiffness = mechanics.stiffness
     batch, n, _ = stiffness.shape
     a = np.zeros((batch, 2 * n, 2 * n))
@@ -64,13 +64,13 @@ def state_matrix(mechanics: Mechanics) -> FloatArray:
 
 
 def modes_of(mechanics: Mechanics) -> Modes:
-    """Poles and residues of ``mechanics`` by the eigenvectors of its state matrix.
+    """R_k = (V p_k + D) x_k (y_k F): poles and residues of ``mechanics`` by the eigenvectors of its state matrix.
 
-    R_k = (V p_k + D) x_k (y_k F),  x_k, y_k the position half of the right and the velocity half of the left eigenvector.
+    x_k is the position half of the right eigenvector, y_k the velocity half of the left one.
 
     Raises
     ------
-    ConfigError : a mode does not oscillate (overdamped, or not stiff enough), so it has no frequency.
+    ConfigError : a mode does not oscillate (overdamped or unstable), so it has no frequency.
     """
     n = mechanics.stiffness.shape[-1]
     poles, right = np.linalg.eig(state_matrix(mechanics))
@@ -83,7 +83,7 @@ def modes_of(mechanics: Mechanics) -> Modes:
             next_step="check frequencies and damping of this device",
         )
     left = np.linalg.inv(right)
-    # Frequency order, upper half plane first, so that a mode keeps its place in the batch.
+    # Ascending frequency, so that a mode has the same index in all devices of the batch.
     order = np.argsort(np.where(poles.imag > 0.0, poles.imag, np.inf), axis=-1)[:, :n]
     poles = np.take_along_axis(poles, order, axis=-1)
     x = np.take_along_axis(right[:, :n, :], order[:, None, :], axis=-1)

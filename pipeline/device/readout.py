@@ -1,4 +1,4 @@
-"""Linear read-out: pick-off volts to the volts that the converter samples.
+"""Linear read-out, from pick-off volts to the volts at the input of the ADC.
 
     G(s) = (sum_j Q_j / (s - q_j) + Q_0) exp(-s tau),     S = H(s) u + (R + s C) v,     y = G(s) S
 
@@ -38,11 +38,11 @@ class Readout:
         return np.asarray(terms.sum(axis=1) + self.static)
 
     def through(self, matrix: FloatArray) -> Readout:
-        """The read-out behind a static ``matrix`` (S, S) that mixes the pick-offs: G(s) matrix."""
+        """G(s) matrix: the read-out of pick-offs that a static ``matrix`` (S, S) mixes first."""
         return replace(self, residues=self.residues @ matrix, static=self.static @ matrix)
 
     def with_pole(self, pole: complex) -> Readout:
-        """G(s) / (1 - s / pole): one more pole, unit gain at zero frequency."""
+        """G(s) / (1 - s / pole): one more ``pole`` [rad/s] with unit gain at zero frequency."""
         own = self.response(np.array([pole])) * -pole
         others = self.residues / (1.0 - self.poles / pole)[:, None, None]
         return replace(
@@ -54,7 +54,7 @@ class Readout:
 
 
 def plain_readout(poles: ComplexArray, residues: ComplexArray, senses: int, drives: int) -> Readout:
-    """The same scalar filter sum_j r_j/(s - q_j) on every channel, poles and ``residues`` (J,); none where J = 0."""
+    """The same filter sum_j r_j / (s - q_j) in every channel; ``poles``, ``residues`` (J,) [rad/s]; no filter if J = 0."""
     eye = np.eye(senses)
     static = eye if poles.size == 0 else np.zeros((senses, senses))
     none = np.zeros((senses, drives))

@@ -9,24 +9,24 @@ from pathlib import Path
 from typing import Any
 
 from ..studies.coverage import Share
-from ..studies.hidden.confusion import answer, confusion, figures, found_as, odd, power
+from ..studies.hidden.confusion import answer, confusion, figures, found_as, is_unexpected, power
 from ..studies.hidden.draw import hide
-from ..studies.hidden.study import examine, order_of, rows_in, run_study
+from ..studies.hidden.study import examine, rows_in, run_study, study_plan
 
 
 def hidden_effects(
     kind: str, campaigns: int | None, only: int | None, seed: int, workers: int, out: Path, json: bool
 ) -> None:
     """See ``gyroscreen benchmark hidden-effects --help``."""
-    order = order_of(kind, campaigns, seed, only)
+    plan = study_plan(kind, campaigns, seed, only)
     if only is not None:
         row = examine(hide(kind, only, seed))
         print(json_.dumps(row, indent=None if json else 2, default=float))
         return
-    for done, total in run_study(order, out, workers):
+    for done, total in run_study(plan, out, workers):
         print(f"\r{done} of {total} campaigns", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    rows = [r for r in rows_in(out, tuple(order.numbers), seed) if r["number"] in order.numbers[r["kind"]]]
+    rows = [r for r in rows_in(out, tuple(plan.numbers), seed) if r["number"] in plan.numbers[r["kind"]]]
     print(json_.dumps(_plain(rows)) if json else "\n".join(lines(rows)))
 
 
@@ -34,7 +34,12 @@ def _plain(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     found = {k: _share(v) if isinstance(v, Share) else v for k, v in figures(rows).items()}
     matrices = {step: confusion(rows, step) for step in ("diagnose", "refine")}
     curve = [{"snr": [low, high], **counts} for low, high, counts in power(rows)]
-    return {"figures": found, "confusion": matrices, "power": curve, "odd": [_key(row) for row in rows if odd(row)]}
+    return {
+        "figures": found,
+        "confusion": matrices,
+        "power": curve,
+        "odd": [_key(row) for row in rows if is_unexpected(row)],
+    }
 
 
 def _share(share: Share) -> dict[str, Any]:
@@ -59,7 +64,7 @@ def lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         out += ["", f"Hidden -> found, {step}"]
         for hidden, found in confusion(rows, step).items():
             out.append(f"  {hidden:54s} {', '.join(f'{name} {n}' for name, n in found.items())}")
-    unexpected = [row for row in rows if odd(row)]
+    unexpected = [row for row in rows if is_unexpected(row)]
     repeat = "Unexpected answers (repeat one with --kind KIND --only NUMBER --seed SEED)"
     out += ["", repeat if unexpected else "No unexpected answers."]
     for row in unexpected:

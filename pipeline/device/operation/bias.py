@@ -1,4 +1,4 @@
-"""Rate biases of a force-rebalanced gyro (the paper, eq. 3 to 6, as put right: see below).
+"""Rate biases of a force-rebalanced gyro (the paper, eq. 3 to 6, with the misprints below corrected).
 
 With psi_y' = A cos(omega0 t) held by the drive loop and psi_x held at zero, the rebalance torque over the inertia is
 
@@ -9,8 +9,8 @@ Demodulated with cos(omega0 t + phi) and divided by its own response to rate, -k
     quadrature_bias = Omega_Q tan phi,      Omega_Q = (w1^2 - w2^2) sin 2theta / (4 kappa omega0)
     inphase_bias    = -[1/2 (c11 - c22) sin 2theta + c12 cos 2theta] / (2 kappa)
 
-The print has 1/2 c12 cos 2theta in (4) to (6), A/2 for A^2/2 in (6), and drops the 2 before kappa Omega in (5); deriving
-(3) and (4) from (2) gives the above.  kappa = I_p / I_0p is the angular gain.  Shapes: any, broadcast.
+The equations follow from (2).  The paper prints 1/2 c12 cos 2theta in (4) to (6) and A/2 instead of A^2/2 in (6), and omits the
+factor 2 before kappa Omega in (5).  kappa = I_p / I_0p is the angular gain.  Shapes: any, broadcast.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from ...errors import ConfigError
 def rate_biases_dps(
     physical: FloatArray, angular_gain: float | FloatArray, phase_error_deg: float, drive: Literal["f1", "f2"]
 ) -> dict[str, FloatArray]:
-    """quadrature_rate_dps, quadrature_bias_dps, inphase_bias_dps and rate_bias_dps of physical parameters (..., 12).
+    """quadrature_rate_dps, quadrature_bias_dps, inphase_bias_dps and rate_bias_dps, each (...), by name.
 
     Parameters
     ----------
-    physical : the columns of ``pipeline.device.gyro.PHYSICAL``.
-    angular_gain : kappa.
-    phase_error_deg : phi [deg].
-    drive : which mode sets omega0.
+    physical : (..., 12), the columns of ``pipeline.device.gyro.PHYSICAL``.
+    angular_gain : kappa, broadcast against (...).
+    phase_error_deg : demodulation phase error phi [deg].
+    drive : the mode that sets omega0.
 
     Raises
     ------
-    ConfigError : an angular gain that is not positive, or |phi| >= 90 deg.
+    ConfigError : the angular gain is not positive, or |phi| >= 90 deg.
     """
     if np.any(np.asarray(angular_gain) <= 0.0):
         raise ConfigError("angular gain must be positive", value=angular_gain, allowed="I_p / I_0p in (0, 1]")

@@ -1,19 +1,19 @@
 """Drive loop, rebalance loop and demodulators, sample by sample.
 
-The loops live in the frame of a numerically controlled oscillator with phase Phi, Phi' = omega:
+The loops work in the frame of a numerically controlled oscillator with phase Phi, Phi' = omega:
 
     v = Re(V exp(j Phi)),      V[n+1] = V[n] + 2 g T (v[n] - Re(V[n] exp(j Phi[n]))) exp(-j Phi[n])        (demodulator)
 
-a demodulator with feedback: bandwidth g, and no ripple at twice the frequency once settled.  With V_y of psi_y', V_x of
-psi_x':
+The demodulator has feedback, bandwidth g, and no ripple at twice the frequency once it has settled.  V_y and V_x are the
+envelopes of psi_y' and psi_x':
 
     drive       tau_y = Re(T_y exp(j Phi)),   Re T_y = PI(A - Re V_y);   phase-locked: omega = omega_c + PI(Im V_y) / A,
                 Im T_y = 0, so torque and velocity are in phase;   forced: omega = omega_c, Im T_y = PI(-Im V_y)
     rebalance   tau_x = -Re(PI(V_x) exp(j Phi)) - G psi_x',   G the gain of the direct (high-gain) loop
 
-Seen from the envelope the plant is an integrator with gain 1/2, so PI(e) = 2 b (e + b/4 int e dt) closes at bandwidth
-b, critically damped, and the phase loop is b (e + b/4 int e dt).
-Units: velocities V, torques V/s, bandwidths rad/s inside.
+For the envelope the plant is an integrator with gain 1/2, so PI(e) = 2 b (e + b/4 int e dt) gives a critically damped loop of
+bandwidth b; the phase loop is b (e + b/4 int e dt).
+Shapes: B devices, N samples, M envelope points, W last samples.  Units: velocities V, torques V/s, bandwidths rad/s.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from ...errors import ConfigError
 
 @dataclass(frozen=True, eq=False)
 class PhaseLocked:
-    """The drive finds its own frequency, where torque and velocity are in phase.
+    """The drive locks to the frequency at which torque and velocity are in phase.
 
-    start_hz : where the oscillator starts (B,) [Hz], within some 10 Hz.
+    start_hz : initial frequency of the oscillator (B,) [Hz], accurate to about 10 Hz.
     """
 
     start_hz: FloatArray
@@ -40,7 +40,7 @@ class PhaseLocked:
 
 @dataclass(frozen=True, eq=False)
 class Forced:
-    """The drive runs at a frequency that somebody else set, whatever torque that takes: frequency_hz (B,) [Hz]."""
+    """The drive runs at a prescribed frequency, with the torque that this needs: frequency_hz (B,) [Hz]."""
 
     frequency_hz: FloatArray
 
@@ -54,7 +54,7 @@ class Loops:
 
     amplitude_v : A, amplitude of psi_y' [V].
     drive_hz : closed-loop bandwidth of amplitude and phase [Hz].
-    rebalance_hz : closed-loop bandwidth of the demodulated rebalance loop [Hz]; 0 opens it.
+    rebalance_hz : closed-loop bandwidth of the demodulated rebalance loop [Hz]; 0 opens the loop.
     direct_per_s : G, gain of the direct rebalance loop [1/s].
     demodulator_hz : bandwidth of the demodulators inside the loops [Hz].
     output_hz : bandwidth of the demodulator of the rebalance torque [Hz].
@@ -103,10 +103,11 @@ def close_loops(
     omega_out: FloatArray,
     wave: FloatArray,
 ) -> None:
-    """Run one device from rest; writes envelope (M, 4) = V_y, V_x, T_y, tau_x's, omega_out (M,) and wave (W, 7).
+    """Run one device from rest; writes envelope (M, 4), omega_out (M,) [rad/s] and wave (W, 7).
 
-    ``step`` (6, 4, 8) from :func:`propagators`, with ``direct`` already in its damping; ``coriolis`` a[n] = 2 kappa
-    Omega (N,); a row of ``wave`` is psi_x, psi_y, psi_x', psi_y', tau_x, tau_y, Phi at the sample.
+    The columns of ``envelope`` are V_y, V_x [V], T_y and the demodulated tau_x [V/s]; those of ``wave`` are psi_x, psi_y [V s],
+    psi_x', psi_y' [V], tau_x, tau_y [V/s] and Phi [rad] at the samples.  ``step`` (6, 4, 8) is from :func:`propagators`, with
+    ``direct`` included in the damping; ``coriolis`` (N,) is 2 kappa Omega [rad/s]; other frequencies are in rad/s.
     """
     samples = coriolis.size
     state = np.zeros(8)
@@ -117,10 +118,10 @@ def close_loops(
     phase, omega = 0.0, carrier
     first_wave = samples - wave.shape[0]
     for n in range(samples):
-        turn = complex(math.cos(phase), math.sin(phase))
-        back = np.conj(turn)
-        v_x += 2.0 * demodulator * step_s * (state[2] - (v_x * turn).real) * back
-        v_y += 2.0 * demodulator * step_s * (state[3] - (v_y * turn).real) * back
+        rotation = complex(math.cos(phase), math.sin(phase))
+        back = np.conj(rotation)
+        v_x += 2.0 * demodulator * step_s * (state[2] - (v_x * rotation).real) * back
+        v_y += 2.0 * demodulator * step_s * (state[3] - (v_y * rotation).real) * back
 
         error = amplitude - v_y
         sum_y += 0.25 * drive * step_s * error
@@ -132,9 +133,9 @@ def close_loops(
         sum_x += 0.25 * rebalance * step_s * v_x
         t_x = -2.0 * rebalance * (v_x + sum_x)
 
-        w_x, w_y = t_x * turn, t_y * turn
+        w_x, w_y = t_x * rotation, t_y * rotation
         tau_x = w_x.real - direct * state[2]
-        torque_x += 2.0 * output * step_s * (tau_x - (torque_x * turn).real) * back
+        torque_x += 2.0 * output * step_s * (tau_x - (torque_x * rotation).real) * back
         if n % every == 0:
             m = n // every
             envelope[m, 0], envelope[m, 1], envelope[m, 2], envelope[m, 3] = v_y, v_x, t_y, torque_x

@@ -1,25 +1,25 @@
-"""A gyro in force-rebalance operation, in time (the paper, section 2.2 and its figure 3).
+"""Time simulation of a force-rebalanced gyro (the paper, section 2.2 and figure 3).
 
     psi'' + 2 kappa Omega [[0, -1], [1, 0]] psi' + C psi' + K psi = tau      (eq. 1, mass-normalised)
 
-The drive loop holds psi_y' = A cos Phi, the rebalance loop holds psi_x at zero; then row x of (1) is the rebalance
-torque and row y the drive torque, with nothing left out:
+The drive loop holds psi_y' = A cos Phi, and the rebalance loop holds psi_x at zero.  Then row x of (1) is the rebalance torque
+and row y the drive torque, without approximation:
 
     tau_x = K_xy psi_y + (C_xy - 2 kappa Omega) psi_y',    K_xy = 1/2 (w1^2 - w2^2) sin 2theta,
                                                            C_xy = 1/2 (c11 - c22) sin 2theta + c12 cos 2theta      (4)
     tau_y = psi_y'' + C_yy psi_y' + K_yy psi_y,            K_yy = w1^2 sin^2 theta + w2^2 cos^2 theta,
                                                            C_yy = c11 sin^2 + c22 cos^2 + c12 sin 2theta           (3)
 
-so, as envelopes over that of psi_y' (in phase + j quadrature), and demodulated with cos(Phi + phi):
+In envelopes relative to that of psi_y' (in phase + j quadrature), demodulated with cos(Phi + phi):
 
     tau_x / psi_y' = C_xy - 2 kappa Omega - j K_xy / omega0
     Omega_indicated = -Re[exp(-j phi) tau_x / psi_y'] / (2 kappa cos phi)
                     = Omega + K_xy tan(phi) / (2 kappa omega0) - C_xy / (2 kappa)
 
-A phase-locked drive runs where its torque is in phase with the velocity: omega0^2 = K_yy, between the two modes.  The
-paper's convention omega0 = w1 or w2 differs from it by less than the relative split, and so does the quadrature rate.
+A phase-locked drive runs where its torque is in phase with the velocity: omega0^2 = K_yy, between the two modes.  The paper
+takes omega0 = w1 or w2; the relative difference, also of the quadrature rate, is below the relative split.
 
-The electrodes are taken as torques about x and y: gains, up-down mode and noise play no part here.
+The electrodes apply ideal torques about x and y: gains, up-down mode and noise are not simulated.
 Shapes: B devices, N samples, M envelope points, W last samples.  Units: psi in V s, psi' in V, torques in V/s, kappa 1.
 """
 
@@ -48,14 +48,14 @@ class Waveforms:
 
 @dataclass(frozen=True, eq=False)
 class Operation:
-    """A run of the closed loops.
+    """Result of a run of the closed loops.
 
     time_s : (M,) of the envelopes.
     drive_velocity, sense_velocity : envelopes of psi_y' and psi_x' (B, M) [V].
     drive_torque, rebalance_torque : envelopes of tau_y and tau_x (B, M) [V/s].
     frequency_hz : omega0 / 2 pi (B, M).
     rate_dps : Omega (B, M), the input.
-    waveforms : the last samples as they are.
+    waveforms : the last samples.
     """
 
     time_s: FloatArray
@@ -70,7 +70,7 @@ class Operation:
 
 @dataclass(frozen=True, eq=False)
 class Rebalance:
-    """Settled operation, each (B,).
+    """Settled operation; each field is (B,).
 
     amplitude_v : |psi_y'| [V].
     frequency_hz : omega0 / 2 pi.
@@ -87,7 +87,7 @@ class Rebalance:
 
 
 def self_oscillation_hz(physical: FloatArray) -> FloatArray:
-    """sqrt(w1^2 sin^2 theta + w2^2 cos^2 theta) / 2 pi [Hz] of physical parameters (..., 12): where (3) rings."""
+    """sqrt(w1^2 sin^2 theta + w2^2 cos^2 theta) / 2 pi (...) [Hz], the resonance of (3), from physical parameters (..., 12)."""
     f1, f2, theta = physical[..., 0], physical[..., 1], np.deg2rad(physical[..., 6])
     return np.asarray(np.hypot(f1 * np.sin(theta), f2 * np.cos(theta)))
 
@@ -103,23 +103,23 @@ def operate(
     envelope_hz: float = 1_000.0,
     waveform_s: float = 0.02,
 ) -> Operation:
-    """Close the loops around devices at rest and run them.
+    """Simulate the closed loops around devices that start at rest.
 
     Parameters
     ----------
-    physical : (B, 12), the columns of ``pipeline.device.gyro.PHYSICAL``; frequencies, damping, theta and c12 count.
-    angular_gain : kappa = I_p / I_0p, (B,) or one for all.
-    rate_dps : Omega [deg/s]; constant (one number or (B, 1)), or held from sample to sample ((N,) or (B, N)).
-    drive : phase-locked from the mean of f1 and f2 by default.
+    physical : (B, 12), the columns of ``pipeline.device.gyro.PHYSICAL``; only frequencies, damping, theta and c12 are used.
+    angular_gain : kappa = I_p / I_0p, (B,) or one number for all devices.
+    rate_dps : Omega [deg/s], constant (one number or (B, 1)) or given at every sample ((N,) or (B, N)).
+    drive : by default phase-locked, starting at the mean of f1 and f2.
     loops : amplitude and bandwidths.
     duration_s, sample_rate_hz : N = duration f_s steps of the controller.
     envelope_hz : rate of the envelopes.
-    waveform_s : how much of the end is kept sample by sample.
+    waveform_s : duration at the end of the run that is kept sample by sample [s].
 
     Raises
     ------
-    ConfigError : fewer than 12 samples a cycle, a rate of the wrong length, kappa not positive, loops that did not hold
-    (the state grew beyond a million amplitudes, or is not finite).
+    ConfigError : fewer than 12 samples per cycle, a rate of the wrong shape, kappa not positive, or unstable loops (the
+        velocity exceeds 1e6 amplitudes or is not finite).
     """
     loops = Loops() if loops is None else loops
     drive = PhaseLocked((physical[:, 0] + physical[:, 1]) / 2.0) if drive is None else drive
@@ -131,9 +131,9 @@ def operate(
         raise ConfigError("angular gain must be positive", value=angular_gain, allowed="I_p / I_0p in (0, 1]")
     if not np.all((carrier > 0.0) & (12.0 * carrier < TAU * sample_rate_hz)):
         raise ConfigError(
-            "too few controller samples a cycle",
+            "too few controller samples per cycle",
             value=float(sample_rate_hz),
-            allowed=f"at least 12 a cycle, {12.0 * float(np.max(carrier)) / TAU:.0f} Hz",
+            allowed=f"at least 12 per cycle, {12.0 * float(np.max(carrier)) / TAU:.0f} Hz",
             next_step="raise sample_rate_hz",
         )
     step_s, samples = 1.0 / sample_rate_hz, round(duration_s * sample_rate_hz)
@@ -178,7 +178,7 @@ def operate(
     size = np.abs(envelope[:, :, 0])
     if not np.all(size < 1e6 * loops.amplitude_v):
         raise ConfigError(
-            "the loops do not hold the device",
+            "the loops are unstable",
             value=int(np.argmax(~np.all(size < 1e6 * loops.amplitude_v, axis=1))),
             allowed="a drive that stays near its amplitude",
             next_step="lower the bandwidths or direct_per_s, or raise sample_rate_hz",
@@ -197,32 +197,32 @@ def operate(
 
 
 def _over(torque: ComplexArray, velocity: ComplexArray) -> ComplexArray:
-    """torque / velocity, nan while nothing moves yet."""
+    """torque / velocity, nan where the velocity is zero."""
     moving = velocity != 0.0
     return np.asarray(np.where(moving, torque / np.where(moving, velocity, 1.0), complex(np.nan, np.nan)))
 
 
 def settled(operation: Operation, last_s: float = 0.2) -> Rebalance:
-    """Mean of the last ``last_s`` seconds.
+    """Mean over the last ``last_s`` seconds.
 
     Raises
     ------
-    ConfigError : amplitude or ratio of the torques still move by more than 1e-3 there (of the amplitude; of the largest
-    ratio or 1 per second): the loops have not settled, or the rate is not constant.
+    ConfigError : the loops have not settled, or the rate is not constant: the amplitude changes by more than 1e-3 of itself, or
+        the ratio of the torques by more than 1e-3 of its largest value (at least 1/s).
     """
     last = operation.time_s >= operation.time_s[-1] - last_s
     velocity = operation.drive_velocity[:, last]
     amplitude = np.abs(velocity)
     ratio = _over(operation.rebalance_torque[:, last], velocity)
     driven = _over(operation.drive_torque[:, last], velocity)
-    moves = np.maximum(
+    change = np.maximum(
         np.ptp(amplitude, axis=1) / amplitude.mean(axis=1),
         np.abs(ratio - ratio[:, -1:]).max(axis=1) / np.maximum(np.abs(ratio).max(axis=1), 1.0),
     )
-    if not np.all(moves < 1e-3):
+    if not np.all(change < 1e-3):
         raise ConfigError(
             "the loops have not settled",
-            value=float(np.max(moves)),
+            value=float(np.max(change)),
             allowed="relative changes below 1e-3 at the end of the run",
             next_step="raise duration_s, or hold the rate constant",
         )
@@ -241,7 +241,7 @@ def indicated_rate_dps(
     angular_gain: float | FloatArray,
     phase_error_deg: float | FloatArray,
 ) -> FloatArray:
-    """Omega_indicated = -[inphase + quadrature tan(phi)] / (2 kappa), in deg/s; shapes broadcast."""
+    """Omega_indicated = -[inphase + quadrature tan(phi)] / (2 kappa) [deg/s]; arguments in 1/s, 1 and deg; shapes broadcast."""
     leaked = quadrature_per_s * np.tan(np.deg2rad(phase_error_deg))
     return np.asarray(np.rad2deg(-(inphase_per_s + leaked) / (2.0 * np.asarray(angular_gain))))
 
@@ -249,9 +249,9 @@ def indicated_rate_dps(
 def measured_biases_dps(
     at_rest: Rebalance, angular_gain: float | FloatArray, phase_error_deg: float | FloatArray
 ) -> dict[str, FloatArray]:
-    """The biases of ``pipeline.device.operation.bias`` as the loops show them at Omega = 0, by the same names, each (B,)."""
+    """The biases of ``pipeline.device.operation.bias``, each (B,) by the same names, from a run at Omega = 0."""
     none = np.zeros_like(at_rest.inphase_per_s)
-    # 45 deg of phase error would indicate the whole quadrature torque as a rate.
+    # tan(45 deg) = 1, so the whole quadrature torque is converted to a rate.
     quadrature = indicated_rate_dps(none, at_rest.quadrature_per_s, angular_gain, 45.0)
     leaked = indicated_rate_dps(none, at_rest.quadrature_per_s, angular_gain, phase_error_deg)
     inphase = indicated_rate_dps(at_rest.inphase_per_s, none, angular_gain, 0.0)
@@ -266,7 +266,7 @@ def measured_biases_dps(
 def output_rate_dps(
     operation: Operation, angular_gain: float | FloatArray, phase_error_deg: float | FloatArray = 0.0
 ) -> FloatArray:
-    """Indicated rate (B, M) while the rate changes, nan while nothing moves yet; kappa and phi (B,) or one for all."""
+    """Indicated rate (B, M) [deg/s] over time, nan before the device moves; kappa and phi [deg] are (B,) or one number."""
     ratio = _over(operation.rebalance_torque, operation.drive_velocity)
     kappa, phi = (np.asarray(one, dtype=np.float64)[..., None] for one in (angular_gain, phase_error_deg))
     return indicated_rate_dps(ratio.real, ratio.imag, kappa, phi)

@@ -1,10 +1,10 @@
-"""State space of linear mechanics, for control design.
+"""State-space matrices of linear mechanics, for control design.
 
     d/dt (q, q') = A (q, q') + B v,     S = C (q, q')                       continuous
     x[n+1] = Ad x[n] + Bd v[n],         S[n] = C x[n]                       zero-order hold at f_s, exact
 
-States: psi_x, psi_y, z and their rates, scaled so that motion is in V s (mean sense gain 1); inputs drive volts without
-the bias; outputs pick-off volts before the anti-alias filter, which is handed over as (kind, order, corner).
+States: psi_x, psi_y, z and their rates, scaled so that motion is in V s (mean sense gain 1).  Inputs: drive volts without the
+bias.  Outputs: pick-off volts before the anti-alias filter, which is exported separately as (kind, order, corner).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..mechanics import Mechanics, state_matrix
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """A (2n, 2n), B (2n, D), C (S, 2n), D (S, D) continuous; Ad, Bd for a zero-order hold of ``sample_rate_hz``."""
+    """Continuous A (2n, 2n), B (2n, D), C (S, 2n), D (S, D); discrete Ad, Bd for a zero-order hold at ``sample_rate_hz``."""
 
     A: FloatArray
     B: FloatArray
@@ -32,11 +32,11 @@ class StateSpace:
 
 
 def state_space(mechanics: Mechanics, sample_rate_hz: float) -> StateSpace:
-    """State space of the first device of ``mechanics``.
+    """State-space matrices of the first device of ``mechanics``.
 
     Parameters
     ----------
-    mechanics : batch of one.
+    mechanics : a batch; only its first device is used.
     sample_rate_hz : f_s of the zero-order hold [Hz].
     """
     n, drives = mechanics.drive.shape[1:]

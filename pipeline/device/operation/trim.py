@@ -1,24 +1,24 @@
-"""Electronic tuning: electrostatic springs from trim electrodes (the outlook of the paper).
+"""Electronic trim: electrostatic springs from trim electrodes (an outlook of the paper).
 
-A pair of electrodes opposite one another at azimuth beta, under bias V, pulls with the negative spring
+A pair of opposite electrodes at azimuth beta with bias V acts as a negative spring
 
     K_e = -k_e V^2 n n^T,   n = (cos beta, sin beta),   k_e = 4 pi omega |s|         [(rad/s)^2 / V^2]
 
-s the softening [Hz/V^2] of a rocking mode along n (eps A V^2 / g^3 times the arm squared, over the inertia).  With K as
-mean and complex anisotropy, K = m I + [[Re a, Im a], [Im a, -Re a]], and u_e = V_e^2, tuning is linear and exact:
+where s is the softening [Hz/V^2] of a rocking mode along n (eps A V^2 / g^3 times the squared lever arm, over the inertia).  With
+the mean m and the complex anisotropy a of K, K = m I + [[Re a, Im a], [Im a, -Re a]], and u_e = V_e^2, the trim is linear:
 
     m' = m - 1/2 sum k_e u_e,      a' = a - 1/2 sum k_e u_e exp(2 i beta_e),      C unchanged in the x, y frame
     omega_2^2 - omega_1^2 = 2 |a'|,      -a' = |a'| exp(2 i theta),      Omega_Q = Im a' / (2 kappa omega0)
     omega_3'^2 = omega_3^2 - sum k_e u_e G_z / (2 G_r)        (electrodes at the drive electrodes' arm: M_D^T M_D = 2)
 
-Gains k_e are known to a relative sd, independent from pair to pair.  The plan is the u that minimises the expected
-squared distance of a' from its target a_t, seen from where the electrodes stand (u_0, at which K was measured):
+The gains k_e have a relative sd, independent between pairs.  The plan is the u that minimises the expected squared distance of
+a' from its target a_t, given that K was measured at u_0:
 
     E |a' - a_t|^2 = |<a> - a_t - 1/2 sum <k_e> (u_e - u_0e) exp(2 i beta_e)|^2
                    + 1/4 sum var(k_e) (u_e - u_0e)^2 + const,                        0 <= u_e <= V_max^2
 
-a bounded least-squares problem: scipy's lsq_linear by active sets (BVLS), exact.  Its second term makes it unique, and
-keeps the voltages small.
+This is a bounded least-squares problem, solved exactly by scipy's lsq_linear (BVLS).  The second term makes the solution unique
+and keeps the voltages small.
 
 Shapes: n draws, B devices, E electrode pairs.  Units: V, Hz, deg; K in (rad/s)^2, mass-normalised.
 """
@@ -35,17 +35,16 @@ from ...errors import ConfigError
 from ..gyro import TAU, split_hz, to_cartesian, to_physical
 from .trim_electrodes import Electrodes
 
-#: Gain uncertainty below which the plan is made as if it were this: keeps it unique.
+#: Smallest gain uncertainty for which the plan is made; it keeps the solution unique.
 _LEAST_SD = 1e-6
 
 
 @dataclass(frozen=True)
 class Target:
-    """What trimming aims at.
+    """Target of a trim.
 
-    split_hz and theta_deg both given: that split, the lower axis at theta.  Split alone: that split, the axes where
-    they are.  theta alone: an axis, lower or upper, at theta (at 0 or 90: no quadrature), and whatever
-    split follows.
+    With split_hz and theta_deg: this split, with the lower axis at theta.  With split_hz only: this split, with the axes
+    unchanged.  With theta_deg only: one of the two axes at theta (at 0 or 90 deg the quadrature vanishes), with any split.
     """
 
     split_hz: float | None = 0.0
@@ -60,12 +59,12 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class TrimResult:
-    """One device's trim.
+    """Trim of one device.
 
     voltages_v, at_limit : (E,).
-    before, after : physical draws (n, 12) at the measurement and after the trim, the gains' uncertainty included.
-    missing_hz : distance of the planned anisotropy from its target, as a split [Hz]: what a binding limit leaves, or
-        gain_sd^2 of the way, which the plan stays short where none binds.
+    before, after : physical draws (n, 12) at the measurement and after the trim, with the uncertainty of the gains.
+    missing_hz : distance of the planned anisotropy from its target, as a split [Hz]: due to a voltage limit, or, without one,
+        the fraction gain_sd^2 by which the plan stays short.
     shift_hz : planned change of the mean rocking frequency [Hz].
     """
 
@@ -89,19 +88,19 @@ def trimmed_physical(
     gains: FloatArray | None = None,
     present_v: FloatArray | None = None,
 ) -> FloatArray:
-    """Physical parameters (..., 12) under trim voltages: K' = K - sum k_e (V_e^2 - V_0e^2) n n^T, C as it was.
+    """K' = K - sum k_e (V_e^2 - V_0e^2) n n^T with C unchanged: physical parameters (..., 12) under trim voltages.
 
     Parameters
     ----------
     physical : (..., 12), as measured at ``present_v``.
     voltages_v : (..., E) [V].
-    electrodes : pairs; their nominal gains.
-    gains : true gains over nominal (..., E); 1 by default.
+    electrodes : pairs with their nominal gains.
+    gains : ratio of true to nominal gains (..., E); 1 by default.
     present_v : (..., E) [V]; 0 by default.
 
     Raises
     ------
-    ConfigError : voltages of the wrong length or not finite; a device pulled in (K' no longer positive definite).
+    ConfigError : voltages of the wrong length or not finite; electrostatic pull-in (K' is not positive definite).
     """
     pairs = len(electrodes.azimuth_deg)
     for name, value in (("voltages_v", voltages_v), ("present_v", present_v)):
@@ -119,7 +118,7 @@ def trimmed_physical(
     third = x[..., 6] ** 2 - 0.5 * total * np.exp(x[..., 9] - x[..., 8])
     if not (np.all(mean > np.abs(anisotropy)) and np.all(third > 0.0)):
         raise ConfigError(
-            "the trim voltages pull the device in",
+            "the trim voltages cause electrostatic pull-in",
             value=float(np.max(np.abs(voltages_v))),
             allowed="voltages that leave K positive definite",
             next_step="lower most_v or correct the trim gains",
@@ -130,7 +129,7 @@ def trimmed_physical(
     out[..., 0], out[..., 6] = omega0, np.sqrt(third)
     out[..., 1], out[..., 2] = anisotropy.real / omega0, anisotropy.imag / omega0
     after = to_physical(out)
-    # Gains and imbalances pass through untouched, not by way of their logarithms.
+    # Copied, so that gains and imbalances are bit-identical.
     after[..., 8:] = physical[..., 8:]
     return after
 
@@ -138,24 +137,24 @@ def trimmed_physical(
 def _solve(
     mean: float, anisotropy: complex, electrodes: Electrodes, target: Target, present: FloatArray
 ) -> tuple[FloatArray, float]:
-    """u = V^2 (E,) and the distance |a' - a_t| [(rad/s)^2] of the plan, from m, a and u_0."""
+    """Planned u = V^2 (E,) [V^2] and the distance |a' - a_t| [(rad/s)^2], from m, a and u_0 (E,)."""
     half = 0.5 * np.array(electrodes.gain_per_v2)
-    # Counted in the gain of the strongest pair, so that the scale of K is out of the conditioning.
+    # In units of the gain of the strongest pair, so that the scale of K does not affect the conditioning.
     unit = float(half.max())
     columns = half / unit * electrodes.directions()
     spread = np.diag(half / unit * max(electrodes.gain_sd, _LEAST_SD))
     most = electrodes.most_v**2
-    # Rows: components of a' - a_t along and across the axis exp(2 i theta); the target may want one of them only.
+    # Rows: components of a' - a_t along and across the axis exp(2 i theta); a target may constrain only one of them.
     theta = np.angle(-anisotropy) / 2.0 if target.theta_deg is None else np.deg2rad(target.theta_deg)
     axis = np.exp(2j * theta)
     u = present
-    # The split in Hz depends on the mean frequency, which the plan shifts by less than a percent: contracts at once.
+    # The split in Hz depends on the mean frequency, which the plan shifts by less than 1 %: a fast fixed-point iteration.
     for _ in range(1 if not target.split_hz else 6):
-        wanted = 0.0
+        goal_split = 0.0
         if target.split_hz:
             split = TAU * target.split_hz
-            wanted = split * np.sqrt(max(mean - float(half @ (u - present)) - split**2 / 4.0, 0.0))
-        left = (anisotropy + wanted * axis) / unit
+            goal_split = split * np.sqrt(max(mean - float(half @ (u - present)) - split**2 / 4.0, 0.0))
+        left = (anisotropy + goal_split * axis) / unit
         rows, goal = columns / axis, left / axis
         a = np.stack([rows.real, rows.imag]) if target.split_hz is not None else rows.imag[None]
         b = np.array([goal.real, goal.imag]) if target.split_hz is not None else np.array([goal.imag])
@@ -176,7 +175,7 @@ def _checked(physical: FloatArray, present_v: FloatArray, electrodes: Electrodes
     fits = present_v.shape[-1:] == (len(electrodes.azimuth_deg),)
     if not fits or not np.all((present_v >= 0.0) & (present_v <= electrodes.most_v)):
         raise ConfigError(
-            "the present trim voltages are not possible",
+            "the present trim voltages are out of range",
             value=present_v.tolist(),
             allowed=f"{len(electrodes.azimuth_deg)} of them, 0 to {electrodes.most_v:g} V",
         )
@@ -189,20 +188,20 @@ def trim(
     random: np.random.Generator,
     present_v: FloatArray | None = None,
 ) -> TrimResult:
-    """Trim voltages of one device from its posterior, and its posterior after the trim.
+    """Plan the trim voltages of one device from its posterior, and predict its posterior after the trim.
 
     Parameters
     ----------
-    draws : physical (n, 12), measured under ``present_v``.
-    electrodes : pairs, gains with their uncertainty, limit.
-    target : what to aim at.
-    random : stream for the gain uncertainty.
-    present_v : voltages (E,) at the measurement [V]; 0 by default.  Planning from there makes a second round correct
-        what the gains' errors left in the first.
+    draws : physical parameters (n, 12), measured at ``present_v``.
+    electrodes : pairs, gains with their uncertainty, and voltage limit.
+    target : split and angle to reach.
+    random : stream for the uncertainty of the gains.
+    present_v : voltages (E,) at the measurement [V]; 0 by default.  With the voltages of a first trim, a second trim corrects
+        the error that the gains caused in the first.
 
     Raises
     ------
-    ConfigError : no draws or not finite, impossible present voltages, a device pulled in.
+    ConfigError : no draws, draws that are not finite, present voltages out of range, or electrostatic pull-in.
     """
     pairs = len(electrodes.azimuth_deg)
     present = np.zeros(pairs) if present_v is None else np.asarray(present_v, dtype=np.float64)
@@ -225,7 +224,7 @@ def trim(
 
 @dataclass(frozen=True, eq=False)
 class TrimmedBatch:
-    """Devices after the trim: physical (B, 12), voltages_v and at_limit (B, E), split_hz (B,) free of cancellation."""
+    """Devices after the trim: physical (B, 12), voltages_v [V] and at_limit (B, E), split_hz (B,) without cancellation."""
 
     physical: FloatArray
     voltages_v: FloatArray
@@ -236,33 +235,33 @@ class TrimmedBatch:
 def trim_batch(
     physical: FloatArray, electrodes: Electrodes, target: Target, gains: FloatArray, rounds: int = 1
 ) -> TrimmedBatch:
-    """Trim a batch of devices whose parameters are known (measured with negligible error), ``rounds`` times over.
+    """Trim a batch of devices, whose parameters are measured with negligible error, ``rounds`` times.
 
     Parameters
     ----------
     physical : true parameters (B, 12).
-    electrodes, target : as in :func:`trim`; the plan knows the nominal gains only.
-    gains : true gains over nominal (B, E), from ``electrodes.draw_gains``.
-    rounds : how often a device is measured and trimmed, at least 1.
+    electrodes, target : as in :func:`trim`; the plan uses the nominal gains.
+    gains : ratio of true to nominal gains (B, E), from ``electrodes.draw_gains``.
+    rounds : number of measurements and trims, at least 1.
 
     Raises
     ------
-    ConfigError : as :func:`trim`; gains of the wrong shape; fewer than one round.
+    ConfigError : as in :func:`trim`; gains of the wrong shape; fewer than one round.
     """
     pairs = len(electrodes.azimuth_deg)
     voltages = np.zeros((physical.shape[0], pairs))
     _checked(physical, voltages, electrodes)
     if gains.shape != voltages.shape:
-        raise ConfigError("true gains do not fit", value=gains.shape, allowed=f"{voltages.shape}")
+        raise ConfigError("gains have the wrong shape", value=gains.shape, allowed=f"{voltages.shape}")
     if rounds < 1:
-        raise ConfigError("a device is trimmed at least once", value=rounds, allowed="1 or more rounds")
+        raise ConfigError("rounds must be at least 1", value=rounds, allowed="1 or more rounds")
     found = physical
     for _ in range(rounds):
         mean, anisotropy = _mean_and_anisotropy(to_cartesian(found))
         plans = zip(mean.tolist(), anisotropy.tolist(), voltages)
         solved = [_solve(m, a, electrodes, target, present**2)[0] for m, a, present in plans]
         voltages = np.sqrt(np.stack(solved))
-        # From the untrimmed device, so that rounding does not pile up.
+        # From the untrimmed device, so that rounding errors do not accumulate.
         found = trimmed_physical(physical, voltages, electrodes, gains)
     limit = voltages >= electrodes.most_v * (1.0 - 1e-12)
     return TrimmedBatch(found, voltages, limit, split_hz(to_cartesian(found)))

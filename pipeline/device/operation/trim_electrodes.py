@@ -1,4 +1,4 @@
-"""Trim electrode pairs: where they sit, how hard they pull, how well that is known.
+"""Trim electrode pairs: azimuths, gains, and the uncertainty of the gains.
 
     k_e = 4 pi omega |s|   [(rad/s)^2 / V^2],      s = d f / d(V^2) of a rocking mode along the pair [Hz/V^2]
 
@@ -48,19 +48,19 @@ class Electrodes:
             raise ConfigError("the limit of the trim voltages must be positive", value=self.most_v, allowed="> 0 V")
 
     def directions(self) -> ComplexArray:
-        """exp(2 i beta_e) (E,), exact where 2 beta is a multiple of 90 deg."""
+        """exp(2 i beta_e) (E,), exact if 2 beta is a multiple of 90 deg."""
         turns = np.mod(np.array(self.azimuth_deg) / 45.0, 4.0)
         whole = np.array([1.0, 1j, -1.0, -1j])[np.round(turns).astype(int) % 4]
         return np.asarray(np.where(turns == np.round(turns), whole, np.exp(0.5j * np.pi * turns)))
 
     def draw_gains(self, random: np.random.Generator, count: int) -> FloatArray:
-        """Gains over nominal (count, E): lognormal, mean 1, relative sd ``gain_sd``."""
+        """Ratios of true to nominal gain (count, E): lognormal with mean 1 and relative sd ``gain_sd``."""
         spread = np.sqrt(np.log1p(self.gain_sd**2))
         return np.asarray(np.exp(spread * random.standard_normal((count, len(self.azimuth_deg))) - spread**2 / 2.0))
 
 
 def gain_per_v2(softening_hz_per_v2: float, rocking_hz: float) -> float:
-    """k_e = 4 pi omega |s| of a pair that lowers the mode along its azimuth by s V^2; omega of ``rocking_hz`` [Hz].
+    """k_e = 4 pi omega |s| [(rad/s)^2 / V^2] of a pair with softening s [Hz/V^2] on a mode at ``rocking_hz`` [Hz].
 
     s = -0.03 Hz/V^2 follows from A = 4 mm^2, g = 10 um (assumed).
     """
@@ -74,6 +74,6 @@ def standard_electrodes(
     gain_sd: float = 0.05,
     most_v: float = 15.0,
 ) -> Electrodes:
-    """Equal pairs at ``azimuth_deg``; four at 45 deg reach every anisotropy."""
+    """Equal pairs at ``azimuth_deg`` [deg]; four pairs 45 deg apart can correct every anisotropy."""
     gain = gain_per_v2(softening_hz_per_v2, rocking_hz)
     return Electrodes(azimuth_deg, (gain,) * len(azimuth_deg), gain_sd, most_v)

@@ -1,4 +1,4 @@
-"""The closed loops show (3) to (6) as put right, and show the print wrong by the factors that are said of it."""
+"""The simulated loops confirm the corrected equations (3) to (6), and contradict the printed ones by the stated factors."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def bench():
     return p, kappa, phi, terms, settled(operate(p, kappa))
 
 
-def test_drive_axis_rings_at_the_frequency_and_damping_of_equation_3(bench):
+def test_the_drive_axis_has_the_frequency_and_damping_of_equation_3(bench):
     p, _, _, terms, rest = bench
     np.testing.assert_allclose(rest.amplitude_v, 1.0, rtol=1e-8)
     np.testing.assert_allclose(rest.frequency_hz, self_oscillation_hz(p), rtol=1e-10)
@@ -90,7 +90,7 @@ def test_biases_at_rest_are_those_of_the_formulas_to_1_percent(bench):
                 assert abs(seen[name] - said[name]) < 0.01 * scale
 
 
-def test_the_loop_runs_between_the_conventions_and_moves_the_quadrature_rate_by_less_than_the_relative_split(bench):
+def test_the_loop_runs_between_f1_and_f2_and_changes_the_quadrature_rate_by_less_than_the_relative_split(bench):
     p, kappa, _, _, rest = bench
     assert np.all((rest.frequency_hz >= p[:, 0] - 1e-7) & (rest.frequency_hz <= p[:, 1] + 1e-7))
     seen = measured_biases_dps(rest, kappa, 1.0)["quadrature_rate_dps"]
@@ -110,7 +110,7 @@ def test_a_drive_forced_to_f1_gives_the_quadrature_rate_of_the_convention(bench)
         np.testing.assert_allclose(seen[name], said[name], rtol=1e-5, atol=1e-4)
 
 
-def test_rate_enters_with_the_factor_two_that_equation_5_drops(bench):
+def test_rate_enters_with_the_factor_two_that_equation_5_omits(bench):
     p, kappa, phi, _, rest = bench
     rate = 40.0
     turning = settled(operate(p, kappa, rate))
@@ -123,7 +123,7 @@ def test_rate_enters_with_the_factor_two_that_equation_5_drops(bench):
     np.testing.assert_allclose(change / printed, 2.0, rtol=1e-6)
 
 
-def test_half_of_c12_cos_2theta_as_printed_in_4_to_6_fails_the_test_that_the_whole_passes(bench):
+def test_the_loops_confirm_c12_cos_2theta_and_contradict_the_printed_half_of_it(bench):
     _, _, _, terms, rest = bench
 
     def wrong(inphase):
@@ -136,7 +136,7 @@ def test_half_of_c12_cos_2theta_as_printed_in_4_to_6_fails_the_test_that_the_who
     assert np.max(np.abs(missing - 0.5 * terms["offdiagonal"]) / terms["damping"]) < 1e-6
 
 
-def test_demodulated_output_goes_with_half_the_square_of_the_amplitude_not_with_half_the_amplitude(bench):
+def test_the_demodulated_output_is_proportional_to_half_the_squared_amplitude(bench):
     p, kappa, phi, terms, _ = bench
     amplitude, rate = 3.0, 25.0
     last = operate(p, kappa, rate, loops=Loops(amplitude_v=amplitude), waveform_s=0.3).waveforms
@@ -162,7 +162,7 @@ def test_demodulated_output_goes_with_half_the_square_of_the_amplitude_not_with_
         assert abs(found[1] - damping[i]) < 1e-5 * terms["splitting"][i] / omega0[i]
 
 
-def test_scale_factor_is_one_and_its_offset_the_bias(bench):
+def test_the_scale_factor_is_one_and_its_offset_is_the_bias(bench):
     p, kappa, phi, _, rest = bench
     found = scale_factor(p[:4], kappa[:4], np.array([-100.0, -10.0, 30.0, 100.0]), phi[:4])
     np.testing.assert_allclose(found.slope, 1.0, rtol=1e-6)
@@ -182,7 +182,7 @@ def test_a_direct_high_gain_loop_tends_to_the_ideal_torque_as_one_over_its_gain(
     np.testing.assert_allclose(errors[0] / errors[1], 2.0, rtol=0.02)
 
 
-def test_rebalance_holds_psi_x_at_zero_and_without_it_psi_x_moves(bench):
+def test_only_the_rebalance_loop_holds_psi_x_at_zero(bench):
     p, kappa, _, _, _ = bench
     held = operate(p[:5], kappa[:5])
     free = operate(p[:5], kappa[:5], loops=Loops(rebalance_hz=0.0))
@@ -190,7 +190,7 @@ def test_rebalance_holds_psi_x_at_zero_and_without_it_psi_x_moves(bench):
     assert np.min(np.abs(free.sense_velocity[:, -1])) > 0.1
 
 
-def test_output_follows_a_slow_rate(bench):
+def test_the_output_follows_a_slow_rate(bench):
     p, kappa, _, _, rest = bench
     time = np.arange(40_000) / 20_000.0
     rate = 20.0 * np.sin(TAU * 0.5 * time)
@@ -279,7 +279,7 @@ def test_closed_loops_agree_with_dop853_on_the_continuous_loops_under_a_changing
         assert np.max(np.abs(runs[1][k] - exact)) > np.max(np.abs(extrapolated - exact))
 
 
-def test_settled_refuses_loops_that_still_move(bench):
+def test_settled_refuses_loops_that_have_not_settled(bench):
     p, kappa, _, _, _ = bench
     with pytest.raises(ConfigError, match="not settled"):
         settled(operate(p[:1], kappa[:1], duration_s=0.15))
@@ -295,10 +295,10 @@ def test_settled_refuses_loops_that_still_move(bench):
         ({"angular_gain": 0.0}, "angular gain"),
         ({"rate_dps": np.zeros(7)}, "rate does not fit"),
         ({"rate_dps": np.zeros((3, 1))}, "rate does not fit"),
-        ({"loops": Loops(demodulator_hz=9_000.0)}, "do not hold"),
+        ({"loops": Loops(demodulator_hz=9_000.0)}, "are unstable"),
     ],
 )
-def test_what_cannot_run_is_said(arguments, message):
+def test_an_impossible_run_is_a_config_error(arguments, message):
     p, _, _ = random_devices(1, 1)
     call = {"physical": p, "angular_gain": 0.7, "duration_s": 0.1} | arguments
     with pytest.raises(ConfigError, match=message):

@@ -1,4 +1,4 @@
-"""The exported state space is the device."""
+"""The exported state-space matrices reproduce the device."""
 
 import numpy as np
 

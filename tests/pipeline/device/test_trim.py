@@ -1,4 +1,4 @@
-"""Electrostatic trim: its analytic limits and symmetries, its limits, and its honesty about what is left."""
+"""Electrostatic trim: analytic limits, symmetries, voltage limits, and the remaining split."""
 
 import numpy as np
 import pytest
@@ -90,14 +90,14 @@ def test_equal_voltages_lower_the_frequency_by_the_softening_law_and_leave_axes_
     assert after[0] - PAPER[0] == pytest.approx(-0.03 * volts**2, rel=4e-3)
 
 
-def test_a_pair_takes_from_up_down_what_both_drive_electrodes_would_take_by_the_ratio_of_the_gains():
+def test_a_pair_softens_the_up_down_mode_by_the_ratio_of_the_gains():
     pairs = standard_electrodes((45.0, 135.0))
     after = trimmed_physical(PAPER[None], np.array([5.0, 5.0]), pairs)[0]
     rocking_loss = (PAPER[0] ** 2 + PAPER[1] ** 2 - after[0] ** 2 - after[1] ** 2) / 2.0
     assert (PAPER[2] ** 2 - after[2] ** 2) / rocking_loss == pytest.approx(PAPER[9] / PAPER[8], rel=1e-9)
 
 
-def test_known_gains_bring_any_device_to_zero_split_with_at_most_two_pairs_and_least_frequency_loss():
+def test_known_gains_give_zero_split_with_at_most_two_pairs_and_the_least_frequency_shift():
     p = devices(1, 50)
     found = trim_batch(p, FOUR, Target(), np.ones((50, 4)))
     assert np.max(found.split_hz) < 1e-8
@@ -110,20 +110,20 @@ def test_known_gains_bring_any_device_to_zero_split_with_at_most_two_pairs_and_l
 
 
 @pytest.mark.parametrize("theta", [0.0, 90.0, -37.0])
-def test_split_and_theta_come_to_their_targets(theta):
+def test_split_and_theta_reach_their_targets(theta):
     found = trim_batch(devices(2, 20), FOUR, Target(1.2, theta), np.ones((20, 4)))
     np.testing.assert_allclose(found.split_hz, 1.2, atol=1e-7)
     assert np.max(axis_distance(found.physical[:, 6], theta)) < 1e-6
 
 
-def test_a_split_alone_keeps_the_axes():
+def test_a_split_target_without_theta_keeps_the_axes():
     p = devices(3, 20)
     found = trim_batch(p, FOUR, Target(0.7), np.ones((20, 4)))
     np.testing.assert_allclose(found.split_hz, 0.7, atol=1e-7)
     assert np.max(axis_distance(found.physical[:, 6], p[:, 6])) < 1e-6
 
 
-def test_theta_alone_kills_the_quadrature_with_less_voltage_than_killing_the_split():
+def test_a_theta_target_removes_the_quadrature_with_less_voltage_than_a_zero_split():
     p = devices(4, 30)
     ones = np.ones((30, 4))
     axis, split = trim_batch(p, FOUR, Target(None, 0.0), ones), trim_batch(p, FOUR, Target(), ones)
@@ -134,7 +134,7 @@ def test_theta_alone_kills_the_quadrature_with_less_voltage_than_killing_the_spl
 
 @given(turn=st.floats(-180.0, 180.0), seed=st.integers(0, 50))
 @settings(deadline=None, max_examples=30)
-def test_turning_device_electrodes_and_target_together_changes_no_voltage(turn, seed):
+def test_rotating_device_electrodes_and_target_together_changes_no_voltage(turn, seed):
     p = devices(seed, 1)
     turned = p.copy()
     turned[0, 6] = 90.0 - (90.0 - (p[0, 6] + turn)) % 180.0
@@ -147,7 +147,7 @@ def test_turning_device_electrodes_and_target_together_changes_no_voltage(turn, 
     np.testing.assert_allclose(there.split_hz, here.split_hz, atol=1e-8)
 
 
-def test_what_a_limit_leaves_falls_with_the_limit_and_vanishes_where_it_no_longer_binds():
+def test_the_remaining_split_decreases_as_the_voltage_limit_rises_and_vanishes_without_it():
     device = devices(5, 1, 4.0)
     device[0, 1] = device[0, 0] + 3.5
     left, missing, bound = [], [], []
@@ -180,7 +180,7 @@ def test_bounded_plan_is_the_best_of_a_fine_grid():
 
 
 @pytest.mark.parametrize("sd", [0.02, 0.08])
-def test_split_left_by_uncertain_gains_is_as_wide_as_the_gains(sd):
+def test_the_remaining_split_has_the_relative_sd_of_the_gains(sd):
     # One pair along the upper axis does it alone, so |a'| = |a| |1 - k/<k>| and nothing else.
     device = PAPER.copy()
     device[6] = 90.0
@@ -194,7 +194,7 @@ def test_split_left_by_uncertain_gains_is_as_wide_as_the_gains(sd):
     assert np.quantile(left, 0.05) > 0.0
 
 
-def test_posterior_of_the_stiffness_carries_through_the_trim():
+def test_the_trim_keeps_the_posterior_width_of_the_stiffness():
     random = np.random.default_rng(11)
     draws = np.tile(PAPER, (20_000, 1))
     draws[:, 1] += random.normal(0.0, 0.01, 20_000)
@@ -209,7 +209,7 @@ def test_posterior_of_the_stiffness_carries_through_the_trim():
     assert np.max(np.abs(turned.mean(axis=0))) < 5.0 * 0.0133 / np.sqrt(20_000)
 
 
-def test_measure_trim_measure_again_converges_on_the_true_device_by_the_gain_error_a_round():
+def test_each_round_of_trim_reduces_the_split_by_the_gain_error():
     p = devices(7, 40)
     pairs = standard_electrodes(gain_sd=0.05)
     gains = pairs.draw_gains(np.random.default_rng(9), 40)
@@ -221,7 +221,7 @@ def test_measure_trim_measure_again_converges_on_the_true_device_by_the_gain_err
     assert np.all(left[2] <= 1.5 * worst * left[1] + 1e-9)
 
 
-def test_second_round_of_one_device_plans_from_the_voltages_it_was_measured_under():
+def test_a_second_trim_starts_from_the_voltages_of_the_measurement():
     pairs = standard_electrodes(gain_sd=0.05)
     random = np.random.default_rng(2)
     truth, gains = devices(8, 1), pairs.draw_gains(np.random.default_rng(5), 1)
@@ -234,7 +234,7 @@ def test_second_round_of_one_device_plans_from_the_voltages_it_was_measured_unde
     np.testing.assert_allclose(known.voltages_v[0], volts, atol=1e-6)
 
 
-def test_a_device_already_on_target_is_left_alone():
+def test_a_device_on_target_needs_no_voltage():
     device = PAPER.copy()
     device[1] = device[0]
     np.testing.assert_allclose(trim_batch(device[None], FOUR, Target(), np.ones((1, 4))).voltages_v, 0.0, atol=1e-4)
@@ -242,7 +242,7 @@ def test_a_device_already_on_target_is_left_alone():
     np.testing.assert_allclose(same.voltages_v, 0.0, atol=1e-3)
 
 
-def test_one_pair_alone_takes_the_split_to_its_projection():
+def test_one_pair_reduces_the_split_to_its_projection():
     # Only exp(2 i beta) is reachable: at 45 deg from the upper axis nothing helps, at 20 deg sin(40 deg) is left.
     for off, left in ((45.0, 1.0), (20.0, np.sin(np.deg2rad(40.0))), (0.0, 0.0)):
         pair = standard_electrodes((PAPER[6] + 90.0 + off,), gain_sd=0.0)
@@ -270,11 +270,11 @@ def test_gains_are_drawn_with_their_mean_and_sd():
         (lambda: trim(PAPER[None] * np.nan, FOUR, Target(), np.random.default_rng(0)), "needs parameters"),
         (lambda: trim(PAPER[None], FOUR, Target(), np.random.default_rng(0), np.array([99.0, 0, 0, 0])), "present"),
         (lambda: trimmed_physical(PAPER[None], np.zeros(3), FOUR), "does not fit"),
-        (lambda: trimmed_physical(PAPER[None], np.full(4, 200.0), FOUR), "pull the device in"),
-        (lambda: trim_batch(PAPER[None], FOUR, Target(), np.ones((1, 4)), 0), "at least once"),
+        (lambda: trimmed_physical(PAPER[None], np.full(4, 200.0), FOUR), "electrostatic pull-in"),
+        (lambda: trim_batch(PAPER[None], FOUR, Target(), np.ones((1, 4)), 0), "at least 1"),
         (lambda: trim_batch(PAPER[None], FOUR, Target(), np.ones((2, 4))), "true gains"),
     ],
 )
-def test_what_makes_no_sense_is_said(attempt, message):
+def test_impossible_arguments_are_a_config_error(attempt, message):
     with pytest.raises(ConfigError, match=message):
         attempt()

@@ -1,1 +1,1 @@
-"""Hidden-effect campaigns: an independent simulator hides effects, the loop has to find them."""
+"""Hidden-effects study: an independent simulator hides effects in campaigns, and the learning loop must find them."""

@@ -1,7 +1,7 @@
-"""What the rows of a study say: shares with their intervals, confusion matrix, power curve, times.
+"""Results of the study: proportions with their confidence intervals, confusion matrix, power curve, run times.
 
-A row is the JSON object of one campaign (``study.examine``).  A name is right where it is hidden itself, or where its
-class (three at most) holds what is hidden.
+A row is the JSON object of one campaign (``study.examine``).  A named effect is right if it is hidden, or if its class (of at
+most three effects) contains a hidden effect.
 """
 
 from __future__ import annotations
@@ -13,44 +13,30 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
+
 from ..coverage import Share
 from .draw import KINDS
+from .own_law import without_law
 from .truth import OUTSIDE
 
 Row = Mapping[str, Any]
 
-#: Sets of library effects that may fairly stand for one that was taken out.  A mode far above the driven band and a
-#: capacitance are one thing there.  Drive electrodes turned one way are sense electrodes turned the other, and theta with them;
-#: turned sense electrodes are crosstalk with a = -b, and up-down, which does not turn, takes a mismatch; so a mismatch is a turn,
-#: crosstalk that undoes it, and the tilt that is the rest.
-LOOK_ALIKES: dict[str, tuple[frozenset[str], ...]] = {
-    "pickoff_pole": (frozenset({"loop_delay"}),),
-    "loop_delay": (frozenset({"pickoff_pole"}),),
-    "updown_tilt": (frozenset({"electrode_mismatch"}),),
-    "electrode_mismatch": (
-        frozenset({"updown_tilt"}),
-        frozenset({"updown_tilt", "pickoff_crosstalk", "electrode_misalignment"}),
-    ),
-    "parasitic_mode": (frozenset({"capacitive_feedthrough"}),),
-    "capacitive_feedthrough": (frozenset({"parasitic_mode"}),),
-    "electrode_misalignment": (frozenset({"pickoff_crosstalk", "electrode_mismatch"}),),
-    **{name: tuple(frozenset({one}) for one in like) for name, (_, like) in OUTSIDE.items()},
-}
 _LARGEST_CLASS = 3
 _POWER_BINS = (4.0, 5.0, 6.5, 8.0, 10.0, 20.0, 50.0, 200.0, 1000.0)
 
 
 def class_of(name: str, result: Mapping[str, Any]) -> set[str]:
-    """``name`` and all that the result could not tell from it."""
+    """``name`` and all effects that the result could not distinguish from it."""
     return {name}.union(*(set(members) for members in result["classes"] if name in members))
 
 
 def answer(row: Row, step: str) -> str:
-    """What ``step`` ("diagnose" or "refine") said: "right", "partly", "wrong", "adequate", "unknown" or "fit_failed".
+    """Assessment of ``step`` ("diagnose" or "refine"): "right", "partly", "wrong", "adequate", "unknown" or "fit_failed".
 
-    right   everything hidden and nothing else, up to classes of at most three
-    partly  names that are all hidden (up to classes), but not all that is hidden, or in a larger class
-    wrong   at least one name whose class holds nothing that is hidden
+    right   all hidden effects and no others, up to classes of at most three
+    partly  only hidden effects (up to classes), but not all of them, or in a larger class
+    wrong   at least one named effect whose class contains no hidden effect
     """
     result, hidden = row[step], set(row["hidden"])
     if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
@@ -63,32 +49,39 @@ def answer(row: Row, step: str) -> str:
     return "right" if complete and small else "partly"
 
 
-def look_alike(row: Row, step: str) -> bool:
-    """Whether what was named may fairly stand for the one effect that is hidden."""
+def look_alikes(name: str, model: Model = DEFAULT_COMPARE_MODEL) -> tuple[frozenset[str], ...]:
+    """Sets of library effects that reproduce the records of the hidden effect ``name``."""
+    if name in OUTSIDE:
+        return tuple(frozenset({one}) for one in OUTSIDE[name][1])
+    return tuple(frozenset(like.effects) for like in model.effect(name).look_alikes)
+
+
+def look_alike(row: Row, step: str, model: Model = DEFAULT_COMPARE_MODEL) -> bool:
+    """Whether ``step`` named a look-alike of the one hidden effect."""
     (hidden,) = row["hidden"]
-    return set(row[step]["effects"]) in LOOK_ALIKES.get(hidden, ())
+    return set(row[step]["effects"]) in look_alikes(hidden, model)
 
 
 def confirmed(row: Row) -> bool:
-    """Whether refine left a confirmed rung."""
+    """Whether refine has a confirmed rung."""
     return any(rung["status"] == "confirmed" for rung in row["refine"]["ladder"])
 
 
-def _no_name(row: Row) -> bool:
+def _unknown_and_unconfirmed(row: Row) -> bool:
     return row["refine"]["verdict"] == "unknown" and not confirmed(row)
 
 
 def share(rows: Sequence[Row], test: Callable[[Row], bool]) -> Share:
-    """Of all rows, those that pass."""
+    """The proportion of rows that pass ``test``."""
     return Share(sum(test(row) for row in rows), len(rows))
 
 
-def _answers(step: str, said: str) -> Callable[[Row], bool]:
-    return lambda row: answer(row, step) == said
+def _assessed(step: str, expected: str) -> Callable[[Row], bool]:
+    return lambda row: answer(row, step) == expected
 
 
-def _apart(row: Row, quantity: str, key: str) -> float:
-    """(estimate - truth)/sd of a quantity of refine; theta modulo 180 deg; nan where there is none."""
+def _z_score(row: Row, quantity: str, key: str) -> float:
+    """(estimate - truth)/sd of a quantity in refine, theta modulo 180 deg; nan if there is no estimate."""
     found = row["refine"].get(key)
     if not found or found[0] is None or not found[1]:
         return float("nan")
@@ -98,30 +91,31 @@ def _apart(row: Row, quantity: str, key: str) -> float:
     return float(off / found[1])
 
 
-def main_parameter(row: Row) -> tuple[float, float, float] | None:
+def main_parameter(row: Row, model: Model = DEFAULT_COMPARE_MODEL) -> tuple[float, float, float] | None:
     """(true, estimate, sd) of the largest hidden parameter among those that are zero without the effect.
 
-    ``None`` where refine did not add just the hidden effect, or where it has no such parameter (hum).
+    None if refine did not add exactly the hidden effect, or if the fit has no such parameter (hum).
     """
     if len(row["hidden"]) != 1 or list(row["refine"]["effects"]) != list(row["hidden"]):
         return None
-    effect = row["hidden"][0]
-    asked = [name for name in row["sizes"] if name in row["refine"]["parameters"]]
-    if not asked:
+    effect = model.effect(row["hidden"][0])
+    estimated = [name for name in row["sizes"] if name in row["refine"]["parameters"]]
+    if not estimated:
         return None
-    name = max(asked, key=lambda n: abs(row["sizes"][n]))
+    name = max(estimated, key=lambda n: abs(row["sizes"][n]))
     value, sd = row["refine"]["parameters"][name]
     if sd is None or not np.isfinite(sd):
         return None
-    if effect == "parasitic_mode":
-        # The sense vector is an axis: both ways round are the same mode.
-        turned = row["refine"]["parameters"]["parasitic_mode.a"][0] - row["truth"]["parasitic_mode.a"]
-        value *= float(np.sign(np.cos(np.deg2rad(turned)))) or 1.0
+    if (angle := effect.direction(model.built.shape)) is not None:
+        # The opposite sense vector with the opposite sign of the other parameters is the same mode.
+        full = effect.full_name(angle)
+        difference = row["refine"]["parameters"][full][0] - row["truth"][full]
+        value *= float(np.sign(np.cos(np.deg2rad(difference)))) or 1.0
     return float(row["sizes"][name]), float(value), float(sd)
 
 
-def figures(rows: Sequence[Row]) -> dict[str, Any]:
-    """Every share that the proof names, by what it says; those without rows are left out."""
+def figures(rows: Sequence[Row], model: Model = DEFAULT_COMPARE_MODEL) -> dict[str, Any]:
+    """All figures of the study by their description; a figure without rows is omitted."""
     ran = [row for row in rows if not row["failed"]]
     by = {kind: [row for row in ran if row["kind"] == kind] for kind in KINDS}
     out: dict[str, Any] = {"campaigns": len(rows), "campaigns that failed to run": len(rows) - len(ran)}
@@ -134,22 +128,24 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
         add(f"a name (at most {limit} %)", kind, lambda r: bool(r["diagnose"]["effects"]))
         add("unknown", kind, lambda r: r["diagnose"]["verdict"] == "unknown")
     for step in ("diagnose", "refine"):
-        add(f"right, {step} (at least 95 %)", "one", _answers(step, "right"))
-        add(f"wrong name, {step} (at most 1 %)", "one", _answers(step, "wrong"))
-    add("wrong name, diagnose (at most 2 %)", "weak", _answers("diagnose", "wrong"))
-    add("right, diagnose", "weak", _answers("diagnose", "right"))
-    add("adequate, diagnose", "weak", _answers("diagnose", "adequate"))
+        add(f"right, {step} (at least 95 %)", "one", _assessed(step, "right"))
+        add(f"wrong name, {step} (at most 1 %)", "one", _assessed(step, "wrong"))
+    add("wrong name, diagnose (at most 2 %)", "weak", _assessed("diagnose", "wrong"))
+    add("right, diagnose", "weak", _assessed("diagnose", "right"))
+    add("adequate, diagnose", "weak", _assessed("diagnose", "adequate"))
     for step in ("diagnose", "refine"):
-        add(f"both and only both, {step} (at least 85 %)", "two", _answers(step, "right"))
-    strange = by["outside"] + by["left-out"]
-    for name, group in (("outside", by["outside"]), ("left-out", by["left-out"]), ("outside and left-out", strange)):
+        add(f"both and only both, {step} (at least 85 %)", "two", _assessed(step, "right"))
+    if own := [row for row in ran if without_law(row["hidden"])]:
+        out["campaigns simulated by the effect's own law, not independently"] = len(own)
+    foreign = by["outside"] + by["left-out"]
+    for name, group in (("outside", by["outside"]), ("left-out", by["left-out"]), ("outside and left-out", foreign)):
         if group:
-            fair = [r for r in group if _no_name(r) or not look_alike(r, "refine")]
-            out[f"{name}: unknown, no confirmed rung (at least 90 %)"] = share(fair, _no_name)
+            fair = [r for r in group if _unknown_and_unconfirmed(r) or not look_alike(r, "refine", model)]
+            out[f"{name}: unknown, no confirmed rung (at least 90 %)"] = share(fair, _unknown_and_unconfirmed)
             out[f"{name}: a look-alike stands for it, excused"] = len(group) - len(fair)
             out[f"{name}: adequate"] = share(fair, lambda r: r["refine"]["verdict"] == "adequate")
     out |= _after_adding([r for r in by["one"] if answer(r, "refine") == "right"])
-    out |= _sizes(by["one"])
+    out |= _sizes(by["one"], model)
     out |= _times(ran)
     return out
 
@@ -163,8 +159,8 @@ def _after_adding(rows: Sequence[Row]) -> dict[str, Any]:
         sum(e is not None and e <= 1.01 for e in error), len(rows)
     )
     for quantity, before in (("theta_deg", "theta_before_deg"), ("split_hz", "split_before_hz")):
-        z = np.array([_apart(r, quantity, quantity) for r in rows])
-        was = np.array([_apart(r, quantity, before) for r in rows])
+        z = np.array([_z_score(r, quantity, quantity) for r in rows])
+        was = np.array([_z_score(r, quantity, before) for r in rows])
         inside = int(np.sum(np.abs(z) <= 1.6449))
         out[f"after adding: {quantity} inside its 90 % interval (85 to 95 %)"] = Share(inside, len(rows))
         if np.any(np.isfinite(was)):
@@ -172,8 +168,8 @@ def _after_adding(rows: Sequence[Row]) -> dict[str, Any]:
     return out
 
 
-def _sizes(rows: Sequence[Row]) -> dict[str, Any]:
-    found = [size for row in rows if (size := main_parameter(row)) is not None]
+def _sizes(rows: Sequence[Row], model: Model) -> dict[str, Any]:
+    found = [size for row in rows if (size := main_parameter(row, model)) is not None]
     if not found:
         return {}
     return {
@@ -197,7 +193,7 @@ def _times(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def found_as(row: Row, step: str) -> str:
-    """The column of the confusion matrix: names with their classes, or the verdict without a name."""
+    """Column of the confusion matrix: named effects with their classes, or the verdict if none is named."""
     result = row[step]
     if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
         return "adequate" if result["verdict"] in ("effect", "class") else str(result["verdict"])
@@ -205,7 +201,7 @@ def found_as(row: Row, step: str) -> str:
 
 
 def confusion(rows: Sequence[Row], step: str) -> dict[str, dict[str, int]]:
-    """Hidden -> found -> campaigns, of all rows in which ``step`` was done."""
+    """Hidden effects -> found effects -> number of campaigns, for all rows that contain ``step``."""
     table: dict[str, Counter[str]] = {}
     for row in rows:
         if not row["failed"] and row[step]:
@@ -216,7 +212,7 @@ def confusion(rows: Sequence[Row], step: str) -> dict[str, dict[str, int]]:
 
 
 def power(rows: Sequence[Row]) -> list[tuple[float, float, dict[str, int]]]:
-    """(SNR from, to, answer -> campaigns) of the campaigns with one hidden effect."""
+    """(lowest SNR, highest SNR, assessment -> number of campaigns) of the campaigns with one hidden effect."""
     single = [row for row in rows if row["kind"] in ("one", "weak") and not row["failed"]]
     out = []
     for low, high in pairwise(_POWER_BINS):
@@ -225,8 +221,8 @@ def power(rows: Sequence[Row]) -> list[tuple[float, float, dict[str, int]]]:
     return out
 
 
-def odd(row: Row) -> bool:
-    """Whether a row is worth a look: failed, or not the answer that was hoped for."""
+def is_unexpected(row: Row) -> bool:
+    """Whether a campaign failed to run or did not give the expected verdict."""
     if row["failed"]:
         return True
     if not row["hidden"]:

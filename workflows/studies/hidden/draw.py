@@ -1,7 +1,8 @@
-"""Draw a campaign with something hidden in it: (seed, kind, number) decides everything.
+"""Draw a campaign with hidden effects; it depends on (seed, kind, number) only.
 
-A device of the default population (rocking Q > 600, c12 = 0), 1 mV of noise, offsets of a few millivolts, the standard
-records; the effects with SNRs log-uniform in the range of the kind.
+A device of the default population (rocking Q > 600, c12 = 0) is measured with the standard records, 1 mV of noise and offsets of
+a few millivolts.  The SNR of each hidden effect is log-uniform in the range of the kind.
+Shapes: N samples; records (N, 2).  Units: volts.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ import numpy as np
 from scipy.signal import lfilter
 
 from pipeline.arrays import FloatArray
+from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import UsageError
 from pipeline.experiment.excitation import drive_samples
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Record
 
 from ...simulate import device_parameters, standard_excitations
-from .effects import LIBRARY, Drawn, draw_effect, peak_of
+from .effects import Drawn, draw_effect, peak_of
+from .own_law import modelled_response, own_disturbance, without_law
 from .strengths import FittedBaseline, baseline, modelled, sized
 from .truth import OUTSIDE, clipped, hum, response
 
@@ -32,13 +35,11 @@ INSTRUMENT = Instrument(antialias=AntiAlias(), adc=Adc())
 _LEAST_Q = 600.0
 _ANGULAR_GAIN = 0.7
 _OFFSET_V = 2e-3
-#: Hidden together they cannot be told from one of them.
-_LIKE = ({"pickoff_pole", "loop_delay"}, {"updown_tilt", "electrode_mismatch"})
 
 
 @dataclass(frozen=True)
 class HiddenKind:
-    """A kind of campaign: how many the issue asks for, SNR range, noise."""
+    """A kind of campaign: the number of campaigns in the whole study, the range of the SNR, and the noise."""
 
     campaigns: int
     meaning: str
@@ -50,21 +51,29 @@ KINDS: dict[str, HiddenKind] = {
     "none": HiddenKind(500, "nothing hidden"),
     "one": HiddenKind(220, "one library effect"),
     "weak": HiddenKind(110, "one library effect, weak", (4.0, 10.0)),
-    "outside": HiddenKind(54, "one effect that is in no library"),
-    "left-out": HiddenKind(66, "one library effect, taken out of the library"),
+    "outside": HiddenKind(54, "one effect outside the library"),
+    "left-out": HiddenKind(66, "one library effect, removed from the library"),
     "two": HiddenKind(60, "two library effects"),
     "coloured": HiddenKind(60, "nothing hidden, coloured noise", noise="coloured"),
-    "heavy-tailed": HiddenKind(60, "nothing hidden, noise of Student's t, 4 degrees of freedom", noise="heavy-tailed"),
+    "heavy-tailed": HiddenKind(60, "nothing hidden, Student's t noise with 4 degrees of freedom", noise="heavy-tailed"),
     "louder": HiddenKind(60, "nothing hidden, noise 20 % stronger in the driven records", noise="louder"),
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """A campaign and what is hidden in it.
+    """A campaign and the effects that are hidden in it.
 
-    ``values``: all parameters by name; ``sizes``: names of those that are zero without their effect; ``snr``: of each of
-    the ``effects``; ``left_out``: library effects that the loop must do without.
+    Parameters
+    ----------
+    kind, number, seed : these decide everything else.
+    effects : names of the hidden effects.
+    values : all parameters by name.
+    sizes : names of the parameters that are zero without their effect.
+    snr : SNR of each of the ``effects``.
+    left_out : library effects that are not offered to the learning loop.
+    campaign : the records.
+    model : the model from which the loop starts; its library holds the candidates.
     """
 
     kind: str
@@ -76,30 +85,40 @@ class Hidden:
     snr: tuple[float, ...]
     left_out: tuple[str, ...]
     campaign: Campaign
+    model: Model = DEFAULT_COMPARE_MODEL
 
 
 def stream(seed: int, kind: str, number: int, purpose: str) -> np.random.Generator:
-    """The random numbers of one purpose in one campaign."""
+    """The random stream of one purpose in one campaign."""
     key = (crc32(kind.encode()), number, crc32(purpose.encode()))
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
-def effects_of(kind: str, number: int, random: np.random.Generator) -> tuple[str, ...]:
-    """Names of what campaign ``number`` of ``kind`` hides: each in turn, pairs at random."""
+def inseparable(first: str, second: str, model: Model = DEFAULT_COMPARE_MODEL) -> bool:
+    """Whether one of two effects always imitates the other, so that both together look like one of them."""
+    pairs = ((first, second), (second, first))
+    return any(like.always and like.effects == (b,) for a, b in pairs for like in model.effect(a).look_alikes)
+
+
+def effects_of(
+    kind: str, number: int, random: np.random.Generator, model: Model = DEFAULT_COMPARE_MODEL
+) -> tuple[str, ...]:
+    """Names of the effects in campaign ``number`` of ``kind``: the candidates of ``model`` in turn, or a random pair of them."""
+    library = model.candidates()
     if kind in ("one", "weak", "left-out"):
-        return (LIBRARY[number % len(LIBRARY)],)
+        return (library[number % len(library)],)
     if kind == "outside":
         return (tuple(OUTSIDE)[number % len(OUTSIDE)],)
     if kind != "two":
         return ()
     while True:
-        first, second = sorted(str(name) for name in random.choice(LIBRARY, 2, replace=False))
-        if {first, second} not in _LIKE:
+        first, second = sorted(str(name) for name in random.choice(library, 2, replace=False))
+        if not inseparable(first, second, model):
             return first, second
 
 
-def device(random: np.random.Generator) -> dict[str, float]:
-    """Plant parameters of a device of the default population with rocking Q > 600."""
+def draw_device(random: np.random.Generator) -> dict[str, float]:
+    """Plant parameters, by name, of a device of the default population with rocking Q > 600."""
     while True:
         values = device_parameters({}, int(random.integers(2**31)))
         if max(values["zeta1"], values["zeta2"]) < 0.5 / _LEAST_Q:
@@ -107,7 +126,7 @@ def device(random: np.random.Generator) -> dict[str, float]:
 
 
 def noise(kind: Noise, silent: bool, samples: int, random: np.random.Generator) -> FloatArray:
-    """(samples, 2) of noise [V] with an sd of 1 mV, but for the driven records of "louder"."""
+    """Noise (samples, 2) [V] with an sd of 1 mV (1.2 mV in the driven records of "louder")."""
     if kind == "heavy-tailed":
         return np.asarray(SIGMA_V / np.sqrt(2.0) * random.standard_t(4.0, (samples, 2)))
     white = random.standard_normal((samples, 2))
@@ -116,8 +135,14 @@ def noise(kind: Noise, silent: bool, samples: int, random: np.random.Generator) 
     return SIGMA_V * white * (1.2 if kind == "louder" and not silent else 1.0)
 
 
-def hide(kind: str, number: int, seed: int) -> Hidden:
-    """Campaign ``number`` of ``kind``.
+def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL) -> Hidden:
+    """Draw and simulate campaign ``number`` of ``kind``.
+
+    Parameters
+    ----------
+    kind, number : which campaign, see ``KINDS``.
+    seed : root of all random streams.
+    model : the loop will start from it; the effects to hide are its candidates.
 
     Raises
     ------
@@ -126,36 +151,37 @@ def hide(kind: str, number: int, seed: int) -> Hidden:
     if kind not in KINDS or number < 0:
         raise UsageError("no such hidden campaign", value=f"{kind} {number}", allowed=f"{', '.join(KINDS)}; 0 and up")
     random = stream(seed, kind, number, "device")
-    values = device(random)
-    effects = effects_of(kind, number, random)
+    values = draw_device(random)
+    effects = effects_of(kind, number, random, model)
     empty = _empty(int(random.integers(2**31)))
     snr: list[float] = []
     sizes: list[str] = []
     if effects:
         fitted = [r for r in empty if r.role == "fit"]
-        # What the ADC adds to the noise.
+        # The quantisation of the ADC adds to the noise.
         sigma = float(np.hypot(SIGMA_V, Adc().lsb_v / np.sqrt(12.0)))
         base = baseline(values, fitted, INSTRUMENT, sigma)
         before = modelled(values, (), fitted, INSTRUMENT)
         changed = dict(values)
         for i, effect in enumerate(effects):
             target = float(np.exp(random.uniform(*np.log(KINDS[kind].snr))))
-            drawn = draw_effect(effect, values, peak_of(before), random)
-            found = _strength(
-                effect, drawn, values, fitted, before, base, target, stream(seed, kind, number, f"hum{i}")
-            )
-            changed |= drawn.at(found[0])
-            snr.append(found[1])
+            drawn = draw_effect(effect, values, peak_of(before), random, model)
+            trial = _Trial(effect, model, drawn, values, fitted, before, base)
+            size, reached = trial.sized(target, stream(seed, kind, number, f"hum{i}"))
+            changed |= drawn.at(size)
+            snr.append(reached)
             sizes += drawn.direction
         values = changed
-    clean = _answers(values, empty)
+    clean = _clean(model, effects, values, empty)
     measured = tuple(
-        _measured(r, clean.get(r.name), values, KINDS[kind].noise, stream(seed, kind, number, f"record{i}"))
+        _measured(
+            r, clean.get(r.name), model, effects, values, KINDS[kind].noise, stream(seed, kind, number, f"record{i}")
+        )
         for i, r in enumerate(empty)
     )
     campaign = Campaign(f"{kind}-{number}", measured, INSTRUMENT, _ANGULAR_GAIN, 1.0)
     left_out = effects if kind == "left-out" else ()
-    return Hidden(kind, number, seed, effects, values, tuple(sizes), tuple(snr), left_out, campaign)
+    return Hidden(kind, number, seed, effects, values, tuple(sizes), tuple(snr), left_out, campaign, model)
 
 
 def _empty(seed: int) -> tuple[Record, ...]:
@@ -164,57 +190,90 @@ def _empty(seed: int) -> tuple[Record, ...]:
     return tuple(Record(name, rate, v, np.zeros_like(v), role=role) for name, role, v in drives)
 
 
-def _answers(values: Mapping[str, float], records: tuple[Record, ...]) -> dict[str, FloatArray]:
-    """The noise-free driven records by name, those with the same drive computed once."""
+def _clean_record(model: Model, effects: tuple[str, ...], values: Mapping[str, float], record: Record) -> FloatArray:
+    """The noise-free record (N, 2): of the independent simulator where it states the law of every effect."""
+    if without_law(effects):
+        return modelled_response(model, effects, values, record, INSTRUMENT)
+    return response(values, record.drive_v, INSTRUMENT)
+
+
+def _clean(
+    model: Model, effects: tuple[str, ...], values: Mapping[str, float], records: tuple[Record, ...]
+) -> dict[str, FloatArray]:
+    """The noise-free driven records by name; records with the same drive are simulated once."""
     made: dict[bytes, FloatArray] = {}
     out = {}
     for record in records:
         key = record.drive_v.tobytes()
         if record.role != "noise":
             if key not in made:
-                made[key] = response(values, record.drive_v, INSTRUMENT)
+                made[key] = _clean_record(model, effects, values, record)
             out[record.name] = made[key]
     return out
 
 
-def _strength(
-    effect: str,
-    drawn: Drawn,
-    values: Mapping[str, float],
-    fitted: list[Record],
-    before: list[FloatArray],
-    base: FittedBaseline,
-    target: float,
-    random: np.random.Generator,
-) -> tuple[float, float]:
-    """Size of the effect for an SNR of ``target``, and the SNR that it has."""
-    rate = INSTRUMENT.sample_rate_hz
-    if effect == "mains_hum":
-        per_size = base.snr([hum(drawn.at(1.0), y.shape[0], rate, random) for y in before])
-        return target / per_size, target
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A drawn effect on a device: ``before`` are its ``fitted`` records without the effect."""
 
-    def snr_of(size: float) -> float:
-        trial = {**values, **drawn.at(size)}
-        if effect == "adc_saturation":
-            return base.snr([clipped(y, trial) - y for y in before])
-        if effect in OUTSIDE:
-            return base.snr([y - z for y, z in zip((response(trial, r.drive_v, INSTRUMENT) for r in fitted), before)])
-        return base.snr([y - z for y, z in zip(modelled(trial, (effect,), fitted, INSTRUMENT), before)])
+    effect: str
+    model: Model
+    drawn: Drawn
+    values: Mapping[str, float]
+    fitted: list[Record]
+    before: list[FloatArray]
+    base: FittedBaseline
 
-    found = sized(snr_of, target, drawn.most)
-    return found.size, found.snr
+    def sized(self, target: float, random: np.random.Generator) -> tuple[float, float]:
+        """Size of the effect for an SNR of ``target``, and the SNR that it has."""
+        if self.effect not in OUTSIDE and self.model.effect(self.effect).disturbance is not None:
+            # A disturbance is proportional to its size.
+            unit = self.drawn.at(1.0)
+            lines = [_disturbed(self.model, (self.effect,), unit, y.shape[0], random) for y in self.before]
+            return target / self.base.snr(lines), target
+        found = sized(self.snr, target, self.drawn.most)
+        return found.size, found.snr
+
+    def snr(self, size: float) -> float:
+        """SNR of the effect at ``size``."""
+        trial = {**self.values, **self.drawn.at(size)}
+        return self.base.snr([y - z for y, z in zip(self._records(trial), self.before)])
+
+    def _records(self, trial: Mapping[str, float]) -> list[FloatArray]:
+        if self.effect in OUTSIDE or without_law((self.effect,)):
+            return [_clean_record(self.model, (self.effect,), trial, r) for r in self.fitted]
+        if self.model.effect(self.effect).stages == ("adc",):
+            return [clipped(y, trial) for y in self.before]
+        return modelled(trial, (self.effect,), self.fitted, INSTRUMENT)
+
+
+def _disturbed(
+    model: Model, effects: tuple[str, ...], values: Mapping[str, float], samples: int, random: np.random.Generator
+) -> FloatArray:
+    """Disturbances (samples, 2) [V]: hum, and those of effects without an independent law."""
+    volts = hum(values, samples, INSTRUMENT.sample_rate_hz, random)
+    for effect in (model.effect(name) for name in without_law(effects)):
+        if effect.disturbance is not None:
+            volts = volts + own_disturbance(effect, values, samples, INSTRUMENT, random)
+    return volts
 
 
 def _measured(
-    record: Record, clean: FloatArray | None, values: Mapping[str, float], kind: Noise, random: np.random.Generator
+    record: Record,
+    clean: FloatArray | None,
+    model: Model,
+    effects: tuple[str, ...],
+    values: Mapping[str, float],
+    kind: Noise,
+    random: np.random.Generator,
 ) -> Record:
-    """Offset, noise and hum on top, then the converter."""
+    """The record with offset, noise and disturbances added, then converted."""
     samples = record.drive_v.shape[0]
     volts = record.sense_v if clean is None else clipped(clean, values)
     volts = volts + _OFFSET_V * random.standard_normal(2) + noise(kind, clean is None, samples, random)
     if values.get("adc_saturation.clips_noise", 0.0):
         volts = clipped(volts, values)
-    volts = volts + hum(values, samples, record.sample_rate_hz, random)
+    volts = volts + _disturbed(model, effects, values, samples, random)
     adc = INSTRUMENT.adc
     assert adc is not None
     half = 2.0 ** (adc.bits - 1)

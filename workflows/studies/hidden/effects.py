@@ -1,6 +1,7 @@
-"""What is drawn for every hidden effect: what is fixed beforehand, and the direction that its strength scales.
+"""Random sizes of hidden effects: values that are fixed first, and the direction that the strength scales.
 
-The direction at size 1 is roughly an SNR of 100 on the standard campaign; sizes stay where the law makes sense.
+What is drawn for an effect of the library follows from its declaration; effects outside the library are drawn here.
+At size 1 the SNR on the standard campaign is roughly 100.
 """
 
 from __future__ import annotations
@@ -11,100 +12,109 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.arrays import FloatArray
+from pipeline.device.effect import Effect
+from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
+from pipeline.device.parameters import Parameter
+from pipeline.errors import ConfigError
 
-from .truth import HARMONICS, OUTSIDE
+from .truth import HARMONICS
 
-#: |c12| stays below this share of sqrt(c11 c22); a converter keeps this inverse level at least [1/V].
-_PASSIVE, _LONGEST = 0.9, 1e9
+#: A size without a limit.  A clip level is lowered to at most this fraction of the peak: 1 / 20.
+_UNLIMITED, _LARGEST_CLIP = 1e9, 20.0
+#: Typical amplitude of a disturbance [V]; typical size of an effect that declares none, in scales of its parameters.
+_DISTURBANCE_V, _SCALES = 3e-4, 0.1
+_SHAPE = DEFAULT_COMPARE_MODEL.built.shape
+
+#: Names of the library effects that apply to the gyro; the study hides one after the other.
+LIBRARY: tuple[str, ...] = DEFAULT_COMPARE_MODEL.candidates()
 
 
 @dataclass(frozen=True)
 class Peak:
-    """Largest samples [V]: of the outputs, and of the rocking velocity |psi'|, which is that at least."""
+    """Largest absolute samples [V]: of the outputs, and a lower bound of the rocking velocity |psi'|."""
 
     output_v: float
     rocking_v: float
 
 
 def peak_of(records: Sequence[FloatArray]) -> Peak:
-    """Of records (N, 2):  y_2 - y_1 = 2 psi_x',  and |psi'| >= |psi_x'|; the up-down motion is the same in both outputs."""
+    """Peaks of records (N, 2) [V].
+
+    y_2 - y_1 = 2 psi_x', because the up-down motion is equal in both outputs; and |psi'| >= |psi_x'|.
+    """
     output = max(float(np.abs(y).max()) for y in records)
     return Peak(output, 0.5 * max(float(np.abs(y[:, 1] - y[:, 0]).max()) for y in records))
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """``fixed`` and ``direction`` by parameter; sizes up to ``most``."""
+    """A drawn effect: ``fixed`` values, and a ``direction`` from ``null`` (0 if absent) that a size up to ``most`` scales."""
 
     direction: Mapping[str, float]
     fixed: Mapping[str, float] = field(default_factory=dict)
-    most: float = _LONGEST
+    most: float = _UNLIMITED
+    null: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, size: float) -> dict[str, float]:
-        """The values of the effect's parameters at ``size``."""
-        return {**self.fixed, **{name: size * value for name, value in self.direction.items()}}
+        """Values of the effect's parameters at ``size``."""
+        scaled = {name: size * value for name, value in self.direction.items()}
+        return {**self.fixed, **scaled, **{name: value + scaled[name] for name, value in self.null.items()}}
 
 
-#: Parameter -> (size, whether it may have either sign, largest value that makes sense) of the plain effects.
-_PLAIN: dict[str, tuple[tuple[str, ...], float, bool, float]] = {
-    "nonlinear_damping": (("d",), 3e-3, False, 10.0),
-    "damping_drift": (("gamma",), 2e-3, False, 1.0),
-    "frequency_drift": (("beta",), 1e-6, True, 1e-2),
-    "cubic_stiffness": (("k3",), 1e8, True, 1e12),
-    "quadratic_stiffness": (("k2x", "k2y"), 3e7, True, 1e11),
-    "electrostatic_softening": (("1/g",), 50.0, False, 500.0),
-    "angular_rate": (("Omega",), 7e-3, True, 50.0),
-    "updown_tilt": (("t_x",), 2e-3, True, 0.5),
-    "electrode_misalignment": (("phi",), 0.1, True, 20.0),
-    "electrode_mismatch": (("m_D", "m_S"), 2e-3, True, 0.3),
-    "drive_nonlinearity": (("eps",), 0.3, False, 2.0),
-    "sense_nonlinearity": (("1/g",), 2.0, False, 500.0),
-    "capacitive_feedthrough": (("C_s1d1", "C_s1d2", "C_s2d1", "C_s2d2"), 1e-7, True, 1e-3),
-    "resistive_feedthrough": (("R_s1d1", "R_s1d2", "R_s2d1", "R_s2d2"), 3e-4, True, 1.0),
-    "pickoff_crosstalk": (("a", "b"), 1e-3, True, 0.5),
-    "pickoff_pole": (("T",), 5e-7, False, 1e-3),
-    "loop_delay": (("tau",), 5e-7, False, 1e-3),
-    "gain_drift": (("gamma",), 5e-4, True, 0.2),
-}
+def _clip_level(effect: Effect, peak: Peak, random: np.random.Generator) -> Drawn:
+    # At size 1 the level is the peak, so nothing is clipped.  Noise enters behind the clipping stage or in front of it.
+    clips_noise = float(random.integers(2))
+    direction = {effect.full_name(m): 1.0 / peak.output_v for m in effect.members(_SHAPE)}
+    return Drawn(direction, {f"{effect.name}.clips_noise": clips_noise}, most=_LARGEST_CLIP)
 
 
-def _plain(effect: str, random: np.random.Generator) -> Drawn:
-    names, size, either, largest = _PLAIN[effect]
-    vector = random.standard_normal(len(names)) if len(names) > 1 else np.array([random.choice([-1.0, 1.0])])
-    vector = vector / np.linalg.norm(vector)
-    if not either:
+def _disturbance(effect: Effect, random: np.random.Generator) -> Drawn:
+    amplitude = _DISTURBANCE_V * random.uniform(0.2, 1.0, HARMONICS) / np.arange(1, HARMONICS + 1)
+    direction = {f"{effect.name}.a{h + 1}": float(a) for h, a in enumerate(amplitude)}
+    frequency = [m for m in effect.members(_SHAPE) if m.name == effect.mains_frequency or not effect.mains_frequency]
+    return Drawn(direction, {effect.full_name(m): float(random.choice(m.grid or [m.null])) for m in frequency})
+
+
+def _grid_value(member: Parameter, random: np.random.Generator) -> float:
+    low, high = member.typical or (min(member.grid), max(member.grid))
+    share = random.uniform()
+    return float(low * (high / low) ** share) if low > 0.0 else float(low + (high - low) * share)
+
+
+def _unit_vector(effect: Effect, length: int, random: np.random.Generator) -> FloatArray:
+    if length == 1:
+        return np.array([random.choice([-1.0, 1.0])])
+    if length == 2 and any(parameter.per == "drive" for parameter in effect.parameters):
+        towards = random.uniform(0.0, 2.0 * np.pi)
+        return np.array([np.cos(towards), np.sin(towards)])
+    vector = random.standard_normal(length)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _sizes(effect: Effect, values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    """Draw an effect by its declared sizes: sense angle, direction of the other parameters, then values of the grids."""
+    angle = effect.direction(_SHAPE)
+    scaled = [m for m in effect.members(_SHAPE) if not m.grid and m != angle]
+    if not scaled:
+        raise ConfigError("no parameter of the effect scales its strength", value=effect.name)
+    chosen = {} if angle is None else {angle.name: float(random.uniform(angle.low, angle.high))}
+    vector = _unit_vector(effect, len(scaled), random)
+    members = effect.members(_SHAPE)
+    chosen |= {m.name: _grid_value(m, random) for m in members if m.grid and m != angle}
+    fixed = {effect.full_name(m): chosen[m.name] for m in members if m.name in chosen}
+    null = {effect.full_name(m): m.null for m in scaled if m.null != 0.0}
+    declared = effect.size
+    if declared is None:
+        vector = np.where([m.low < m.null for m in scaled], vector, np.abs(vector))
+        direction = {effect.full_name(m): _SCALES * m.scale * float(v) for m, v in zip(scaled, vector)}
+        room = [(m.high - m.null if v > 0.0 else m.null - m.low) for m, v in zip(scaled, vector)]
+        return Drawn(direction, fixed, min(r / abs(v) for r, v in zip(room, direction.values()) if v != 0.0), null)
+    if not declared.signed:
         vector = np.abs(vector)
-    direction = {f"{effect}.{name}": size * float(v) for name, v in zip(names, vector)}
-    return Drawn(direction, most=largest / max(abs(v) for v in direction.values()))
-
-
-def _damping(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    c11, c22 = (4.0 * np.pi * values[f"f{i}_hz"] * values[f"zeta{i}"] for i in (1, 2))
-    size = 0.02 * float(random.choice([-1.0, 1.0]))
-    return Drawn({"c12_per_s": size}, most=float(_PASSIVE * np.sqrt(c11 * c22)) / abs(size))
-
-
-def _parasitic(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    angle, towards = random.uniform(-90.0, 90.0), random.uniform(0.0, 2.0 * np.pi)
-    fixed = {
-        "parasitic_mode.f": float(300.0 * (2500.0 / 300.0) ** random.uniform()),
-        "parasitic_mode.zeta": float(5e-4 * 40.0 ** random.uniform()),
-        "parasitic_mode.a": float(angle),
-    }
-    b = {"parasitic_mode.b_d1": float(np.cos(towards)), "parasitic_mode.b_d2": float(np.sin(towards))}
-    return Drawn(b, fixed, most=900.0)
-
-
-def _saturation(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    # Size 1 clips nothing yet.  Noise enters behind the stage that clips, or in front of it.
-    before = float(random.integers(2))
-    return Drawn({"adc_saturation.1/level": 1.0 / peak.output_v}, {"adc_saturation.clips_noise": before}, most=20.0)
-
-
-def _hum(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    amplitude = 3e-4 * random.uniform(0.2, 1.0, HARMONICS) / np.arange(1, HARMONICS + 1)
-    direction = {f"mains_hum.a{h + 1}": float(a) for h, a in enumerate(amplitude)}
-    return Drawn(direction, {"mains_hum.f": float(random.choice([50.0, 60.0]))})
+    direction = {effect.full_name(m): declared.typical * float(v) for m, v in zip(scaled, vector)}
+    largest = declared.largest(values) if callable(declared.largest) else declared.largest
+    reach = declared.typical if angle is not None else max(abs(v) for v in direction.values())
+    return Drawn(direction, fixed, largest / reach, null)
 
 
 def _friction(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
@@ -112,6 +122,7 @@ def _friction(values: Mapping[str, float], peak: Peak, random: np.random.Generat
 
 
 def _motion(values: Mapping[str, float], peak_v: float) -> float:
+    """Amplitude of the motion [V s] of a velocity ``peak_v`` [V] at the lower rocking frequency."""
     return peak_v / (2.0 * np.pi * values["f1_hz"])
 
 
@@ -138,11 +149,7 @@ def _heating(values: Mapping[str, float], peak: Peak, random: np.random.Generato
     return Drawn(direction, {"self_heating.tau": float(0.02 * 15.0 ** random.uniform())})
 
 
-_OWN: dict[str, Callable[[Mapping[str, float], Peak, np.random.Generator], Drawn]] = {
-    "offdiagonal_damping": _damping,
-    "parasitic_mode": _parasitic,
-    "adc_saturation": _saturation,
-    "mains_hum": _hum,
+_OUTSIDE: dict[str, Callable[[Mapping[str, float], Peak, np.random.Generator], Drawn]] = {
     "coulomb_friction": _friction,
     "hysteresis": _hysteresis,
     "stop": _stop,
@@ -151,10 +158,33 @@ _OWN: dict[str, Callable[[Mapping[str, float], Peak, np.random.Generator], Drawn
     "self_heating": _heating,
 }
 
-#: The library effects that are hidden in turn.
-LIBRARY: tuple[str, ...] = tuple(sorted({*_PLAIN, *_OWN} - set(OUTSIDE)))
 
+def draw_effect(
+    name: str,
+    values: Mapping[str, float],
+    peak: Peak,
+    random: np.random.Generator,
+    model: Model = DEFAULT_COMPARE_MODEL,
+) -> Drawn:
+    """Draw the effect ``name``: one outside the library, or one that ``model`` knows.
 
-def draw_effect(effect: str, values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    """``effect`` on the device with ``values``, whose records have this ``peak`` without it."""
-    return _OWN[effect](values, peak, random) if effect in _OWN else _plain(effect, random)
+    Parameters
+    ----------
+    name : of the effect.
+    values : parameters of the device without the effect, by name.
+    peak : of the device's records without the effect.
+    random : stream of random numbers.
+    model : its library holds the effect.
+
+    Raises
+    ------
+    ConfigError : no such effect, or none of its parameters scales its strength.
+    """
+    if name in _OUTSIDE:
+        return _OUTSIDE[name](values, peak, random)
+    effect = model.effect(name)
+    if effect.disturbance is not None:
+        return _disturbance(effect, random)
+    if effect.stages == ("adc",):
+        return _clip_level(effect, peak, random)
+    return _sizes(effect, values, peak, random)

@@ -1,14 +1,14 @@
-"""Fixed-step Runge-Kutta integration (order 8) of a device with its whole signal path as one state vector.
+"""Fixed-step Runge-Kutta integration (order 8) of a device and its signal path as one state vector.
 
-    psi_x, psi_y, z, w      mechanics, w a parasitic mode; q'' = F f(v, q) - (C(t) + G) q' - K(t) q + nonlinear forces
+    psi_x, psi_y, z, w      mechanics, with a parasitic mode w: q'' = F f(v, q) - (C(t) + G) q' - K(t) q + nonlinear forces
     m_x, m_y                memory of the suspension (hysteresis, heat)
     b_kj, b_kj'             biquads j = 1..4 of the anti-alias filter of channel k
 
-The drive is held over every sample, so steps never straddle an edge; what a stray capacitance passes, an impulse
-C (v_n - v_{n-1}), is a jump of the first biquad's velocity.  A slow pick-off stands behind the filter (both are linear):
+The drive is held over each sample, so no step crosses an edge of the drive.  A stray capacitance passes the impulse
+C (v_n - v_{n-1}), which is a jump of the velocity of the first biquad.  The pick-off pole acts after the filter (both are linear):
 p' = (y - p)/T is solved exactly for the quintic through y, y', y'' at both ends of a step.
 
-Nothing here is shared with the models of ``pipeline``.  Units: volts, seconds; motion in V s.
+No code is shared with the models of ``pipeline``.  Shapes: N samples.  Units: volts, seconds; motion in V s.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _C: FloatArray = np.ascontiguousarray(DOP853.C[:_STAGES])
 
 
 class Physics(NamedTuple):
-    """Every number of the equations of motion; zero is no effect unless said otherwise.
+    """All coefficients of the equations of motion; zero means that an effect is absent, except for crosstalk (identity).
 
-    stiffness, damping, gyroscopic (4, 4); drive (4, 2); sense (2, 4) of velocities;
-    drive_motion, sense_motion (2, 4) motion of the electrodes; crosstalk (2, 2), identity without;
-    resistive, capacitive (2, 2); filter_damping (4,) 2 zeta omega_c and filter_square omega_c^2 of the biquads.
+    stiffness [1/s^2], damping, gyroscopic [1/s] (4, 4); drive (4, 2) [1/s]; sense (2, 4), from velocities to volts;
+    drive_motion, sense_motion (2, 4), from coordinates to the motion of the electrodes; crosstalk (2, 2);
+    resistive [1], capacitive [s] (2, 2); filter_damping (4,) is 2 zeta omega_c and filter_square omega_c^2 of the biquads.
     """
 
     stiffness: FloatArray
@@ -82,7 +82,7 @@ class Physics(NamedTuple):
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
-    """dy/dt of the state (STATES,) at time t [s] under the held drive v (2,) [V], written to ``dy``."""
+    """Writes dy/dt of the state y (STATES,) at time t [s] with the held drive v (2,) [V] to ``dy`` (STATES,)."""
     n = COORDINATES
     warm = 1.0 + g.stiffness_drift * t
     if g.pump != 0.0:
@@ -160,7 +160,7 @@ def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _step(t: float, h: float, y: FloatArray, v: FloatArray, g: Physics, stages: FloatArray, trial: FloatArray) -> None:
-    """One step of length h [s], in place."""
+    """Advance the state y (STATES,) by one step of length h [s], in place; ``stages`` and ``trial`` are work space."""
     for i in range(_STAGES):
         for k in range(STATES):
             trial[k] = y[k]
@@ -179,7 +179,7 @@ def _step(t: float, h: float, y: FloatArray, v: FloatArray, g: Physics, stages: 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _filtered(y: FloatArray, g: Physics, out: FloatArray) -> None:
-    """(2, 3): what the filters give, y, y', y''."""
+    """Writes the filter outputs y, y', y'' of both channels to ``out`` (2, 3)."""
     for k in range(2):
         b = _FILTER + 8 * k + 6
         out[k, 0], out[k, 1] = y[b], y[b + 1]
@@ -188,7 +188,7 @@ def _filtered(y: FloatArray, g: Physics, out: FloatArray) -> None:
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> float:
-    """p(h) of lag p' = y - p, y the quintic with y, y', y'' = ``a`` (3,) at 0 and ``b`` (3,) at h."""
+    """p(h) of lag p' = y - p, p(0) = ``p``; y is the quintic with y, y', y'' = ``a`` (3,) at 0 and ``b`` (3,) at h [s]."""
     # y = sum c_i s^i with s = time / h.
     c = np.empty(6)
     c[0], c[1], c[2] = a[0], a[1] * h, 0.5 * a[2] * h * h
@@ -198,7 +198,7 @@ def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> floa
     c[3] = 10.0 * d0 - 4.0 * d1 + 0.5 * d2
     c[4] = -15.0 * d0 + 7.0 * d1 - d2
     c[5] = 6.0 * d0 - 3.0 * d1 + 0.5 * d2
-    # The polynomial that solves the equation: e_i = c_i - (lag/h) (i + 1) e_{i+1}.
+    # The particular solution is a polynomial with e_i = c_i - (lag/h) (i + 1) e_{i+1}.
     e = np.empty(6)
     e[5] = c[5]
     for i in range(4, -1, -1):
@@ -208,9 +208,9 @@ def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> floa
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def integrate(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatArray:
-    """The record (N, 2) [V] from rest at the drive samples v (N, 2), ``steps`` steps a sample.
+    """The record (N, 2) [V] from rest for drive samples v (N, 2) [V], with ``steps`` steps per sample of ``sample_s`` [s].
 
-    A delay of (d + f) samples reads the path d whole samples and a piece of one earlier.
+    With a delay of d + f samples, the output is read d whole samples and the fraction f of a sample earlier.
     """
     count = v.shape[0]
     out = np.zeros((count, 2))
@@ -233,7 +233,7 @@ def integrate(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatAr
             for k in range(2):
                 out[n + whole, k] = slow[k] if g.pickoff_time_s > 0.0 else y[_FILTER + 8 * k + 6]
         start = n * sample_s
-        # The record's next sample lies (1 - f) into this hold: two pieces, each of equal steps.
+        # The next sample is read (1 - f) of a sample after the start of this hold, so the hold has two parts.
         for part in range(2):
             length = (1.0 - piece) if part == 0 else piece
             if length == 0.0:

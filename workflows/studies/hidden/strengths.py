@@ -1,8 +1,8 @@
-"""How strong a hidden effect is: its signal-to-noise ratio on the fitted records, less what the baseline absorbs.
+"""Strength of a hidden effect: its signal-to-noise ratio on the fitted records, without what the plant absorbs.
 
-    snr = |(I - P) (y(effect) - y(none))| / sigma,    P projects on d y / d (11 parameters of the plant) and the offsets
+    snr = |(I - P) (y(effect) - y(none))| / sigma,    P projects onto d y / d (11 parameters of the plant) and the offsets
 
-Shapes: M samples of all fitted records and both channels in a row.  Units: volts.
+Shapes: N samples of a record, M samples of all fitted records and both channels.  Units: volts.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from pipeline.experiment.forward.system import assemble
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Record
 
-#: A strength is hit to this share, in at most this many simulations.
-_CLOSE = 0.15
+#: Relative tolerance of the SNR, and the largest number of simulations to reach it.
+_TOLERANCE = 0.15
 _TRIALS = 8
 
 
 def row(records: Sequence[FloatArray]) -> FloatArray:
-    """Records (N, 2), each less its mean a channel, in one row (M,)."""
+    """All records (N, 2), without the mean of each channel, concatenated (M,)."""
     return np.concatenate([(y - y.mean(axis=0)).ravel() for y in records])
 
 
 @dataclass(frozen=True, eq=False)
 class FittedBaseline:
-    """What the plant's own parameters can do: an orthonormal basis (M, 11) of its signatures, and sigma [V]."""
+    """Changes that the parameters of the plant can make: an orthonormal basis (M, 11) of them, and sigma [V]."""
 
     basis: FloatArray
     sigma_v: float
 
     def snr(self, change: Sequence[FloatArray]) -> float:
-        """SNR of the change (N, 2) of every fitted record."""
-        seen = row(change)
-        left = seen - self.basis @ (self.basis.T @ seen)
-        return float(np.linalg.norm(left)) / self.sigma_v
+        """SNR of a ``change`` (N, 2) [V] of every fitted record."""
+        whole = row(change)
+        rest = whole - self.basis @ (self.basis.T @ whole)
+        return float(np.linalg.norm(rest)) / self.sigma_v
 
 
 def baseline(
     values: Mapping[str, float], records: Sequence[Record], instrument: Instrument, sigma_v: float
 ) -> FittedBaseline:
-    """The baseline around ``values`` on the fitted ``records``, whose drive samples alone are used."""
+    """The baseline at plant ``values`` by name; of the fitted ``records`` only the drive samples are used."""
     model = DEFAULT_COMPARE_MODEL
     plant = {name: values[name] for name in PHYSICAL if name in model.by_name}
     columns = [jacobian(model, plant, record, instrument) for record in records]
@@ -62,11 +62,11 @@ def baseline(
 def modelled(
     values: Mapping[str, float], effects: Sequence[str], records: Sequence[Record], instrument: Instrument
 ) -> list[FloatArray]:
-    """The records (N, 2) [V] as the model under test has them: quick, and good enough to choose a size by.
+    """The records (N, 2) [V] as the model under test predicts them; fast, and accurate enough to choose a size.
 
     Raises
     ------
-    ConfigError : no such device, or a motion that diverges.
+    ConfigError : the values describe no device, or the motion diverges.
     """
     model = DEFAULT_COMPARE_MODEL
     for effect in effects:
@@ -82,19 +82,20 @@ def modelled(
 
 @dataclass(frozen=True)
 class Sized:
-    """Size of an effect (its parameters are ``size`` times their direction) and the SNR that it has."""
+    """Size of an effect (its parameters are ``size`` times their direction) and its SNR."""
 
     size: float
     snr: float
 
 
 def sized(snr_of: Callable[[float], float], target: float, most: float, start: float = 1.0) -> Sized:
-    """The size whose SNR is ``target`` within 15 %, by secants in logarithms.
+    """The size whose SNR is ``target`` within 15 %, by the secant method in logarithms.
 
     Parameters
     ----------
-    snr_of : SNR at a size; it may raise ConfigError where the motion diverges.
-    most : largest size; where it is too weak for the target it is taken all the same.
+    snr_of : SNR at a size; may raise ConfigError where the motion diverges.
+    target : the SNR to reach.
+    most : largest size; it is used even if its SNR is below the target.
     start : first guess.
 
     Raises
@@ -114,7 +115,7 @@ def sized(snr_of: Callable[[float], float], target: float, most: float, start: f
             np.log(max(best.snr, 1e-300) / target)
         ):
             best = found
-        if abs(found.snr / target - 1.0) <= _CLOSE or (size == most and found.snr < target):
+        if abs(found.snr / target - 1.0) <= _TOLERANCE or (size == most and found.snr < target):
             break
         if found.snr < target:
             low = found if low is None or size > low.size else low
@@ -133,7 +134,7 @@ def sized(snr_of: Callable[[float], float], target: float, most: float, start: f
 
 
 def _next(found: Sized, previous: Sized | None, target: float) -> float:
-    """A better size: SNR goes as a power of size, 1 until two points tell."""
+    """The next size, with SNR as a power of size; the power is 1 until two points are known."""
     if not np.isfinite(found.snr):
         return 0.03 * found.size
     if found.snr == 0.0:

@@ -1,8 +1,8 @@
-"""The study: hide, diagnose, refine, write one line a campaign; an interrupted study goes on where it was.
+"""Run the study: hide effects, diagnose, refine, and write one line per campaign; an interrupted study can be resumed.
 
-    DIR/<kind>.jsonl    one JSON object a campaign, appended as they are done
+    DIR/<kind>.jsonl    one JSON object per campaign, in the order in which the campaigns finish
 
-A row depends on (seed, kind, number) alone, but for its times.
+Except for its times, a row depends on (seed, kind, number) only.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ from ...learning import Diagnosed, Refined, view_of
 from ...machine import worker_count
 from ...screening.cluster import cluster, in_parallel
 from .draw import KINDS, Hidden, hide
-from .narrowed import Narrowed
+from .restricted import RestrictedProblem
 
-#: Kinds whose campaigns are refined too.
+#: Kinds of campaigns that are also refined.
 _REFINED = ("one", "two", "outside", "left-out")
 _CANDIDATES = 5
 _Found = TypeVar("_Found")
-#: A campaign with the signatures of all candidates is larger than a screening block; a worker is not to be killed for it.
+#: A campaign with the signatures of all candidates is larger than a screening block; dask must not kill a worker for that.
 _MEMORY = {f"distributed.worker.memory.{what}": False for what in ("target", "spill", "pause", "terminate")}
 
 
 @dataclass(frozen=True)
-class Order:
-    """What is asked for: the numbers of each kind, and the root of all random streams."""
+class StudyPlan:
+    """The campaigns of a study: the numbers of each kind, and the root of all random streams."""
 
     seed: int
     numbers: Mapping[str, tuple[int, ...]]
 
 
-def order_of(kind: str, campaigns: int | None, seed: int, only: int | None = None) -> Order:
-    """``campaigns`` (as many as the proof asks for without it) of a kind or of "all"; or the ``only`` one.
+def study_plan(kind: str, campaigns: int | None, seed: int, only: int | None = None) -> StudyPlan:
+    """Plan ``campaigns`` campaigns (by default those of the whole study) of a kind or of "all", or ``only`` one.
 
     Raises
     ------
-    UsageError : an unknown kind, or a number that makes no sense.
+    UsageError : an unknown kind, or an invalid number of campaigns.
     """
     if kind != "all" and kind not in KINDS:
         raise UsageError("no such kind of hidden campaigns", value=kind, allowed=f"all, {', '.join(KINDS)}")
@@ -60,15 +60,15 @@ def order_of(kind: str, campaigns: int | None, seed: int, only: int | None = Non
         raise UsageError("one campaign needs its kind and its number", value=only, next_step="--kind one --only 3")
     kinds = tuple(KINDS) if kind == "all" else (kind,)
     if only is not None:
-        return Order(seed, {kind: (only,)})
-    return Order(seed, {k: tuple(range(campaigns or KINDS[k].campaigns)) for k in kinds})
+        return StudyPlan(seed, {kind: (only,)})
+    return StudyPlan(seed, {k: tuple(range(campaigns or KINDS[k].campaigns)) for k in kinds})
 
 
 def examine(hidden: Hidden) -> dict[str, Any]:
-    """The row of a campaign.
+    """Run the loop on a campaign and return its row.
 
-    ``sizes`` are the hidden parameters that are zero without their effect, ``truth`` all others and the split.  A step
-    that was not done is ``None``; ``failed`` says why a campaign could not be run.
+    ``sizes`` are the hidden parameters that are zero without their effect; ``truth`` are all others and the split.  A step that
+    was not run is ``None``; ``failed`` gives the reason if the campaign could not be run.
     """
     values = dict(hidden.values)
     sizes = {n: v for n, v in values.items() if n in hidden.sizes}
@@ -87,34 +87,34 @@ def examine(hidden: Hidden) -> dict[str, Any]:
         "failed": "",
     }
     try:
-        row |= told(hidden)
+        row |= run_loop(hidden)
     except (GyroscreenError, ArithmeticError, ValueError) as error:
-        # A study outlives a campaign that cannot be run, and shows it.
+        # One campaign that cannot be run must not end the study.
         row["failed"] = f"{type(error).__name__}: {error}"
     return row
 
 
-def told(hidden: Hidden) -> dict[str, Any]:
-    """One climb, told as a diagnosis and, where the kind is refined, as a ladder; each with the time it takes by itself.
+def run_loop(hidden: Hidden) -> dict[str, Any]:
+    """One forward selection, reported as a diagnosis and, for the kinds that are refined, also as a ladder.
 
-    Where the climb is longer than a diagnosis makes it, its time stands for both: at least what the shorter one takes.
+    Both include the time of the selection, so the time of a diagnosis, whose selection is shorter, is an upper bound.
     """
-    view = view_of(hidden.campaign, threads=1)
-    problem: Problem = Narrowed(view, hidden.left_out) if hidden.left_out else view
-    selection, begun = _timed(lambda: forward_selection(problem))
+    view = view_of(hidden.campaign, hidden.model, threads=1)
+    problem: Problem = RestrictedProblem(view, hidden.left_out) if hidden.left_out else view
+    selection, shared = _timed(lambda: forward_selection(problem))
     short = selection
     if len(selection.steps) > Rules.max_named:
         short = forward_selection(problem, rules=Rules(rungs=Rules.max_named))
     diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
-    row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(begun, own)}}
+    row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(shared, own)}}
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, selection))
-        row["refine"] = {**_refined(Refined(view, ladder, selection).to_dict()), **_sum(begun, own)}
+        row["refine"] = {**_refined(Refined(view, ladder, selection).to_dict()), **_sum(shared, own)}
     return row
 
 
 def _timed(step: Callable[[], _Found]) -> tuple[_Found, dict[str, float]]:
-    """What ``step`` gives, and the time that it took: of the wall, and of the processor."""
+    """The result of ``step``, its wall-clock time and its processor time [s]."""
     wall, cpu = time.perf_counter(), time.process_time()
     found = step()
     return found, {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
@@ -125,25 +125,25 @@ def _sum(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, floa
 
 
 def _diagnosed(found: Mapping[str, Any]) -> dict[str, Any]:
-    """A diagnosis with its first few candidates only."""
+    """A diagnosis with the best candidates only."""
     return {**found, "candidates": found["candidates"][:_CANDIDATES]}
 
 
 def _refined(found: Mapping[str, Any]) -> dict[str, Any]:
-    """A ladder with the parameters of its last rung only."""
+    """A ladder with the parameters of the last rung only."""
     ladder = [{k: v for k, v in rung.items() if k != "parameters"} for rung in found["ladder"]]
     parameters = found["ladder"][-1]["parameters"] if found["ladder"] else {}
     return {**found, "ladder": ladder, "parameters": parameters}
 
 
 def study_block(seed: int, item: tuple[str, int]) -> dict[str, Any]:
-    """The row of one campaign, on a worker."""
+    """The row of campaign ``item`` = (kind, number), computed on a worker."""
     with threadpool_limits(limits=1):
         return examine(hide(*item, seed))
 
 
 def rows_in(folder: Path, kinds: Sequence[str], seed: int) -> list[dict[str, Any]]:
-    """The finished rows of these kinds and this seed; a line that an interruption tore is no row."""
+    """The finished rows of these kinds and this seed; a line that was cut off by an interruption is ignored."""
     rows: dict[tuple[str, int], dict[str, Any]] = {}
     for kind in kinds:
         path = folder / f"{kind}.jsonl"
@@ -160,28 +160,28 @@ def rows_in(folder: Path, kinds: Sequence[str], seed: int) -> list[dict[str, Any
 
 
 def append(folder: Path, row: Mapping[str, Any]) -> None:
-    """One more line in the file of its kind; what an interruption tore is left on a line of its own."""
+    """Append a row to the file of its kind, on a new line even if the last line was cut off by an interruption."""
     path = folder / f"{row['kind']}.jsonl"
-    torn = path.exists() and path.stat().st_size > 0 and not path.read_bytes().endswith(b"\n")
+    cut_off = path.exists() and path.stat().st_size > 0 and not path.read_bytes().endswith(b"\n")
     with path.open("a", encoding="utf-8") as file:
-        file.write(("\n" if torn else "") + json.dumps(row, default=float) + "\n")
+        file.write(("\n" if cut_off else "") + json.dumps(row, default=float) + "\n")
 
 
-def run_study(order: Order, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
-    """Run what is missing in ``folder``; yields (done, asked) as campaigns finish, those from before counted.
+def run_study(plan: StudyPlan, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
+    """Run the campaigns of ``plan`` that are missing in ``folder``; a campaign that failed to run is run again.
 
-    A campaign that failed to run is run again.
+    Yields (campaigns done, campaigns planned), including those done before, each time a campaign finishes.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = [(kind, number) for kind, numbers in order.numbers.items() for number in numbers]
-    before = {(r["kind"], r["number"]) for r in rows_in(folder, tuple(order.numbers), order.seed) if not r["failed"]}
+    wanted = [(kind, number) for kind, numbers in plan.numbers.items() for number in numbers]
+    before = {(r["kind"], r["number"]) for r in rows_in(folder, tuple(plan.numbers), plan.seed) if not r["failed"]}
     missing = [item for item in wanted if item not in before]
     done = len(wanted) - len(missing)
     yield done, len(wanted)
     if not missing:
         return
     with dask.config.set(_MEMORY), cluster(min(worker_count(workers), len(missing)), None) as client:
-        for row in in_parallel(client, study_block, order.seed, missing):
+        for row in in_parallel(client, study_block, plan.seed, missing):
             append(folder, row)
             done += 1
             yield done, len(wanted)

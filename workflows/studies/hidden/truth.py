@@ -1,12 +1,14 @@
-"""The truth behind a hidden-effect campaign: a gyro and its read-out with full laws, written from the equations alone.
+"""Independent simulator of hidden-effect campaigns: a gyro and its read-out, written from the equations alone.
 
     psi'' + C psi' + K psi = G_r M_D K_D f,   z'' + c33 z' + omega3^2 z = G_z (1, 1) K_D f
     S = K_S (M_S psi' + (1, 1)^T z')
 
-The laws are those of the table "Effect names" of the design, and ``OUTSIDE`` names physics that no library effect has.
-Only plain dataclasses are shared with the models under test.
+It shares no law with the effects under test: ``STATED`` names the library effects whose laws are stated here a second time,
+``OUTSIDE`` the physics that no library effect has.  A new effect needs no entry here; without one, its own law is simulated
+(``own_law``).  To state its law a second time: add its term to ``Physics`` and ``slope`` in ``integrator``, its parameters
+to ``physics``, and its name to ``STATED``.
 
-Values are by name: "effect.parameter", the plant's as in its result columns.  Units: SI, angles in degrees.
+Values are by name: "effect.parameter", and the parameters of the plant.  Units: SI, angles in degrees.
 """
 
 from __future__ import annotations
@@ -22,13 +24,22 @@ from pipeline.experiment.instrument import Instrument
 
 from .integrator import COORDINATES, Physics, integrate
 
-#: Steps a sample; at 10 kHz the error of a record is then below 1e-8 of its signal.
+#: Integration steps per sample; at 10 kHz the error of a record is below 1e-8 of its signal.
 STEPS = 2
 
-#: Harmonics of the mains that a hidden hum has.
+#: Number of harmonics of a hidden hum.
 HARMONICS = 5
 
-#: Physics outside the library: name -> (law, library effects that may fairly be taken for it).
+_STATED = """
+adc_saturation angular_rate capacitive_feedthrough cubic_stiffness damping_drift drive_nonlinearity electrode_misalignment
+electrode_mismatch electrostatic_softening frequency_drift gain_drift loop_delay mains_hum nonlinear_damping
+offdiagonal_damping parasitic_mode pickoff_crosstalk pickoff_pole quadratic_stiffness resistive_feedthrough
+sense_nonlinearity updown_tilt
+"""
+#: Library effects whose law is stated here.
+STATED: frozenset[str] = frozenset(_STATED.split())
+
+#: Physics outside the library: name -> (law, library effects that look like it).
 OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
     "coulomb_friction": ("psi'' -= F psi' / sqrt(|psi'|^2 + s^2)", ()),
     "hysteresis": ("psi_i'' -= k h_i,  h' = psi' - (|psi'| h + psi' |h|)/(2 r): Bouc-Wen", ()),
@@ -39,19 +50,19 @@ OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
-def _turned(axis_deg: float, first: float, second: float, cross: float = 0.0) -> FloatArray:
-    """The symmetric tensor with these components in axes turned by ``axis_deg``."""
+def _rotated(axis_deg: float, first: float, second: float, cross: float = 0.0) -> FloatArray:
+    """The symmetric tensor (2, 2) with components ``first``, ``second`` and ``cross`` in axes rotated by ``axis_deg``."""
     c, s = math.cos(math.radians(axis_deg)), math.sin(math.radians(axis_deg))
     axes = np.array([[c, -s], [s, c]])
     return np.asarray(axes @ np.array([[first, cross], [cross, second]]) @ axes.T)
 
 
 def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
-    """The equations of motion at ``values``; names that are absent are no effect.
+    """The coefficients of the equations of motion at ``values`` by name; an effect without values is absent.
 
     Raises
     ------
-    ConfigError : an instrument that this simulator does not have.
+    ConfigError : the simulator does not support the instrument.
     """
     filter_ = instrument.antialias
     if instrument.hold != "zoh" or filter_ is None or filter_.order != 8:
@@ -64,8 +75,8 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
     loss = [2.0 * values[f"zeta{i}"] * w for i, w in zip((1, 2, 3), omega)]
     n = COORDINATES
     stiffness, damping = np.eye(n), np.zeros((n, n))
-    stiffness[:2, :2] = _turned(values["theta_deg"], omega[0] ** 2, omega[1] ** 2)
-    damping[:2, :2] = _turned(values["theta_deg"], loss[0], loss[1], of("c12_per_s"))
+    stiffness[:2, :2] = _rotated(values["theta_deg"], omega[0] ** 2, omega[1] ** 2)
+    damping[:2, :2] = _rotated(values["theta_deg"], loss[0], loss[1], of("c12_per_s"))
     stiffness[2, 2], damping[2, 2] = omega[2] ** 2, loss[2]
     gyroscopic = np.zeros((n, n))
     gyroscopic[0, 1], gyroscopic[1, 0] = -2.0 * of("angular_rate.Omega"), 2.0 * of("angular_rate.Omega")
@@ -79,20 +90,20 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
     rocking_sense = 1.0 + sign * (s + of("electrode_mismatch.m_S"))
     phi, tilt = math.radians(of("electrode_misalignment.phi")), of("updown_tilt.t_x")
     lever = np.array([[-1.0, 1.0], [1.0, 1.0]])
-    turn = np.array([[math.cos(phi), -math.sin(phi)], [math.sin(phi), math.cos(phi)]])
+    rotation = np.array([[math.cos(phi), -math.sin(phi)], [math.sin(phi), math.cos(phi)]])
     drive = np.zeros((n, 2))
-    drive[:2] = values["rocking_gain"] * turn @ lever * torque_gain
+    drive[:2] = values["rocking_gain"] * rotation @ lever * torque_gain
     drive[2] = values["updown_gain"] * (1.0 - tilt * lever[0]) * (1.0 + sign * d)
     drive[3] = of("parasitic_mode.b_d1"), of("parasitic_mode.b_d2")
-    seen = np.array([[-1.0, -1.0], [1.0, -1.0]])
+    rocking = np.array([[-1.0, -1.0], [1.0, -1.0]])
     sense = np.zeros((2, n))
-    sense[:, :2] = rocking_sense[:, None] * seen
+    sense[:, :2] = rocking_sense[:, None] * rocking
     sense[:, 2] = (1.0 + sign * s) * np.array([1.0 + tilt, 1.0 - tilt])
     if "parasitic_mode.f" in values:
         angle = math.radians(values["parasitic_mode.a"])
         sense[:, 3] = math.cos(angle), math.sin(angle)
     drive_motion, sense_motion = np.zeros((2, n)), np.zeros((2, n))
-    drive_motion[:, :2], sense_motion[:, :2] = lever.T, seen
+    drive_motion[:, :2], sense_motion[:, :2] = lever.T, rocking
     drive_motion[:, 2] = sense_motion[:, 2] = 1.0
 
     def paths(effect: str, symbol: str) -> FloatArray:
@@ -142,11 +153,11 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
 def response(
     values: Mapping[str, float], drive_v: FloatArray, instrument: Instrument, steps: int = STEPS
 ) -> FloatArray:
-    """The noise-free record (N, 2) [V] from rest, clipped where the converter's input stage saturates.
+    """The noise-free record (N, 2) [V] of a device that starts at rest, with input saturation.
 
     Raises
     ------
-    ConfigError : an instrument that this simulator does not have, or a motion that diverges.
+    ConfigError : the simulator does not support the instrument, or the motion diverges.
     """
     v = np.ascontiguousarray(drive_v, dtype=np.float64)
     y = integrate(v, 1.0 / instrument.sample_rate_hz, steps, physics(values, instrument))
@@ -156,15 +167,15 @@ def response(
 
 
 def clipped(y: FloatArray, values: Mapping[str, float]) -> FloatArray:
-    """``y`` [V] behind the input stage of the converter."""
+    """``y`` [V], any shape, after the input stage of the converter, which may saturate."""
     inverse = float(values.get("adc_saturation.1/level", 0.0))
     return y if inverse == 0.0 else np.clip(y, -1.0 / inverse, 1.0 / inverse)
 
 
 def hum(values: Mapping[str, float], samples: int, sample_rate_hz: float, random: np.random.Generator) -> FloatArray:
-    """(samples, 2) [V]: sum_h a_h cos(2 pi h f t + phase), phases random in every channel and record.
+    """sum_h a_h cos(2 pi h f t + phase), (samples, 2) [V], with random phases in every channel and record.
 
-    "mains_hum.f" [Hz] and "mains_hum.a1", "mains_hum.a2", .. [V]; no hum without them.
+    The values are "mains_hum.f" [Hz] and "mains_hum.a1", "mains_hum.a2", .. [V]; without them there is no hum.
     """
     volts = np.zeros((samples, 2))
     t = np.arange(samples) / sample_rate_hz

@@ -14,7 +14,7 @@ from pipeline.learning.campaign.modes import mode_candidate
 from workflows.learning import view_of
 from workflows.studies.hidden.draw import hide
 from workflows.studies.hidden.effects import LIBRARY
-from workflows.studies.hidden.narrowed import Narrowed
+from workflows.studies.hidden.restricted import RestrictedProblem
 
 NAME = "parasitic_mode"
 
@@ -60,5 +60,5 @@ def test_the_grid_covers_the_driven_band_finely_and_all_else_coarsely() -> None:
 @pytest.mark.usefixtures("brief_records")
 def test_a_mode_in_another_ones_resonance_is_refused() -> None:
     hidden = hide("left-out", LIBRARY.index("pickoff_crosstalk"), 1)
-    selection = forward_selection(Narrowed(view_of(hidden.campaign, threads=1), hidden.left_out))
+    selection = forward_selection(RestrictedProblem(view_of(hidden.campaign, threads=1), hidden.left_out))
     assert NAME not in selection.last.fit.terms

@@ -1,4 +1,4 @@
-"""A campaign seen with a smaller library: what is left out is never a candidate."""
+"""A problem without some of its candidates."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 from pipeline.criticism.problem import FitResult, Problem, Region, Signatures, Spectrum
 
 
-class Narrowed:
-    """The problem ``whole`` without the candidates named ``left_out``."""
+class RestrictedProblem:
+    """The problem ``whole`` without the candidates ``left_out``."""
 
     def __init__(self, whole: Problem, left_out: Sequence[str]) -> None:
         self.whole = whole
@@ -20,7 +20,7 @@ class Narrowed:
         return self.whole.fit(terms, start)
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Those of the whole problem, less what is left out."""
+        """The signatures of the whole problem without the candidates that are left out."""
         found = self.whole.signatures(fit)
         kept = tuple(candidate for candidate in found.candidates if candidate.name not in self.left_out)
         local = tuple(candidate for candidate in found.local if candidate.name not in self.left_out)
