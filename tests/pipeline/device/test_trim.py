@@ -272,7 +272,7 @@ def test_gains_are_drawn_with_their_mean_and_sd():
         (lambda: trimmed_physical(PAPER[None], np.zeros(3), FOUR), "does not fit"),
         (lambda: trimmed_physical(PAPER[None], np.full(4, 200.0), FOUR), "electrostatic pull-in"),
         (lambda: trim_batch(PAPER[None], FOUR, Target(), np.ones((1, 4)), 0), "at least 1"),
-        (lambda: trim_batch(PAPER[None], FOUR, Target(), np.ones((2, 4))), "true gains"),
+        (lambda: trim_batch(PAPER[None], FOUR, Target(), np.ones((2, 4))), "gains have the wrong shape"),
     ],
 )
 def test_impossible_arguments_are_a_config_error(attempt, message):

@@ -5,8 +5,8 @@
     b_kj, b_kj'             biquads j = 1..4 of the anti-alias filter of channel k
 
 The drive is held over each sample, so no step crosses an edge of the drive.  A stray capacitance passes the impulse
-C (v_n - v_{n-1}), which is a jump of the velocity of the first biquad.  The pick-off pole acts after the filter (both are linear):
-p' = (y - p)/T is solved exactly for the quintic through y, y', y'' at both ends of a step.
+C (v_n - v_{n-1}), which is a jump of the velocity of the first biquad.  The pick-off pole is applied after the filter
+(both are linear): p' = (y - p)/T is solved exactly for the quintic through y, y', y'' at both ends of a step.
 
 No code is shared with the models of ``pipeline``.  Shapes: N samples.  Units: volts, seconds; motion in V s.
 """
