@@ -1,10 +1,10 @@
-"""A problem whose forces and pick-off laws add what they did at one point, and its slopes.
+"""Residuals whose nonlinear response is linearized in the parameters of the force and sense laws.
 
     y(x) = linear(x) + r(x0) + sum_i dr/dx_i (x_i - x0_i)                i over the parameters of those laws
 
-Where their remainder r is weak, a descent gets nearly all the way with it, without the integrator in any step.
+Where the nonlinear response r is weak, a fit converges nearly all the way on these residuals, without the integrator.
 
-Shapes: R records, N samples, S senses.
+Shapes: R records of a drive group, N samples, S senses, P free parameters.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from .residuals import CampaignResiduals, Task, Tasks
 
 
 class LinearizedResiduals(CampaignResiduals):
-    """``whole`` as seen from ``values``, with initial states ``starts`` of the records."""
+    """``exact`` linearized at complete ``values`` and initial states ``starts``; ``steps`` (P,) of its columns."""
 
     def __init__(
-        self, whole: CampaignResiduals, values: Mapping[str, float], tasks: Tasks, starts: Starts, steps: FloatArray
+        self, exact: CampaignResiduals, values: Mapping[str, float], tasks: Tasks, starts: Starts, steps: FloatArray
     ) -> None:
-        self.threads, self.model, self.sigma_v = whole.threads, whole.model, whole.sigma_v
-        self.instrument, self.angular_gain = whole.instrument, whole.angular_gain
+        self.threads, self.model, self.sigma_v = exact.threads, exact.model, exact.sigma_v
+        self.instrument, self.angular_gain = exact.instrument, exact.angular_gain
         self._x0 = self.model.to_internal(values)
         own = [i for i, name in enumerate(self.model.free) if is_integrated(self.model, name)]
-        self._remainders: list[FloatArray] = []
+        self._nonlinear: list[FloatArray] = []
         self._slopes: list[NonlinearColumns] = []
         for places, group in tasks.groups:
-            begun = [starts[i] for i in places]
-            self._remainders.append(nonlinear_response(self.system(values, group), group, begun))
-            self._slopes.append(nonlinear_columns(self.model, values, group, self.instrument, steps, own, begun))
+            states = [starts[i] for i in places]
+            self._nonlinear.append(nonlinear_response(self.system(values, group), group, states))
+            self._slopes.append(nonlinear_columns(self.model, values, group, self.instrument, steps, own, states))
 
     def _volts(
         self, number: int, values: Mapping[str, float], system: System, group: DriveGroup, starts: Starts
     ) -> FloatArray:
         moved = self.model.to_internal(values) - self._x0
-        y = linear_volts(system, group, starts) + self._remainders[number]
+        y = linear_volts(system, group, starts) + self._nonlinear[number]
         for i, column in self._slopes[number].items():
             y += moved[i] * column
         return y
@@ -49,9 +49,9 @@ class LinearizedResiduals(CampaignResiduals):
         return self._slopes[number]
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
-        """None that a descent could follow."""
+        """0: there is no nonlinear response to differentiate."""
         return 0.0
 
-    def resized(self, before: FloatArray, after: FloatArray) -> float:
-        """Its slopes stay as they are."""
+    def relative_size_change(self, before: FloatArray, after: FloatArray) -> float:
+        """0: the columns of the force and sense laws are constant."""
         return 0.0

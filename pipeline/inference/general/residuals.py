@@ -1,9 +1,11 @@
-"""The residuals of a campaign and how they move: what a fit asks of its records.
+"""Residuals of a campaign and their derivatives.
 
     residual = P (y - f(x)) / sigma
 
-P projects out what is free in every record and channel (``nuisance_columns``).  Shapes: N samples, S senses, P free parameters,
-L nuisances a channel, n coordinates.
+P projects out the nuisances, which are free in every record and channel (``nuisance_columns``).
+
+Shapes: R records of a drive group, N samples, S senses, P free parameters, L nuisances per channel, n coordinates of the
+mechanics.  Records in volts; residuals and columns in sigmas.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from ...threads import mapped
 
 
 def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, instrument: Instrument) -> FloatArray:
-    """Orthonormal basis (N, L) of what is free in every channel of ``record``: offset, lines, the filter transient."""
+    """Orthonormal basis (N, L) of the nuisances of ``record``: offset, lines, and the filter transient if it is not at rest."""
     samples = record.drive_v.shape[0]
     t = np.arange(samples) / record.sample_rate_hz
     columns = [np.ones((samples, 1))]
@@ -59,7 +61,7 @@ def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A record to explain: its nuisance basis, how many coordinates have a free initial state (0: at rest), its play."""
+    """A record in a fit: nuisance basis (N, L), number of coordinates with a free initial state (0: at rest), drive group."""
 
     record: Record
     basis: FloatArray
@@ -69,16 +71,21 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Tasks:
-    """Records to explain together: those that one system answers at once share a play."""
+    """The records of a fit; ``groups`` gives the places of the records that share a drive group."""
 
     each: tuple[Task, ...]
     groups: tuple[tuple[tuple[int, ...], DriveGroup], ...]
 
 
 class CampaignResiduals:
-    """Residuals and normal equations of a set of records, ``threads`` of which are integrated at once.
+    """Residuals of a model on records of a campaign and their derivatives; stateless.
 
-    Holds no state but what it was made of.
+    Parameters
+    ----------
+    model : plant, effects, free parameters.
+    campaign : instrument and angular gain.
+    sigma_v : noise (S,) [V].
+    threads : how many records are integrated at once.
     """
 
     def __init__(self, model: Model, campaign: Campaign, sigma_v: FloatArray, threads: int = 1) -> None:
@@ -87,11 +94,11 @@ class CampaignResiduals:
         self.sigma_v = sigma_v
 
     def task(self, record: Record, values: Mapping[str, float]) -> Task:
-        """One record to explain.
+        """The record with its nuisance basis at complete ``values``.
 
         Raises
         ------
-        MeasurementError : its numbers of channels are not the plant's.
+        MeasurementError : the plant has other numbers of channels.
         """
         channels_checked(self.model, record)
         coordinates = 0 if record.at_rest else self.model.built.sense_motion().shape[1]
@@ -99,25 +106,26 @@ class CampaignResiduals:
         return Task(record, basis, coordinates, drive_group_of([record], self.instrument, self.angular_gain))
 
     def tasks(self, records: Sequence[Record], values: Mapping[str, float]) -> Tasks:
-        """Records to explain together; raises as ``task``."""
+        """The records with their nuisance bases, in drive groups; raises as ``task``."""
         each = tuple(self.task(record, values) for record in records)
         return Tasks(each, drive_groups_of(records, self.instrument, self.angular_gain, self.threads))
 
     def system(self, values: Mapping[str, float], group: DriveGroup) -> System:
+        """The system of the model under the conditions of a drive group."""
         return assemble(self.model, values, self.instrument, group.conditions)
 
     def whiten(self, y: FloatArray, task: Task) -> FloatArray:
-        """P y / sigma, y (.., N, S)."""
+        """P y / sigma of y (.., N, S) [V]."""
         own = task.basis.T @ y
         rest = np.empty_like(y)
-        # Channel by channel: long runs of samples are several times as fast as short ones of channels.
+        # One channel at a time: contiguous samples are several times faster than interleaved channels.
         for s, sigma in enumerate(self.sigma_v):
             np.subtract(y[..., s], own[..., s] @ task.basis.T, out=rest[..., s])
             rest[..., s] /= sigma
         return rest
 
     def predictions(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
-        """Volts (N, S) of each record, without nuisances."""
+        """Predicted volts (N, S) of each record, without nuisances; initial states ``starts``, each (2n,) or ``None``."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
         for number, (places, group) in enumerate(tasks.groups):
             system = self.system(values, group)
@@ -129,25 +137,25 @@ class CampaignResiduals:
     def _volts(
         self, number: int, values: Mapping[str, float], system: System, group: DriveGroup, starts: Starts
     ) -> FloatArray:
-        """Volts (R, N, S) of the play with this number, before the converter."""
+        """Volts (R, N, S) of the drive group with this number, before the converter."""
         return volts(system, group, starts)
 
     def _nonlinear_columns(self, number: int) -> NonlinearColumns | None:
-        """Columns of forces and pick-off laws in the play with this number, where they are known."""
+        """Columns of the force and sense laws in the drive group with this number, if they are already known."""
         return None
 
-    def rests(self, predicted: Sequence[FloatArray], tasks: Tasks) -> list[FloatArray]:
-        """What predictions leave of each record (N, S), in sigmas."""
+    def residuals_of(self, predicted: Sequence[FloatArray], tasks: Tasks) -> list[FloatArray]:
+        """Residuals (N, S) of each record, in sigmas, from its prediction (N, S) [V]."""
         return [self.whiten(task.record.sense_v - y, task) for task, y in zip(tasks.each, predicted)]
 
     def residuals(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
-        """(N, S) of each record, in sigmas."""
-        return self.rests(self.predictions(values, tasks, starts), tasks)
+        """Residuals (N, S) of each record, in sigmas, at complete ``values``."""
+        return self.residuals_of(self.predictions(values, tasks, starts), tasks)
 
     def start_columns(
         self, values: Mapping[str, float], task: Task, start: FloatArray | None, exact: bool
     ) -> FloatArray:
-        """(N S, 2 n): what the initial state moves, in sigmas; ``exact`` with what nonlinear effects make of it."""
+        """Derivatives (N S, 2 n) with respect to the initial state, in sigmas; ``exact`` includes nonlinear effects."""
         group = task.group
         system = self.system(values, group)
         m, clock = system.mechanics, group.clock
@@ -167,14 +175,21 @@ class CampaignResiduals:
         return self.whiten(columns, task).reshape(2 * own, -1).T
 
     def steps(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:
-        """Steps (P,) of the differences, as ``task`` asks for them."""
+        """Steps (P,) of the difference quotients in smooth coordinates, tuned to the record of ``task``."""
         gain = self.angular_gain
         return tuned_steps(self.model, values, task.record, self.instrument, angular_gain=gain, start=start)
 
     def columns(
         self, values: Mapping[str, float], tasks: Tasks, starts: Starts, exact: bool, steps: FloatArray
     ) -> list[FloatArray]:
-        """(N S, P) of each record: what the free parameters move, in sigmas."""
+        """Derivatives (N S, P) of each record with respect to the smooth coordinates, in sigmas.
+
+        Parameters
+        ----------
+        values, tasks, starts : the point, its records and their initial states.
+        exact : linear parameters are differentiated through the nonlinear response too.
+        steps : of :meth:`steps`.
+        """
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
         for number, (places, group) in enumerate(tasks.groups):
             own, known = [starts[i] for i in places], self._nonlinear_columns(number)
@@ -190,15 +205,15 @@ class CampaignResiduals:
         return out
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
-        """Share of the record that forces and pick-off laws make."""
+        """Norm of the nonlinear response over that of the linear response of a record; 0 without force and sense laws."""
         system = self.system(values, task.group)
         if not (system.forces or system.senses):
             return 0.0
-        linear, rest = linear_volts(system, task.group), nonlinear_response(system, task.group, substeps=1)
-        return float(np.linalg.norm(rest)) / max(float(np.linalg.norm(linear)), 1e-300)
+        linear, nonlinear = linear_volts(system, task.group), nonlinear_response(system, task.group, substeps=1)
+        return float(np.linalg.norm(nonlinear)) / max(float(np.linalg.norm(linear)), 1e-300)
 
-    def resized(self, before: FloatArray, after: FloatArray) -> float:
-        """By what share of themselves parameters of forces and pick-off laws differ at most between two x (P,)."""
+    def relative_size_change(self, before: FloatArray, after: FloatArray) -> float:
+        """Largest relative change of a parameter of a force or sense law between two points x (P,)."""
         own = [i for i, name in enumerate(self.model.free) if is_integrated(self.model, name)]
         change, size = np.abs(after - before)[own], np.maximum(np.abs(before), np.abs(after))[own]
         return float(np.max(change / np.maximum(size, 1e-300), initial=0.0))

@@ -17,8 +17,9 @@ from scipy.fft import rfft
 from ...arrays import FloatArray, IntArray
 from ...criticism.problem import FitResult, ResidualBlock
 from ...experiment.record import Campaign, Record
-from ...inference.general.fit import CampaignFit, RecordFit
-from ...inference.general.gauss_newton import Sensitivity
+from ...inference.general.fit import CampaignFit
+from ...inference.general.linear_step import Sensitivity
+from ...inference.general.record_fit import RecordFit
 from ..where.partition import resonances_of
 
 #: Upper end of the rows [Hz]: drives below 700 Hz excite hardly anything above it, for any effect of the library.

@@ -26,7 +26,7 @@ from ...experiment.instrument import Instrument
 from ...experiment.record import Record
 from ...inference.general.fit import CampaignFit
 from ...inference.general.free_disturbances import free_shapes
-from ...inference.general.gauss_newton import moved_share
+from ...inference.general.linear_step import relative_change
 from ...inference.general.residuals import CampaignResiduals, Tasks
 from .rows import FourierRows
 
@@ -78,7 +78,9 @@ class KnownSignatures:
     def moved(self, fitted: CampaignFit) -> float:
         """Relative change (rms) of the predicted fit records since the signatures were computed."""
         now = fitted.of_role("fit")
-        return moved_share([self.predicted_v[record.name] for record in now], [record.predicted_v for record in now])
+        return relative_change(
+            [self.predicted_v[record.name] for record in now], [record.predicted_v for record in now]
+        )
 
 
 def known_signatures(

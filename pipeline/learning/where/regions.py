@@ -20,7 +20,8 @@ from ...arrays import FloatArray, IntArray
 from ...criticism.problem import Region
 from ...criticism.regions import explained_share
 from ...experiment.noise.time_frequency import lapped
-from ...inference.general.fit import CampaignFit, RecordFit
+from ...inference.general.fit import CampaignFit
+from ...inference.general.record_fit import RecordFit
 from .partition import LEVELS, CampaignPartition, RecordPartition, short_blocks
 
 #: Kinds of regions of the family "frequency"; their shares add up to one together.

@@ -12,7 +12,8 @@ from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.noise.level import NoiseLevel
 from pipeline.experiment.noise.time_frequency import block_size, cell_variances, lapped
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.general.fit import CampaignFit, RecordFit
+from pipeline.inference.general.fit import CampaignFit
+from pipeline.inference.general.record_fit import RecordFit
 from pipeline.learning.where.partition import campaign_partition, record_partitions
 from pipeline.learning.where.regions import FAMILIES, by_kind, explained, misfit_regions, structure_regions
 from pipeline.learning.where.rows import where_rest, where_rows, with_after

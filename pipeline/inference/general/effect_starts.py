@@ -1,0 +1,92 @@
+"""Start values of the parameters of effects, where their null value is no start.
+
+A parameter that does not exist at the null of its effect (the frequency of a mode, a clip level) is scanned on a grid, and the
+shape of a disturbance (mains frequency, number of harmonics) is the one that the residuals without it support best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+from ...arrays import FloatArray
+from ...device.model import Model
+from ...experiment.record import Campaign
+from .free_disturbances import free_shapes
+from .residuals import CampaignResiduals
+from .scan import scan
+
+
+def with_effect_starts(
+    model: Model,
+    campaign: Campaign,
+    sigma_v: FloatArray,
+    start: Mapping[str, float],
+    likely: Mapping[str, tuple[float, ...]],
+    threads: int,
+) -> tuple[Model, dict[str, float]]:
+    """The model with its disturbances fixed in shape, and ``start`` with the start values that its effects need.
+
+    Parameters
+    ----------
+    model, campaign, sigma_v : what will be fitted; sigma_v (S,) [V].
+    start : values of all plant parameters, and of the effects' parameters that are known.
+    likely : parameter -> values that a scan tries instead of its grid.
+    threads : how many records are integrated at once.
+    """
+    values = dict(start)
+    for effect in model.ordered_effects():
+        members = [m for m in effect.members(model.built.shape) if m.fitted]
+        if any(m.grid for m in members) and not any(effect.full_name(m) in values for m in members):
+            values |= _scanned(model, effect.name, campaign, sigma_v, values, likely, threads)
+    for effect in model.ordered_effects():
+        shape = {effect.full_name(m) for m in effect.members(model.built.shape) if not m.fitted}
+        if effect.disturbance is not None and not shape <= values.keys():
+            values = _shaped(model, effect.name, campaign, sigma_v, values) | values
+        model = replace(model, fixed={**model.fixed, **{name: values[name] for name in shape if name in values}})
+    return model, values
+
+
+def _scanned(
+    model: Model,
+    effect: str,
+    campaign: Campaign,
+    sigma_v: FloatArray,
+    start: Mapping[str, float],
+    likely: Mapping[str, tuple[float, ...]],
+    threads: int,
+) -> dict[str, float]:
+    """Start values of an effect with scanned parameters, from the model without it at its start values."""
+    smaller = model.without_effect(effect)
+    problem = CampaignResiduals(smaller, campaign, sigma_v, threads)
+    values = smaller.complete({name: value for name, value in start.items() if name in smaller.by_name})
+    tasks = problem.tasks(campaign.with_role("fit"), values)
+    at_rest, shape = (None,) * len(tasks.each), model.built.shape
+    steps = problem.steps(values, tasks.each[0], None)
+    return scan(
+        smaller,
+        effect,
+        values,
+        tasks,
+        campaign.instrument,
+        problem.residuals(values, tasks, at_rest),
+        problem.columns(values, tasks, at_rest, False, steps),
+        [partial(problem.whiten, task=task) for task in tasks.each],
+        {m.name: likely.get(model.effect(effect).full_name(m), ()) for m in model.effect(effect).members(shape)},
+    )
+
+
+def _shaped(
+    model: Model, effect: str, campaign: Campaign, sigma_v: FloatArray, start: Mapping[str, float]
+) -> dict[str, float]:
+    """The shape of a disturbance that the residuals without it support best."""
+    smaller = model.without_effect(effect)
+    problem = CampaignResiduals(smaller, campaign, sigma_v)
+    values = smaller.complete({name: value for name, value in start.items() if name in smaller.by_name})
+    tasks = problem.tasks(campaign.with_role("fit"), values)
+    residuals = problem.residuals(values, tasks, (None,) * len(tasks.each))
+    found = model.effect(effect)
+    rates = [task.record.sample_rate_hz for task in tasks.each]
+    best = max(free_shapes(found, model.built.shape, residuals, rates), key=lambda shape: shape.worth)
+    return {found.full_name(m): best.point[m.name] for m in found.members(model.built.shape)}

@@ -1,0 +1,93 @@
+"""One record against a fitted model: residual, chi2, error and misfit; fitted and held-out records alike.
+
+    chi2 = sum |r|^2,    dof = N S - nuisances,    error = sqrt(chi2 / dof),    misfit = sqrt(max(error^2 - 1, 0))
+    relative_error = rms of the residual volts / rms of the measured volts
+
+Shapes: N samples, S senses, n coordinates of an initial state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...experiment.record import Campaign, Role
+from .gauss_newton import CLOSE, FAINT
+from .residuals import CampaignResiduals, Task, Tasks
+
+_START_ITERATIONS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFit:
+    """One record as the fitted model explains it; symbols at the head of the module.
+
+    Parameters
+    ----------
+    name, role : of the record.
+    predicted_v : (N, S) [V], without nuisances.
+    residual : (N, S) in sigmas, nuisances removed.
+    chi2, dof, error, relative_error, misfit : of this record alone.
+    start : fitted initial state (2n,), ``None`` where the record starts at rest.
+    """
+
+    name: str
+    role: Role | None
+    predicted_v: FloatArray
+    residual: FloatArray
+    chi2: float
+    dof: int
+    error: float
+    relative_error: float
+    misfit: float
+    start: FloatArray | None
+
+
+def misfit_of(error: float) -> float:
+    """sqrt(max(error^2 - 1, 0))."""
+    return float(np.sqrt(max(error**2 - 1.0, 0.0)))
+
+
+def record_fit(problem: CampaignResiduals, task: Task, start: FloatArray | None, predicted_v: FloatArray) -> RecordFit:
+    """The record of ``task`` against a prediction (N, S) [V] that begins in the state ``start`` (2n,)."""
+    record = task.record
+    nuisances = task.basis.shape[1] * record.sense_v.shape[1] + 2 * task.coordinates
+    residual = problem.whiten(record.sense_v - predicted_v, task)
+    chi2, dof = float(np.vdot(residual, residual)), residual.size - nuisances
+    error = float(np.sqrt(chi2 / dof))
+    level = float(np.sqrt(np.mean(record.sense_v**2)))
+    relative = float(np.sqrt(np.mean((residual * problem.sigma_v) ** 2))) / max(level, 1e-300)
+    return RecordFit(
+        record.name, record.role, predicted_v, residual, chi2, dof, error, relative, misfit_of(error), start
+    )
+
+
+def held_out_fit(problem: CampaignResiduals, values: Mapping[str, float], task: Task) -> RecordFit:
+    """A record that was not fitted; only its unknown initial state is fitted, by Gauss-Newton, at complete ``values``."""
+    alone, start = Tasks((task,), (((0,), task.group),)), None
+    if task.coordinates:
+        start = np.zeros(2 * task.coordinates)
+        f = problem.start_columns(values, task, start, problem.strength(values, task) > FAINT)
+        solve = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True) @ f.T
+        for _ in range(_START_ITERATIONS):
+            step = solve @ problem.residuals(values, alone, [start])[0].reshape(-1)
+            start = start + step
+            if float(np.sum((f @ step) ** 2)) < CLOSE:
+                break
+    (predicted_v,) = problem.predictions(values, alone, [start])
+    return record_fit(problem, task, start, predicted_v)
+
+
+def pooled_errors(
+    records: Sequence[RecordFit], campaign: Campaign, sigma_v: FloatArray, parameters: int
+) -> tuple[float, float]:
+    """error and relative_error of several records together, ``parameters`` of which were fitted; sigma_v (S,) [V]."""
+    chi2 = sum(record.chi2 for record in records)
+    dof = sum(record.dof for record in records) - parameters
+    rest = sum(float(np.sum((record.residual * sigma_v) ** 2)) for record in records)
+    names = {record.name for record in records}
+    total = sum(float(np.sum(record.sense_v**2)) for record in campaign.records if record.name in names)
+    return float(np.sqrt(chi2 / dof)), float(np.sqrt(rest / max(total, 1e-300)))
