@@ -106,8 +106,8 @@ def _response_findings(campaign: Campaign, driven: list[Record]) -> list[Finding
     if drives == 1:
         return _single_drive(campaign, driven, senses)
     if unused := unused_drives(driven):
-        names = ", ".join(f"drive{k + 1}" for k in unused)
-        return [_untested("Polarity, channel order, lag and rest", f"{names} is silent in every record")]
+        why = f"{', '.join(f'drive{k + 1}' for k in unused)} never varies"
+        return [_untested("Polarity, channel order, lag and rest", why)]
     if collinear := collinear_drives(driven):
         return collinear
     response = respond(driven, 3) if (drives, senses) == (2, 2) else None
