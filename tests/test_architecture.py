@@ -20,6 +20,7 @@ ORDER = (
     "axial",
     "toml_files",
     "quantities",
+    "plain",
     "threads",
     "device",
     "experiment",
@@ -27,7 +28,7 @@ ORDER = (
     "inference",
     "learning",
 )
-SHARED = {"errors", "arrays", "axial", "toml_files", "quantities", "threads"}
+SHARED = {"errors", "arrays", "axial", "toml_files", "quantities", "plain", "threads"}
 ONLY_IN_WORKFLOWS = {"dask", "distributed", "typer", "click"}
 TOP = {
     "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "docs", "tests", *PACKAGES,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from .problem import FitResult, Problem
 from .regions import RegionShare, explained_by_region
 from .scores import Score
 from .selection import Fits, ForwardSelection, SelectionStep, forward_selection
-from .verdict import TermClass, Verdict, judge, misfit
+from .verdict import TermClass, Verdict, judge
 
 Status = Literal["confirmed", "partial"]
 
@@ -55,26 +55,6 @@ class Rung:
     parameters: Mapping[str, tuple[float, float]]
     derived: Mapping[str, tuple[float, float]]
 
-    def to_dict(self) -> dict[str, Any]:
-        """As plain JSON."""
-        return {
-            "effect": self.term,
-            "status": self.status,
-            "error_fit": self.error_fit,
-            "error_validate": self.error_validate,
-            "misfit_fit": misfit(self.error_fit),
-            "misfit_validate": misfit(self.error_validate),
-            "relative_error": self.relative_error,
-            "delta_chi2": self.delta_chi2,
-            "explained": self.explained,
-            "held_out_fall": self.held_delta_chi2,
-            "held_out_sd": self.held_sd,
-            "terms": list(self.terms),
-            "dropped": list(self.dropped),
-            "parameters": {name: list(value) for name, value in self.parameters.items()},
-            "derived": {name: list(value) for name, value in self.derived.items()},
-        }
-
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
@@ -103,24 +83,6 @@ class Ladder:
     p_left: float = 1.0
     left: str = ""
     why: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain JSON, with the keys of the contract and more."""
-        return {
-            "ladder": [rung.to_dict() for rung in self.rungs],
-            "verdict": self.verdict,
-            "effects": list(self.terms),
-            "classes": [list(item.members) for item in self.classes if len(item.members) > 1],
-            "wrong_form": {term: {"by": a.partition, "log_p": a.log_p} for term, a in self.wrong_form.items()},
-            "refused": dict(self.refused),
-            "regions": [
-                {**item.labels, "kind": item.family, "share": item.share, "explained": explained}
-                for item, explained in self.regions
-            ],
-            "p_left": self.p_left,
-            "left": self.left,
-            "why": self.why,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,36 +116,6 @@ class Diagnosis:
     fit_after: FitResult | None
     wrong_form: Mapping[str, Agreement]
     why: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain JSON, with the keys of the contract and more."""
-        number = {name: k for k, item in enumerate(self.classes) for name in item.members}
-        error = {} if self.fit is None else {part: self.fit.error_of(part) for part in ("fit", "validate")}
-        return {
-            "verdict": self.verdict,
-            "effects": list(self.terms),
-            "candidates": [
-                {
-                    "effect": score.name,
-                    "delta_chi2": score.delta_chi2,
-                    "p_value": score.p_value,
-                    "estimate": {name: [v, None if np.isnan(sd) else sd] for name, (v, sd) in score.estimate.items()},
-                    "error_after": self.error_after.get(score.name),
-                    "class": number.get(score.name),
-                    "detectable": score.detectable,
-                    "surviving_share": score.surviving_share,
-                    "snr_at_reach": None if np.isinf(score.snr_at_reach) else score.snr_at_reach,
-                }
-                for score in self.scores
-            ],
-            "classes": [list(item.members) for item in self.classes if len(item.members) > 1],
-            "invisible": list(self.invisible),
-            "error": error,
-            "p_left": None if self.after is None else self.after.p_value,
-            "left": "" if self.after is None or self.after.worst is None else self.after.worst.where,
-            "wrong_form": {term: {"by": a.partition, "log_p": a.log_p} for term, a in self.wrong_form.items()},
-            "why": self.why,
-        }
 
 
 def refine(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Ladder:

@@ -4,23 +4,23 @@ JSON keys are the field names, except ``from_`` ("from") and ``class_`` ("class"
 ``UNSET`` has no key: it does not apply to this kind of measurement.  ``None`` (null) means "applies, but is not known".
 
     Measured    (value, sd); sd is None where the data do not determine it
+    Values      parameter name -> Measured
+    ByRole      "fit" and "validate" -> value; relative errors of a modal ladder have "before" and "after" instead
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
-import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
+from ..plain import plain
+
 Measured = tuple[float | None, float | None]
-#: parameter name -> (value, sd)
-Values = dict[str, Measured]
-#: "fit" and "validate" (and "before", "after" for the relative error of a modal ladder) -> value
-ByRole = dict[str, float | None]
-Thetas = dict[str, Measured]
+Values = Mapping[str, Measured]
+ByRole = Mapping[str, float | None]
 
 
 class Answer(Struct, frozen=True, eq=False):
@@ -79,13 +79,15 @@ class RecordErrors(Answer, frozen=True, eq=False):
 
 
 class ComparisonAnswer(Answer, frozen=True, eq=False):
-    """How well a model explains a measurement, and where it does not.
+    """How well a model explains a measurement, and where it fails.
 
     Parameters
     ----------
     error, relative_error, misfit : by role.
-    where : significant regions; ``where_by_kind`` the same with all records and channels together, ``where_rest`` the share
-        of each family that no region holds, ``where_families`` the kinds of each family.
+    where : significant regions.
+    where_by_kind : the same with all records and channels together.
+    where_rest : the share of each family that is in no significant region.
+    where_families : the kinds of each family.
     parameters : of the model.
     fit_ok : false where the fit failed; ``why`` gives the reason.
     dof, theta_deg, split_hz, four_thetas_deg, theta_spread_deg : of a modal record.
@@ -100,13 +102,13 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     misfit: ByRole | UnsetType = UNSET
     noise: Noise | UnsetType = UNSET
     where_by_kind: tuple[Place, ...] | UnsetType = UNSET
-    where_rest: dict[str, float] | UnsetType = UNSET
-    where_families: dict[str, tuple[str, ...]] | UnsetType = UNSET
-    records: dict[str, RecordErrors] | UnsetType = UNSET
+    where_rest: Mapping[str, float] | UnsetType = UNSET
+    where_families: Mapping[str, tuple[str, ...]] | UnsetType = UNSET
+    records: Mapping[str, RecordErrors] | UnsetType = UNSET
     dof: int | UnsetType = UNSET
     theta_deg: Measured | UnsetType = UNSET
     split_hz: Measured | UnsetType = UNSET
-    four_thetas_deg: Thetas | UnsetType = UNSET
+    four_thetas_deg: Values | UnsetType = UNSET
     theta_spread_deg: float | UnsetType = UNSET
 
 
@@ -189,7 +191,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     error: ByRole
     p_left: float | None
     left: str
-    wrong_form: dict[str, SizeDisagreement]
+    wrong_form: Mapping[str, SizeDisagreement]
     why: str
     separating_record: str | None = None
     hints: tuple[str, ...] | UnsetType = UNSET
@@ -231,15 +233,15 @@ class RungAnswer(Answer, frozen=True, eq=False):
     dropped: tuple[str, ...]
     parameters: Values
     derived: Values
-    explained_by_kind: dict[str, float] | UnsetType = UNSET
-    error_v: dict[str, float] | UnsetType = UNSET
+    explained_by_kind: Mapping[str, float] | UnsetType = UNSET
+    error_v: Mapping[str, float] | UnsetType = UNSET
     relative_error_validate: float | UnsetType | None = UNSET
     verdict: str | UnsetType = UNSET
     verdict_at_face: str | UnsetType = UNSET
     verdict_reason: str | UnsetType = UNSET
     theta_deg: Measured | UnsetType = UNSET
     split_hz: Measured | UnsetType = UNSET
-    four_thetas_deg: Thetas | UnsetType = UNSET
+    four_thetas_deg: Values | UnsetType = UNSET
     theta_spread_deg: float | UnsetType = UNSET
     dof: int | UnsetType = UNSET
     F: float | UnsetType = UNSET
@@ -264,8 +266,8 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     verdict: str
     effects: tuple[str, ...]
     classes: tuple[tuple[str, ...], ...]
-    wrong_form: dict[str, SizeDisagreement]
-    refused: dict[str, str]
+    wrong_form: Mapping[str, SizeDisagreement]
+    refused: Mapping[str, str]
     regions: tuple[Place, ...]
     p_left: float
     left: str
@@ -286,26 +288,17 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     declared: tuple[str, ...] | UnsetType = UNSET
 
 
+def place_at(labels: Mapping[str, object], **values: Any) -> Place:
+    """A place with ``values``, and with those labels of a region that are fields of ``Place``."""
+    return msgspec.convert({"record": None, "channel": None, "band_hz": None, **labels, **values}, Place)
+
+
 def to_builtins(answer: Answer) -> dict[str, Any]:
-    """The answer as JSON holds it: keys by name, nothing for ``UNSET``, null for what is not finite."""
-    found: dict[str, Any] = _finite(msgspec.to_builtins(answer, enc_hook=_from_numpy))
+    """The answer as JSON holds it: keys by name, no key for ``UNSET``, null for numbers that are not finite."""
+    found: dict[str, Any] = plain(msgspec.to_builtins(answer, enc_hook=plain))
     return found
 
 
 def to_json(answer: Answer) -> str:
     """The answer as JSON text."""
     return msgspec.json.encode(to_builtins(answer)).decode()
-
-
-def _from_numpy(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise NotImplementedError(f"{type(value).__name__} has no JSON form")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

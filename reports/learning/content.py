@@ -242,7 +242,7 @@ def _parameters(
 ) -> tuple[ParameterRow, ...]:
     """theta and split first, then the parameters in their order, new ones last."""
     derived = {"theta_deg": comparison.theta_deg, "split_hz": comparison.split_hz}
-    first: Values = {name: value for name, value in derived.items() if value}
+    first: dict[str, Measured] = {name: value for name, value in derived.items() if value}
     first |= {**(ladder[0].derived if ladder else {}), **comparison.parameters}
     last: Values = {**ladder[-1].parameters, **ladder[-1].derived} if len(ladder) > 1 else {}
     leading = [name for name in derived if name in {**first, **last}]

@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import msgspec
 from msgspec import UNSET
 
 from pipeline.device.effect import Effect
@@ -125,38 +124,3 @@ def _sections(content: LearningContent, truth: str | None) -> tuple[tuple[str, s
         ("truth", "Hidden effect", bool(truth)),
     )
     return tuple((key, title) for key, title, shown in sections if shown)
-
-
-def effect_texts(effects: Mapping[str, Effect]) -> Mapping[str, Effect]:
-    """``effects``; until the commands give typed answers."""
-    return effects
-
-
-def render_campaign_report(
-    name: str,
-    compare: Mapping[str, Any],
-    diagnose: Mapping[str, Any] | None,
-    refine: Mapping[str, Any] | None,
-    before: Sequence[RecordView] = (),
-    after: Sequence[RecordView] | None = None,
-    *,
-    library: Mapping[str, Effect],
-    truth: str | None = None,
-) -> str:
-    """:func:`render_learning_page` from JSON; until the commands give typed answers."""
-    lacking: dict[str, Any] = {
-        "verdict": "", "effects": (), "classes": (), "error": {}, "p_left": None, "left": "", "wrong_form": {}, "why": "",
-    }  # fmt: skip
-    return render_learning_page(
-        name,
-        msgspec.convert(compare, ComparisonAnswer, strict=False),
-        msgspec.convert({**lacking, **diagnose}, DiagnosisAnswer, strict=False) if diagnose else None,
-        msgspec.convert(refine, RefinementAnswer, strict=False) if refine else None,
-        before=before,
-        after=after,
-        library=library,
-        truth=truth,
-    )
-
-
-render_modal_report = render_campaign_report

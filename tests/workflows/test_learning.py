@@ -1,4 +1,4 @@
-"""The loop on campaigns: nothing is named where nothing is hidden, what is hidden is named, and the error falls."""
+"""The learning loop on campaigns: no effect is named where none is hidden, hidden ones are named, and the error falls."""
 
 import json
 
@@ -33,21 +33,21 @@ EFFECT = Effect(
 '''
 
 
-def test_nothing_is_named_where_nothing_is_hidden():
+def test_no_effect_is_named_where_none_is_hidden():
     found = diagnose(simulate(campaign_config(None), {}, [], 4).campaign)
     assert (found.verdict, found.effects) == ("adequate", ())
 
 
-def test_the_ladder_ends_at_the_noise_with_the_hidden_effect_and_theta_put_right():
+def test_the_ladder_adds_the_hidden_effect_reaches_the_noise_and_recovers_theta():
     made = simulate(campaign_config(None), {}, ["offdiagonal_damping:c12=0.4"], 5)
     found = refine(made.campaign)
     assert (found.verdict, found.effects) == ("adequate", ("offdiagonal_damping",))
-    said = found.to_dict()
-    assert said["ladder"][-1]["status"] == "confirmed"
-    assert said["ladder"][0]["error_validate"] > 1.05 > 1.02 > said["ladder"][-1]["error_validate"]
-    theta, sd = said["theta_deg"]
+    answer = found.answer
+    assert answer.ladder[-1].status == "confirmed"
+    assert answer.ladder[0].error_validate > 1.05 > 1.02 > answer.ladder[-1].error_validate
+    theta, sd = answer.theta_deg
     assert abs(theta - made.parameters["theta_deg"]) < 4.0 * sd
-    c12, sd = said["parameters"]["c12_per_s"]
+    c12, sd = answer.parameters["c12_per_s"]
     assert abs(c12 - 0.4) < 4.0 * sd
 
 
@@ -65,9 +65,9 @@ def test_a_users_own_effect_goes_through_the_same_commands(tmp_path, capfd):
     write_campaign(made.campaign, tmp_path / "campaign")
     arguments = [str(tmp_path / "campaign"), "--effects", str(folder), "--out", str(tmp_path / "page"), "--json"]
     assert call(["diagnose", *arguments]) == 0
-    said = json.loads(capfd.readouterr().out)
-    assert "quintic_stiffness" in said["effects"] or any("quintic_stiffness" in c for c in said["classes"])
-    assert said["candidates"][0]["p_value"] < 1e-6
+    answer = json.loads(capfd.readouterr().out)
+    assert "quintic_stiffness" in answer["effects"] or any("quintic_stiffness" in c for c in answer["classes"])
+    assert answer["candidates"][0]["p_value"] < 1e-6
     assert (tmp_path / "page" / "diagnose.html").read_text().lower().startswith("<!doctype html>")
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import UNSET
 from scipy.stats import binomtest, kstest
 
 from pipeline.criticism.fit_tests import fit_tests
@@ -16,10 +17,10 @@ from pipeline.experiment.files.modal_record import ModalRecord, read_modal_recor
 from pipeline.experiment.forward.system import Conditions, assemble
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.inference.modal.model import at_resonance, linear_modes
+from pipeline.learning.modal.answers import ModalAnswers
 from pipeline.learning.modal.problem import ModalProblem
 from workflows.cli import call
 from workflows.learning import compare, diagnose, refine
-from workflows.learning.modal_answers import rules_for
 from workflows.studies.modal import rungs_by_chance
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +72,7 @@ def paper():
 
 @pytest.fixture(scope="module")
 def ladder(paper):
-    return refine(paper).to_dict()
+    return refine(paper).answer
 
 
 HIDDEN = (
@@ -95,7 +96,7 @@ def test_a_hidden_effect_is_named_alone_with_its_size_where_sd_is_stated(hidden)
     assert members <= {name} | SAME.get(name, set())
     assert len(found.effects) == 1
     assert found.verdict == ("class" if name in SAME else "effect")
-    fit = found.view.fit((name,))
+    fit = found.problem.fit((name,))
     for parameter, truth in hidden.items():
         value, sd = fit.parameters[parameter]
         assert abs(value - truth) < 4.0 * sd
@@ -116,9 +117,9 @@ def test_without_sd_the_hidden_effect_is_always_among_those_named_and_seldom_wit
 def test_noise_alone_is_significant_as_often_as_the_tests_say():
     rng, smallest = np.random.default_rng(7), []
     for _ in range(30):
-        view = ModalProblem(record_of({}, 0.03, rng), DEFAULT_COMPARE_MODEL)
-        seen = fit_tests(view, view.fit(()), replace(rules_for(view.record), draws=2000))
-        smallest.append(seen.scores[0].p_value)
+        answers = ModalAnswers(ModalProblem(record_of({}, 0.03, rng), DEFAULT_COMPARE_MODEL))
+        tests = fit_tests(answers.problem, answers.fitted(), replace(answers.rules, draws=2000))
+        smallest.append(tests.scores[0].p_value)
     assert kstest(smallest, "uniform").pvalue > 0.01
     assert binomtest(sum(p < 0.05 for p in smallest), 30, 0.05, alternative="greater").pvalue > 0.01
 
@@ -126,12 +127,12 @@ def test_noise_alone_is_significant_as_often_as_the_tests_say():
 def test_residues_of_no_known_effect_leave_a_stated_noise_unexplained():
     made = record_of({}, 5e-3, np.random.default_rng(3), stated=True)
     assert diagnose(made).verdict == "adequate"
-    assert compare(made).to_dict()["error"]["fit"] == pytest.approx(1.0, abs=0.4)
+    assert compare(made).answer.error["fit"] == pytest.approx(1.0, abs=0.4)
     moved = made.R1.copy()
     moved[2, 0, 1] *= 1.1
     found = diagnose(replace(made, R1=moved))
     assert (found.verdict, found.effects) == ("unknown", ())
-    assert found.to_dict()["p_left"] < 1e-3
+    assert found.answer.p_left < 1e-3
 
 
 def test_a_mode_that_the_plant_lacks_is_a_parasitic_one():
@@ -144,22 +145,22 @@ def test_a_mode_that_the_plant_lacks_is_a_parasitic_one():
     assert before > 0.45
     assert after < 0.01
     for parameter in ("b_d1", "b_d2", "a"):
-        value, sd = found.to_dict()["parameters"][f"parasitic_mode.{parameter}"]
+        value, sd = found.answer.parameters[f"parasitic_mode.{parameter}"]
         assert abs(value - hidden[f"parasitic_mode.{parameter}"]) < 4.0 * sd
-    free = compare(record_of(hidden, 2e-3, rng), Model(PlantSpec("modal", 4))).to_dict()
-    assert free["relative_error"]["fit"] < 0.01
+    free = compare(record_of(hidden, 2e-3, rng), Model(PlantSpec("modal", 4))).answer
+    assert free.relative_error["fit"] < 0.01
 
 
 def test_only_effects_that_move_poles_or_residues_are_candidates():
     made = record_of({}, 1e-2, np.random.default_rng(2))
-    view = ModalProblem(made, DEFAULT_COMPARE_MODEL)
-    assert {term.name for term in view.terms} == {
+    problem = ModalProblem(made, DEFAULT_COMPARE_MODEL)
+    assert {term.name for term in problem.terms} == {
         "electrode_misalignment", "electrode_mismatch", "loop_delay", "offdiagonal_damping", "pickoff_crosstalk",
         "pickoff_pole", "updown_tilt",
     }  # fmt: skip
-    assert view.declared == ("angular_rate",)
-    assert {"capacitive_feedthrough", "resistive_feedthrough", "cubic_stiffness", "mains_hum"} < set(view.unseen)
-    assert any("common rotation" in one for one in view.unseen)
+    assert problem.declared == ("angular_rate",)
+    assert {"capacitive_feedthrough", "resistive_feedthrough", "cubic_stiffness", "mains_hum"} < set(problem.unseen)
+    assert any("common rotation" in one for one in problem.unseen)
     assert "angular_rate" in {
         term.name for term in ModalProblem(replace(made, rate_dps=None), DEFAULT_COMPARE_MODEL).terms
     }
@@ -219,26 +220,26 @@ def test_the_commands_answer_in_json_text_and_a_page_that_stands_alone(question,
 
 @PAPER
 def test_the_papers_model_misses_its_measurement_by_a_tenth(paper):
-    said = compare(paper).to_dict()
-    assert said["relative_error"]["fit"] == pytest.approx(0.09915, abs=5e-5)
-    four = [value for value, _ in said["four_thetas_deg"].values()]
+    answer = compare(paper).answer
+    assert answer.relative_error["fit"] == pytest.approx(0.09915, abs=5e-5)
+    four = [value for value, _ in answer.four_thetas_deg.values()]
     np.testing.assert_allclose(four, [-30.758, -36.442, -33.401, -32.317], atol=1e-3)
 
 
 @PAPER
 def test_the_ladder_of_the_paper_is_the_one_in_its_page(paper, ladder):
     text = PAGE.read_text(encoding="utf-8")
-    for row in (*where_rows(compare(paper).to_dict()), *candidate_rows(diagnose(paper).to_dict()), *rung_rows(ladder)):
+    for row in (*where_rows(compare(paper).answer), *candidate_rows(diagnose(paper).answer), *rung_rows(ladder)):
         assert any(alike(row, line) for line in text.splitlines()), row
-    assert [rung["effect"] for rung in ladder["ladder"]] == [
+    assert [rung.effect for rung in ladder.ladder] == [
         None, "pickoff_pole", "offdiagonal_damping", "updown_tilt", "electrode_misalignment",
     ]  # fmt: skip
-    assert ladder["classes"] == [
-        ["pickoff_pole", "loop_delay"],
-        ["updown_tilt", "electrode_mismatch"],
-        ["electrode_misalignment", "pickoff_crosstalk"],
-    ]
-    for name, (value, sd) in ladder["parameters"].items():
+    assert ladder.classes == (
+        ("pickoff_pole", "loop_delay"),
+        ("updown_tilt", "electrode_mismatch"),
+        ("electrode_misalignment", "pickoff_crosstalk"),
+    )
+    for name, (value, sd) in ladder.parameters.items():
         if "." in name or name == "c12_per_s":
             assert f"{value:.3g} +- {sd:.2g}" in text, name
 
@@ -252,53 +253,53 @@ def alike(row, line):
     )
 
 
-def where_rows(said):
-    for one in said["where"][:6]:
-        entry = f"{one['channel'].replace('sense', 'S')}/{one['drive'].replace('drive', 'D')}"
-        yield f"| {one['mode']} | {entry} | {100 * one['share']:.1f} % | {100 * one['relative_error']:.1f} % |"
+def where_rows(answer):
+    for one in answer.where[:6]:
+        entry = f"{one.channel.replace('sense', 'S')}/{one.drive.replace('drive', 'D')}"
+        yield f"| {one.mode} | {entry} | {100 * one.share:.1f} % | {100 * one.relative_error:.1f} % |"
 
 
-def candidate_rows(said):
-    for one in said["candidates"]:
-        f = f"F({one['F_dof'][0]}, {one['F_dof'][1]}) = {one['F']:.2f}"
-        after = f"{100 * one['relative_error_after']:.1f} %"
-        yield f"| {one['effect']} | {f} | {one['p_single']:.2g} | {one['p_value']:.2g} | {after} |"
+def candidate_rows(answer):
+    for one in answer.candidates:
+        f = f"F({one.F_dof[0]}, {one.F_dof[1]}) = {one.F:.2f}"
+        after = f"{100 * one.relative_error_after:.1f} %"
+        yield f"| {one.effect} | {f} | {one.p_single:.2g} | {one.p_value:.2g} | {after} |"
 
 
-def rung_rows(said):
-    for rung in said["ladder"]:
-        theta, sd = rung["theta_deg"]
-        four = ", ".join(f"{value:.2f}" for value, _ in rung["four_thetas_deg"].values())
-        p = "" if "p_value" not in rung else "< 0.001" if rung["p_value"] < 1e-3 else f"{rung['p_value']:.2g}"
+def rung_rows(answer):
+    for rung in answer.ladder:
+        theta, sd = rung.theta_deg
+        four = ", ".join(f"{value:.2f}" for value, _ in rung.four_thetas_deg.values())
+        p = "" if rung.p_value is UNSET else "< 0.001" if rung.p_value < 1e-3 else f"{rung.p_value:.2g}"
         yield (
-            f"| {rung['effect'] or 'as printed'} | {100 * rung['relative_error']:.1f} % | {p} | "
-            f"{theta:.2f} +- {sd:.2f} | {four} | {rung['theta_spread_deg']:.2f} |"
+            f"| {rung.effect or 'as printed'} | {100 * rung.relative_error:.1f} % | {p} | "
+            f"{theta:.2f} +- {sd:.2f} | {four} | {rung.theta_spread_deg:.2f} |"
         )
 
 
 @PAPER
 def test_an_undeclared_rate_would_take_what_is_left_at_a_size_that_no_bench_has(paper):
-    said = refine(replace(paper, rate_dps=None)).to_dict()
-    last = said["ladder"][-1]
-    omega, sd = said["parameters"]["angular_rate.Omega"]
-    assert (len(said["ladder"]), last["effect"]) == (6, "angular_rate")
-    share = 100 * last["relative_error"]
+    answer = refine(replace(paper, rate_dps=None)).answer
+    last = answer.ladder[-1]
+    omega, sd = answer.parameters["angular_rate.Omega"]
+    assert (len(answer.ladder), last.effect) == (6, "angular_rate")
+    share = 100 * last.relative_error
     shown = f"p < 0.001, relative error\n  {share:.1f} %, Omega = {omega:.2g} +- {sd:.2g} rad/s"
-    assert last["p_value"] < 1e-3
+    assert last.p_value < 1e-3
     assert shown in PAGE.read_text(encoding="utf-8")
 
 
 @PAPER
 def test_exact_poles_would_give_the_same_ladder(paper, ladder):
-    view = ModalProblem(paper, DEFAULT_COMPARE_MODEL, pole_weight=0.01)
-    for rung in ladder["ladder"]:
-        fit = view.fit(tuple(rung["terms"]))
-        assert fit.derived["theta_deg"][0] == pytest.approx(rung["theta_deg"][0], abs=1e-3)
-        assert fit.relative_error["fit"] == pytest.approx(rung["relative_error"], rel=1e-4)
+    problem = ModalProblem(paper, DEFAULT_COMPARE_MODEL, pole_weight=0.01)
+    for rung in ladder.ladder:
+        fit = problem.fit(rung.terms)
+        assert fit.derived["theta_deg"][0] == pytest.approx(rung.theta_deg[0], abs=1e-3)
+        assert fit.relative_error["fit"] == pytest.approx(rung.relative_error, rel=1e-4)
 
 
 @PAPER
 def test_noise_of_the_size_of_the_misfit_climbs_no_such_ladder(paper, ladder):
     by_chance = rungs_by_chance(paper, draws=5)
-    assert max(by_chance) < len(ladder["ladder"]) - 1
+    assert max(by_chance) < len(ladder.ladder) - 1
     assert sum(rungs > 0 for rungs in by_chance) <= 2

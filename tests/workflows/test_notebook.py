@@ -1,4 +1,4 @@
-"""The notebook page does what it says: its code runs as it stands, and the answers are frozen, print, and give tables."""
+"""The code of docs/notebook.md runs as printed; the results are frozen, print, and give tables."""
 
 import json
 import re
@@ -16,9 +16,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "notebook.md"
 
 @pytest.fixture(scope="module")
 def notebook(tmp_path_factory):
-    """Names that the page's code leaves behind, run in a folder that holds a campaign."""
+    """Variables of the page's code after it ran in a folder that holds a campaign."""
     folder = tmp_path_factory.mktemp("notebook")
-    # A device that the shipped limits pass, and an effect that leaves no doubt.
+    # A device within the shipped limits, and an effect that is highly significant.
     device = {"f1_hz": 534.5, "split_hz": 1.9, "theta_deg": -33.0, "zeta1": 3.2e-4, "zeta2": 1.6e-4}
     write_campaign(simulate(campaign_config(None), device, ["sense_nonlinearity"], 5).campaign, folder / "campaign")
     code = re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
@@ -33,7 +33,7 @@ def test_the_page_fits_one_screen():
     assert len(PAGE.read_text(encoding="utf-8").splitlines()) <= 50
 
 
-def test_the_tables_say_what_was_missing_and_how_far_the_error_fell(notebook):
+def test_the_tables_name_the_hidden_effect_and_show_the_error_falling_to_the_noise(notebook):
     where, ladder = notebook["how_good"].where, notebook["better"].table
     assert where.iloc[0]["kind"] == "harmonic"
     assert where.iloc[0]["harmonic"] == 2
@@ -51,13 +51,13 @@ def test_the_tables_say_what_was_missing_and_how_far_the_error_fell(notebook):
     assert isinstance(notebook["how_good"].records, pd.DataFrame)
 
 
-def test_a_model_that_does_not_explain_the_records_decides_nothing(notebook):
+def test_the_verdict_is_undecided_until_the_model_explains_the_records(notebook):
     ladder = notebook["better"].table
     assert ladder["verdict"].iloc[0] == "undecided"
     assert ladder["verdict"].iloc[-1] == ladder["verdict_at_face"].iloc[-1] != "undecided"
 
 
-def test_what_was_there_before_is_told_beside_what_is_left(notebook):
+def test_regions_of_the_first_model_show_what_the_last_one_leaves(notebook):
     regions = notebook["better"].where
     first = regions.iloc[0]
     assert first["error"] > 1.5
@@ -75,4 +75,4 @@ def test_answers_print_show_and_are_frozen(notebook, name, says):
     assert "<table" in answer._repr_html_()
     assert json.loads(json.dumps(answer.to_dict()))
     with pytest.raises(FrozenInstanceError):
-        answer.view = None
+        answer.answers = None

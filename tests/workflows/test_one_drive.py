@@ -1,4 +1,4 @@
-"""The loop on campaigns of one drive and one sense: with silence, with repeats, and with neither."""
+"""The learning loop on campaigns with one drive and one sense: with a silent record, with repeats, with neither."""
 
 from dataclasses import replace
 
@@ -51,25 +51,25 @@ def campaign(model, values, silent=False, repeat=False, seed=1):
 @pytest.mark.parametrize(
     ("noise", "source"), [({"silent": True}, "silent"), ({"repeat": True}, "repeats"), ({}, "residual")]
 )
-def test_two_hidden_effects_are_found_whatever_tells_the_noise(noise, source):
+def test_two_hidden_effects_are_found_with_every_source_of_the_noise_level(noise, source):
     hidden = {"cubic_stiffness.k3": 5e8, "nonlinear_damping.d": 0.5}
     made = campaign(Model(TWO_MODES, ("cubic_stiffness", "nonlinear_damping")), {**MODES, **hidden}, **noise)
     found = learning.refine(made, Model(TWO_MODES))
-    said = found.to_dict()
+    answer = found.answer
     assert set(found.effects) == {"cubic_stiffness", "nonlinear_damping"}
     assert found.verdict == "adequate"
-    assert {rung["status"] for rung in said["ladder"][1:]} == {"confirmed"}
-    assert said["noise"]["from"] == source
-    assert said["noise"]["sigma"][0] == pytest.approx(SIGMA_V, rel=0.05)
+    assert {rung.status for rung in answer.ladder[1:]} == {"confirmed"}
+    assert answer.noise.from_ == source
+    assert answer.noise.sigma[0] == pytest.approx(SIGMA_V, rel=0.05)
     for name, truth in hidden.items():
-        value, sd = said["parameters"][name]
+        value, sd = answer.parameters[name]
         assert abs(value - truth) < 4.0 * sd
-    last = said["ladder"][-1]
-    assert (last["error_validate"] is None) == (source == "residual")
-    assert all(volts == pytest.approx(SIGMA_V, rel=0.03) for volts in last["error_v"].values())
+    last = answer.ladder[-1]
+    assert (last.error_validate is None) == (source == "residual")
+    assert all(volts == pytest.approx(SIGMA_V, rel=0.03) for volts in last.error_v.values())
 
 
-def test_a_feedthrough_that_is_there_is_not_taken_for_a_wrong_hold():
+def test_a_real_feedthrough_raises_no_doubt_about_the_hold():
     one = PlantSpec("modal", 1, "velocity")
     values = {name: value for name, value in MODES.items() if "1_" in name or name == "zeta1"}
     made = campaign(
@@ -77,20 +77,20 @@ def test_a_feedthrough_that_is_there_is_not_taken_for_a_wrong_hold():
     )
     found = learning.refine(made, Model(one))
     assert found.effects == ("capacitive_feedthrough",)
-    assert found.to_dict()["hints"] == []
+    assert found.answer.hints == ()
 
 
-def test_nothing_is_named_where_nothing_is_hidden_and_no_noise_level_is_known():
+def test_no_effect_is_named_where_none_is_hidden_and_the_noise_level_is_unknown():
     found = learning.diagnose(campaign(Model(TWO_MODES), MODES), Model(TWO_MODES))
     assert (found.verdict, found.effects) == ("adequate", ())
 
 
-def test_a_gyro_is_no_plant_for_one_drive():
+def test_plant_gyro_refuses_a_campaign_with_one_drive():
     with pytest.raises(ConfigError, match="modal"):
         learning.refine(campaign(Model(TWO_MODES), MODES), DEFAULT_COMPARE_MODEL)
 
 
-def test_records_too_short_to_tell_their_noise_are_refused():
+def test_records_too_short_for_a_noise_estimate_are_refused():
     made = campaign(Model(TWO_MODES), MODES)
     short = tuple(replace(r, drive_v=r.drive_v[:60], sense_v=r.sense_v[:60]) for r in made.records)
     with pytest.raises(MeasurementError, match="silent"):
@@ -98,7 +98,7 @@ def test_records_too_short_to_tell_their_noise_are_refused():
 
 
 @pytest.mark.parametrize("extra", [{}, {"pickoff_pole.T": 1e-4}])
-def test_an_interpolated_drive_is_that_of_eight_times_the_rate(extra):
+def test_a_bandlimited_hold_equals_resampling_the_drive_eight_times(extra):
     rate = 610.0
     model = Model(PlantSpec("modal", 1, "displacement"), ("cubic_stiffness", *(n.split(".")[0] for n in extra)))
     values = {"f1_hz": 68.0, "zeta1": 0.05, "gain1_s1d1": 1.9e5, "cubic_stiffness.k3": 7e5, **extra}

@@ -1,4 +1,4 @@
-"""The loop on a measured resonator: what it finds by itself, rung by rung, and what a wrong hold looks like."""
+"""The learning loop on a measured resonator: the rungs of its ladder, and the hint that a wrong hold gives."""
 
 import json
 from dataclasses import replace
@@ -20,7 +20,7 @@ FIT, HELD = 4096, 6000
 
 
 def shortened(hold):
-    """Beginnings of the multisines, and the end of the arrow, where it is loudest."""
+    """The start of the multisines, and the end of the arrow, where its level is highest."""
     campaign = campaign_of(DATA, hold)
     records = []
     for record in campaign.records:
@@ -29,24 +29,24 @@ def shortened(hold):
     return replace(campaign, records=tuple(records))
 
 
-def test_the_loop_climbs_from_a_linear_model_to_a_third_of_a_millivolt():
+def test_refine_reduces_the_linear_model_to_a_third_of_a_millivolt():
     rows = table(found := learning.refine(shortened("bandlimited"), MODEL))
-    ground, cubic, quadratic = rows[:3]
+    first, cubic, quadratic = rows[:3]
     assert (cubic["effect"], quadratic["effect"]) == ("cubic_stiffness", "quadratic_stiffness")
-    assert ground["test_mv"] > 5.0
-    assert ground["arrow_mv"] > 15.0
+    assert first["test_mv"] > 5.0
+    assert first["arrow_mv"] > 15.0
     assert cubic["test_mv"] < 0.65
     assert quadratic["test_mv"] < 0.35
     assert quadratic["arrow_mv"] < 0.7
     assert all(row["status"] == "confirmed" for row in (cubic, quadratic))
-    # Nothing that a wrong hold looks like is needed, so nothing is said against this one.
+    # No effect that imitates a wrong hold is added, so there is no hint.
     assert not {"resistive_feedthrough", "loop_delay", "pickoff_pole"} & set(found.effects)
-    assert found.to_dict()["hints"] == []
+    assert found.answer.hints == ()
     assert all(row["test_mv"] <= before["test_mv"] for before, row in pairwise(rows))
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
-def test_a_wrong_hold_is_told_from_missing_physics(hold, tmp_path, capfd):
+def test_a_wrong_hold_gives_a_hint_instead_of_missing_physics(hold, tmp_path, capfd):
     entries = [
         f"[[record]]\nfile = {json.dumps(str(DATA / FILE))}\nname = '{name}'\nrole = '{role}'\nat_rest = false\n"
         f"start = {start}\nstop = {start + FIT if role == 'fit' else start + HELD if name == 'test' else stop}\n"
@@ -57,20 +57,20 @@ def test_a_wrong_hold_is_told_from_missing_physics(hold, tmp_path, capfd):
     (tmp_path / "campaign.toml").write_text(head + '[columns]\ndrive1_V = "V1"\nsense1_V = "V2"\n' + "".join(entries))
     (tmp_path / "model.toml").write_text('plant = { kind = "modal", modes = 1, sense = "displacement" }\n')
     assert call(["refine", str(tmp_path), "--model", str(tmp_path / "model.toml"), "--json"]) == 0
-    said = json.loads(capfd.readouterr().out)
-    ground, first, last = said["ladder"][0], said["ladder"][1], said["ladder"][-1]
-    assert first["effect"] == "cubic_stiffness"
-    assert 'hold = "bandlimited" explains the records better' in said["hints"][0]
-    # No noise level is known: no error in sigmas, but relative ones and volts for every record.
-    for rung in said["ladder"]:
+    answer = json.loads(capfd.readouterr().out)
+    given, cubic, last = answer["ladder"][0], answer["ladder"][1], answer["ladder"][-1]
+    assert cubic["effect"] == "cubic_stiffness"
+    assert 'hold = "bandlimited" explains the records better' in answer["hints"][0]
+    # The noise level is unknown: no error in sigmas, but relative errors and volts for every record.
+    for rung in answer["ladder"]:
         assert rung["error_fit"] is rung["error_validate"] is rung["misfit_fit"] is None
         assert set(rung["error_v"]) == {"train", "test"}
         assert 0.0 < rung["relative_error"] < 1.0
-    assert said["noise"]["from"] == "residual"
+    assert answer["noise"]["from"] == "residual"
     if hold == "zoh":
-        assert said["verdict"] == "unknown"
-        assert {rung["status"] for rung in said["ladder"][1:]} == {"partial"}
+        assert answer["verdict"] == "unknown"
+        assert {rung["status"] for rung in answer["ladder"][1:]} == {"partial"}
         assert last["error_v"]["test"] > 10e-3
     else:
-        assert {"quadratic_stiffness", "resistive_feedthrough"} <= set(said["effects"])
-        assert last["error_v"]["test"] < 0.4e-3 < 5e-3 < ground["error_v"]["test"]
+        assert {"quadratic_stiffness", "resistive_feedthrough"} <= set(answer["effects"])
+        assert last["error_v"]["test"] < 0.4e-3 < 5e-3 < given["error_v"]["test"]

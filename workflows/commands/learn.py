@@ -1,134 +1,163 @@
-"""gyroscreen compare, diagnose, refine, demo; pages are drawn by ``learn_pages``, which takes long to load."""
+"""gyroscreen compare, diagnose, refine, demo."""
 
 from __future__ import annotations
 
-import json as json_
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from pipeline.criticism.problem import FitResult
+from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
+from pipeline.errors import UsageError
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
-from pipeline.learning.next_experiment.separating import Proposal
-from pipeline.plain import plain
+from pipeline.inference.general.fit import CampaignFit
+from pipeline.learning.answers import ComparisonAnswer, to_json
 
-from .. import learning
+from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result
+from ..learning import compare as compare_measurement
+from ..learning import diagnose as diagnose_measurement
+from ..learning import refine as refine_measurement
+
+PAGES: dict[type[Result], str] = {
+    ComparisonResult: "compare.html",
+    DiagnosisResult: "diagnose.html",
+    RefinementResult: "ladder.html",
+}
 
 
-def _fitted(found: Campaign) -> Campaign:
-    """The campaign; one without a record to fit fits them all."""
-    if found.with_role("fit"):
-        return found
-    return replace(found, records=tuple(replace(r, role="fit") for r in found.records))
+def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+    """See ``gyroscreen compare --help``."""
+    _answer(compare_measurement, path, model, out, folders, json)
+
+
+def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+    """See ``gyroscreen diagnose --help``."""
+    _answer(diagnose_measurement, path, model, out, folders, json)
+
+
+def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+    """See ``gyroscreen refine --help``."""
+    _answer(refine_measurement, path, model, out, folders, json)
+
+
+@threadpool_limits.wrap(limits=1)
+def _answer(
+    ask: Callable[[Campaign | ModalRecord, Model], Result],
+    path: Path,
+    model: Path | None,
+    out: Path | None,
+    folders: Sequence[Path],
+    json: bool,
+) -> None:
+    """Read the measurement, ask, write drive files and the page where ``out`` is given, print."""
+    measured = read_measurement(path)
+    found = ask(measured if isinstance(measured, ModalRecord) else _fitted(measured), _model(model, folders))
+    page = None
+    if out is not None:
+        if isinstance(found, DiagnosisResult | RefinementResult):
+            found = replace(found, drive_files=True)
+            for proposal in found.separating:
+                proposal.write(out)
+        if _has_fit(found):
+            page = _write_page(measured, found, out, folders)
+    print(to_json(found.answer) if json else found)
+    if page is not None and not json:
+        print(page)
+
+
+def _fitted(campaign: Campaign) -> Campaign:
+    """The campaign; where no record has the role "fit", all have."""
+    if campaign.with_role("fit"):
+        return campaign
+    return replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
 
 
 def _model(path: Path | None, folders: Sequence[Path]) -> Model:
     model = load_model(path) if path is not None else DEFAULT_COMPARE_MODEL
-    known = (*model.effect_folders, *(str(folder) for folder in folders))
-    return model if known == model.effect_folders else replace(model, effect_folders=tuple(dict.fromkeys(known)))
+    known = dict.fromkeys((*model.effect_folders, *(str(folder) for folder in folders)))
+    return replace(model, effect_folders=tuple(known))
 
 
-def _drive_files(found: Sequence[Proposal], out: Path | None) -> None:
-    """The records that would separate classes, ready to be played."""
-    if out is not None:
-        for proposal in found:
-            proposal.write(out)
+def _has_fit(found: Result) -> bool:
+    answer = found.answer
+    if isinstance(answer, ComparisonAnswer):
+        return answer.fit_ok or bool(answer.error)
+    return answer.verdict != "fit_failed"
 
 
-@threadpool_limits.wrap(limits=1)
-def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
-    """See ``gyroscreen compare --help``."""
-    measured, base = read_measurement(path), _model(model, folders)
-    if isinstance(measured, ModalRecord):
-        from .learn_modal import answer_modal
+def _write_page(
+    measured: Campaign | ModalRecord, found: Result, out: Path, folders: Sequence[Path], truth: str | None = None
+) -> Path:
+    """The page of a result.
 
-        answer_modal("compare", measured, base, out, folders, json)
-        return
-    campaign = _fitted(measured)
-    found = learning.compare(campaign, base)
-    said = plain(found.to_dict())
-    where = None
-    if out is not None and (said["fit_ok"] or said["error"]):
-        from .learn_pages import comparison_page
-
-        where = comparison_page(campaign, found, out, folders)
-    if json:
-        print(json_.dumps(said))
-        return
-    print(found)
-    if where is not None:
-        print(where)
+    Raises
+    ------
+    UsageError : the folder cannot be written.
+    """
+    path, page = out / PAGES[type(found)], _page(measured, found, folders, truth)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write the page ({error.strerror})", value=str(out)) from None
+    return path
 
 
-@threadpool_limits.wrap(limits=1)
-def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
-    """See ``gyroscreen diagnose --help``."""
-    measured, base = read_measurement(path), _model(model, folders)
-    if isinstance(measured, ModalRecord):
-        from .learn_modal import answer_modal
+def _page(measured: Campaign | ModalRecord, found: Result, folders: Sequence[Path], truth: str | None) -> str:
+    # Drawing takes a second to load; a command without a page does not wait for it.
+    from reports.learning.page import RecordView, render_learning_page
 
-        answer_modal("diagnose", measured, base, out, folders, json)
-        return
-    campaign = _fitted(measured)
-    found = replace(learning.diagnose(campaign, base), drive_files=out is not None)
-    said = plain(found.to_dict())
-    _drive_files(found.separating, out)
-    if out is not None and found.verdict != "fit_failed":
-        from .learn_pages import diagnosis_page
+    def views(fit: CampaignFit | FitResult) -> list[RecordView]:
+        """Each driven record with the model's prediction; none for a modal record."""
+        if isinstance(fit, FitResult) or isinstance(measured, ModalRecord):
+            return []
+        records = {record.name: record for record in measured.records}
+        return [
+            RecordView(
+                r.name, str(r.role), records[r.name].sample_rate_hz, records[r.name].drive_v, records[r.name].sense_v,
+                r.predicted_v, r.residual, r.error,
+            )
+            for r in fit.records
+        ]  # fmt: skip
 
-        diagnosis_page(campaign, found, out, folders)
-    if json:
-        print(json_.dumps(said))
-        return
-    print(found)
-
-
-@threadpool_limits.wrap(limits=1)
-def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
-    """See ``gyroscreen refine --help``."""
-    measured, base = read_measurement(path), _model(model, folders)
-    if isinstance(measured, ModalRecord):
-        from .learn_modal import answer_modal
-
-        answer_modal("refine", measured, base, out, folders, json)
-        return
-    campaign = _fitted(measured)
-    found = replace(learning.refine(campaign, base), drive_files=out is not None)
-    said = plain(found.to_dict())
-    _drive_files(found.separating, out)
-    page = None
-    if out is not None and found.verdict != "fit_failed":
-        from .learn_pages import ladder_page
-
-        page = ladder_page(campaign, found, out, folders)
-    if json:
-        print(json_.dumps(said))
-        return
-    print(found)
-    if page is not None:
-        print(page)
+    first = ComparisonResult(found.answers)
+    diagnosis = refinement = after = None
+    if isinstance(found, DiagnosisResult):
+        diagnosis = found.answer
+    if isinstance(found, RefinementResult):
+        diagnosis, refinement, after = found.first_diagnosis, found.answer, views(found.after)
+    return render_learning_page(
+        measured.name if isinstance(measured, ModalRecord) else measured.device_id,
+        first.answer,
+        diagnosis,
+        refinement,
+        before=views(first.fit),
+        after=after,
+        library=find_effects(tuple(folders)),
+        truth=truth,
+    )
 
 
 @threadpool_limits.wrap(limits=1)
 def demo(out: Path, seed: int | None) -> None:
     """See ``gyroscreen demo --help``."""
     from ..learning.demo import hidden_device
-    from .learn_pages import ladder_page
 
-    began = time.monotonic()
+    start = time.monotonic()
     chosen = int(time.time()) % 100_000 if seed is None else seed
     made = hidden_device(chosen)
-    print(f"a virtual device was measured (seed {chosen}); something is hidden in it. Looking ...", file=sys.stderr)
-    found = learning.refine(made.campaign)
+    print(f"a virtual device with a hidden effect was measured (seed {chosen}); searching ...", file=sys.stderr)
+    found = refine_measurement(made.campaign)
     print(found)
     hidden = ", ".join(f"{k} = {v:.4g}" for k, v in made.parameters.items() if k not in DEFAULT_COMPARE_MODEL.by_name)
     truth = f"{', '.join(made.model.effects)} ({hidden})"
     print(f"the truth: {truth}")
-    page = ladder_page(made.campaign, found, out, (), truth)
-    print(f"{page}  ({time.monotonic() - began:.0f} s)")
+    page = _write_page(made.campaign, found, out, (), truth)
+    print(f"{page}  ({time.monotonic() - start:.0f} s)")

@@ -1,39 +1,86 @@
-"""The learning loop on a campaign or a modal record: compare, diagnose, refine; as short as the commands.
+"""The learning loop for campaigns and modal records, with calls as short as the commands.
 
-compare(campaign, model)     how good, and where it fails
-diagnose(campaign, model)    what is missing, or that nothing of the library is
-refine(campaign, model)      add, refit, until nothing more is warranted: the ladder
+compare(campaign, model)     how well the model explains the measurement, and where it fails
+diagnose(campaign, model)    which effect the model lacks, or that no known effect explains the misfit
+refine(campaign, model)      the ladder: effects are added and refitted until no further one is significant
+
+Results are frozen.  They print as the commands do, show their tables in a notebook, and give the JSON of the commands.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, overload
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from pipeline.criticism.fit_tests import Rules
-from pipeline.criticism.ladder import as_ladder
-from pipeline.criticism.ladder import diagnose as examine
-from pipeline.criticism.selection import forward_selection
+from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis, as_ladder
+from pipeline.criticism.ladder import diagnose as find_missing
+from pipeline.criticism.problem import FitResult
+from pipeline.criticism.selection import ForwardSelection, forward_selection
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import MeasurementError
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign
+from pipeline.inference.general.fit import CampaignFit
+from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer, to_builtins
+from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
+from pipeline.learning.common import classes_of
+from pipeline.learning.modal.answers import ModalAnswers
+from pipeline.learning.modal.problem import ModalProblem
+from pipeline.learning.next_experiment.separating import Proposal, separating_text
+from reports.words.terminal import lines_of
 
 from ..machine import worker_count
-from .campaign_answers import Comparison, Diagnosed, Refined
+from . import tables
+from .device_verdict import with_verdicts
 
 if TYPE_CHECKING:
-    from .modal_answers import ModalComparison, ModalDiagnosed, ModalRefined
+    import pandas as pd
 
-__all__ = ["Comparison", "Diagnosed", "Refined", "compare", "diagnose", "refine", "view_of"]
+__all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine", "view_of"]
+
+
+@threadpool_limits.wrap(limits=1)
+def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> ComparisonResult:
+    """Fit ``model`` to the fit records and judge it on all records.
+
+    Raises
+    ------
+    MeasurementError : a campaign without a record to fit; a modal record whose modes are not those of the plant.
+    """
+    answers = _answers(campaign, model)
+    answers.problem.fit(())
+    return ComparisonResult(answers)
+
+
+@threadpool_limits.wrap(limits=1)
+def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> DiagnosisResult:
+    """Find what ``model`` lacks; raises as :func:`compare`."""
+    answers = _answers(campaign, model)
+    return DiagnosisResult(answers, find_missing(answers.problem, rules=answers.rules))
+
+
+@threadpool_limits.wrap(limits=1)
+def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> RefinementResult:
+    """Add effects to ``model`` until no further one is significant; raises as :func:`compare`."""
+    answers = _answers(campaign, model)
+    selection = forward_selection(answers.problem, (), answers.rules)
+    return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules), selection)
 
 
 def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int = 0) -> CampaignProblem:
-    """The campaign as the loop sees it; ``threads`` (one a usable core where it is 0) take signatures at once.
+    """The campaign as a problem of criticism.
+
+    Parameters
+    ----------
+    campaign : with at least one record to fit.
+    model : plant and effects to start from.
+    threads : signatures computed at the same time; 0 means one per usable core.
 
     Raises
     ------
@@ -46,52 +93,197 @@ def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: i
     return CampaignProblem(campaign, model, noise_level(campaign), worker_count(threads))
 
 
-@overload
-def compare(campaign: Campaign, model: Model = ...) -> Comparison: ...
-@overload
-def compare(campaign: ModalRecord, model: Model = ...) -> ModalComparison: ...
-@threadpool_limits.wrap(limits=1)
-def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Comparison | ModalComparison:
-    """Fit ``model`` to the fit records and judge it on all."""
-    if isinstance(campaign, ModalRecord):
-        from .modal_answers import compare_modal
-
-        return compare_modal(campaign, model)
-    found = Comparison(view_of(campaign, model))
-    found.view.fit(())
-    return found
+def _answers(measured: Campaign | ModalRecord, model: Model) -> CampaignAnswers | ModalAnswers:
+    if isinstance(measured, ModalRecord):
+        return ModalAnswers(ModalProblem(measured, model))
+    return CampaignAnswers(view_of(measured, model))
 
 
-@overload
-def diagnose(campaign: Campaign, model: Model = ...) -> Diagnosed: ...
-@overload
-def diagnose(campaign: ModalRecord, model: Model = ...) -> ModalDiagnosed: ...
-@threadpool_limits.wrap(limits=1)
-def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Diagnosed | ModalDiagnosed:
-    """Say what ``model`` lacks."""
-    if isinstance(campaign, ModalRecord):
-        from .modal_answers import diagnose_modal
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(ABC):
+    """The result of a command; ``answers`` keeps the fits."""
 
-        return diagnose_modal(campaign, model)
-    view = view_of(campaign, model)
-    rules = Rules()
-    if view.noise.source == "local":
-        # Held-out records vouch for every term, so there may be as many as in a ladder.
-        rules = replace(rules, max_named=rules.rungs)
-    return Diagnosed(view, examine(view, rules=rules))
+    answers: CampaignAnswers | ModalAnswers
+
+    @property
+    def problem(self) -> CampaignProblem | ModalProblem:
+        """The measurement as a problem of criticism, with its fits."""
+        return self.answers.problem
+
+    @property
+    @abstractmethod
+    def answer(self) -> ComparisonAnswer | DiagnosisAnswer | RefinementAnswer:
+        """The result as data."""
+
+    @abstractmethod
+    def shown(self) -> tuple[pd.DataFrame, ...]:
+        """Tables below the text in a notebook."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``--json`` prints."""
+        return to_builtins(self.answer)
+
+    def __str__(self) -> str:
+        return "\n".join(lines_of(self.answer))
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return tables.html(lines_of(self.answer), self.shown())
 
 
-@overload
-def refine(campaign: Campaign, model: Model = ...) -> Refined: ...
-@overload
-def refine(campaign: ModalRecord, model: Model = ...) -> ModalRefined: ...
-@threadpool_limits.wrap(limits=1)
-def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> Refined | ModalRefined:
-    """Climb from ``model`` until nothing more is warranted."""
-    if isinstance(campaign, ModalRecord):
-        from .modal_answers import refine_modal
+@dataclass(frozen=True, eq=False, repr=False)
+class ComparisonResult(Result):
+    """How well a model explains a measurement, and where it fails."""
 
-        return refine_modal(campaign, model)
-    view = view_of(campaign, model)
-    selection = forward_selection(view)
-    return Refined(view, as_ladder(view, selection), selection)
+    @property
+    def answer(self) -> ComparisonAnswer:
+        """The result as data."""
+        return self.answers.comparison
+
+    @property
+    def fit(self) -> CampaignFit | FitResult:
+        """The fit: predictions, residuals, covariance."""
+        return self.answers.fitted()
+
+    @property
+    def noise(self) -> Noise | None:
+        """sigma by channel and where it comes from; ``None`` where the fit failed."""
+        return self.answer.noise or None
+
+    @property
+    def where(self) -> pd.DataFrame:
+        """One row per region where the model fails; shares add up to one within a family."""
+        return tables.where_table(self.answer.where)
+
+    @property
+    def records(self) -> pd.DataFrame:
+        """One row per record: role and errors."""
+        return tables.records_table(self.answer.records or {})
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """One row per parameter: value, sd, unit."""
+        return tables.parameters_table(self.answer.parameters, self.problem.model)
+
+    def shown(self) -> tuple[pd.DataFrame, ...]:
+        """Where the model fails, records, parameters."""
+        return self.where, self.records, self.parameters
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult(Result):
+    """What a model lacks; ``drive_files``: the answer names the drive files of ``separating``, which are being written."""
+
+    diagnosis: Diagnosis
+    drive_files: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """ "adequate", "effect", "class", "unknown" or "fit_failed"."""
+        return self.diagnosis.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Named effects."""
+        return self.diagnosis.terms
+
+    @property
+    def classes(self) -> tuple[tuple[str, ...], ...]:
+        """Effects that these data cannot tell apart."""
+        return classes_of(self.diagnosis.classes)
+
+    @cached_property
+    def separating(self) -> tuple[Proposal, ...]:
+        """For every class the record that separates it best."""
+        fit = self.diagnosis.fit_after
+        return () if fit is None else self.answers.proposals(fit.terms, self.diagnosis.classes)
+
+    @cached_property
+    def answer(self) -> DiagnosisAnswer:
+        """The result as data."""
+        return self.answers.diagnosis(self.diagnosis, separating_text(self.separating, self.drive_files))
+
+    @property
+    def candidates(self) -> pd.DataFrame:
+        """One row per absent effect, the most significant first."""
+        return tables.candidates_table(self.answer.candidates)
+
+    def shown(self) -> tuple[pd.DataFrame, ...]:
+        """The candidates."""
+        return (self.candidates,)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RefinementResult(Result):
+    """The ladder, with theta, split and the verdict on every rung; ``drive_files`` as in ``DiagnosisResult``."""
+
+    ladder: Ladder
+    selection: ForwardSelection
+    drive_files: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """That of the last rung."""
+        return self.ladder.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Added effects."""
+        return self.ladder.terms
+
+    @property
+    def classes(self) -> tuple[tuple[str, ...], ...]:
+        """Effects that these data cannot tell apart."""
+        return classes_of(self.ladder.classes)
+
+    @property
+    def before(self) -> CampaignFit | FitResult:
+        """The fit of the given model."""
+        return self.answers.fitted()
+
+    @property
+    def after(self) -> CampaignFit | FitResult:
+        """The fit of the last model."""
+        return self.answers.fitted(self.effects)
+
+    @cached_property
+    def separating(self) -> tuple[Proposal, ...]:
+        """For every class the record that separates it best."""
+        return self.answers.proposals(self.effects, self.ladder.classes)
+
+    @cached_property
+    def answer(self) -> RefinementAnswer:
+        """The result as data."""
+        separating = separating_text(self.separating, self.drive_files)
+        return with_verdicts(self.answers.refinement(self.ladder, separating), self.answers)
+
+    @cached_property
+    def first_diagnosis(self) -> DiagnosisAnswer:
+        """What the given model lacks, without a separating record."""
+        return self.answers.first_diagnosis(as_diagnosis(self.problem, self.selection, self.answers.rules))
+
+    @property
+    def candidates(self) -> pd.DataFrame:
+        """One row per effect that the given model lacks, the most significant first."""
+        return tables.candidates_table(self.first_diagnosis.candidates)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row per rung: errors, theta, split, verdict."""
+        return tables.ladder_table(self.answer.ladder)
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """One row per parameter of the last model: value, sd, unit."""
+        return tables.parameters_table(self.answer.parameters or {}, self.problem.model, self.effects)
+
+    @property
+    def where(self) -> pd.DataFrame:
+        """Where the given model fails, and how much of that the last one explains."""
+        return tables.where_table(self.answer.regions)
+
+    def shown(self) -> tuple[pd.DataFrame, ...]:
+        """The ladder, and where the given model fails."""
+        return self.table, self.where

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from pipeline.device.gyro import PHYSICAL
 from pipeline.experiment.record import Campaign
@@ -17,6 +18,9 @@ from pipeline.inference.estimate import RateSettings, quantities
 from pipeline.inference.gate import Gate
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.inference.general.goodness import fit_status, full_band_goodness
+from pipeline.learning.answers import RefinementAnswer, RungAnswer
+from pipeline.learning.campaign.answers import CampaignAnswers
+from pipeline.learning.modal.answers import ModalAnswers
 from reports.decision import decide
 from reports.limits import DEFAULT_LIMITS, Limits
 
@@ -64,3 +68,18 @@ def verdict_of(
     status, reason = fit_status(fit, goodness, gate or Gate())
     verdict = ungated.verdict[0] if status == "ok" else "undecided"
     return ModelVerdict(verdict, ungated.verdict[0], ungated.failed_limits[0], reason or "")
+
+
+def with_verdicts(found: RefinementAnswer, answers: CampaignAnswers | ModalAnswers) -> RefinementAnswer:
+    """``found`` with the verdict on every rung; unchanged for a modal record."""
+    if not isinstance(answers, CampaignAnswers):
+        return found
+    return replace(found, ladder=tuple(_with_verdict(rung, answers) for rung in found.ladder))
+
+
+def _with_verdict(rung: RungAnswer, answers: CampaignAnswers) -> RungAnswer:
+    found = verdict_of(answers.fitted(rung.terms), answers.problem.campaign)
+    if found is None:
+        return rung
+    reason = found.reason or found.failed_limits
+    return replace(rung, verdict=found.verdict, verdict_at_face=found.ungated_verdict, verdict_reason=reason)

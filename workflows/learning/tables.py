@@ -1,20 +1,16 @@
-"""Answers of the loop as pandas tables, from their JSON.
-
-pandas takes a quarter of a second to load: only who asks for a table waits for it.
-"""
+"""Answers as pandas tables.  pandas is imported where a table is made, because it takes a quarter of a second to load."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pipeline.device.model import Model
+from pipeline.learning.answers import CandidateAnswer, Place, RecordErrors, RungAnswer, Values, to_builtins
 from pipeline.quantities import QUANTITIES
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Said = Mapping[str, Any]
 
 _RUNG = (
     "status", "error_fit", "error_validate", "misfit_fit", "misfit_validate", "relative_error", "explained", "delta_chi2",
@@ -22,62 +18,60 @@ _RUNG = (
 )  # fmt: skip
 
 
-def where_table(said: Said) -> pd.DataFrame:
-    """One row a region: family, kind, where it lies, share of the misfit in its family, error there."""
+def where_table(places: Sequence[Place]) -> pd.DataFrame:
+    """One row per place: family, kind, location, share of the misfit in its family, error."""
     import pandas as pd
 
-    table = pd.DataFrame([dict(row) for row in said.get("where", ())]).dropna(axis="columns", how="all")
+    table = pd.DataFrame([to_builtins(place) for place in places]).dropna(axis="columns", how="all")
     return table.astype({"harmonic": "Int64"}) if "harmonic" in table else table
 
 
-def records_table(said: Said) -> pd.DataFrame:
-    """One row a record: role and error."""
+def records_table(records: Mapping[str, RecordErrors]) -> pd.DataFrame:
+    """One row per record: role and errors."""
     import pandas as pd
 
-    return pd.DataFrame.from_dict(dict(said.get("records", {})), orient="index").rename_axis("record")
+    rows = {name: to_builtins(errors) for name, errors in records.items()}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("record")
 
 
-def parameters_table(said: Said, model: Model) -> pd.DataFrame:
-    """One row a parameter: value, sd, unit."""
+def parameters_table(values: Values, model: Model, effects: Sequence[str] = ()) -> pd.DataFrame:
+    """One row per parameter of ``model`` with ``effects``: value, sd, unit."""
     import pandas as pd
 
-    units = _units(model)
-    rows = {name: (*value, units.get(name, "")) for name, value in said.get("parameters", {}).items()}
+    for effect in effects:
+        model = model.with_effect(effect)
+    units = {quantity.name: quantity.unit for quantity in QUANTITIES}
+    units |= {name: parameter.unit for name, parameter in model.parameters()}
+    rows = {name: (*value, units.get(name, "")) for name, value in values.items()}
     return pd.DataFrame.from_dict(rows, orient="index", columns=["value", "sd", "unit"]).rename_axis("parameter")
 
 
-def candidates_table(said: Said) -> pd.DataFrame:
-    """One row an absent effect, the most significant first; sizes as {parameter: (value, sd)}."""
+def candidates_table(candidates: Sequence[CandidateAnswer]) -> pd.DataFrame:
+    """One row per absent effect, the most significant first; sizes as {parameter: (value, sd)}."""
     import pandas as pd
 
-    rows = [
-        {k: v for k, v in row.items() if k != "estimate"}
-        | {"estimate": {k: tuple(v) for k, v in row.get("estimate", {}).items()}}
-        for row in said.get("candidates", ())
-    ]
-    table = pd.DataFrame(rows)
+    table = pd.DataFrame([{**to_builtins(one), "estimate": dict(one.estimate)} for one in candidates])
     return table.set_index("effect") if "effect" in table else table
 
 
-def ladder_table(said: Said) -> pd.DataFrame:
-    """One row a rung, from the model as given upward: errors, fall of chi2, theta, split and verdict with that model."""
+def ladder_table(ladder: Sequence[RungAnswer]) -> pd.DataFrame:
+    """One row per rung, from the given model on: errors, delta_chi2, theta, split and verdict with that model."""
     import pandas as pd
 
     rows = []
-    for k, rung in enumerate(said.get("ladder", ())):
-        row = {"rung": k, "effect": rung.get("effect") or "", **{name: rung.get(name) for name in _RUNG}}
-        for name, (value, sd) in rung.get("derived", {}).items():
+    for k, rung in enumerate(ladder):
+        row = {"rung": k, "effect": rung.effect or "", **{name: getattr(rung, name) for name in _RUNG}}
+        for name, (value, sd) in rung.derived.items():
             row |= {name: value, f"{name}_sd": sd}
-        rows.append(row | {"verdict": rung.get("verdict"), "verdict_at_face": rung.get("verdict_at_face")})
+        rows.append(row | {"verdict": rung.verdict or None, "verdict_at_face": rung.verdict_at_face or None})
     table = pd.DataFrame(rows)
     return table.set_index("rung") if rows else table
 
 
-def _units(model: Model) -> dict[str, str]:
-    named = {quantity.name: quantity.unit for quantity in QUANTITIES}
-    return {**named, **{name: parameter.unit for name, parameter in model.parameters()}}
+def html(lines: Sequence[str], tables: Sequence[pd.DataFrame]) -> str:
+    """Lines of text, then tables.  The text may hold names of files and effects; pandas escapes it."""
+    import pandas as pd
 
-
-def html(tables: Sequence[pd.DataFrame]) -> str:
-    """Tables below one another."""
-    return "\n".join(table.to_html(border=0, float_format=lambda value: f"{value:.6g}") for table in tables)
+    text = pd.DataFrame({"": list(lines)}).to_html(index=False, header=False, border=0)
+    shown = [table.to_html(border=0, float_format=lambda value: f"{value:.6g}") for table in tables]
+    return "\n".join([text, *shown])

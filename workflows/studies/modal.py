@@ -12,25 +12,25 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.criticism.ladder import refine
 from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.experiment.files.modal_record import ModalRecord
+from pipeline.learning.modal.answers import ModalAnswers
 from pipeline.learning.modal.problem import ModalProblem
 
-from ..learning.modal_answers import refine_modal
 
-
-def redrawn(view: ModalProblem, fit: FitResult, rng: np.random.Generator) -> ModalRecord:
+def redrawn(problem: ModalProblem, fit: FitResult, rng: np.random.Generator) -> ModalRecord:
     """A record of the fitted model plus noise at the level of the fit's residual, or at the declared level."""
-    modes = view.modes({name: value for name, (value, _) in fit.parameters.items()})
-    unit, pole_unit = view.noise(fit)
+    modes = problem.modes({name: value for name, (value, _) in fit.parameters.items()})
+    unit, pole_unit = problem.noise(fit)
     c = modes.c + unit[:, 1] * rng.standard_normal(modes.c.shape)
     c = c + 1.0j * unit[:, 0] * rng.standard_normal(modes.c.shape)
-    turned = rng.standard_normal(pole_unit.size) + 1.0j * rng.standard_normal(pole_unit.size)
-    poles = modes.poles + pole_unit * turned
+    complex_noise = rng.standard_normal(pole_unit.size) + 1.0j * rng.standard_normal(pole_unit.size)
+    poles = modes.poles + pole_unit * complex_noise
     omega = np.abs(poles)
     return replace(
-        view.record,
+        problem.record,
         frequency_hz=omega / (2.0 * np.pi),
         zeta=-poles.real / omega,
         R1=np.asarray(c.imag),
@@ -56,8 +56,11 @@ def rungs_by_chance(
     """
     for effect in effects:
         model = model.with_effect(effect)
-    view = ModalProblem(record, model)
-    fit = view.fit(())
+    problem = ModalProblem(record, model)
+    fit = problem.fit(())
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x30DA1,)))
-    found = (refine_modal(redrawn(view, fit, rng), model) for _ in range(draws))
-    return tuple(len(one.ladder.rungs) - 1 for one in found)
+    counts = []
+    for _ in range(draws):
+        answers = ModalAnswers(ModalProblem(redrawn(problem, fit, rng), model))
+        counts.append(len(refine(answers.problem, (), answers.rules).rungs) - 1)
+    return tuple(counts)

@@ -2,8 +2,8 @@
 
 Wigren and Schoukens, "Three free data sets for development and benchmarking in nonlinear system identification", European
 Control Conference 2013.  ``SNLS80mV.mat`` holds V1 (drive) and V2 (sense, a displacement) at 610.35 Hz: a multisine to fit and
-one to test, and an arrow, noise whose level grows beyond that of the multisines.  There is no silence and no repeat, so no noise
-level is known and errors are told in volts.
+one to test, and an "arrow", noise whose level grows beyond that of the multisines.  There is no silent record and no repeat, so
+the noise level is unknown and errors are given in volts.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pipeline.experiment.instrument import Hold, Instrument
 from pipeline.experiment.record import Campaign, Record, Role
 
 from .. import learning
-from ..learning.campaign_answers import Refined
+from ..learning import RefinementResult
 
 FILE = "SNLS80mV.mat"
 RATE_HZ = 610.35
@@ -28,7 +28,7 @@ PARTS: tuple[tuple[str, Role, int, int], ...] = (
     ("test", "validate", 105_712, 127_400),
     ("arrow", "validate", 100, 40_575),
 )
-#: A linear resonator, from which the climb begins.
+#: A linear resonator, the first model of the ladder.
 MODEL = Model(PlantSpec("modal", 1, "displacement"))
 
 
@@ -49,18 +49,18 @@ def campaign_of(folder: Path, hold: Hold, train_samples: int | None = None) -> C
     return Campaign("silverbox", tuple(records), Instrument(sample_rate_hz=RATE_HZ, hold=hold, bias_v=0.0))
 
 
-def refine_silverbox(folder: Path, hold: Hold, train_samples: int | None = None) -> Refined:
-    """The loop on the measurement, from the linear model."""
+def refine_silverbox(folder: Path, hold: Hold, train_samples: int | None = None) -> RefinementResult:
+    """Refine the linear model on the measurement."""
     return learning.refine(campaign_of(folder, hold, train_samples), MODEL)
 
 
-def table(found: Refined) -> list[dict[str, Any]]:
-    """One row a rung: effect, status, and rms of (measured - model) in mV on every record."""
+def table(found: RefinementResult) -> list[dict[str, Any]]:
+    """One row per rung: effect, status, and rms of (measured - model) in mV on every record."""
     return [
         {
-            "effect": rung["effect"],
-            "status": rung["status"],
-            **{f"{name}_mv": 1e3 * volts for name, volts in rung["error_v"].items()},
+            "effect": rung.effect,
+            "status": rung.status,
+            **{f"{name}_mv": 1e3 * volts for name, volts in (rung.error_v or {}).items()},
         }
-        for rung in found.to_dict()["ladder"]
+        for rung in found.answer.ladder
     ]

@@ -67,7 +67,7 @@ def test_a_nonlinear_term_is_found_with_its_size_and_sign() -> None:
 def test_without_a_noise_level_f_tests_find_the_term_and_no_error_is_told() -> None:
     found = diagnose(_problem(3, noise_known=False, scale=1e-3, cos=2.0, f=33.0), rules=RULES)
     assert (found.verdict, found.terms) == ("effect", ("line",))
-    assert found.to_dict()["error"] == {"fit": None, "validate": None}
+    assert (found.fit.error_of("fit"), found.fit.error_of("validate")) == (None, None)
     nothing = diagnose(_problem(4, noise_known=False, scale=1e3), rules=RULES)
     assert (nothing.verdict, nothing.terms) == ("adequate", ())
 

@@ -22,8 +22,9 @@ from pipeline.criticism.ladder import as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
 from pipeline.criticism.selection import forward_selection
 from pipeline.errors import GyroscreenError, UsageError
+from pipeline.learning.campaign.answers import CampaignAnswers
 
-from ...learning import Diagnosed, Refined, view_of
+from ...learning import DiagnosisResult, RefinementResult, view_of
 from ...machine import worker_count
 from ...screening.cluster import cluster, in_parallel
 from .draw import KINDS, Hidden, hide
@@ -106,10 +107,11 @@ def run_loop(hidden: Hidden) -> dict[str, Any]:
     if len(selection.steps) > Rules.max_named:
         short = forward_selection(problem, rules=Rules(rungs=Rules.max_named))
     diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
-    row = {"diagnose": {**_diagnosed(Diagnosed(view, diagnosis).to_dict()), **_sum(shared, own)}}
+    answers = CampaignAnswers(view)
+    row = {"diagnose": {**_diagnosed(DiagnosisResult(answers, diagnosis).to_dict()), **_sum(shared, own)}}
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, selection))
-        row["refine"] = {**_refined(Refined(view, ladder, selection).to_dict()), **_sum(shared, own)}
+        row["refine"] = {**_refined(RefinementResult(answers, ladder, selection).to_dict()), **_sum(shared, own)}
     return row
 
 

@@ -14,6 +14,7 @@ from pipeline.experiment.noise.time_frequency import block_size, cell_variances,
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.inference.general.record_fit import RecordFit
+from pipeline.learning.answers import Place, to_builtins
 from pipeline.learning.where.partition import campaign_partition, record_partitions
 from pipeline.learning.where.regions import FAMILIES, by_kind, explained, misfit_regions, structure_regions
 from pipeline.learning.where.rows import where_rest, where_rows, with_after
@@ -92,11 +93,11 @@ def _regions(fit: CampaignFit) -> list[Region]:
     return misfit_regions(fit, campaign_partition(fit, PARTITIONS), CONDITIONS)
 
 
-def _rows(fit: CampaignFit) -> list[dict]:
+def _rows(fit: CampaignFit) -> tuple[Place, ...]:
     return where_rows(_regions(fit), SILENT_DOF)
 
 
-def _top(fit: CampaignFit) -> dict:
+def _top(fit: CampaignFit) -> Place:
     return where_rows(by_kind(_regions(fit)), SILENT_DOF)[0]
 
 
@@ -143,17 +144,17 @@ def test_the_shares_of_every_family_add_up_to_one(missing):
             assert sum(w.share for w in region_shares(own, np.inf)) == pytest.approx(1.0, abs=1e-9)
     rows = where_rows(regions, SILENT_DOF)
     rest = where_rest(rows)
-    for family in {row["family"] for row in rows}:
-        assert sum(r["share"] for r in rows if r["family"] == family) + rest[family] == pytest.approx(1.0)
+    for family in {row.family for row in rows}:
+        assert sum(r.share for r in rows if r.family == family) + rest[family] == pytest.approx(1.0)
     for row in rows:
-        flat = [x for v in row.values() for x in (v if isinstance(v, list) else [v])]
+        flat = [x for v in to_builtins(row).values() for x in (v if isinstance(v, list) else [v])]
         assert all(v is None or type(v) in (str, int, float) for v in flat)
 
 
 def test_noise_alone_gives_no_significant_region():
-    assert _rows(_fit(seed=2)) == []
+    assert _rows(_fit(seed=2)) == ()
     # Nor does a noise level that is wrong by its own uncertainty.
-    assert _rows(_fit(seed=2, scale=1.0 + 1.5 / np.sqrt(2 * SILENT_DOF))) == []
+    assert _rows(_fit(seed=2, scale=1.0 + 1.5 / np.sqrt(2 * SILENT_DOF))) == ()
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -164,8 +165,8 @@ def test_a_pickoff_nonlinearity_appears_as_a_harmonic_of_its_order(order):
         return np.gradient(0.5 * motion**2 if order == 2 else 0.5 * cube, axis=0)
 
     top = _top(_fit(nonlinear))
-    assert (top["kind"], top["harmonic"]) == ("harmonic", order)
-    assert top["share"] > 0.9
+    assert (top.kind, top.harmonic) == ("harmonic", order)
+    assert top.share > 0.9
 
 
 def test_lines_are_found_and_mains_harmonics_get_their_exact_frequency():
@@ -175,8 +176,8 @@ def test_lines_are_found_and_mains_harmonics_get_their_exact_frequency():
     fit = _fit(hum)
     assert campaign_partition(fit, PARTITIONS).lines_hz == (50.0, 150.0)
     top = _top(fit)
-    assert top["kind"] == "line"
-    assert np.mean(top["band_hz"]) == pytest.approx(50.0)
+    assert top.kind == "line"
+    assert np.mean(top.band_hz) == pytest.approx(50.0)
     # Not significant in one record, significant in the sum of four.
     found = campaign_partition(_fit(lambda n, y, t: 4e-5 * np.cos(2 * np.pi * 3217.4 * t)), PARTITIONS).lines_hz
     assert found == pytest.approx([3217.4], abs=0.1)
@@ -185,13 +186,13 @@ def test_lines_are_found_and_mains_harmonics_get_their_exact_frequency():
 def test_a_ringing_resonance_is_not_a_line():
     fit = _fit(lambda n, y, t: 0.02 * y)
     assert campaign_partition(fit, PARTITIONS).lines_hz == ()
-    assert _top(fit)["kind"] == "resonance"
-    assert _top(fit)["band_hz"][0] < 534.5 < _top(fit)["band_hz"][1]
+    assert _top(fit).kind == "resonance"
+    assert _top(fit).band_hz[0] < 534.5 < _top(fit).band_hz[1]
 
 
 def test_feedthrough_appears_at_the_drive_frequency():
     top = _top(_fit(lambda name, y, t: 2e-3 * DRIVES[name] * (name != "multisine")))
-    assert (top["kind"], top["harmonic"]) == ("harmonic", 1)
+    assert (top.kind, top.harmonic) == ("harmonic", 1)
 
 
 def test_a_misfit_far_above_the_drive_is_located_in_its_band():
@@ -204,8 +205,8 @@ def test_a_misfit_far_above_the_drive_is_located_in_its_band():
 
     fit = _fit(high)
     top = _top(fit)
-    assert top["kind"] == "broadband"
-    assert top["share"] > 0.9
+    assert top.kind == "broadband"
+    assert top.share > 0.9
     # The tests of structure find it in the same band.
     worst = min(region_shares(structure_regions(fit, PARTITIONS)), key=lambda w: w.p_value)
     assert worst.family == "band"
@@ -214,21 +215,21 @@ def test_a_misfit_far_above_the_drive_is_located_in_its_band():
 
 def test_a_drift_appears_late_and_a_cubic_law_at_the_high_drive_level():
     rows = _rows(_fit(lambda n, y, t: 2e-3 * y * (t > 2.5)))
-    late = [row for row in rows if row["family"] == "time"]
-    assert all(row["time_s"][0] >= 2.45 for row in late)
+    late = [row for row in rows if row.family == "time"]
+    assert all(row.time_s[0] >= 2.45 for row in late)
     rows = _rows(_fit(lambda n, y, t: 2e-3 * (y / np.abs(MOTION["up"]).max()) ** 2 * y))
-    level = {row["level"]: row for row in rows if row["family"] == "level"}
-    assert level[1.0]["share"] > 0.99
-    assert level[0.35]["error"] == pytest.approx(1.0, abs=0.02)
-    motion = [row for row in rows if row["family"] == "response"]
-    assert motion[0]["response_v"][1] == pytest.approx(np.abs(MOTION["up"]).max() / np.sqrt(2.0), rel=0.3)
+    level = {row.level: row for row in rows if row.family == "level"}
+    assert level[1.0].share > 0.99
+    assert level[0.35].error == pytest.approx(1.0, abs=0.02)
+    motion = [row for row in rows if row.family == "response"]
+    assert motion[0].response_v[1] == pytest.approx(np.abs(MOTION["up"]).max() / np.sqrt(2.0), rel=0.3)
 
 
 def test_a_misfit_in_one_channel_or_sweep_direction_is_located_there():
     rows = _rows(_fit(lambda n, y, t: 5e-3 * y * np.array([0.0, 1.0]) * (n == "down")))
-    assert next(r for r in rows if r["family"] == "channel")["channel"] == "sense2"
-    assert next(r for r in rows if r["family"] == "direction")["direction"] == "down"
-    assert next(r for r in rows if r["family"] == "record")["record"] == "down"
+    assert next(r for r in rows if r.family == "channel").channel == "sense2"
+    assert next(r for r in rows if r.family == "direction").direction == "down"
+    assert next(r for r in rows if r.family == "record").record == "down"
 
 
 def test_structure_regions_are_chi_square_under_white_noise():
@@ -247,6 +248,6 @@ def test_the_explained_share_is_given_for_every_region():
     partition = campaign_partition(bad, PARTITIONS)
     first, last = (misfit_regions(fit, partition, CONDITIONS) for fit in (bad, good))
     rows = with_after(where_rows(first, SILENT_DOF), first, last)
-    assert all(row["explained"] == pytest.approx(0.99, abs=0.05) for row in rows if row["share"] > 0.1)
-    assert rows[0]["error_after"] < rows[0]["error"]
+    assert all(row.explained == pytest.approx(0.99, abs=0.05) for row in rows if row.share > 0.1)
+    assert rows[0].error_after < rows[0].error
     assert explained(first, last) == pytest.approx(0.99, abs=0.01)
