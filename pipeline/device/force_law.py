@@ -40,7 +40,7 @@ _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
 LAWS_TYPE = types.NamedTuple((_MATRIX, _MATRIX, _MATRIX, _MATRIX, types.float64, types.float64, types.int64), Laws)
 FORCE_SIGNATURE = types.void(types.float64, _VECTOR, _VECTOR, _VECTOR, _VECTOR, LAWS_TYPE, _VECTOR)
-# Tuples of function pointers let one compiled integrator serve every combination of effects.  The warning filter is set once,
+# Tuples of function pointers allow one compiled integrator for all combinations of effects.  The warning filter is set once,
 # because changing filters around each call is not thread-safe.
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 FORCE_TYPE = types.FunctionType(FORCE_SIGNATURE)

@@ -70,6 +70,8 @@ def _described(effect: Effect) -> str:
         f"  stages     {', '.join(effect.stages)}",
         f"  plants     {', '.join(effect.plants)}",
     ]
+    if effect.look_alikes:
+        lines.append(f"  looks like {'; '.join(' with '.join(like.effects) for like in effect.look_alikes)}")
     for p in effect.parameters:
         lines.append(f"  {p.name:10s} {p.meaning} [{p.unit}], {p.low:g} to {p.high:g}, null {p.null:g}")
     return "\n".join(lines)

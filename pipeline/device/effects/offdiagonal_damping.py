@@ -15,9 +15,9 @@ from ..parameters import Parameter
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
     double = np.deg2rad(2.0 * np.asarray(context.plant["theta_deg"]))
-    turned = np.array([[-np.sin(double), np.cos(double)], [np.cos(double), np.sin(double)]])
+    rotated = np.array([[-np.sin(double), np.cos(double)], [np.cos(double), np.sin(double)]])
     damping = m.damping.copy()
-    damping[:, :2, :2] += p[0] * np.moveaxis(turned, (0, 1), (-2, -1))
+    damping[:, :2, :2] += p[0] * np.moveaxis(rotated, (0, 1), (-2, -1))
     return replace(m, damping=damping)
 
 

@@ -48,9 +48,9 @@ def test_damping_in_the_stiffness_axes_is_c11_c22_c12():
     physical[7] = 0.7
     axis = np.deg2rad(physical[6])
     u = np.array([[np.cos(axis), np.sin(axis)], [-np.sin(axis), np.cos(axis)]])
-    turned = u @ gyro_mechanics(physical[None]).damping[0, :2, :2] @ u.T
+    rotated = u @ gyro_mechanics(physical[None]).damping[0, :2, :2] @ u.T
     c11, c22 = 4.0 * np.pi * physical[3] * physical[0], 4.0 * np.pi * physical[4] * physical[1]
-    np.testing.assert_allclose(turned, [[c11, 0.7], [0.7, c22]], rtol=1e-9)
+    np.testing.assert_allclose(rotated, [[c11, 0.7], [0.7, c22]], rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))

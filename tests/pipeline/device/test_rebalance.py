@@ -73,29 +73,29 @@ def test_rebalance_torque_is_the_corrected_equation_4(bench):
 def test_biases_at_rest_are_those_of_the_formulas_to_1_percent(bench):
     p, kappa, phi, terms, rest = bench
     for i in range(COUNT):
-        seen = {k: v[i] for k, v in measured_biases_dps(rest, kappa, phi).items()}
+        measured = {k: v[i] for k, v in measured_biases_dps(rest, kappa, phi).items()}
         # Measured at the loop's own omega0; the formula's convention f1 or f2 is off by less than the relative split.
         for drive in ("f1", "f2"):
-            said = rate_biases_dps(p[i], kappa[i], phi[i], drive)
+            expected = rate_biases_dps(p[i], kappa[i], phi[i], drive)
             quadrature = np.rad2deg(terms["splitting"][i] / (4.0 * kappa[i] * TAU * p[i, 0]))
             natural = {
                 "quadrature_rate_dps": quadrature,
                 "quadrature_bias_dps": quadrature * np.tan(np.deg2rad(abs(phi[i]))),
                 "inphase_bias_dps": np.rad2deg(terms["damping"][i] / (4.0 * kappa[i])),
             }
-            assert abs(seen["rate_bias_dps"] - said["rate_bias_dps"]) < 0.01 * (
+            assert abs(measured["rate_bias_dps"] - expected["rate_bias_dps"]) < 0.01 * (
                 natural["quadrature_bias_dps"] + natural["inphase_bias_dps"]
             )
             for name, scale in natural.items():
-                assert abs(seen[name] - said[name]) < 0.01 * scale
+                assert abs(measured[name] - expected[name]) < 0.01 * scale
 
 
 def test_the_loop_runs_between_f1_and_f2_and_changes_the_quadrature_rate_by_less_than_the_relative_split(bench):
     p, kappa, _, _, rest = bench
     assert np.all((rest.frequency_hz >= p[:, 0] - 1e-7) & (rest.frequency_hz <= p[:, 1] + 1e-7))
-    seen = measured_biases_dps(rest, kappa, 1.0)["quadrature_rate_dps"]
-    said = rate_biases_dps(p, kappa, 1.0, "f1")["quadrature_rate_dps"]
-    shift = np.abs(seen / said - 1.0)
+    measured = measured_biases_dps(rest, kappa, 1.0)["quadrature_rate_dps"]
+    expected = rate_biases_dps(p, kappa, 1.0, "f1")["quadrature_rate_dps"]
+    shift = np.abs(measured / expected - 1.0)
     np.testing.assert_allclose(shift, 1.0 - p[:, 0] / rest.frequency_hz, atol=1e-6)
     assert np.max(shift) < 4.0 / 525.0
 
@@ -104,10 +104,10 @@ def test_a_drive_forced_to_f1_gives_the_quadrature_rate_of_the_convention(bench)
     p, kappa, _, _, _ = bench
     forced = settled(operate(p[:10], kappa[:10], drive=Forced(p[:10, 0])))
     np.testing.assert_allclose(forced.frequency_hz, p[:10, 0], rtol=1e-12)
-    seen = measured_biases_dps(forced, kappa[:10], 2.0)
-    said = rate_biases_dps(p[:10], kappa[:10], 2.0, "f1")
-    for name in said:
-        np.testing.assert_allclose(seen[name], said[name], rtol=1e-5, atol=1e-4)
+    measured = measured_biases_dps(forced, kappa[:10], 2.0)
+    expected = rate_biases_dps(p[:10], kappa[:10], 2.0, "f1")
+    for name in expected:
+        np.testing.assert_allclose(measured[name], expected[name], rtol=1e-5, atol=1e-4)
 
 
 def test_rate_enters_with_the_factor_two_that_equation_5_omits(bench):
@@ -230,17 +230,17 @@ def analogue_envelopes(p, kappa, rate_at, loops, times):
         psi, velocity, phase, sum_phase = y[:2], y[2:4], y[4], y[5]
         v_x, v_y, sum_x, sum_y = y[6] + 1j * y[7], y[8] + 1j * y[9], y[10] + 1j * y[11], y[12]
         shown = y[13] + 1j * y[14]
-        turn = np.exp(1j * phase)
+        rotation = np.exp(1j * phase)
         t_y = 2.0 * b * (amplitude - v_y.real + sum_y)
         t_x = -2.0 * r * (v_x + sum_x)
-        tau = np.array([(t_x * turn).real, (t_y * turn).real])
+        tau = np.array([(t_x * rotation).real, (t_y * rotation).real])
         coriolis = 2.0 * kappa * np.deg2rad(rate_at(t)) * np.array([-velocity[1], velocity[0]])
         acceleration = tau - coriolis - c @ velocity - k @ psi
-        d_x = 2.0 * g * (velocity[0] - (v_x * turn).real) / turn
-        d_y = 2.0 * g * (velocity[1] - (v_y * turn).real) / turn
+        d_x = 2.0 * g * (velocity[0] - (v_x * rotation).real) / rotation
+        d_y = 2.0 * g * (velocity[1] - (v_y * rotation).real) / rotation
         omega = carrier + b * (v_y.imag / amplitude + sum_phase)
         e = 0.25 * r * v_x
-        d_out = 2.0 * out * (tau[0] - (shown * turn).real) / turn
+        d_out = 2.0 * out * (tau[0] - (shown * rotation).real) / rotation
         return np.array(
             [
                 *(*velocity, *acceleration, omega, 0.25 * b * v_y.imag / amplitude),

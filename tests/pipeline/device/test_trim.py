@@ -56,7 +56,7 @@ def test_trim_subtracts_the_spring_matrices_and_nothing_else(theta, split, volts
     np.testing.assert_allclose(k_after, wanted, atol=1e-10 * k[0, 0])
     np.testing.assert_allclose(c_after, c, atol=1e-9)
     np.testing.assert_array_equal(after[8:], device[8:])
-    # And back: taking the voltages off restores the device (theta as sharply as a split may be told in doubles).
+    # And back: removing the voltages restores the device (theta within the resolution of a split in double precision).
     back = trimmed_physical(after[None], np.zeros(4), FOUR, present_v=v)[0]
     np.testing.assert_allclose(back[:6], device[:6], rtol=1e-9)
     assert axis_distance(back[6], device[6]) < 1e-7 / split
@@ -132,19 +132,19 @@ def test_a_theta_target_removes_the_quadrature_with_less_voltage_than_a_zero_spl
     assert np.all((axis.voltages_v**2).sum(axis=1) <= (split.voltages_v**2).sum(axis=1) * (1.0 + 1e-9))
 
 
-@given(turn=st.floats(-180.0, 180.0), seed=st.integers(0, 50))
+@given(angle=st.floats(-180.0, 180.0), seed=st.integers(0, 50))
 @settings(deadline=None, max_examples=30)
-def test_rotating_device_electrodes_and_target_together_changes_no_voltage(turn, seed):
+def test_rotating_device_electrodes_and_target_together_changes_no_voltage(angle, seed):
     p = devices(seed, 1)
-    turned = p.copy()
-    turned[0, 6] = 90.0 - (90.0 - (p[0, 6] + turn)) % 180.0
+    rotated = p.copy()
+    rotated[0, 6] = 90.0 - (90.0 - (p[0, 6] + angle)) % 180.0
     pairs = standard_electrodes((10.0, 50.0, 95.0, 150.0), gain_sd=0.03)
-    others = standard_electrodes(tuple(b + turn for b in pairs.azimuth_deg), gain_sd=0.03)
+    others = standard_electrodes(tuple(b + angle for b in pairs.azimuth_deg), gain_sd=0.03)
     ones = np.ones((1, 4))
-    here = trim_batch(p, pairs, Target(0.5, 20.0), ones)
-    there = trim_batch(turned, others, Target(0.5, 20.0 + turn), ones)
-    np.testing.assert_allclose(there.voltages_v**2, here.voltages_v**2, atol=1e-5)
-    np.testing.assert_allclose(there.split_hz, here.split_hz, atol=1e-8)
+    expected = trim_batch(p, pairs, Target(0.5, 20.0), ones)
+    found = trim_batch(rotated, others, Target(0.5, 20.0 + angle), ones)
+    np.testing.assert_allclose(found.voltages_v**2, expected.voltages_v**2, atol=1e-5)
+    np.testing.assert_allclose(found.split_hz, expected.split_hz, atol=1e-8)
 
 
 def test_the_remaining_split_decreases_as_the_voltage_limit_rises_and_vanishes_without_it():
@@ -204,9 +204,9 @@ def test_the_trim_keeps_the_posterior_width_of_the_stiffness():
     components = np.stack([a[:, 1], a[:, 2]]) / 2.0 / np.pi
     # e = -split exp(2 i theta): sd 0.01 Hz along, 1.9 x 2 x 0.2 deg = 0.01326 Hz across the old axis.
     along = np.deg2rad(2.0 * PAPER[6])
-    turned = components.T @ np.array([[np.cos(along), -np.sin(along)], [np.sin(along), np.cos(along)]])
-    np.testing.assert_allclose(turned.std(axis=0), [0.01, 1.9 * np.deg2rad(0.4)], rtol=0.03)
-    assert np.max(np.abs(turned.mean(axis=0))) < 5.0 * 0.0133 / np.sqrt(20_000)
+    rotated = components.T @ np.array([[np.cos(along), -np.sin(along)], [np.sin(along), np.cos(along)]])
+    np.testing.assert_allclose(rotated.std(axis=0), [0.01, 1.9 * np.deg2rad(0.4)], rtol=0.03)
+    assert np.max(np.abs(rotated.mean(axis=0))) < 5.0 * 0.0133 / np.sqrt(20_000)
 
 
 def test_each_round_of_trim_reduces_the_split_by_the_gain_error():

@@ -41,11 +41,11 @@ def answer(row: Row, step: str) -> str:
     result, hidden = row[step], set(row["hidden"])
     if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
         return "adequate" if result["verdict"] in ("adequate", "effect", "class") else str(result["verdict"])
-    meant = [class_of(name, result) for name in result["effects"]]
-    if any(not members & hidden for members in meant):
+    named = [class_of(name, result) for name in result["effects"]]
+    if any(not members & hidden for members in named):
         return "wrong"
-    complete = len(meant) == len(hidden) and all(any(name in members for members in meant) for name in hidden)
-    small = all(len(members) <= _LARGEST_CLASS for members in meant)
+    complete = len(named) == len(hidden) and all(any(name in members for members in named) for name in hidden)
+    small = all(len(members) <= _LARGEST_CLASS for members in named)
     return "right" if complete and small else "partly"
 
 
@@ -85,10 +85,10 @@ def _z_score(row: Row, quantity: str, key: str) -> float:
     found = row["refine"].get(key)
     if not found or found[0] is None or not found[1]:
         return float("nan")
-    off = found[0] - row["truth"][quantity]
+    deviation = found[0] - row["truth"][quantity]
     if quantity == "theta_deg":
-        off = (off + 90.0) % 180.0 - 90.0
-    return float(off / found[1])
+        deviation = (deviation + 90.0) % 180.0 - 90.0
+    return float(deviation / found[1])
 
 
 def main_parameter(row: Row, model: Model = DEFAULT_COMPARE_MODEL) -> tuple[float, float, float] | None:
@@ -160,11 +160,13 @@ def _after_adding(rows: Sequence[Row]) -> dict[str, Any]:
     )
     for quantity, before in (("theta_deg", "theta_before_deg"), ("split_hz", "split_before_hz")):
         z = np.array([_z_score(r, quantity, quantity) for r in rows])
-        was = np.array([_z_score(r, quantity, before) for r in rows])
+        earlier = np.array([_z_score(r, quantity, before) for r in rows])
         inside = int(np.sum(np.abs(z) <= 1.6449))
         out[f"after adding: {quantity} inside its 90 % interval (85 to 95 %)"] = Share(inside, len(rows))
-        if np.any(np.isfinite(was)):
-            out[f"before adding: {quantity} off by more than 3 sd"] = Share(int(np.sum(np.abs(was) > 3.0)), len(rows))
+        if np.any(np.isfinite(earlier)):
+            out[f"before adding: {quantity} off by more than 3 sd"] = Share(
+                int(np.sum(np.abs(earlier) > 3.0)), len(rows)
+            )
     return out
 
 

@@ -140,17 +140,17 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
     n = COORDINATES
-    seen = np.empty(2)
+    pickoff = np.empty(2)
     for k in range(2):
         s, closed = 0.0, 0.0
         for j in range(n):
             s += g.sense[k, j] * y[n + j]
             closed += g.sense_motion[k, j] * y[j]
         open_ = 1.0 - g.inverse_sense_gap * closed
-        seen[k] = s / (open_ * open_) * (1.0 + g.gain_drift * t)
-        seen[k] += g.resistive[k, 0] * v[0] + g.resistive[k, 1] * v[1]
+        pickoff[k] = s / (open_ * open_) * (1.0 + g.gain_drift * t)
+        pickoff[k] += g.resistive[k, 0] * v[0] + g.resistive[k, 1] * v[1]
     for k in range(2):
-        volts = g.crosstalk[k, 0] * seen[0] + g.crosstalk[k, 1] * seen[1]
+        volts = g.crosstalk[k, 0] * pickoff[0] + g.crosstalk[k, 1] * pickoff[1]
         for j in range(4):
             b = _FILTER + 8 * k + 2 * j
             dy[b] = y[b + 1]
