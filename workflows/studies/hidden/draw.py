@@ -166,8 +166,8 @@ def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL
         for i, effect in enumerate(effects):
             target = float(np.exp(random.uniform(*np.log(KINDS[kind].snr))))
             drawn = draw_effect(effect, values, peak_of(before), random, model)
-            trial = _Trial(effect, model, drawn, values, fitted, before, base)
-            size, reached = trial.sized(target, stream(seed, kind, number, f"hum{i}"))
+            search = _SizeSearch(effect, model, drawn, values, fitted, before, base)
+            size, reached = search.sized(target, stream(seed, kind, number, f"hum{i}"))
             changed |= drawn.at(size)
             snr.append(reached)
             sizes += drawn.direction
@@ -213,7 +213,7 @@ def _clean(
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class _SizeSearch:
     """A drawn effect on a device: ``before`` are its ``fitted`` records without the effect."""
 
     effect: str
