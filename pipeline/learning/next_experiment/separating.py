@@ -148,7 +148,7 @@ class _Member:
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class _RecordTrial:
     """An experiment within the range of the converter, its record, the prediction of each member, and its separation.
 
     ``signals`` are (N S,) in sigmas; ``found`` is exact, or an upper bound.
@@ -213,8 +213,8 @@ def separating_record(problem: CampaignProblem, terms: Sequence[str], found: Ter
 
 
 def _best(
-    problem: CampaignProblem, members: Sequence[_Member], bounds: Sequence[_Trial], best: _Trial | None
-) -> _Trial | None:
+    problem: CampaignProblem, members: Sequence[_Member], bounds: Sequence[_RecordTrial], best: _RecordTrial | None
+) -> _RecordTrial | None:
     """The best of some experiments and ``best``; an experiment whose bound is no better needs no derivatives."""
     for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:_MOST]:
         if best is not None and (bound.merit <= best.merit or best.found.least >= _PLENTY):
@@ -237,7 +237,7 @@ def _member(problem: CampaignProblem, terms: Sequence[str], term: str, rival: st
     return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.values_jacobian(fitted.x), steps)
 
 
-def _bounded(problem: CampaignProblem, members: Sequence[_Member], experiment: Experiment) -> _Trial | None:
+def _bounded(problem: CampaignProblem, members: Sequence[_Member], experiment: Experiment) -> _RecordTrial | None:
     """An upper bound on the separation of an experiment; ``None`` if a member cannot exist at its conditions."""
     adc = problem.campaign.instrument.adc
     try:
@@ -254,10 +254,12 @@ def _bounded(problem: CampaignProblem, members: Sequence[_Member], experiment: E
         return None
     signals = tuple(_white(problem, member, record, y[:, :, None])[:, 0] for member, y in zip(members, responses))
     found = separation([Prediction(m.term, s, m.chi2, m.known) for m, s in zip(members, signals)])
-    return _Trial(experiment, record, signals, found)
+    return _RecordTrial(experiment, record, signals, found)
 
 
-def _separated(problem: CampaignProblem, members: Sequence[_Member], trial: _Trial, exact: bool = False) -> _Trial:
+def _separated(
+    problem: CampaignProblem, members: Sequence[_Member], trial: _RecordTrial, exact: bool = False
+) -> _RecordTrial:
     """The trial with its separation after all parameters are refitted."""
     predictions = [
         Prediction(m.term, signal, m.chi2, m.known, _columns(problem, m, trial.record, exact))
