@@ -14,6 +14,7 @@ from ..criticism.problem import Problem
 from ..criticism.scores import Score
 from ..criticism.verdict import TermClass, misfit
 from .answers import CandidateAnswer, DiagnosisAnswer, RefinementAnswer, RungAnswer, SizeDisagreement, place_at
+from .next_experiment.separating import Proposal
 
 
 def diagnosis_answer(found: Diagnosis) -> DiagnosisAnswer:
@@ -68,6 +69,13 @@ def refinement_answer(ladder: Ladder, problem: Problem) -> RefinementAnswer:
 def classes_of(found: Sequence[TermClass]) -> tuple[tuple[str, ...], ...]:
     """Members of every class of more than one effect."""
     return tuple(item.members for item in found if len(item.members) > 1)
+
+
+def separating_text(found: Sequence[Proposal], written: bool) -> str | None:
+    """``separating_record`` of the JSON, with the names of the drive files if they are ``written``; ``None`` without a class."""
+    if len(found) == 1:
+        return found[0].text(written)
+    return "; ".join(f"{' or '.join(one.members)}: {one.text(written)}" for one in found) or None
 
 
 def _rung(rung: Rung) -> RungAnswer:

@@ -10,7 +10,7 @@ import pytest
 from effect_cases import USERS, example_file
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
-from pipeline.learning.campaign.hold import stand_ins_of
+from pipeline.learning.campaign.hold import hold_look_alikes
 from pipeline.learning.next_experiment.experiments import experiments
 from workflows.learning import view_of
 from workflows.studies.hidden import study
@@ -99,8 +99,8 @@ def test_the_loop_finds_a_hidden_effect_that_is_only_a_file(model: Model) -> Non
     view = view_of(hidden.campaign, model, threads=1)
     view.fit((FILM,))
     fit = view.campaign_fit((FILM,))
-    assert stand_ins_of(fit) == (FILM,)
-    assert stand_ins_of(fit, given=(FILM,)) == ()
+    assert hold_look_alikes(fit) == (FILM,)
+    assert hold_look_alikes(fit, given=(FILM,)) == ()
     offered = experiments(hidden.campaign, fit.model, fit.values, (FILM,))
     assert any(one.bias_v is not None for one in offered)
 

@@ -29,10 +29,10 @@ from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer, to_builtins
 from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
-from pipeline.learning.common import classes_of
+from pipeline.learning.common import classes_of, separating_text
 from pipeline.learning.modal.answers import ModalAnswers
 from pipeline.learning.modal.problem import ModalProblem
-from pipeline.learning.next_experiment.separating import Proposal, separating_text
+from pipeline.learning.next_experiment.separating import Proposal
 from reports.words.terminal import lines_of
 
 from ..machine import worker_count

@@ -16,11 +16,18 @@ from ...inference.general.fit import CampaignFit
 from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RefinementAnswer, RungAnswer
 from ..common import diagnosis_answer, refinement_answer
 from ..modal.terms import GAUGES
-from ..next_experiment.separating import Proposal, proposals
+from ..next_experiment.separating import Proposal, separating_record
 from ..where.partition import CampaignPartition, campaign_partition
-from ..where.regions import FAMILIES, FREQUENCY_KINDS, by_kind, explained_by_kind, misfit_regions
-from ..where.rows import where_rest, where_rows, with_after
-from .hold import hold_hint, stand_ins_of
+from ..where.regions import (
+    FAMILIES,
+    FREQUENCY_KINDS,
+    by_kind,
+    explained_by_kind,
+    misfit_regions,
+    remaining_shares,
+    significant_places,
+)
+from .hold import hold_hint, hold_look_alikes
 from .problem import CampaignProblem
 
 
@@ -43,7 +50,8 @@ class CampaignAnswers:
 
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
         """For every class the record that separates it best."""
-        return proposals(self.problem, terms, classes)
+        found = (separating_record(self.problem, terms, one) for one in classes if len(one.members) > 1)
+        return tuple(one for one in found if one is not None)
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
@@ -52,15 +60,15 @@ class CampaignAnswers:
         if not result.ok:
             return ComparisonAnswer(error={}, relative_error={}, where=(), parameters={}, fit_ok=False, why=result.why)
         fit, known = self.fitted(), self._noise_known
-        where = where_rows(self._first_regions, fit.noise.dof)
+        where = significant_places(self._first_regions, fit.noise.dof)
         return ComparisonAnswer(
             error={role: value if known else None for role, value in fit.error.items()},
             relative_error=dict(fit.relative_error),
             misfit={role: value if known else None for role, value in fit.misfit.items()},
             noise=self.noise,
             where=where,
-            where_by_kind=where_rows(by_kind(self._first_regions), fit.noise.dof),
-            where_rest=where_rest(where),
+            where_by_kind=significant_places(by_kind(self._first_regions), fit.noise.dof),
+            where_rest=remaining_shares(where),
             where_families={name: FREQUENCY_KINDS if name == "frequency" else (name,) for name in FAMILIES},
             records={
                 r.name: RecordErrors(str(r.role), r.error if known else None, fit.error_v[r.name], r.relative_error)
@@ -91,14 +99,14 @@ class CampaignAnswers:
         if not ladder.rungs:
             return answer
         first, last = self._first_regions, self._regions(self.fitted(ladder.terms))
-        kinds = self.comparison.where_by_kind or ()
+        noise_dof = self.problem.noise.dof
         return structs.replace(
             answer,
             ladder=tuple(self._rung(one, rung) for one, rung in zip(answer.ladder, ladder.rungs)),
             hints=self._hints(ladder.terms, ladder.verdict),
             separating_record=separating,
-            regions=with_after(self.comparison.where, first, last),
-            regions_by_kind=with_after(kinds, by_kind(first), by_kind(last)),
+            regions=significant_places(first, noise_dof, last),
+            regions_by_kind=significant_places(by_kind(first), noise_dof, by_kind(last)),
             noise=self.noise,
         )
 
@@ -137,7 +145,7 @@ class CampaignAnswers:
     def _hints(self, terms: Sequence[str], verdict: str) -> tuple[str, ...]:
         """Whether another DAC hold would explain the records better; not asked where the model reaches a known noise level."""
         fit, left = self.fitted(terms), verdict in ("unknown", "fit_failed")
-        if not stand_ins_of(fit, self.problem.model.effects):
+        if not hold_look_alikes(fit, self.problem.model.effects):
             if not left or (self._noise_known and self.problem.model.plant.kind == "gyro"):
                 return ()
         elif not left and self._noise_known:

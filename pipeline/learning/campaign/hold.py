@@ -1,8 +1,8 @@
-"""Is the declared hold right?  A wrong one shows as a lag or a feedthrough that is not there.
+"""A check of the declared DAC hold: a wrong one appears as a lag or a feedthrough that does not exist.
 
-Between two samples a hold that is not the true one is late, or too weak, in a way that grows with frequency: read-out effects
-stand in for it.  The model less these effects is fitted with every other hold; if one of them explains the fitted records plainly
-better than the declared hold does with the stand-ins, the declaration is doubtful.  Only the beginning of long records is asked.
+Between two samples a wrong hold is late, or too weak, in a way that grows with frequency; some read-out effects do the same
+(``Effect.mimics_hold``).  The model without these effects is fitted with every other hold.  If one of them explains the fit
+records better than the declared hold does with the effects, the declared hold is probably wrong.
 """
 
 from __future__ import annotations
@@ -18,59 +18,66 @@ from ...experiment.instrument import HOLDS, Hold
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit, fit_campaign
 
-#: Samples of each fit record that are asked.
-_ASKED = 12_000
-#: Relative error of a better hold, as a share of that with the declared one.
-_PLAINLY = 0.95
+#: Samples of each fit record that are used, from its start.
+_SAMPLES = 12_000
+#: Relative error of a better hold, as a share of that of the declared one.
+_BETTER = 0.95
 
 
 @dataclass(frozen=True)
 class HoldHint:
-    """``likely`` explains the records with relative error ``error``; ``declared`` and ``stand_ins`` with ``error_declared``."""
+    """Another hold explains the records better than the declared one.
+
+    Parameters
+    ----------
+    declared, likely : the two holds.
+    look_alikes : effects that mimic a wrong hold; they are in the model with ``declared``, but not in that with ``likely``.
+    error, error_declared : relative error with ``likely`` and with ``declared``.
+    """
 
     declared: Hold
     likely: Hold
-    stand_ins: tuple[str, ...]
+    look_alikes: tuple[str, ...]
     error: float
     error_declared: float
 
     def __str__(self) -> str:
-        without = f", without {', '.join(self.stand_ins)}, which a wrong hold looks like" if self.stand_ins else ""
+        without = f", without {', '.join(self.look_alikes)}, which mimic a wrong hold" if self.look_alikes else ""
         return (
-            f'the declared hold = "{self.declared}" is doubtful: hold = "{self.likely}" explains the records better'
-            f" (relative error {self.error:.3g} against {self.error_declared:.3g}){without};"
-            " ask how the drive samples become volts, correct [instrument] hold and run again"
+            f'the declared hold = "{self.declared}" is probably wrong: hold = "{self.likely}" explains the records better'
+            f" (relative error {self.error:.3g} instead of {self.error_declared:.3g}){without};"
+            " check the DAC hold, correct [instrument] hold and run again"
         )
 
 
 def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -> HoldHint | None:
-    """A better hold than the declared one, if there is one.
+    """A hold that explains the records better than the declared one, if there is one.
 
     Parameters
     ----------
-    fit : the model at the end of the climb.
+    fit : the model at the end of the selection.
     campaign : its records.
-    given : effects that the user put into the model; they are not doubted.
+    given : effects that the user put into the model; they are kept.
     """
-    stand_ins = stand_ins_of(fit, given)
-    asked = replace(campaign, records=tuple(_beginning(record) for record in campaign.with_role("fit")))
-    model = _without(fit.model, _forces_of(fit, given))
-    plain = _without(model, stand_ins)
-    declared = _error(model, asked, fit)
-    others = {hold: _error(plain, _held(asked, hold), fit) for hold in HOLDS if hold != campaign.instrument.hold}
+    look_alikes = hold_look_alikes(fit, given)
+    used = replace(campaign, records=tuple(_beginning(record) for record in campaign.with_role("fit")))
+    model = _without(fit.model, _selected_forces(fit, given))
+    reduced = _without(model, look_alikes)
+    declared = _error(model, used, fit)
+    others = {hold: _error(reduced, _with_hold(used, hold), fit) for hold in HOLDS if hold != campaign.instrument.hold}
     likely = min(others, key=lambda hold: others[hold])
-    if not others[likely] < _PLAINLY * declared:
+    if not others[likely] < _BETTER * declared:
         return None
-    return HoldHint(campaign.instrument.hold, likely, stand_ins, others[likely], declared)
+    return HoldHint(campaign.instrument.hold, likely, look_alikes, others[likely], declared)
 
 
-def stand_ins_of(fit: CampaignFit, given: Sequence[str] = ()) -> tuple[str, ...]:
-    """Effects of a fit that a wrong hold looks like and that the user did not put there."""
+def hold_look_alikes(fit: CampaignFit, given: Sequence[str] = ()) -> tuple[str, ...]:
+    """Effects of a fit that mimic a wrong hold and that the user did not put into the model."""
     return tuple(e.name for e in fit.model.ordered_effects() if e.mimics_hold and e.name not in given)
 
 
-def _forces_of(fit: CampaignFit, given: Sequence[str]) -> tuple[str, ...]:
-    """Force laws of a gyro that the climb put into the model: its hold shows without them, and they take a minute to refit."""
+def _selected_forces(fit: CampaignFit, given: Sequence[str]) -> tuple[str, ...]:
+    """Force laws of a gyro that the selection added: they do not hide a wrong hold, and take a minute to refit."""
     if fit.model.plant.kind != "gyro":
         return ()
     return tuple(e.name for e in fit.model.ordered_effects() if e.force is not None and e.name not in given)
@@ -83,15 +90,15 @@ def _without(model: Model, names: Sequence[str]) -> Model:
 
 
 def _beginning(record: Record) -> Record:
-    return replace(record, drive_v=record.drive_v[:_ASKED].copy(), sense_v=record.sense_v[:_ASKED].copy())
+    return replace(record, drive_v=record.drive_v[:_SAMPLES].copy(), sense_v=record.sense_v[:_SAMPLES].copy())
 
 
-def _held(campaign: Campaign, hold: Hold) -> Campaign:
+def _with_hold(campaign: Campaign, hold: Hold) -> Campaign:
     return replace(campaign, instrument=replace(campaign.instrument, hold=hold))
 
 
 def _error(model: Model, campaign: Campaign, fit: CampaignFit) -> float:
-    """Relative error of ``model`` on the records, from where ``fit`` stands; infinite where it cannot be fitted."""
+    """Relative error of ``model`` on the fit records, fitted from the values of ``fit``; infinite if the fit fails."""
     start = {name: value for name, value in fit.values.items() if name in model.by_name}
     try:
         found = fit_campaign(model, campaign, fit.noise, start).relative_error["fit"]

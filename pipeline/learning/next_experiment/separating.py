@@ -166,19 +166,6 @@ class _RecordTrial:
         return float(self.found.apart(LEAST)), left[-1] if left else self.found.least
 
 
-def proposals(problem: CampaignProblem, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
-    """The separating record of every class of more than one member; arguments as in ``separating_record``."""
-    found = (separating_record(problem, terms, one) for one in classes if len(one.members) > 1)
-    return tuple(one for one in found if one is not None)
-
-
-def separating_text(found: Sequence[Proposal], written: bool) -> str | None:
-    """``separating_record`` of the JSON as one text; ``None`` if there is no class."""
-    if len(found) == 1:
-        return found[0].text(written)
-    return "; ".join(f"{' or '.join(one.members)}: {one.text(written)}" for one in found) or None
-
-
 def separating_record(problem: CampaignProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
     """The record that would separate the members of a class; ``None`` if fewer than two of them can be fitted.
 

@@ -142,6 +142,24 @@ def record_partitions(campaign: Campaign, fit: CampaignFit) -> dict[str, RecordP
     return {name: _record_partition(records[name], level, largest, resonances) for name, level in rms.items()}
 
 
+def without_lines(
+    residual: FloatArray, sample_rate_hz: float, frequencies_hz: Sequence[float]
+) -> tuple[FloatArray, FloatArray]:
+    """The residual (N, S) without sinusoids of these frequencies, and the energy (lines, S) of each, in sequence."""
+    samples = residual.shape[0]
+    t = np.arange(samples) / sample_rate_hz
+    left, energies = residual, np.zeros((len(frequencies_hz), residual.shape[1]))
+    basis = np.zeros((samples, 0))
+    for k, f in enumerate(frequencies_hz):
+        pair = np.stack([np.cos(2.0 * np.pi * f * t), np.sin(2.0 * np.pi * f * t)], axis=1)
+        pair, _ = np.linalg.qr(pair - basis @ (basis.T @ pair))
+        basis = np.concatenate([basis, pair], axis=1)
+        amplitudes = pair.T @ left
+        left = left - pair @ amplitudes
+        energies[k] = np.sum(amplitudes**2, axis=0)
+    return left, energies
+
+
 def resonances_of(values: Mapping[str, float]) -> tuple[Band, ...]:
     """(f, zeta f) [Hz] of each mode of the plant, ascending; ``values`` are the parameters of a fitted model."""
     modes = [(values[n], values.get(f"zeta{n[1:-3]}", 0.0) * values[n]) for n in values if re.fullmatch(r"f\d*_hz", n)]

@@ -5,30 +5,39 @@ Two sets of regions are made from the same functions:
     structure_regions   small regions of each record and channel, for the tests of structure in the residual
     misfit_regions      the families of the answer; the energies of each family add up to the whole residual
 
+The significant ones become ``Place`` objects of the answer.
+
 Shapes: N samples, S senses, K blocks, M bins; residuals in sigmas.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from msgspec import structs
 
 from ...arrays import FloatArray, IntArray
 from ...criticism.problem import Region
-from ...criticism.regions import explained_share
+from ...criticism.regions import ALPHA, RegionShare, explained_share, region_shares
 from ...experiment.noise.time_frequency import lapped
 from ...inference.general.fit import CampaignFit
 from ...inference.general.record_fit import RecordFit
-from .partition import LEVELS, CampaignPartition, RecordPartition, short_blocks
+from ..answers import Place, place_at
+from .partition import LEVELS, CampaignPartition, RecordPartition, short_blocks, without_lines
 
 #: Kinds of regions of the family "frequency"; their shares add up to one together.
 FREQUENCY_KINDS = ("resonance", "harmonic", "line", "broadband")
 #: Families of the answer, in its order; shares add up to one within a family.
 FAMILIES = ("frequency", "time", "level", "response", "direction", "channel", "record")
 _WINDOWS = 12
+#: Families of a few regions each: all of them are reported as soon as one is significant.
+_WHOLE = ("level", "direction", "channel", "record")
+#: Largest number of places per family, and the smallest share that is reported.
+_MOST, _LEAST_SHARE = 12, 1e-3
 #: Limit of a sample [sigma] in the energies of tests that must be robust to outliers.
 _CLIP = 4.0
 
@@ -75,7 +84,7 @@ def misfit_regions(
     out: list[Region] = []
     for mine in fit.of_role("fit"):
         own, density = partition.records[mine.name], _dof_per_sample(fit, mine)
-        left, lines = _without_lines(mine.residual, own.sample_rate_hz, partition.lines_hz)
+        left, lines = without_lines(mine.residual, own.sample_rate_hz, partition.lines_hz)
         cells, blocks = lapped(left, own.size) ** 2, short_blocks(mine.residual)
         mean_square = np.mean(blocks**2, axis=1)
         # The lines took two degrees of freedom each per channel; the loss is spread evenly over the plane.
@@ -118,6 +127,46 @@ def explained_by_kind(before: Sequence[Region], after: Sequence[Region], kinds: 
             own = [[r for r in regions if r.labels.get("kind") == kind] for regions in (before, after)]
             out[kind] = explained(own[0], own[1])
     return out
+
+
+def significant_places(regions: Sequence[Region], noise_dof: float, after: Sequence[Region] = ()) -> tuple[Place, ...]:
+    """Significant regions of every family, the largest share first, families in the order of ``FAMILIES``.
+
+    Parameters
+    ----------
+    regions : of every family.
+    noise_dof : degrees of freedom of the noise level.
+    after : the same regions with another model; a place then has the error with it and the share that it explains.
+    """
+    old, new = ({(r.family, repr(r.labels)): r for r in part} for part in (regions, after))
+    found = region_shares(regions, np.inf, noise_dof)
+    places: list[Place] = []
+    for family in FAMILIES:
+        own = [item for item in found if item.family == family]
+        significant = [item for item in own if item.p_value < ALPHA and item.share >= _LEAST_SHARE]
+        if significant and family in _WHOLE:
+            significant = own
+        for item in significant[:_MOST]:
+            key = family, repr(item.labels)
+            places.append(_place(item, old[key], new.get(key)))
+    return tuple(places)
+
+
+def remaining_shares(places: Sequence[Place]) -> dict[str, float]:
+    """The share of each family that is in none of its places; families without a place are left out."""
+    present = {place.family for place in places}
+    sums = {f: sum(place.share for place in places if place.family == f) for f in FAMILIES if f in present}
+    return {family: max(1.0 - total, 0.0) for family, total in sums.items()}
+
+
+def _place(item: RegionShare, before: Region, after: Region | None) -> Place:
+    # Edges lie on bins of a spectrum, so digits beyond the sixth carry no information.
+    rounded = {k: [float(f"{end:.6g}") for end in v] if isinstance(v, list) else v for k, v in item.labels.items()}
+    labels = {"kind": item.family, "time_s": None, **rounded}
+    place = place_at(labels, family=item.family, share=item.share, error=item.error)
+    if after is None:
+        return place
+    return structs.replace(place, error_after=math.sqrt(after.chi2 / after.dof), explained=explained([before], [after]))
 
 
 def _by_area(base: Labels, cells: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
@@ -206,24 +255,6 @@ def _joined(regions: Sequence[Region]) -> dict[str, object]:
     bands = np.array([region.labels["band_hz"] for region in regions], dtype=np.float64)
     band = [float(bands[:, 0].min()), float(bands[:, 1].max())]
     return {**regions[0].labels, "record": None, "channel": None, "band_hz": band}
-
-
-def _without_lines(
-    residual: FloatArray, sample_rate_hz: float, frequencies_hz: Sequence[float]
-) -> tuple[FloatArray, FloatArray]:
-    """The residual (N, S) without sinusoids of these frequencies, and the energy (lines, S) of each, in sequence."""
-    samples = residual.shape[0]
-    t = np.arange(samples) / sample_rate_hz
-    left, energies = residual, np.zeros((len(frequencies_hz), residual.shape[1]))
-    basis = np.zeros((samples, 0))
-    for k, f in enumerate(frequencies_hz):
-        pair = np.stack([np.cos(2.0 * np.pi * f * t), np.sin(2.0 * np.pi * f * t)], axis=1)
-        pair, _ = np.linalg.qr(pair - basis @ (basis.T @ pair))
-        basis = np.concatenate([basis, pair], axis=1)
-        amplitudes = pair.T @ left
-        left = left - pair @ amplitudes
-        energies[k] = np.sum(amplitudes**2, axis=0)
-    return left, energies
 
 
 def _base(record: str, channel: int) -> dict[str, object]:

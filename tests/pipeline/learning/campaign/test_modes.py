@@ -1,4 +1,4 @@
-"""The scan for one more mode finds it, and a mode that lies in another's resonance is no mode."""
+"""The scan for an additional mode finds it; a mode within the resonance of a plant mode is refused."""
 
 from __future__ import annotations
 
@@ -21,44 +21,46 @@ NAME = "parasitic_mode"
 
 @pytest.mark.usefixtures("brief_records")
 @pytest.mark.parametrize("f_hz", [329.0, 617.3, 1773.0])
-def test_the_scan_peaks_at_the_mode_with_the_fall_that_its_strength_promises(f_hz: float) -> None:
+def test_the_scan_peaks_at_the_mode_with_a_decrease_of_chi2_near_its_squared_snr(f_hz: float) -> None:
     hidden = hide("none", 0, 2026)
-    view = view_of(hidden.campaign, threads=1)
-    view.fit(())
-    model = view.model.with_effect(NAME)
-    values = {**view.campaign_fit(()).values, f"{NAME}.f": f_hz, f"{NAME}.zeta": 3e-3, f"{NAME}.a": 30.0}
+    problem = view_of(hidden.campaign, threads=1)
+    problem.fit(())
+    model = problem.model.with_effect(NAME)
+    values = {**problem.campaign_fit(()).values, f"{NAME}.f": f_hz, f"{NAME}.zeta": 3e-3, f"{NAME}.a": 30.0}
 
     def added(size: float) -> list[np.ndarray]:
-        there = {**values, f"{NAME}.b_d1": size, f"{NAME}.b_d2": -0.5 * size}
-        return [forward(model, there, r, hidden.campaign.instrument) for r in hidden.campaign.records]
+        sized = {**values, f"{NAME}.b_d1": size, f"{NAME}.b_d2": -0.5 * size}
+        return [forward(model, sized, r, hidden.campaign.instrument) for r in hidden.campaign.records]
 
     without, once = added(0.0), added(1e-3)
-    unit = np.sqrt(sum(float(np.sum(((b - a) / view.noise.sigma_v) ** 2)) for a, b in zip(without, once)))
+    unit = np.sqrt(sum(float(np.sum(((b - a) / problem.noise.sigma_v) ** 2)) for a, b in zip(without, once)))
     change = [100.0 / unit * (b - a) for a, b in zip(without, once)]
     records = [replace(r, sense_v=r.sense_v + c) for r, c in zip(hidden.campaign.records, change)]
-    louder = view_of(replace(hidden.campaign, records=tuple(records)), threads=1)
-    found = mode_candidate(NAME, (f"{NAME}.f", f"{NAME}.zeta"), louder.fit(()), louder.scans, 2, louder.noise.sigma_v)
+    with_mode = view_of(replace(hidden.campaign, records=tuple(records)), threads=1)
+    found = mode_candidate(
+        NAME, (f"{NAME}.f", f"{NAME}.zeta"), with_mode.fit(()), with_mode.scans, 2, with_mode.noise.sigma_v
+    )
     best = int(np.argmax(found.delta_chi2s))
     assert abs(found.grid[best][f"{NAME}.f"] / f_hz - 1.0) < 0.03
-    # Held-out records and what the plant absorbs are not in the fall; the grid is a little off the mode.
+    # Held-out records and the part that the plant absorbs do not count; the nearest grid point is a little off the mode.
     assert 0.2 * 100.0**2 < found.delta_chi2s[best] < 100.0**2
 
 
 @pytest.mark.usefixtures("brief_records")
-def test_the_grid_covers_the_driven_band_finely_and_all_else_coarsely() -> None:
-    view = view_of(hide("none", 0, 2026).campaign, threads=1)
-    view.fit(())
-    points = [(p.f_hz, p.zeta) for p in view.scans[0].points]
+def test_the_grid_is_fine_in_the_driven_band_and_coarse_elsewhere() -> None:
+    problem = view_of(hide("none", 0, 2026).campaign, threads=1)
+    problem.fit(())
+    points = [(p.f_hz, p.zeta) for p in problem.scans[0].points]
     assert min(f for f, _ in points) == 300.0
     assert max(f for f, _ in points) > 2400.0
     narrow = sorted(f for f, z in points if z < 5e-3)
     assert narrow[0] < 400.0 < 700.0 < narrow[-1]
-    # Two half widths of the narrow modes lie between neighbours.
+    # Neighbouring grid points are at most 2.5 half-widths apart.
     assert max(b / a for a, b in pairwise(narrow)) < 1.0 + 2.5 * 1.5e-3
 
 
 @pytest.mark.usefixtures("brief_records")
-def test_a_mode_in_another_ones_resonance_is_refused() -> None:
+def test_a_mode_within_the_resonance_of_a_plant_mode_is_refused() -> None:
     hidden = hide("left-out", LIBRARY.index("pickoff_crosstalk"), 1)
     selection = forward_selection(RestrictedProblem(view_of(hidden.campaign, threads=1), hidden.left_out))
     assert NAME not in selection.last.fit.terms

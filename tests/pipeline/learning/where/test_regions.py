@@ -16,8 +16,15 @@ from pipeline.inference.general.fit import CampaignFit
 from pipeline.inference.general.record_fit import RecordFit
 from pipeline.learning.answers import Place, to_builtins
 from pipeline.learning.where.partition import campaign_partition, record_partitions
-from pipeline.learning.where.regions import FAMILIES, by_kind, explained, misfit_regions, structure_regions
-from pipeline.learning.where.rows import where_rest, where_rows, with_after
+from pipeline.learning.where.regions import (
+    FAMILIES,
+    by_kind,
+    explained,
+    misfit_regions,
+    remaining_shares,
+    significant_places,
+    structure_regions,
+)
 
 RATE, SIGMA, SILENT_DOF = 10_000.0, 1e-3, 20_000
 MODEL = DEFAULT_COMPARE_MODEL
@@ -94,11 +101,11 @@ def _regions(fit: CampaignFit) -> list[Region]:
 
 
 def _rows(fit: CampaignFit) -> tuple[Place, ...]:
-    return where_rows(_regions(fit), SILENT_DOF)
+    return significant_places(_regions(fit), SILENT_DOF)
 
 
 def _top(fit: CampaignFit) -> Place:
-    return where_rows(by_kind(_regions(fit)), SILENT_DOF)[0]
+    return significant_places(by_kind(_regions(fit)), SILENT_DOF)[0]
 
 
 @pytest.mark.parametrize("samples", [1000, 4096, 30_000])
@@ -142,10 +149,10 @@ def test_the_shares_of_every_family_add_up_to_one(missing):
         assert sum(region.dof for region in own) == pytest.approx(fit.dof, rel=1e-9)
         if missing:
             assert sum(w.share for w in region_shares(own, np.inf)) == pytest.approx(1.0, abs=1e-9)
-    rows = where_rows(regions, SILENT_DOF)
-    rest = where_rest(rows)
+    rows = significant_places(regions, SILENT_DOF)
+    remaining = remaining_shares(rows)
     for family in {row.family for row in rows}:
-        assert sum(r.share for r in rows if r.family == family) + rest[family] == pytest.approx(1.0)
+        assert sum(r.share for r in rows if r.family == family) + remaining[family] == pytest.approx(1.0)
     for row in rows:
         flat = [x for v in to_builtins(row).values() for x in (v if isinstance(v, list) else [v])]
         assert all(v is None or type(v) in (str, int, float) for v in flat)
@@ -247,7 +254,7 @@ def test_the_explained_share_is_given_for_every_region():
     bad, good = _fit(lambda n, y, t: 0.02 * y), _fit(lambda n, y, t: 0.002 * y)
     partition = campaign_partition(bad, PARTITIONS)
     first, last = (misfit_regions(fit, partition, CONDITIONS) for fit in (bad, good))
-    rows = with_after(where_rows(first, SILENT_DOF), first, last)
+    rows = significant_places(first, SILENT_DOF, last)
     assert all(row.explained == pytest.approx(0.99, abs=0.05) for row in rows if row.share > 0.1)
     assert rows[0].error_after < rows[0].error
     assert explained(first, last) == pytest.approx(0.99, abs=0.01)
