@@ -12,7 +12,7 @@ If the better model is right, its r is noise and delta_chi2 is +-sum(delta^2) + 
 for noise of rms ``level``: 1, or that of the larger fit where the noise level is unknown.  Sums over chunks of rows widen the sd
 where the noise is stronger, coloured or heavy-tailed, and never narrow it.  Where chi2 rises they widen it to three times at
 most: beyond that r holds a misfit of the better model, which does not excuse a worse one.  Free amplitudes that the larger model
-refits on the held-out data are subtracted from delta_chi2.
+refits on the held-out data are subtracted from delta_chi2.  Source of W: Wald 1943.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def wald(fit: FitResult, term: str) -> float:
 
 
 def is_clear(fit: FitResult, term: str) -> bool:
-    """Whether a term in the fit is significant far beyond doubt by its own size and sd."""
+    """Whether the size of a term in the fit exceeds zero by more than 8 sigma."""
     return wald(fit, term) > _CLEAR_WALD
 
 

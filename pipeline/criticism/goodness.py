@@ -19,6 +19,7 @@ divided out (``Projected``, ``gamma``; the median level of the regions).
 
 D = R e_j are the columns of the term in the coordinates of Q.  A term that only imitates the missing one cannot do so with the
 same size everywhere, so its parts disagree.  Shapes: n m rows of a block, p columns of the baseline.  Everything is in sigmas.
+Source of Q: Cochran 1954.
 """
 
 from __future__ import annotations

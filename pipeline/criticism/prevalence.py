@@ -4,6 +4,7 @@
 
 by maximum likelihood; the 95 % interval of pi holds the values whose log likelihood is within chi2_1(95 %) / 2 of its maximum.
 
+Sources: mixture models, McLachlan and Peel 2000; interval by the likelihood ratio, Wilks 1938.
 Shapes: n units, each with a size, its sd, and a weight: the number of units of the population that it represents.
 """
 

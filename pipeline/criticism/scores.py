@@ -11,6 +11,7 @@ A misfit in a few of many rows hardly changes gamma, and gamma is at least 1, so
 A parameter that exists on one side of its null only restricts theta to a cone; its faces are tried one by one.
 
 Shapes: a block has n m rows; P columns of J of rank p; K columns of Z; k columns of one candidate.  Everything is in sigmas.
+Sources: score test (Rao 1948); parameters on a boundary (Chernoff 1954).
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ A term is added when its score is significant among all candidates, its refit lo
 chi2 does not rise by more than 2 sd of the paired difference.  Where the noise level is unknown, the held-out chi2 must fall by
 that much, because an F-test takes every remaining misfit for white noise.  A term is removed when the fit without it is not
 significantly worse.  Where no single candidate is significant but a pair is, both terms of the pair are added.
+Source: stepwise regression (Efroymson 1960).
 """
 
 from __future__ import annotations

@@ -18,7 +18,8 @@ simulated too.
 S holds the noise level observed in each stratum, so noise that is stronger or coloured is no evidence for a term.  A true
 effect loses almost nothing: its energy T is spread over n = 10^5 rows, and T / (1 + T/n) is as improbable as T.
 
-Shapes: K columns in all, k of a candidate.
+Shapes: K columns in all, k of a candidate.  Sources: tails, Abramowitz and Stegun 26.4.4, 26.4.5, 6.5.32 and 26.6.2; effective
+number of trials, Gross and Vitells 2010.
 """
 
 from __future__ import annotations

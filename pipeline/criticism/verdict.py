@@ -122,10 +122,10 @@ def verdict_of(selection: ForwardSelection, classes: tuple[TermClass, ...], rule
 
 
 def is_supported(selection: ForwardSelection, term: str) -> bool:
-    """Whether a term is significant without the others: confirmed on held-out data, or far beyond doubt on the fitted.
+    """Whether a term is significant by itself: confirmed on held-out data, or by more than 8 sigma on the fitted data.
 
-    Two terms that are just significant can together imitate a third that is no candidate; a single one hardly can.  Without
-    a noise level and without held-out data the tests that the term has passed are all there is, and they suffice.
+    Two terms that are just significant can together imitate a third that is not a candidate; a single one hardly can.  Without
+    a noise level and without held-out data, no further test is possible, and the term counts as supported.
     """
     if not selection.last.fit.noise_known and not selection.last.fit.held:
         return True
@@ -238,8 +238,8 @@ def _compare(
     # Directions of A that the fit did not use do not matter, so the angle is that of the fitted direction of A.
     direction = a_inverse @ score[:k]
     length = float(direction @ a @ direction)
-    shadow = float(direction @ ab @ b_inverse @ ab.T @ direction)
-    sine = float(np.sqrt(max(1.0 - shadow / max(length, 1e-300), 0.0)))
+    explained = float(direction @ ab @ b_inverse @ ab.T @ direction)
+    sine = float(np.sqrt(max(1.0 - explained / max(length, 1e-300), 0.0)))
     return max(together - alone, 0.0), max(together - whole, 0.0), sine
 
 
