@@ -1,4 +1,4 @@
-"""Irregularities: changes that fabrication or packaging makes to a device.  Each is one file, which is discovered.
+"""Irregularities: changes that fabrication or packaging makes to a device.  One file each, discovered automatically.
 
 An irregularity consists of data (stage, parameters, source) and one pure function ``act(values, site) -> Change``.  Changes add
 up (stiffness, area, pressure and similar quantities as logarithms), so the order of the irregularities does not matter, and an

@@ -114,7 +114,7 @@ class Limits:
 
 
 def load_limits(table: Mapping[str, Any] | Path) -> Limits:
-    """Limits from a TOML table with ``[rule]`` and ``[limits.<quantity>]``, or from a file that holds it.
+    """Limits from a TOML table with ``[rule]`` and ``[limits.<quantity>]``, or from a file that contains it.
 
     Parameters
     ----------

@@ -1,9 +1,11 @@
-"""Rate bias of a device, and its state after a trim, from posterior draws: estimates with their uncertainty.
+"""Rate bias of a device from posterior draws, with its uncertainty.
 
     rate_bias = Omega_Q tan(phi) + inphase_bias,      Omega_Q = (w1^2 - w2^2) sin 2theta / (4 kappa omega0)
 
-(``pipeline.device.operation.bias``).  Frequencies, axes and damping come with the draws; kappa and the demodulation phase phi are
-known to a standard deviation each and drawn along.  Shapes: n draws.
+See ``pipeline.device.operation.bias`` for the symbols.  The draws give frequencies, axes and damping; the angular gain kappa and
+the demodulation phase error phi are each known to a standard deviation and are drawn too.
+
+Shapes: n draws of 12 physical parameters.  Units: deg/s, deg.
 """
 
 from __future__ import annotations
@@ -27,8 +29,15 @@ def bias_draws(
 ) -> dict[str, FloatArray]:
     """The rate biases of ``pipeline.device.operation.bias`` [deg/s], each (n,), of physical draws (n, 12).
 
-    angular_gain and phase_error_deg may differ from draw to draw; a "locked" drive runs at its own frequency.
-    Raises ConfigError for an angular gain that is not positive, or |phi| >= 90 deg.
+    Parameters
+    ----------
+    draws : (n, 12), the columns of ``pipeline.device.gyro.PHYSICAL``.
+    angular_gain, phase_error_deg : kappa and phi [deg], scalar or (n,).
+    drive : the mode that sets omega0; "locked" is the frequency at which the locked drive loop oscillates.
+
+    Raises
+    ------
+    ConfigError : an angular gain that is not positive, or |phi| >= 90 deg.
     """
     phi = np.asarray(phase_error_deg, dtype=np.float64)
     if not np.all(np.abs(phi) < 90.0):
@@ -62,15 +71,15 @@ def bias_from_posterior(
     angular_gain : kappa and its sd (0: exact); drawn lognormal with that median and relative sd.
     phase_error_deg : phi and its sd [deg] (0: exact); drawn normal.
     random : stream of these draws.
-    drive : what sets omega0.
+    drive : as for :func:`bias_draws`.
 
     Raises
     ------
-    ConfigError : kappa not positive, a negative sd, or a phase that comes near 90 deg (10 sd).
+    ConfigError : kappa not positive, a negative sd, or |phi| + 10 sd of 90 deg or more.
     """
     (kappa, kappa_sd), (phi, phi_sd) = angular_gain, phase_error_deg
     if not (kappa > 0.0 and kappa_sd >= 0.0 and phi_sd >= 0.0):
-        raise ConfigError("angular gain positive, sds not negative", value=(angular_gain, phase_error_deg))
+        raise ConfigError("the angular gain must be positive and no sd negative", value=(angular_gain, phase_error_deg))
     if not abs(phi) + 10.0 * phi_sd < 90.0:
         raise ConfigError(
             "demodulation phase error too large", value=phase_error_deg, allowed="|phi| + 10 sd below 90 deg"

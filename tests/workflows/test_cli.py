@@ -1,5 +1,7 @@
 """The command line: wrong input gives one message and its exit code, without a traceback."""
 
+import subprocess
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -126,8 +128,28 @@ def test_the_version_is_that_of_the_distribution(capfd):
     assert capfd.readouterr().out == f"gyroscreen {metadata.version('gyroscreen')}\n"
 
 
-def test_help_names_every_command(capfd):
-    assert call(["--help"]) == 0
-    out = capfd.readouterr().out
-    for name in ("run", "query", "report", "verify", "identify", "check"):
-        assert name in out
+@pytest.mark.parametrize(
+    ("group", "names"),
+    [
+        (
+            [],
+            "run query report verify identify paper check simulate compare diagnose refine demo effects model benchmark",
+        ),
+        (["model"], "show add drop export"),
+        (["benchmark"], "coverage throughput sequential lattice silverbox hidden-effects"),
+    ],
+)
+def test_help_lists_every_command_with_its_full_summary(group, names, capfd):
+    assert call([*group, "--help"]) == 0
+    commands = capfd.readouterr().out.split("Commands:\n")[1].strip().splitlines()
+    assert [line.split()[0] for line in commands] == names.split()
+    assert not [line for line in commands if line.endswith("...")]
+
+
+def test_help_imports_no_numerical_package():
+    code = (
+        "import sys; from workflows.cli import call; call(['run', '--help']);"
+        "print([name for name in ('numpy', 'scipy', 'pyarrow', 'dask', 'numba') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -20,7 +20,8 @@ from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.campaign import campaign_noise
 from pipeline.inference.screening.snapshot import Snapshot
-from pipeline.inference.screening.stream import StreamSettings, estimate, noise_of, start_stream, steps
+from pipeline.inference.screening.stream import StreamSettings, start_stream, steps
+from pipeline.inference.screening.stream_estimate import estimate, noise_of
 from reports.decision import Verdict, decide
 from reports.limits import Limits
 

@@ -34,7 +34,8 @@ from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.compressed import BandData, nuisance_basis
 from pipeline.inference.screening.inband import Band, make_band
 from pipeline.inference.screening.snapshot import Snapshot, snapshot
-from pipeline.inference.screening.stream import StreamSettings, route_of, start_orders, starts_of
+from pipeline.inference.screening.stream import StreamSettings
+from pipeline.inference.screening.stream_estimate import route_of, start_orders, starts_of
 from populations.draw import Draw, draw
 from reports.decision import Verdict, conforms
 from reports.limits import Limits

@@ -88,5 +88,5 @@ def _shaped(
     residuals = problem.residuals(values, tasks, (None,) * len(tasks.each))
     found = model.effect(effect)
     rates = [task.record.sample_rate_hz for task in tasks.each]
-    best = max(free_shapes(found, model.built.shape, residuals, rates), key=lambda shape: shape.worth)
+    best = max(free_shapes(found, model.built.shape, residuals, rates), key=lambda shape: shape.score)
     return {found.full_name(m): best.point[m.name] for m in found.members(model.built.shape)}

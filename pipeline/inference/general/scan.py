@@ -1,10 +1,12 @@
-"""Where a fit starts for an effect whose parameters do not all exist at its null: a scan, without refits.
+"""Start values of an effect whose parameters do not all exist at its null, from a grid scan without refits.
 
-For each point of the grid the effect's columns c, with the columns J of the model without it projected out, would lower chi2 by
+At each grid point the columns c of the effect would lower chi2 by
 
-    g^T A^-1 g,      A = c^T (1 - J (J^T J)^-1 J^T) c,     g = c^T (1 - J (J^T J)^-1 J^T) r
+    delta_chi2 = g^T A^-1 g,      A = c^T (1 - J (J^T J)^-1 J^T) c,     g = c^T (1 - J (J^T J)^-1 J^T) r
 
-A frequency is scanned where it is likely, or at the strongest peaks of the residuals' spectrum, instead of its grid.
+with the columns J of the model without the effect projected out.  A frequency is scanned at its likely values, or else at the
+strongest peaks of the spectrum of the residuals, not on its grid.
+
 Shapes: N samples, S senses, P parameters of the model without the effect, k columns of the effect; all in sigmas.
 """
 
@@ -29,7 +31,10 @@ _PEAKS = 6
 def peaks_hz(
     residuals: Sequence[FloatArray], sample_rate_hz: float, low_hz: float, high_hz: float
 ) -> tuple[float, ...]:
-    """The strongest peaks [Hz] of the summed spectrum of residuals (N, S), sorted by height."""
+    """Frequencies [Hz] of the strongest peaks between ``low_hz`` and ``high_hz`` of the summed spectrum, highest first.
+
+    residuals : (N, S) of each record, sampled at ``sample_rate_hz``.
+    """
     longest = max(r.shape[0] for r in residuals)
     frequency = np.arange(longest // 2 + 1) * sample_rate_hz / longest
     power = np.zeros(frequency.size)
@@ -59,7 +64,7 @@ def scan(
     whiten: Sequence[Callable[[FloatArray], FloatArray]],
     likely: Mapping[str, tuple[float, ...]],
 ) -> dict[str, float]:
-    """Start values of the parameters of ``effect``, by full name.
+    """Start values of the parameters of ``effect`` by full name, inside their ranges.
 
     Parameters
     ----------
@@ -69,8 +74,8 @@ def scan(
     tasks, instrument : the fit records.
     residuals : (N, S) of each record in sigmas.
     columns : (N S, P) of each record in sigmas.
-    whiten : takes volts (k, N, S) of each record to sigmas, nuisances projected out.
-    likely : values of a frequency by name that are scanned instead of the peaks.
+    whiten : for each record a function from volts (k, N, S) to sigmas, nuisances projected out.
+    likely : frequencies [Hz] by parameter name that are scanned instead of the peaks.
     """
     found = model.with_effect(effect).effect(effect)
     members = found.members(model.built.shape)
@@ -94,16 +99,16 @@ def scan(
             for own, place in enumerate(places):
                 r, j = residuals[place].reshape(-1), columns[place]
                 c = whiten[place](signature.columns[:, own]).reshape(-1, r.size)
-                here = [c @ c.T, c @ r, c @ j]
-                sums[k] = [a + b for a, b in zip(sums[k], here)] if k in sums else here
+                products = [c @ c.T, c @ r, c @ j]
+                sums[k] = [a + b for a, b in zip(sums[k], products)] if k in sums else products
     best, start = -np.inf, {member.name: member.null for member in members}
     for k, signature in enumerate(at):
         gram, g, cross = sums[k]
         gram, g = gram - cross @ inverse @ cross.T, g - cross @ inverse @ slope
-        acts_beyond = all(member.grid for member in members)
-        size = np.ones(g.size) if acts_beyond else np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ g
-        fall = float(2.0 * size @ g - size @ gram @ size)
-        if fall > best:
-            best = fall
-            start = dict(signature.point) if acts_beyond else {**signature.point, **dict(zip(signature.names, size))}
+        all_scanned = all(member.grid for member in members)
+        size = np.ones(g.size) if all_scanned else np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ g
+        delta_chi2 = float(2.0 * size @ g - size @ gram @ size)
+        if delta_chi2 > best:
+            best = delta_chi2
+            start = dict(signature.point) if all_scanned else {**signature.point, **dict(zip(signature.names, size))}
     return {found.full_name(m): float(np.clip(start.get(m.name, m.null), m.low, m.high)) for m in members}

@@ -1,12 +1,14 @@
-"""Where a fit of a campaign starts: modes from the records' spectra, with transients, for any drives and senses.
+"""Start values of a plant: modes from the spectra of the records, with transients, for any numbers of drives and senses.
 
-In the driven band, with x in [-1, 1] for frequency, every record obeys
+In the driven band, with the frequency scaled to x in [-1, 1], every record obeys
 
     A(x) Y_a(x) = sum_d B_ad(x) U_d(x) + T_a(x),        A, B, T complex polynomials; A and B common to the records
 
-A of the degree of the number of modes.  B and T are projected out, A is the smallest singular vector, and the rows
-are reweighted by 1/|A| until the roots stand still (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56).
-Residues follow from the poles by linear least squares with exact transients.
+The degree of A is the number of modes.  B and T are projected out, A is the smallest singular vector, and the rows are reweighted
+by 1/|A| until the roots converge (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56).  Residues follow from the
+poles by linear least squares with exact transients.
+
+Shapes: N samples, S senses, D drives, K modes.  Records in volts, poles in rad/s.
 """
 
 from __future__ import annotations
@@ -30,12 +32,12 @@ from ..screening.fit import maximise, start_from_modes
 from ..screening.inband import features, make_band
 
 _ROUNDS = 20
-#: Degrees of B and T beyond that of A: the tails of what resonates outside the band.
+#: Degrees of B and T beyond that of A, for the tails of resonances outside the band.
 _MORE = 1
 
 
 def driven_band(records: Sequence[Record]) -> tuple[float, float]:
-    """The band [low, high] Hz that holds the drives' energy: all bins above 1 % of the strongest.
+    """The band [low, high] Hz of the drives: all bins above 1 % of the strongest.
 
     Raises
     ------
@@ -57,14 +59,14 @@ def driven_band(records: Sequence[Record]) -> tuple[float, float]:
 def modes_from_spectra(
     records: Sequence[Record], modes: int, low_hz: float, high_hz: float, sigma_v: FloatArray
 ) -> ComplexArray:
-    """Poles (modes,) [rad/s] in the band, sorted by frequency, all stable.
+    """Poles (K,) [rad/s] of the modes in a band, sorted by frequency, all stable.
 
     Parameters
     ----------
     records : fit records.
-    modes : how many.
+    modes : their number K.
     low_hz, high_hz : the band.
-    sigma_v : (S,) weights of the senses.
+    sigma_v : (S,) [V], weights of the senses.
     """
     centre, span = (low_hz + high_hz) / 2.0, (high_hz - low_hz) / 2.0
     blocks = []
@@ -75,7 +77,6 @@ def modes_from_spectra(
         y = rfft(record.sense_v / sigma_v, axis=0)[bins] / np.sqrt(samples)
         u = rfft(record.drive_v, axis=0)[bins] / np.sqrt(samples)
         blocks.append((chebyshev.chebvander((bins * unit - centre) / span, modes + _MORE), y, u))
-    # Where all rows are used, seconds go by; a few thousand of the most telling suffice for a start.
     roots = np.zeros(modes, dtype=np.complex128)
     weight_roots: ComplexArray | None = None
     for _ in range(_ROUNDS):
@@ -116,7 +117,7 @@ def modes_from_spectra(
 def residues_of(
     records: Sequence[Record], poles: ComplexArray, instrument: Instrument, low_hz: float, high_hz: float
 ) -> ComplexArray:
-    """Residues (K, S, D) of ``poles`` (K,) by least squares in the band, with exact transients."""
+    """Residues (K, S, D) [1/s] of ``poles`` (K,) by least squares in the band [low, high] Hz, with exact transients."""
     rows, targets = [], []
     for record in records:
         band = make_band(record.drive_v, replace(instrument, sample_rate_hz=record.sample_rate_hz), low_hz, high_hz)
@@ -136,10 +137,10 @@ def residues_of(
 def gyro_start(
     records: Sequence[Record], instrument: Instrument, sigma_v: FloatArray, low_hz: float, high_hz: float
 ) -> FloatArray:
-    """Cartesian parameters (12,) of plant "gyro" from the spectra of ``records`` in the band; hold "zoh" or "foh"."""
+    """Cartesian parameters (12,) of plant "gyro" from the spectra of ``records`` in the band; needs hold "zoh" or "foh"."""
     poles = modes_from_spectra(records, 3, low_hz, high_hz, sigma_v)
     residues = residues_of(records, poles, instrument, low_hz, high_hz)
-    # Up-down moves all electrodes alike; rocking has the opposite sign, and cancels across the axes.
+    # The residues of up-down motion have equal signs; those of rocking motion cancel in the sum.
     alike = residues.real.sum(axis=(1, 2)) / np.linalg.norm(residues.real, axis=(1, 2))
     third = int(np.argmax(alike))
     order = [k for k in range(3) if k != third] + [third]
@@ -149,13 +150,13 @@ def gyro_start(
 def find_start(
     model: Model, records: Sequence[Record], instrument: Instrument, sigma_v: FloatArray
 ) -> dict[str, float]:
-    """Values of the plant's parameters (and c12_per_s where free) to start a fit from.
+    """Start values of the plant's parameters by name, and of c12_per_s if the model has it.
 
     Parameters
     ----------
-    model : its plant says how many modes.
+    model : its plant determines the number of modes.
     records : fit records.
-    instrument : hold and filter; "bandlimited" starts as "foh".
+    instrument : hold and filter; hold "bandlimited" is approximated by "foh".
     sigma_v : (S,) [V].
 
     Raises
@@ -168,18 +169,7 @@ def find_start(
     plant = model.built
     if isinstance(plant, ModalPlant):
         poles = modes_from_spectra(records, plant.modes, low, high, sigma_v)
-        residues = residues_of(records, poles, held, low, high)
-        out: dict[str, float] = {}
-        for k, p in enumerate(poles):
-            out[f"f{k + 1}_hz"], out[f"zeta{k + 1}"] = (
-                abs(p) / (2.0 * np.pi),
-                float(np.clip(-p.real / abs(p), 1e-6, 0.9)),
-            )
-            gain = (residues[k] * 2j * p.imag / (1.0 if plant.displacement else p)).real
-            for a in range(plant.senses):
-                for b in range(plant.drives):
-                    out[f"gain{k + 1}_s{a + 1}d{b + 1}"] = float(gain[a, b])
-        return out
+        return _modal_values(plant, poles, residues_of(records, poles, held, low, high))
     assert isinstance(plant, GyroPlant)
     x = gyro_start(records, held, sigma_v, low, high)
     data = []
@@ -189,7 +179,20 @@ def find_start(
     fitted = maximise(data, sigma_v, x)
     physical = to_physical((fitted.x if np.all(np.isfinite(fitted.x)) else x)[None])[0]
     names = [*(p.name for p in plant.parameters[:7]), C12, *(p.name for p in plant.parameters[7:])]
-    found = dict(zip(names, physical.tolist()))
+    values = dict(zip(names, physical.tolist()))
     if C12 not in model.by_name:
-        found.pop(C12)
-    return found
+        values.pop(C12)
+    return values
+
+
+def _modal_values(plant: ModalPlant, poles: ComplexArray, residues: ComplexArray) -> dict[str, float]:
+    """Frequency [Hz], damping ratio and real gains of each mode, from poles (K,) [rad/s] and residues (K, S, D) [1/s]."""
+    values: dict[str, float] = {}
+    for k, p in enumerate(poles):
+        values[f"f{k + 1}_hz"] = abs(p) / (2.0 * np.pi)
+        values[f"zeta{k + 1}"] = float(np.clip(-p.real / abs(p), 1e-6, 0.9))
+        gain = (residues[k] * 2j * p.imag / (1.0 if plant.displacement else p)).real
+        for a in range(plant.senses):
+            for b in range(plant.drives):
+                values[f"gain{k + 1}_s{a + 1}d{b + 1}"] = float(gain[a, b])
+    return values

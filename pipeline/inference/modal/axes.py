@@ -1,10 +1,12 @@
-"""The paper's four thetas with the fitted effects taken out of the measured residues.
+"""The paper's four thetas from measured residues, corrected for the fitted effects.
 
     c~_m = c_m - [c_m(plant and effects) - c_m(plant alone)]        at the fitted parameters
-    c~ --(16), (18)--> theta_u1, theta_v1, theta_u2, theta_v2
+    c~ --(16), (18)--> theta_u1, theta_v1, theta_u2, theta_v2       the paper's equations
 
-Were the model right, the four would agree; so their spread tells what the effects do not explain.  What is left of the
-misfit stays in c~: nothing is smoothed.  The sd are those of the residues' noise through the route, the effects held.
+With the right model the four agree, so their spread measures what the effects do not explain; the remaining misfit stays in c~.
+The sd of the thetas is that of the noise of the residues, propagated through the route with the effects held fixed.
+
+Shapes: M recorded modes, S senses, D drives; theta in deg.
 """
 
 from __future__ import annotations
@@ -24,16 +26,16 @@ _STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class FourThetas:
-    """u1, v1, u2, v2 (4,) [deg], each with its sd (4,) [deg]."""
+    """theta_u1, theta_v1, theta_u2, theta_v2 (4,) [deg] and their sd (4,) [deg]."""
 
     theta_deg: FloatArray
     sd_deg: FloatArray
 
     @property
     def spread_deg(self) -> float:
-        """Largest less smallest, as angles from the axial mean [deg]."""
-        off = np.array([float(wrap(t - mean_axis(self.theta_deg))) for t in self.theta_deg])
-        return float(off.max() - off.min())
+        """Largest less smallest deviation from the axial mean [deg]."""
+        deviations = np.array([float(wrap(t - mean_axis(self.theta_deg))) for t in self.theta_deg])
+        return float(deviations.max() - deviations.min())
 
 
 def four_thetas(record: ModalRecord, effects: ComplexArray, noise: FloatArray) -> FourThetas:
@@ -42,12 +44,12 @@ def four_thetas(record: ModalRecord, effects: ComplexArray, noise: FloatArray) -
     Parameters
     ----------
     record : as measured.
-    effects : (M, S, D) what the effects add to c [1/s].
-    noise : (M, 2, S, D) sd of R1 and R0 / w [1/s].
+    effects : contribution of the effects to c (M, S, D) [1/s].
+    noise : sd of R1 and R0 / w (M, 2, S, D) [1/s].
 
     Raises
     ------
-    IdentificationError : what is left are not two rocking modes and one up-down mode.
+    IdentificationError : the corrected modes are not two rocking modes and one up-down mode.
     """
     c = measured_modes(record).c - effects
     centre = _route(record, c)

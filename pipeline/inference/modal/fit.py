@@ -1,14 +1,14 @@
-"""Plant "gyro" fitted to a modal record: poles and residues that somebody else identified.
+"""Plant "gyro" without effects, fitted to a modal record.
 
 A mode is (s R1 + R0)/d(s) in the record and R/(s - p) + conj in the model, so R1 = 2 Re R, R0 = -2 Re(R conj p).
-Compared are the complex residues at resonance, C_i = i w_i R1_i + R0_i, each mode in units of its measured norm:
+The complex residues at resonance, C_i = i w_i R1_i + R0_i, are compared, each mode in units of its measured norm:
 
     relative_error^2 = 1/n sum_i |C_i - C_i(model)|^2 / |C_i|^2          over the n = 3 modes
 
-Frequencies and damping ratios are those of the record.  Free: theta, rocking and up-down gain, both imbalances.
-Without declared sd a common unknown relative sd is taken from what is left: sd^2 = |r|^2 / (24 - 5).
+Frequencies and damping ratios are those of the record.  Free parameters: theta, rocking and up-down gain, both imbalances.
+The common relative sd of the residues is estimated from the residual r: sd^2 = |r|^2 / (24 - 5).
 
-Shapes: modes in the order of the record; S = D = 2.
+Shapes: n modes in the order of the record; S = D = 2.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _PLACES = (6, 8, 9, 10, 11)
 
 @dataclass(frozen=True, eq=False)
 class ModalFit:
-    """values and sd by parameter name; the error of the fitted model, and residuals (3, 2, 2) in units of each mode."""
+    """Values and sd by parameter name, relative error, and residuals (3, 2, 2) in units of each mode's norm."""
 
     values: dict[str, float]
     sd: dict[str, float]
@@ -39,18 +39,18 @@ class ModalFit:
 
 
 def residues_at_resonance(poles: ComplexArray, residues: ComplexArray) -> ComplexArray:
-    """C (n, S, D) of modes R/(s - p) + conj at s = i |p|."""
+    """C (n, S, D) [1/s^2] of modes R/(s - p) + conj at s = i |p|; poles (n,) [rad/s], residues (n, S, D) [1/s]."""
     r1 = 2.0 * residues.real
     r0 = -2.0 * np.real(residues * np.conj(poles)[:, None, None])
     return 1j * np.abs(poles)[:, None, None] * r1 + r0
 
 
 def fit_modal(route: RouteResult, antialias: AntiAlias | None) -> ModalFit:
-    """Fit plant "gyro" (no effects) to the modes of ``route``.
+    """Fit plant "gyro" without effects to the modes of ``route``, by least squares (scipy).
 
     Parameters
     ----------
-    route : what :func:`pipeline.identification.route.identify_modal` made of the record.
+    route : of the record, by :func:`pipeline.identification.route.identify_modal`.
     antialias : the filter that the record includes.
     """
     # Loading scipy.optimize takes a fifth of a second.

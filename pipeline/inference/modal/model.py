@@ -1,11 +1,11 @@
-"""A model met by a modal record: the poles and residues of its assembled linear system, and where to start.
+"""Poles and residues of a model, matched to a modal record, and start values for a fit.
 
-    c_m = i R1_m + R0_m / w_m              what a mode does at its resonance (M, S, D) [1/s]
-    R_k -> G(p_k) exp(-p_k tau) R_k        mechanics' residues through the read-out, taken at the mechanics' poles
+    c_m = i R1_m + R0_m / w_m              response of a mode at its resonance (M, S, D) [1/s]
+    R_k -> G(p_k) exp(-p_k tau) R_k        residues of the mechanics through the read-out, at the poles of the mechanics
     R1 = 2 Re R,   R0 = -2 Re(conj(p) R)
 
-Everything comes from the system that the model assembles for records, so an effect's law stands in its own file only.  A
-feedthrough has no part in residues.  Modes are matched by frequency; a recorded mode that the model lacks gets c = 0.
+Poles and residues come from the same assembled system as records, so the law of an effect is defined in its file alone.  A
+feedthrough does not contribute to residues.  Modes are matched by frequency; c = 0 for a recorded mode that the model lacks.
 
 Shapes: M recorded modes, S senses, D drives.
 """
@@ -30,7 +30,7 @@ from ...experiment.instrument import Instrument
 from ...identification.failure import IdentificationError
 from ...identification.route import RouteResult, identify_modal
 
-#: Relative distance of poles that are one.
+#: Relative distance below which two poles are equal.
 _SAME = 1e-9
 
 
@@ -44,13 +44,13 @@ class ResonantModes:
 
 
 def at_resonance(poles: ComplexArray, residues: ComplexArray) -> ComplexArray:
-    """c = i R1 + R0 / |p| of modes R / (s - p) + conj."""
+    """c = i R1 + R0 / |p| (M, S, D) [1/s] of modes R / (s - p) + conj; poles (M,) [rad/s], residues (M, S, D) [1/s]."""
     r0 = -2.0 * np.real(residues * np.conj(poles)[:, None, None]) / np.abs(poles)[:, None, None]
     return np.asarray(2.0j * residues.real + r0)
 
 
 def measured_modes(record: ModalRecord) -> ResonantModes:
-    """What the record states."""
+    """The modes that the record states."""
     omega = 2.0 * np.pi * record.frequency_hz
     poles = np.asarray(omega * (-record.zeta + 1.0j * np.sqrt(1.0 - record.zeta**2)))
     c = np.asarray(1.0j * record.R1 + record.R0 / omega[:, None, None])
@@ -58,7 +58,7 @@ def measured_modes(record: ModalRecord) -> ResonantModes:
 
 
 def conditions(record: ModalRecord) -> Conditions:
-    """The declared rate as Omega I_p/I_0p; a rate other than zero is unknown without the angular gain."""
+    """Operating conditions of the record; without the angular gain, a rate other than zero is unknown."""
     bias = Instrument().bias_v
     known = record.rate_dps is not None and (record.rate_dps == 0.0 or record.angular_gain is not None)
     rate = float(np.deg2rad(record.rate_dps or 0.0)) * (record.angular_gain or 0.0)
@@ -66,20 +66,20 @@ def conditions(record: ModalRecord) -> Conditions:
 
 
 def linear_modes(system: System) -> tuple[ComplexArray, ComplexArray]:
-    """Poles (n,) of the mechanics and residues (n, S, D) of what is seen behind the read-out; equal poles are one."""
+    """Poles (n,) [rad/s] of the mechanics, and residues (n, S, D) [1/s] behind the read-out; equal poles are merged."""
     modes = modes_of(system.mechanics)
     poles, own = modes.poles[0], modes.residues[0]
     first = np.array([int(np.argmax(np.abs(poles - p) < _SAME * np.abs(p))) for p in poles])
     kept = np.unique(first)
     poles, own = poles[kept], np.stack([own[first == k].sum(axis=0) for k in kept])
-    seen = system.readout.response(poles) * np.exp(-poles * system.readout.delay_s)[:, None, None]
-    return poles, np.asarray(seen @ own)
+    readout = system.readout.response(poles) * np.exp(-poles * system.readout.delay_s)[:, None, None]
+    return poles, np.asarray(readout @ own)
 
 
 def modelled_modes(
     model: Model, values: Mapping[str, float], record: ModalRecord, poles: ComplexArray
 ) -> ResonantModes:
-    """The modes of ``model`` at complete ``values``, matched to the recorded ``poles`` (M,).
+    """The modes of ``model`` at complete ``values``, matched to the recorded ``poles`` (M,) [rad/s].
 
     Raises
     ------
@@ -90,20 +90,20 @@ def modelled_modes(
 
     instrument = Instrument(antialias=record.antialias)
     own, residues = linear_modes(assemble(model, values, instrument, conditions(record)))
-    here, there = linear_sum_assignment(np.abs(poles[:, None] - own[None, :]))
+    recorded, modelled = linear_sum_assignment(np.abs(poles[:, None] - own[None, :]))
     found = at_resonance(own, residues)
     c = np.zeros((poles.size, *found.shape[1:]), dtype=np.complex128)
     matched, present = poles.copy(), np.zeros(poles.size, dtype=bool)
-    c[here], matched[here], present[here] = found[there], own[there], True
+    c[recorded], matched[recorded], present[recorded] = found[modelled], own[modelled], True
     return ResonantModes(matched, c, present)
 
 
 def starting_values(model: Model, record: ModalRecord) -> dict[str, float]:
-    """Plant parameters to start a fit from: the paper's route for plant "gyro", the modes themselves for plant "modal".
+    """Start values of the plant parameters: from the paper's route for plant "gyro", from the modes for plant "modal".
 
     Raises
     ------
-    MeasurementError : fewer modes than the plant has, or (gyro) no two rocking modes and one up-down mode.
+    MeasurementError : fewer modes than the plant has, or (gyro) not two rocking modes and one up-down mode.
     """
     if isinstance(model.built, ModalPlant):
         return _modal_start(model.built, record)
@@ -127,7 +127,12 @@ def starting_values(model: Model, record: ModalRecord) -> dict[str, float]:
 
 
 def gyro_route(record: ModalRecord) -> RouteResult:
-    """The paper's route on the strongest three modes that are two rocking modes and one up-down mode."""
+    """The paper's route on the strongest three modes that are two rocking modes and one up-down mode.
+
+    Raises
+    ------
+    IdentificationError : no three modes of the record are.
+    """
     failed: list[IdentificationError] = []
     for three in _strongest_first(record, 3):
         try:
@@ -138,7 +143,7 @@ def gyro_route(record: ModalRecord) -> RouteResult:
 
 
 def _strongest_first(record: ModalRecord, count: int) -> list[tuple[int, ...]]:
-    """Choices of so many modes, those with the highest peaks first."""
+    """All choices of ``count`` modes, sorted by the sum of their peak heights, highest first."""
     modes = measured_modes(record)
     peak = np.linalg.norm(modes.c, axis=(1, 2)) / -modes.poles.real
     choices = combinations(range(peak.size), count)
@@ -153,7 +158,7 @@ def _chosen(record: ModalRecord, modes: tuple[int, ...]) -> ModalRecord:
 
 
 def _modal_start(plant: ModalPlant, record: ModalRecord) -> dict[str, float]:
-    """Real gains by projection on the filter at each resonance: c = i G B for velocities, G B / w for displacements."""
+    """Frequencies, damping ratios and real gains B from c = i G B (velocity) or G B / w (displacement), filter response G."""
     if record.frequency_hz.size < plant.modes:
         raise MeasurementError(
             "the plant has more modes than the record",

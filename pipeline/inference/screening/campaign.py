@@ -1,7 +1,7 @@
-"""A measured campaign of a gyro, identified by the same likelihood as a virtual device.
+"""Identification of a measured campaign of a gyro, by the same likelihood as a virtual device.
 
-The in-band path wants two drives, two senses, records that start at rest, and a hold with a closed form; other campaigns
-go through the general fit of ``campaign_fit``.
+The in-band path needs two drives, two senses, records that start at rest, and hold "zoh" or "foh".
+``pipeline.inference.identify`` sends other campaigns through the general fit.
 """
 
 from __future__ import annotations
@@ -29,10 +29,7 @@ def is_inband(campaign: Campaign) -> bool:
 
 
 def campaign_noise(campaign: Campaign) -> tuple[NoiseLevel, float | None]:
-    """Noise level of each channel, and the mains frequency that silence shows, if any.
-
-    From the silent records; without one from repeats, else from a local fit (see ``noise_level``).
-    """
+    """Noise level of each channel (see ``noise_level``), and the mains frequency [Hz] if the silent record shows hum."""
     silent = campaign.with_role("noise")
     line_hz = hum_line(silent[0].sense_v, campaign.instrument.sample_rate_hz) if silent else None
     return noise_level(campaign, line_hz), line_hz
@@ -47,9 +44,15 @@ def identify_campaign(
 ) -> DeviceResult:
     """Identify the device of a campaign from its fit records.
 
+    Parameters
+    ----------
+    campaign : for which :func:`is_inband` holds.
+    settings, sampler, gate : see their classes; the mains frequency of ``settings`` is replaced by the measured one.
+    seed : random stream of this device.
+
     Raises
     ------
-    MeasurementError : no record to fit, or noise that is zero.
+    MeasurementError : no record to fit, or a channel without noise.
     """
     fit = campaign.with_role("fit")
     if not fit:
@@ -58,10 +61,10 @@ def identify_campaign(
     sigma_v = noise.sigma_v
     if not np.all(sigma_v > 0.0):
         raise MeasurementError(
-            "the records show no noise at all",
+            "a sense channel shows no noise",
             value=[float(s) for s in sigma_v],
             allowed="noise above zero in every channel",
-            next_step="check the silent record, or declare the converter (adc) so that its LSB counts",
+            next_step="check the silent record, or declare the converter in [instrument] adc",
         )
     with_hum = replace(settings, line_hz=line_hz)
     rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
@@ -69,5 +72,5 @@ def identify_campaign(
     result = identify_device(prepared, sigma_v, campaign.instrument, with_hum, sampler, gate, rate, seed)
     if noise.source != "local":
         return result
-    # A noise level read off the driven records themselves cannot say how well they are explained.
+    # An error in units of a noise level that is estimated from the same driven records would not be independent.
     return replace(result, columns={**result.columns, "error": None, "chi2_per_dof": None})

@@ -1,4 +1,4 @@
-"""The in-band likelihood of plant "gyro", compressed to a triangle.
+"""The in-band likelihood of plant "gyro", compressed to a triangular matrix.
 
 In the band a model is linear in  c = R_k h_k^m  (residues times powers of the shift of each pole from an expansion point p0):
 
@@ -8,8 +8,8 @@ so with the features in the columns of A (hum lines projected out) and A = Q T,
 
     chi2 = sum_a (|T c_a - Q^T y_a|^2 + |y_a - Q Q^T y_a|^2) 2 / (N sigma_a^2)
 
-costs one small triangle a call instead of all bins.  Third order in h is exact to 2e-8 for |h| < 0.03 rad/s and the
-expansion is moved when the poles leave that disc.
+costs a product with one small triangle per call instead of all bins.  Third order in h is exact to 2e-8 for |h| < 0.03 rad/s;
+a new expansion is made when the poles leave that disc.
 
 Shapes: S = 2 senses, D = 2 drives, 3 modes, M = 4 orders, J = 48 real features (mode, drive, order, re/im), W bins.
 x: cartesian parameters (12,) of ``pipeline.device.gyro``.
@@ -40,7 +40,8 @@ _STEPS: FloatArray = np.array([1e-4] * 8 + [1e-5] * 4)
 class Compressed:
     """The likelihood of one device around the poles ``expansion`` (3,) [rad/s].
 
-    triangle (r, J), data (S, r) and rest_chi2 (S,) are scaled so that a residual is in sigmas; ``rows`` real data in all.
+    triangle (r, J) is T; data (S, r) is Q^T y and rest_chi2 (S,) is |y - Q Q^T y|^2, both in sigmas; ``rows`` is the number
+    of real data.
     """
 
     expansion: ComplexArray
@@ -97,8 +98,8 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
     Parameters
     ----------
     records : one or more, of the same device.
-    sigma_v : noise a sample and channel (S,) [V].
-    expansion : p0, where the Taylor series start.
+    sigma_v : noise (S,) [V] of a sample.
+    expansion : centre p0 of the Taylor series.
     """
     blocks: list[FloatArray] = []
     targets: list[FloatArray] = []
@@ -117,7 +118,7 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
     q, triangle = qr(np.concatenate(blocks), mode="economic", overwrite_a=True, check_finite=False)
     data = q.T @ stacked_y
     rest = np.maximum(np.sum(stacked_y**2, axis=0) - np.sum(data**2, axis=0), 0.0)
-    # One triangle a channel, in units of that channel's sigma, is kept as one array and scaled in the kernel.
+    # The kernels divide the common triangle by the sigma of each channel.
     return Compressed(expansion, np.ascontiguousarray(triangle), np.ascontiguousarray(data.T), rest, 2 * rows)
 
 
@@ -157,7 +158,7 @@ def _triangle_times(triangle: FloatArray, c: FloatArray, out: FloatArray) -> Non
 
 @njit(cache=True)
 def allowed(x: FloatArray) -> bool:
-    """The prior's support: damping positive semidefinite, up-down damped, imbalances below 1."""
+    """The support of the prior at x (12,): damping positive semidefinite, up-down mode damped, imbalances below 1."""
     return bool(
         x[3] > 0.0
         and x[4] * x[4] + x[5] * x[5] <= x[3] * x[3]
@@ -174,7 +175,7 @@ def allowed(x: FloatArray) -> bool:
 def residual_rows(
     x: FloatArray, expansion: ComplexArray, triangle: FloatArray, data: FloatArray, sigma: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Residuals (2 r,) in sigmas, data less model, and the largest |h| [rad/s]."""
+    """Residuals data - model (2 r,) in sigmas at x (12,), and the largest |h| [rad/s]."""
     rows = triangle.shape[0]
     c = np.empty((2, _FEATURES))
     shift = np.empty(3)
@@ -189,7 +190,7 @@ def residual_rows(
 
 @njit(cache=True)
 def jacobian_rows(x: FloatArray, expansion: ComplexArray, triangle: FloatArray, sigma: FloatArray) -> FloatArray:
-    """d model / d x (2 r, 12) in sigmas, by central differences of c(x), which is cheap and smooth."""
+    """d model / d x (2 r, 12) in sigmas, by central differences of c(x), which is smooth and cheap to evaluate."""
     rows = triangle.shape[0]
     size = x.size
     c_plus = np.empty((2, _FEATURES))

@@ -1,8 +1,8 @@
-"""One device: records in, estimates with their uncertainty, status and reason out.
+"""Identification of one device in the band: from its fit records to the columns of the devices table.
 
-    silent record -> sigma;  fit record -> the paper's route -> start -> maximum likelihood -> posterior -> quantities
+    fit records -> the paper's route -> start -> maximum likelihood -> posterior -> quantities -> status
 
-Shapes: records (N, 2) volts; everything returned is in the units of ``pipeline.quantities``.
+Shapes: records (N, 2) [V]; cartesian parameters (12,).  Results in the units of ``pipeline.quantities``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Value = float | str | None
 
 @dataclass(frozen=True)
 class IdentificationSettings:
-    """Order and window of the paper's route; the band of the likelihood; the hum the model carries, if any."""
+    """Order and window [s] of the paper's route, band [Hz] of the likelihood, mains frequency [Hz] in the model if any."""
 
     order: int = 40
     window_s: float = 2.0
@@ -54,7 +54,7 @@ class DeviceResult:
 
 @dataclass(frozen=True, eq=False)
 class FitRecord:
-    """A fit record with its band: the band may be shared by all devices that had the same drive."""
+    """A fit record with its band and nuisance basis (2 W, L), which all devices with the same drive can share."""
 
     record: Record
     band: Band
@@ -62,7 +62,7 @@ class FitRecord:
 
 
 def prepare(record: Record, instrument: Instrument, settings: IdentificationSettings) -> FitRecord:
-    """The record with its band and nuisance basis."""
+    """``record`` with its band and nuisance basis."""
     band = make_band(record.drive_v, instrument, settings.low_hz, settings.high_hz)
     return FitRecord(record, band, nuisance_basis(band, settings.line_hz))
 
@@ -78,7 +78,7 @@ def _route_columns(route: RouteResult) -> dict[str, Value]:
 
 
 def _starts(routes: Sequence[RouteResult]) -> list[FloatArray]:
-    """Starting points: the route's modes, with and without its estimate of the damping anisotropy."""
+    """Start values (12,): the modes of each route, with and without its estimate of the damping anisotropy."""
     out: list[FloatArray] = []
     for route in routes:
         start = start_from_modes(route.poles, route.residues)
@@ -92,7 +92,7 @@ def _starts(routes: Sequence[RouteResult]) -> list[FloatArray]:
 def _spectral_starts(
     fit_records: Sequence[FitRecord], sigma_v: FloatArray, instrument: Instrument, settings: IdentificationSettings
 ) -> list[FloatArray]:
-    """The start that the records' spectra give, without the ARX model; none where they hold no three modes."""
+    """Start values (12,) from the spectra of the records instead of an ARX model; none if they do not show three modes."""
     records = [item.record for item in fit_records]
     try:
         start = gyro_start(records, instrument, sigma_v, settings.low_hz, settings.high_hz)
@@ -106,12 +106,12 @@ def _rank(fit: Fit) -> tuple[bool, float]:
 
 
 def explains(fit: Fit) -> bool:
-    """Whether the fit converged to a chi2 that is not significantly above its degrees of freedom (6 sd)."""
+    """Whether the fit converged to a chi2 that is at most 6 sd above its degrees of freedom."""
     return fit.converged and fit.chi2 < fit.dof + 6.0 * math.sqrt(2.0 * fit.dof)
 
 
 def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
-    """The best converged fit; later starts are tried only while none explains the band."""
+    """The best fit from the ``starts`` (12,), which are tried in turn until one explains the band; sigma (S,) [V]."""
     best: Fit | None = None
     for start in starts:
         try:
@@ -128,7 +128,7 @@ def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[
 
 
 def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> FloatArray:
-    """Pick-off volts (N, 2) of cartesian parameters x (12,) behind the anti-alias filter."""
+    """Pick-off volts (N, 2) behind the anti-alias filter, of cartesian parameters x (12,) under a drive (N, 2) [V]."""
     bank = behind_filter(gyro_modes(to_physical(x[None])), instrument.antialias)
     return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
 
@@ -154,14 +154,14 @@ def identify_device(
 
     Parameters
     ----------
-    fit_records : at least one, at rest before the first sample, two drives and two senses.
+    fit_records : at least one; at rest before the first sample, two drives and two senses.
     sigma_v : noise (2,) [V].
     instrument, settings, sampler, gate, rate : see their classes.
     seed : random stream of this device.
 
     Returns
     -------
-    A result in every case: what goes wrong with a device is its status, not an exception.
+    A result in every case; a failure is reported as its status, not as an exception.
     """
     columns: dict[str, Value] = {}
     found: list[RouteResult] = []
@@ -182,16 +182,16 @@ def identify_device(
     data = [BandData(i.band, i.band.transform(i.record.sense_v), i.nuisance) for i in fit_records]
     fit = best_fit(data, sigma_v, _starts(found))
     if fit is None or not explains(fit):
-        # A device of very low Q is lost to the ARX model but not to the spectra.
+        # The spectra still show the modes of a device with a Q too low for the ARX model.
         second = best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings))
         fit = second if second is not None and (fit is None or _rank(second) > _rank(fit)) else fit
     if fit is None or not fit.converged:
-        why = "the likelihood has no maximum near any start; check that hold and antialias are declared as they are"
+        why = "the likelihood has no maximum near any start; check hold and antialias in campaign.toml"
         return failed_result(why if found else f"{why}; the paper's route: {reason}", columns)
     try:
         posterior = sample(fit, sampler, seed)
     except np.linalg.LinAlgError:
-        return failed_result("the parameters are not determined: the curvature of the likelihood is singular", columns)
+        return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
     return _result(columns, fit_records, sigma_v, instrument, settings, sampler, gate, rate, fit, posterior)
 
 

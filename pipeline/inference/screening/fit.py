@@ -1,9 +1,12 @@
 """Maximum likelihood of plant "gyro" with off-diagonal damping, in the band, with exact transients.
 
-    x^ = argmin chi2(x) by Levenberg-Marquardt on the compressed likelihood, re-expanded until the poles stay put
+    x^ = argmin chi2(x) by Levenberg-Marquardt on the compressed likelihood, expanded again until the poles converge
     covariance = (J^T J)^-1 at x^
 
-x: cartesian parameters (12,) of ``pipeline.device.gyro``; sigma (S,) volts.
+The step is limited by the radius of the expansion, and the compiled Jacobian is as cheap as a residual; the loop of the general
+fit (``general.gauss_newton``) avoids computing Jacobians instead, so the two share no damping rule.
+
+x: cartesian parameters (12,) of ``pipeline.device.gyro``; sigma (S,) [V].
 """
 
 from __future__ import annotations
@@ -27,8 +30,13 @@ _ITERATIONS = 60
 class Fit:
     """The maximum-likelihood point of one device.
 
-    x (12,); covariance (12, 12); chi2 and its degrees of freedom in the band; the likelihood it was found with.
-    ``converged`` is false where the poles never settled or the iteration ran out.
+    Parameters
+    ----------
+    x, covariance : cartesian parameters (12,) and their covariance (12, 12).
+    chi2, dof : in the band.
+    likelihood : the compressed likelihood around the poles of ``x``.
+    sigma_v : noise (S,) [V].
+    converged : false if the poles or the parameters did not converge.
     """
 
     x: FloatArray
@@ -41,15 +49,15 @@ class Fit:
 
 
 def start_from_modes(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
-    """Cartesian parameters (12,) from three identified modes, the filter already taken out.
+    """Cartesian parameters (12,) from three identified modes of the device without the anti-alias filter.
 
-    The rocking pair acts as one matrix pole  L = (p1 R1 + p2 R2)(R1 + R2)^-1, a solvent of  L^2 + C L + K = 0, so with
-    L = A + iB:  C = -(A B + B A) B^-1,  K = B^2 - A^2 - C A.  Unlike the modes it stays regular where they coalesce.
+    The rocking pair forms one matrix pole  L = (p1 R1 + p2 R2)(R1 + R2)^-1, a solvent of  L^2 + C L + K = 0, so with
+    L = A + iB:  C = -(A B + B A) B^-1,  K = B^2 - A^2 - C A.  Unlike the modes, L is regular where they coalesce.
 
     Parameters
     ----------
     poles : p1, p2 of the rocking pair and p3 of the up-down mode (3,) [rad/s].
-    residues : (3, 2, 2) of H from drive volts to pick-off volts.
+    residues : (3, 2, 2) [1/s] of H from drive volts to pick-off volts.
     """
     u, size, vt = np.linalg.svd(2.0 * residues[2].real)
     k_s, k_d = u[:, 0] / u[:, 0].mean(), vt[0] / vt[0].mean()
@@ -94,7 +102,10 @@ def _poles(x: FloatArray) -> ComplexArray:
 def _descend(
     start: FloatArray, likelihood: Compressed, sigma: FloatArray, reach: float
 ) -> tuple[FloatArray, bool, float]:
-    """Levenberg-Marquardt within ``reach`` [rad/s] of the expansion; returns x, converged, the largest |h|."""
+    """Levenberg-Marquardt from ``start`` (12,) within ``reach`` [rad/s] of the expansion.
+
+    Returns x (12,), whether it converged, and the largest shift |h| of a pole [rad/s].
+    """
     x = start
     p0, triangle, data = likelihood.expansion, likelihood.triangle, likelihood.data
     r, shift = residual_rows(x, p0, triangle, data, sigma)
@@ -113,7 +124,7 @@ def _descend(
                     improved = True
                     break
             damping = max(damping * 10.0, 1e-8)
-        # A step of a thousandth of a standard deviation is a standstill.
+        # A step of a thousandth of a standard deviation counts as convergence.
         small = float(step @ gram @ step) < 1e-6
         if not improved:
             return x, small, shift
@@ -126,14 +137,14 @@ def _descend(
 
 
 def _covariance(j: FloatArray) -> FloatArray:
-    """(J^T J)^-1, orthogonalised in units of each parameter's own sensitivity: its eigenvalues span twelve decades."""
+    """(J^T J)^-1 (P, P) of J (n, P), by QR in units of each column's norm: the eigenvalues span twelve decades."""
     scale = np.linalg.norm(j, axis=0)
     inverse = np.linalg.pinv(np.linalg.qr(j / scale, mode="r"))
     return np.asarray((inverse @ inverse.T) / np.outer(scale, scale))
 
 
 def information_covariance(records: Sequence[BandData], sigma_v: FloatArray, x: FloatArray) -> FloatArray:
-    """Cramer-Rao bound (12, 12): the inverse Fisher information of ``records`` at the parameters ``x``."""
+    """Cramer-Rao bound (12, 12): the inverse Fisher information of ``records`` at cartesian ``x`` (12,); sigma (S,) [V]."""
     likelihood = compress(records, sigma_v, _poles(x))
     return _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
 
@@ -147,14 +158,14 @@ def maximise(records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray
     sigma_v : (S,) noise [V].
     start : cartesian parameters.
     """
-    x, settled = start, False
+    x, converged = start, False
     for _ in range(_EXPANSIONS):
         likelihood = compress(records, sigma_v, _poles(x))
-        x, still, shift = _descend(x, likelihood, sigma_v, 10.0 * _DISC)
-        if still and shift < _DISC:
-            settled = True
+        x, minimum, shift = _descend(x, likelihood, sigma_v, 10.0 * _DISC)
+        if minimum and shift < _DISC:
+            converged = True
             break
     r, _ = residual_rows(x, likelihood.expansion, likelihood.triangle, likelihood.data, sigma_v)
     covariance = _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
     chi2 = float(r @ r + likelihood.rest_chi2.sum())
-    return Fit(x, covariance, chi2, likelihood.rows - x.size, likelihood, sigma_v, settled)
+    return Fit(x, covariance, chi2, likelihood.rows - x.size, likelihood, sigma_v, converged)

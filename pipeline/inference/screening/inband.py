@@ -4,14 +4,15 @@ A pole p driven by held samples v from rest, x[n+1] = z x[n] + g v[n], has the d
 
     X(w) = (g(p) V(w) - e^{iw} x_N(p)) / (e^{iw} - z(p)),      x_N = g sum_n z^{N-1-n} v[n]
 
-The end state x_N depends on the pole: freezing it would cost a factor 39 in the split.  Behind the filter G = sum_j r_j/(s - q_j)
+The end state x_N depends on the pole; a constant x_N would make the sd of the split 39 times larger.  Behind the filter
+G = sum_j r_j/(s - q_j)
 
     Phi(w; p) = G(p) X(w; p) + sum_j r_j / (q_j - p) X(w; q_j)
 
-so that a model H = sum_k R_k/(s - p_k) + conj is in the band  Y(w) = sum_k R_k Phi(w; p_k) + conj(R_k) Phi(w; conj p_k).
+so that a model H = sum_k R_k/(s - p_k) + conj gives  Y(w) = sum_k R_k Phi(w; p_k) + conj(R_k) Phi(w; conj p_k)  in the band.
 ``features`` gives Phi and its Taylor coefficients in p, Phi(p + h) = sum_m Phi_m h^m.
 
-With first-order hold, g v[n] becomes g0 v[n] + g1 v[n+1]; V is then that of g0 v[n] + g1 v[n+1], pole by pole.
+With first-order hold, g v[n] becomes g0 v[n] + g1 v[n+1], with g0 and g1 of each pole.
 
 Shapes: W bins, D drives, M Taylor orders.  Units: rad/s, volts.
 """
@@ -32,10 +33,16 @@ from ...experiment.instrument import AntiAlias, Instrument
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The bins of a record between two frequencies, and what of the drive is the same for every device.
+    """The bins of a record between two frequencies, and the parts of the likelihood that depend on the drive alone.
 
-    bins (W,); e_iw (W,); drive_v (N, D); now, following (D, W): transforms of v[n] and v[n+1];
-    filter_part (order, D, W): r_j X(w; q_j); q (order,).
+    Parameters
+    ----------
+    sample_rate_hz, samples : of the record.
+    bins, e_iw : (W,) indices of the bins, and e^{iw}.
+    drive_v : (N, D) [V].
+    now, following : (D, W) transforms of v[n] and v[n+1].
+    antialias, first_order_hold : of the instrument.
+    q, filter_part : poles of the filter (order,) [rad/s], and r_j X(w; q_j), (order, D, W).
     """
 
     sample_rate_hz: float
@@ -61,11 +68,11 @@ class Band:
 
 
 def make_band(drive_v: FloatArray, instrument: Instrument, low_hz: float, high_hz: float) -> Band:
-    """The band [low, high] Hz of records driven by ``drive_v`` (N, D).
+    """The band [low, high] Hz of records that ``drive_v`` (N, D) [V] drives.
 
     Raises
     ------
-    ConfigError : a hold without closed form ("bandlimited"), or a band with no bins.
+    ConfigError : hold "bandlimited", which has no closed form, or a band without a bin.
     """
     if instrument.hold == "bandlimited":
         raise ConfigError(

@@ -1,11 +1,11 @@
-"""Posterior samples with emcee: independent ensembles, and what they say of their own convergence.
+"""Posterior samples with emcee in independent ensembles, and their convergence.
 
-Prior: uniform in the cartesian parameters (logarithms for the gains) where damping is positive semidefinite.
-It is the same for all orientations of the axes, so theta is not drawn to the electrodes.
+The prior is uniform in the cartesian parameters (logarithms for the gains) where damping is positive semidefinite.  It is
+rotation-invariant, so it prefers no orientation of the axes.
 
-Where the Laplace approximation N(x^, V) is close (importance ESS of its draws above half), the move is independence
-Metropolis-Hastings with a multivariate t around it; elsewhere (boundaries, banana shapes) a mixture of stretch and
-differential-evolution moves runs until it converges or ends.
+Where the Laplace approximation N(x^, V) is close (relative importance ESS of its draws above one half), the moves are
+independence Metropolis-Hastings with a multivariate t proposal.  Elsewhere (boundaries, curved posteriors) a mixture of stretch
+and differential-evolution moves runs until it converges or reaches the largest number of steps.
 
 Shapes: E ensembles, n walkers, L kept steps, 12 parameters.
 """
@@ -30,7 +30,7 @@ _MAX_STEPS = 6000
 
 @dataclass(frozen=True)
 class SamplerSettings:
-    """``ensembles`` independent ensembles of ``walkers`` walkers; ``steps`` kept in each; when they count as converged."""
+    """``ensembles`` ensembles of ``walkers`` walkers with ``burn`` discarded and ``steps`` kept steps; convergence limits."""
 
     ensembles: int = 4
     walkers: int = 96
@@ -42,9 +42,9 @@ class SamplerSettings:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Draws (E, n L, 12), cartesian; worst R-hat over parameters, least ESS, mean acceptance.
+    """Cartesian draws (E, n L, 12); largest R-hat and smallest ESS of the parameters; mean acceptance.
 
-    ``importance_ess`` is the relative ESS of the Laplace draws; ``move`` names the moves that ran.
+    ``importance_ess`` is the relative ESS of the Laplace draws; ``move`` names the moves used.
     """
 
     draws: FloatArray
@@ -71,7 +71,7 @@ def _t_draws(count: int, size: int, random: Any) -> FloatArray:
 
 
 def diagnose(draws: FloatArray) -> tuple[float, float]:
-    """Worst split R-hat across ensembles and least ESS of the mean, over the parameters of draws (E, n, P)."""
+    """Largest split R-hat across ensembles and smallest ESS of the mean, over the parameters of draws (E, n, P)."""
     series = np.moveaxis(draws, -1, 0)
     rhat = array_stats.rhat(series, chain_axis=-2, draw_axis=-1, method="split")
     ess = array_stats.ess(series, chain_axis=-2, draw_axis=-1, method="mean")
@@ -84,8 +84,12 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
     Parameters
     ----------
     fit : maximum-likelihood point, covariance and compressed likelihood.
-    settings : sizes and thresholds.
-    seed : stream of this device alone.
+    settings : sizes and convergence limits.
+    seed : random stream of this device.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : the covariance is not positive definite.
     """
     likelihood: Compressed = fit.likelihood
     size = fit.x.size
@@ -93,7 +97,7 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
     factor = np.linalg.cholesky(fit.covariance / np.outer(scale, scale)) * scale[:, None]
 
     def log_posterior(unit: FloatArray) -> FloatArray:
-        # Walkers live in whitened coordinates: posteriors span twelve decades otherwise.
+        # Walkers move in whitened coordinates, because the scales of the parameters span twelve decades.
         points = fit.x + unit @ factor.T
         return log_likelihood(points, likelihood.expansion, likelihood.triangle, likelihood.data, fit.sigma_v)
 
@@ -153,7 +157,7 @@ def _run(
         inside = np.isfinite(log_posterior(start))
         start = np.where(inside[:, None], start, 1e-3 * start)
         sampler.run_mcmc(start, burn + steps, skip_initial_state_check=True)
-        # Walker by walker, so that the autocorrelation of a walker shows in the series.
+        # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
         chain = np.swapaxes(sampler.get_chain(discard=burn, thin=thin), 0, 1)
         chains.append(chain.reshape(-1, size))
         accepted.append(float(np.mean(sampler.acceptance_fraction)))

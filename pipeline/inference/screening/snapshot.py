@@ -1,10 +1,10 @@
-"""What a record tells before it has ended: maximum likelihood and posterior of its first N samples.
+"""Snapshot of a record that still grows: maximum likelihood and posterior from its first N samples.
 
-    data v[0..N-1], S[0..N-1] from rest --exact transients--> x^, V --importance--> draws
+    data v[0..N-1], S[0..N-1] from rest --exact transients--> x^, V --importance resampling--> draws
 
-Any N has an exact likelihood in the band, so a record that is still growing is judged as one that ended at N.  Draws are
-those of a multivariate t around x^, resampled by posterior / proposal: some milliseconds, so that a stream keeps up.  Where
-too few of them carry weight the posterior is still too broad for that, and the answer is that it is not known yet.
+The likelihood in the band is exact for any N, so a growing record is treated as one that ended at N.  The draws come from a
+multivariate t around x^ and are resampled by posterior / proposal, which takes milliseconds.  If the weights are concentrated
+on too few draws, the posterior is still too broad for this method and the status is "not_converged".
 
 Shapes: N samples, n draws, 12 parameters.  Units as in ``pipeline.quantities``.
 """
@@ -27,12 +27,11 @@ from .fit import Fit
 _FREEDOM = 20.0
 _PROPOSALS = 4000
 _DRAWS = 2000
-#: How often a fit that has not settled is gone on with, and the fall of chi2 below which it is not.
-_CONTINUED = 4
-_FALLS = 0.95
-#: How many of the starts that have not settled are gone on with.
-_HOPEFUL = 2
-#: Effective number of proposals below which a posterior is too far from normal to be known by them.
+#: How often a fit that has not converged is continued, and the ratio of chi2 above which it is given up.
+_CONTINUED, _LEAST_FALL = 4, 0.95
+#: How many of the fits that have not converged are continued.
+_BEST = 2
+#: Effective number of proposals below which importance sampling is not reliable.
 _LEAST_ESS = 200.0
 
 
@@ -49,16 +48,16 @@ class Snapshot:
 
 
 def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray, bool]:
-    """Cartesian posterior draws (n, 12), and whether they can be relied on.
+    """Cartesian posterior draws (n, 12), and whether their effective number suffices.
 
     Parameters
     ----------
-    fit : its maximum, covariance and compressed likelihood.
+    fit : maximum-likelihood point, covariance and compressed likelihood.
     seed : stream of these draws.
 
     Raises
     ------
-    numpy.linalg.LinAlgError : the curvature of the likelihood is singular.
+    numpy.linalg.LinAlgError : the covariance is not positive definite.
     """
     size = fit.x.size
     scale = np.sqrt(np.diag(fit.covariance))
@@ -72,7 +71,7 @@ def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray,
     log_weight += 0.5 * (_FREEDOM + size) * np.log1p(np.sum(unit**2, axis=1) / _FREEDOM)
     weight = np.exp(log_weight - np.max(log_weight))
     weight /= weight.sum()
-    # Systematic resampling adds the least noise of its own.
+    # Systematic resampling has the smallest variance.
     places = (np.arange(_DRAWS) + random.uniform()) / _DRAWS
     kept = points[np.minimum(np.searchsorted(np.cumsum(weight), places), _PROPOSALS - 1)]
     return kept, bool(1.0 / np.sum(weight**2) >= _LEAST_ESS)
@@ -83,12 +82,12 @@ def _rank(fit: Fit) -> tuple[bool, float]:
 
 
 def _continued(data: BandData, sigma_v: FloatArray, fit: Fit) -> Fit:
-    """The fit gone on with while it has not settled but still falls: early starts are far away."""
+    """The fit continued while it has not converged but chi2 still falls: starts from few samples are far away."""
     for _ in range(_CONTINUED):
         if fit.converged:
             break
         further = best_fit([data], sigma_v, [fit.x])
-        if further is None or not (further.converged or further.chi2 < _FALLS * fit.chi2):
+        if further is None or not (further.converged or further.chi2 < _LEAST_FALL * fit.chi2):
             break
         fit = further
     return fit
@@ -97,7 +96,7 @@ def _continued(data: BandData, sigma_v: FloatArray, fit: Fit) -> Fit:
 def _found(
     data: BandData, sigma_v: FloatArray, previous: FloatArray | None, starts: Callable[[], Sequence[FloatArray]]
 ) -> Fit | None:
-    """The best fit from ``previous`` and, while none explains the data, from ``starts``; the most hopeful are gone on with."""
+    """The best fit from ``previous`` and, if that does not explain the data, from ``starts``; the best are continued."""
     fits: list[Fit] = []
     for start in [] if previous is None else [previous]:
         first = best_fit([data], sigma_v, [start])
@@ -109,8 +108,8 @@ def _found(
             if other is not None and explains(other):
                 break
         else:
-            hopeful = sorted((fit for fit in fits if not fit.converged), key=lambda fit: fit.chi2)[:_HOPEFUL]
-            fits += [_continued(data, sigma_v, fit) for fit in hopeful]
+            unfinished = sorted((fit for fit in fits if not fit.converged), key=lambda fit: fit.chi2)[:_BEST]
+            fits += [_continued(data, sigma_v, fit) for fit in unfinished]
     return max(fits, key=_rank, default=None)
 
 
@@ -123,20 +122,20 @@ def snapshot(
     gate: Gate,
     seed: np.random.SeedSequence,
 ) -> Snapshot:
-    """The device from the data so far.
+    """Fit and posterior of the data so far.
 
     Parameters
     ----------
     data : band, spectrum and nuisance basis of the first N samples, from rest.
     sigma_v : noise (2,) [V].
-    previous : the fit of an earlier snapshot (12,), tried first.
-    starts : further starting points, asked for only while the fit does not explain the data.
-    rate, gate : as for ``identify_device``; the error is that of the band.
+    previous : cartesian point (12,) of an earlier snapshot, tried first.
+    starts : gives further start values (12,); called only if the fit from ``previous`` does not explain the data.
+    rate, gate : as for ``identify_device``; the gate judges the error in the band.
     seed : stream of the draws.
 
     Returns
     -------
-    A snapshot in every case: what goes wrong is its status.
+    A snapshot in every case; a failure is reported as its status.
     """
     duration = data.band.samples / data.band.sample_rate_hz
     fit = _found(data, sigma_v, previous, starts)

@@ -207,7 +207,7 @@ def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: 
     )
     return LocalCandidate(
         name,
-        tuple(shape.fall for shape in shapes),
+        tuple(shape.delta_chi2 for shape in shapes),
         tuple(shape.dof for shape in shapes),
         tuple({f"{name}.{k}": v for k, v in shape.point.items()} for shape in shapes),
         levels=tuple(shape.level for shape in shapes),

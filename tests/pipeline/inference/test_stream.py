@@ -11,7 +11,8 @@ from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.compressed import BandData
 from pipeline.inference.screening.fit import maximise
-from pipeline.inference.screening.stream import StreamSettings, estimate, feed, noise_of, start_stream, steps
+from pipeline.inference.screening.stream import StreamSettings, feed, start_stream, steps
+from pipeline.inference.screening.stream_estimate import estimate, noise_of
 
 RATE = 10_000.0
 QUIET = 2_000
