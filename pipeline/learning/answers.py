@@ -6,6 +6,8 @@ JSON keys are the field names, except ``from_`` ("from") and ``class_`` ("class"
     Measured    (value, sd); sd is None where the data do not determine it
     Values      parameter name -> Measured
     ByRole      "fit" and "validate" -> value; relative errors of a modal ladder have "before" and "after" instead
+
+Long because the JSON contract of the three commands is in one place.
 """
 
 from __future__ import annotations
