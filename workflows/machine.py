@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import os
+
+from pipeline.threads import usable_cores
 
 #: mallopt parameters of glibc (malloc.h): trim and mmap thresholds, padding of the heap [bytes], number of arenas.
 _MALLOPT = {-1: 1 << 30, -3: 1 << 30, -2: 1 << 26, -8: 1}
@@ -11,9 +12,7 @@ _MALLOPT = {-1: 1 << 30, -3: 1 << 30, -2: 1 << 26, -8: 1}
 
 def worker_count(wanted: int) -> int:
     """``wanted`` workers, or one per usable core if it is 0."""
-    if wanted:
-        return wanted
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return wanted or usable_cores()
 
 
 def keep_memory() -> None:

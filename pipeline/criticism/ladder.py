@@ -62,6 +62,7 @@ class Ladder:
 
     Parameters
     ----------
+    selection : all fits and tests.
     rungs : the first model, then one rung per added term.
     verdict : on the last rung: "adequate", "class", "unknown" or "fit_failed".
     terms : added and kept.
@@ -69,10 +70,11 @@ class Ladder:
     wrong_form : kept term -> the partition between whose parts its fitted size differs.
     refused : term -> why it was not added.
     regions : where the first model fails, each with the share of its excess that the last rung explains.
-    p_left, left : p-value of the structure that is left, and where it is.
+    p_left, left : p-value of the structure that is left, and "test: where".
     why : the reason of "fit_failed".
     """
 
+    selection: ForwardSelection
     rungs: tuple[Rung, ...]
     verdict: Verdict
     terms: tuple[str, ...]
@@ -98,7 +100,8 @@ class Diagnosis:
         from its score.
     classes : of ``terms``.
     invisible : terms that these data could not have shown.
-    before, after : tests of the residual of the given model, and of the model with ``terms``.
+    error : "fit" and "validate" -> error of the given model.
+    p_left, left : p-value of the structure that the last model of the selection leaves, and "test: where".
     fit, fit_after : the given model, and the last one of the selection.
     wrong_form : term -> the partition between whose parts its fitted size differs.
     why : the reason of "fit_failed".
@@ -110,9 +113,10 @@ class Diagnosis:
     error_after: Mapping[str, float | None]
     classes: tuple[TermClass, ...]
     invisible: tuple[str, ...]
-    before: ResidualTests | None
-    after: ResidualTests | None
-    fit: FitResult | None
+    error: Mapping[str, float | None]
+    p_left: float | None
+    left: str
+    fit: FitResult
     fit_after: FitResult | None
     wrong_form: Mapping[str, Agreement]
     why: str = ""
@@ -127,7 +131,7 @@ def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None
     """The ladder of a selection; a misfit that is left makes every rung partial."""
     judgement = judge(problem, selection, rules or Rules())
     if not selection.tests:
-        return Ladder((), judgement.verdict, (), (), why=selection.failed)
+        return Ladder(selection, (), judgement.verdict, (), (), why=selection.failed)
     start, last = selection.tests[0], selection.last
     excess = start.fit.chi2 - start.fit.dof
     # An excess within its own scatter is nothing that a term could explain.
@@ -137,8 +141,8 @@ def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None
         supported = judgement.verdict != "unknown" and step.term not in judgement.wrong_form
         share = min((start.fit.chi2 - step.fit.chi2) / excess, 1.0) if significant else None
         rungs.append(_rung(step.fit, share, step, supported))
-    worst = last.goodness.worst
     return Ladder(
+        selection,
         tuple(rungs),
         "adequate" if judgement.verdict == "effect" else judgement.verdict,
         selection.added,
@@ -147,9 +151,14 @@ def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None
         selection.refused,
         explained_by_region(start.regions, last.regions),
         last.goodness.p_value,
-        f"{worst.test}: {worst.where}" if worst else "",
+        _left(last.goodness),
         selection.failed,
     )
+
+
+def _left(tests: ResidualTests) -> str:
+    """The most significant structure of a residual, as "test: where"."""
+    return f"{tests.worst.test}: {tests.worst.where}" if tests.worst else ""
 
 
 def _rung(fit: FitResult, explained: float | None, step: SelectionStep | None = None, supported: bool = False) -> Rung:
@@ -187,7 +196,7 @@ def as_diagnosis(problem: Problem, selection: ForwardSelection, rules: Rules | N
     judgement = judge(problem, selection, rules or Rules())
     if not selection.tests:
         fit = next(iter(selection.fits.values()))
-        return Diagnosis("fit_failed", (), (), {}, (), (), None, None, fit, None, {}, selection.failed)
+        return Diagnosis("fit_failed", (), (), {}, (), (), _errors(fit), None, "", fit, None, {}, selection.failed)
     first, last = selection.tests[0], selection.last
     named = selection.added if judgement.verdict in ("effect", "class") else ()
     return Diagnosis(
@@ -197,13 +206,18 @@ def as_diagnosis(problem: Problem, selection: ForwardSelection, rules: Rules | N
         {score.name: _error_after(first.fit, judgement.fits, score) for score in first.scores},
         judgement.classes if named else (),
         first.invisible,
-        first.goodness,
-        last.goodness,
+        _errors(first.fit),
+        last.goodness.p_value,
+        _left(last.goodness),
         first.fit,
         last.fit,
         judgement.wrong_form,
         selection.failed,
     )
+
+
+def _errors(fit: FitResult) -> dict[str, float | None]:
+    return {role: fit.error_of(role) for role in ("fit", "validate")}
 
 
 def _error_after(fit: FitResult, fits: Fits, score: Score) -> float | None:

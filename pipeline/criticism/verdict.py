@@ -149,11 +149,6 @@ def imitates_jointly(selection: ForwardSelection, term: str) -> bool:
     return any(step.delta_chi2 > _JOINT_RATIO * kept[own].delta_chi2 and not step.dropped for step in kept[own + 1 :])
 
 
-def misfit(error: float | None) -> float | None:
-    """sqrt(max(error^2 - 1, 0)) of an error [sigma], which still shows changes where the error rounds to 1.000."""
-    return None if error is None else float(np.sqrt(max(error * error - 1.0, 0.0)))
-
-
 def _wrong_forms(tests: FitTests, alpha: float) -> dict[str, Agreement]:
     """Terms of a fit whose size differs between blocks, or between the values of a label."""
     fit = tests.fit

@@ -290,11 +290,6 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     declared: tuple[str, ...] | UnsetType = UNSET
 
 
-def place_at(labels: Mapping[str, object], **values: Any) -> Place:
-    """A place with ``values``, and with those labels of a region that are fields of ``Place``."""
-    return msgspec.convert({"record": None, "channel": None, "band_hz": None, **labels, **values}, Place)
-
-
 def to_builtins(answer: Answer) -> dict[str, Any]:
     """The answer as JSON holds it: keys by name, no key for ``UNSET``, null for numbers that are not finite."""
     found: dict[str, Any] = plain(msgspec.to_builtins(answer, enc_hook=plain))

@@ -10,11 +10,9 @@ from msgspec.structs import replace
 
 from ..criticism.goodness import Agreement
 from ..criticism.ladder import Diagnosis, Ladder, Rung
-from ..criticism.problem import Problem
 from ..criticism.scores import Score
-from ..criticism.verdict import TermClass, misfit
-from .answers import CandidateAnswer, DiagnosisAnswer, RefinementAnswer, RungAnswer, SizeDisagreement, place_at
-from .next_experiment.separating import Proposal
+from ..criticism.verdict import TermClass
+from .answers import CandidateAnswer, DiagnosisAnswer, RefinementAnswer, RungAnswer, SizeDisagreement
 
 
 def diagnosis_answer(found: Diagnosis) -> DiagnosisAnswer:
@@ -28,16 +26,16 @@ def diagnosis_answer(found: Diagnosis) -> DiagnosisAnswer:
         ),
         classes=classes_of(found.classes),
         invisible=found.invisible,
-        error={} if found.fit is None else {role: found.fit.error_of(role) for role in ("fit", "validate")},
-        p_left=None if found.after is None else found.after.p_value,
-        left="" if found.after is None or found.after.worst is None else found.after.worst.where,
+        error=found.error,
+        p_left=found.p_left,
+        left=found.left,
         wrong_form=_disagreements(found.wrong_form),
         why=found.why,
     )
 
 
-def refinement_answer(ladder: Ladder, problem: Problem) -> RefinementAnswer:
-    """A ladder without what only one kind of measurement has; ``problem`` keeps its fits."""
+def refinement_answer(ladder: Ladder) -> RefinementAnswer:
+    """A ladder without what only one kind of measurement has."""
     answer = RefinementAnswer(
         ladder=tuple(_rung(rung) for rung in ladder.rungs),
         verdict=ladder.verdict,
@@ -45,17 +43,14 @@ def refinement_answer(ladder: Ladder, problem: Problem) -> RefinementAnswer:
         classes=classes_of(ladder.classes),
         wrong_form=_disagreements(ladder.wrong_form),
         refused=dict(ladder.refused),
-        regions=tuple(
-            place_at(w.labels, kind=w.family, share=w.share, error=w.error, explained=share)
-            for w, share in ladder.regions
-        ),
+        regions=(),
         p_left=ladder.p_left,
         left=ladder.left,
         why=ladder.why,
     )
     if not ladder.rungs:
         return answer
-    first, last = problem.fit(()), problem.fit(ladder.terms)
+    first, last = (tests.fit for tests in (ladder.selection.tests[0], ladder.selection.tests[-1]))
     return replace(
         answer,
         theta_before_deg=first.derived.get("theta_deg", UNSET),
@@ -71,11 +66,9 @@ def classes_of(found: Sequence[TermClass]) -> tuple[tuple[str, ...], ...]:
     return tuple(item.members for item in found if len(item.members) > 1)
 
 
-def separating_text(found: Sequence[Proposal], written: bool) -> str | None:
-    """``separating_record`` of the JSON, with the names of the drive files if they are ``written``; ``None`` without a class."""
-    if len(found) == 1:
-        return found[0].text(written)
-    return "; ".join(f"{' or '.join(one.members)}: {one.text(written)}" for one in found) or None
+def misfit(error: float | None) -> float | None:
+    """sqrt(max(error^2 - 1, 0)); it still changes where the error rounds to 1.000."""
+    return None if error is None else math.sqrt(max(error * error - 1.0, 0.0))
 
 
 def _rung(rung: Rung) -> RungAnswer:

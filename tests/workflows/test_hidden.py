@@ -16,7 +16,7 @@ from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.record import Record
 from pipeline.inference.general.fit import fit_campaign
-from workflows.learning import view_of
+from pipeline.learning.campaign.answers import campaign_answers
 from workflows.simulate import device_parameters
 from workflows.studies.hidden import study
 from workflows.studies.hidden.confusion import answer
@@ -249,7 +249,7 @@ def test_a_fit_of_a_nonlinear_law_reaches_the_minimum() -> None:
     # The inverse gap is far from its estimate at the null, so the first signatures no longer hold at the minimum.
     hidden = hide("one", LIBRARY.index("electrostatic_softening") + 2 * len(LIBRARY), 4)
     assert hidden.effects == ("electrostatic_softening",)
-    view = view_of(hidden.campaign)
+    view = campaign_answers(hidden.campaign).problem
     view.fit(())
     view.fit(hidden.effects)
     found = view.campaign_fit(hidden.effects)

@@ -10,9 +10,9 @@ import pytest
 from effect_cases import USERS, example_file
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
+from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.campaign.hold import hold_look_alikes
 from pipeline.learning.next_experiment.experiments import experiments
-from workflows.learning import view_of
 from workflows.studies.hidden import study
 from workflows.studies.hidden.confusion import answer, figures, look_alikes
 from workflows.studies.hidden.draw import effects_of, hide, inseparable
@@ -96,7 +96,7 @@ def test_the_loop_finds_a_hidden_effect_that_is_only_a_file(model: Model) -> Non
     assert answer(row, "diagnose") == answer(row, "refine") == "right", row
     assert figures([row], model)["campaigns simulated by the effect's own law, not independently"] == 1
 
-    view = view_of(hidden.campaign, model, threads=1)
+    view = campaign_answers(hidden.campaign, model, threads=1).problem
     view.fit((FILM,))
     fit = view.campaign_fit((FILM,))
     assert hold_look_alikes(fit) == (FILM,)

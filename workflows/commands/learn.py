@@ -20,7 +20,7 @@ from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, to_json
 
-from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result
+from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
@@ -61,10 +61,8 @@ def _answer(
     found = ask(measured if isinstance(measured, ModalRecord) else _fitted(measured), _model(model, folders))
     page = None
     if out is not None:
-        if isinstance(found, DiagnosisResult | RefinementResult):
-            found = replace(found, drive_files=True)
-            for proposal in found.separating:
-                proposal.write(out)
+        if isinstance(found, SelectionResult):
+            found = found.with_drive_files(out)
         if _has_fit(found):
             page = _write_page(measured, found, out, folders)
     print(to_json(found.answer) if json else found)

@@ -10,39 +10,38 @@ Results are frozen.  They print as the commands do, show their tables in a noteb
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
+from msgspec import structs
 from threadpoolctl import threadpool_limits
 
-from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis, as_ladder
+from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis
 from pipeline.criticism.ladder import diagnose as find_missing
+from pipeline.criticism.ladder import refine as select_effects
 from pipeline.criticism.problem import FitResult
-from pipeline.criticism.selection import ForwardSelection, forward_selection
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
-from pipeline.errors import MeasurementError
 from pipeline.experiment.files.modal_record import ModalRecord
-from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer, to_builtins
-from pipeline.learning.campaign.answers import CampaignAnswers
+from pipeline.learning.campaign.answers import CampaignAnswers, campaign_answers
 from pipeline.learning.campaign.problem import CampaignProblem
-from pipeline.learning.common import classes_of, separating_text
-from pipeline.learning.modal.answers import ModalAnswers
+from pipeline.learning.common import classes_of
+from pipeline.learning.modal.answers import ModalAnswers, modal_answers
 from pipeline.learning.modal.problem import ModalProblem
 from pipeline.learning.next_experiment.separating import Proposal
 from reports.words.terminal import lines_of
 
-from ..machine import worker_count
 from . import tables
-from .device_verdict import with_verdicts
+from .device_verdict import with_verdict
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine", "view_of"]
+__all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
 
 
 @threadpool_limits.wrap(limits=1)
@@ -69,34 +68,11 @@ def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MO
 def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> RefinementResult:
     """Add effects to ``model`` until no further one is significant; raises as :func:`compare`."""
     answers = _answers(campaign, model)
-    selection = forward_selection(answers.problem, (), answers.rules)
-    return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules), selection)
-
-
-def view_of(campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int = 0) -> CampaignProblem:
-    """The campaign as a problem of criticism.
-
-    Parameters
-    ----------
-    campaign : with at least one record to fit.
-    model : plant and effects to start from.
-    threads : signatures computed at the same time; 0 means one per usable core.
-
-    Raises
-    ------
-    MeasurementError : no record to fit.
-    """
-    if not campaign.with_role("fit"):
-        raise MeasurementError(
-            "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
-        )
-    return CampaignProblem(campaign, model, noise_level(campaign), worker_count(threads))
+    return RefinementResult(answers, select_effects(answers.problem, rules=answers.rules))
 
 
 def _answers(measured: Campaign | ModalRecord, model: Model) -> CampaignAnswers | ModalAnswers:
-    if isinstance(measured, ModalRecord):
-        return ModalAnswers(ModalProblem(measured, model))
-    return CampaignAnswers(view_of(measured, model))
+    return modal_answers(measured, model) if isinstance(measured, ModalRecord) else campaign_answers(measured, model)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -173,37 +149,61 @@ class ComparisonResult(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnosisResult(Result):
-    """What a model lacks; ``drive_files``: the answer names the drive files of ``separating``, which are being written."""
+class SelectionResult(Result):
+    """The result of a search for missing effects; with ``drive_files`` the answer names the drive files of ``separating``."""
 
-    diagnosis: Diagnosis
-    drive_files: bool = False
+    drive_files: bool = field(default=False, kw_only=True)
+
+    @property
+    @abstractmethod
+    def _found(self) -> Diagnosis | Ladder: ...
 
     @property
     def verdict(self) -> str:
         """ "adequate", "effect", "class", "unknown" or "fit_failed"."""
-        return self.diagnosis.verdict
+        return self._found.verdict
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Named effects."""
-        return self.diagnosis.terms
+        """Named or added effects."""
+        return self._found.terms
 
     @property
     def classes(self) -> tuple[tuple[str, ...], ...]:
-        """Effects that these data cannot tell apart."""
-        return classes_of(self.diagnosis.classes)
+        """Effects that these data cannot distinguish."""
+        return classes_of(self._found.classes)
 
     @cached_property
     def separating(self) -> tuple[Proposal, ...]:
         """For every class the record that separates it best."""
-        fit = self.diagnosis.fit_after
-        return () if fit is None else self.answers.proposals(fit.terms, self.diagnosis.classes)
+        return self.answers.proposals(self.effects, self._found.classes)
+
+    def with_drive_files(self, folder: Path) -> Self:
+        """The same result, after the drive files of ``separating`` were written to ``folder``.
+
+        Raises
+        ------
+        UsageError : the folder cannot be written.
+        """
+        named = replace(self, drive_files=True)
+        self.answers.write_drive_files(named.separating, folder)
+        return named
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult(SelectionResult):
+    """What a model lacks."""
+
+    diagnosis: Diagnosis
+
+    @property
+    def _found(self) -> Diagnosis:
+        return self.diagnosis
 
     @cached_property
     def answer(self) -> DiagnosisAnswer:
         """The result as data."""
-        return self.answers.diagnosis(self.diagnosis, separating_text(self.separating, self.drive_files))
+        return self.answers.diagnosis(self.diagnosis, self.separating, self.drive_files)
 
     @property
     def candidates(self) -> pd.DataFrame:
@@ -216,27 +216,14 @@ class DiagnosisResult(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RefinementResult(Result):
-    """The ladder, with theta, split and the verdict on every rung; ``drive_files`` as in ``DiagnosisResult``."""
+class RefinementResult(SelectionResult):
+    """The ladder, with theta, split and the verdict on every rung."""
 
     ladder: Ladder
-    selection: ForwardSelection
-    drive_files: bool = False
 
     @property
-    def verdict(self) -> str:
-        """That of the last rung."""
-        return self.ladder.verdict
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Added effects."""
-        return self.ladder.terms
-
-    @property
-    def classes(self) -> tuple[tuple[str, ...], ...]:
-        """Effects that these data cannot tell apart."""
-        return classes_of(self.ladder.classes)
+    def _found(self) -> Ladder:
+        return self.ladder
 
     @property
     def before(self) -> CampaignFit | FitResult:
@@ -249,20 +236,19 @@ class RefinementResult(Result):
         return self.answers.fitted(self.effects)
 
     @cached_property
-    def separating(self) -> tuple[Proposal, ...]:
-        """For every class the record that separates it best."""
-        return self.answers.proposals(self.effects, self.ladder.classes)
-
-    @cached_property
     def answer(self) -> RefinementAnswer:
         """The result as data."""
-        separating = separating_text(self.separating, self.drive_files)
-        return with_verdicts(self.answers.refinement(self.ladder, separating), self.answers)
+        found = self.answers.refinement(self.ladder, self.separating, self.drive_files)
+        if isinstance(self.answers, ModalAnswers):
+            return found
+        campaign = self.answers.problem.campaign
+        ladder = (with_verdict(rung, self.answers.fitted(rung.terms), campaign) for rung in found.ladder)
+        return structs.replace(found, ladder=tuple(ladder))
 
     @cached_property
     def first_diagnosis(self) -> DiagnosisAnswer:
         """What the given model lacks, without a separating record."""
-        return self.answers.first_diagnosis(as_diagnosis(self.problem, self.selection, self.answers.rules))
+        return self.answers.first_diagnosis(as_diagnosis(self.problem, self.ladder.selection, self.answers.rules))
 
     @property
     def candidates(self) -> pd.DataFrame:

@@ -18,9 +18,7 @@ from pipeline.inference.estimate import RateSettings, quantities
 from pipeline.inference.gate import Gate
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.inference.general.goodness import fit_status, full_band_goodness
-from pipeline.learning.answers import RefinementAnswer, RungAnswer
-from pipeline.learning.campaign.answers import CampaignAnswers
-from pipeline.learning.modal.answers import ModalAnswers
+from pipeline.learning.answers import RungAnswer
 from reports.decision import decide
 from reports.limits import DEFAULT_LIMITS, Limits
 
@@ -70,15 +68,9 @@ def verdict_of(
     return ModelVerdict(verdict, ungated.verdict[0], ungated.failed_limits[0], reason or "")
 
 
-def with_verdicts(found: RefinementAnswer, answers: CampaignAnswers | ModalAnswers) -> RefinementAnswer:
-    """``found`` with the verdict on every rung; unchanged for a modal record."""
-    if not isinstance(answers, CampaignAnswers):
-        return found
-    return replace(found, ladder=tuple(_with_verdict(rung, answers) for rung in found.ladder))
-
-
-def _with_verdict(rung: RungAnswer, answers: CampaignAnswers) -> RungAnswer:
-    found = verdict_of(answers.fitted(rung.terms), answers.problem.campaign)
+def with_verdict(rung: RungAnswer, fit: CampaignFit, campaign: Campaign) -> RungAnswer:
+    """``rung`` with the verdict according to its model, ``fit``; unchanged if the plant is not a gyro."""
+    found = verdict_of(fit, campaign)
     if found is None:
         return rung
     reason = found.reason or found.failed_limits

@@ -16,7 +16,7 @@ from pipeline.criticism.ladder import refine
 from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.experiment.files.modal_record import ModalRecord
-from pipeline.learning.modal.answers import ModalAnswers
+from pipeline.learning.modal.answers import modal_answers
 from pipeline.learning.modal.problem import ModalProblem
 
 
@@ -61,6 +61,6 @@ def rungs_by_chance(
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x30DA1,)))
     counts = []
     for _ in range(draws):
-        answers = ModalAnswers(ModalProblem(redrawn(problem, fit, rng), model))
+        answers = modal_answers(redrawn(problem, fit, rng), model)
         counts.append(len(refine(answers.problem, (), answers.rules).rungs) - 1)
     return tuple(counts)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 from msgspec import structs
 
@@ -12,23 +13,48 @@ from ...criticism.fit_tests import Rules
 from ...criticism.ladder import Diagnosis, Ladder, Rung
 from ...criticism.problem import Region
 from ...criticism.verdict import TermClass
+from ...device.model import DEFAULT_COMPARE_MODEL, Model
+from ...errors import MeasurementError
+from ...experiment.noise.level import noise_level
+from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit
+from ...threads import usable_cores
 from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RefinementAnswer, RungAnswer
 from ..common import diagnosis_answer, refinement_answer
 from ..modal.terms import GAUGES
 from ..next_experiment.separating import Proposal, separating_record
-from ..where.partition import CampaignPartition, campaign_partition
 from ..where.regions import (
     FAMILIES,
     FREQUENCY_KINDS,
     by_kind,
     explained_by_kind,
-    misfit_regions,
     remaining_shares,
     significant_places,
 )
 from .hold import hold_hint, hold_look_alikes
 from .problem import CampaignProblem
+
+
+def campaign_answers(
+    campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int | None = None
+) -> CampaignAnswers:
+    """Prepare the answers for a campaign; the fits are made when they are needed.
+
+    Parameters
+    ----------
+    campaign : with at least one record to fit.
+    model : plant and effects to start from.
+    threads : signatures computed at the same time; by default one per usable core.
+
+    Raises
+    ------
+    MeasurementError : no record to fit.
+    """
+    if not campaign.with_role("fit"):
+        raise MeasurementError(
+            "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
+        )
+    return CampaignAnswers(CampaignProblem(campaign, model, noise_level(campaign), threads or usable_cores()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +78,16 @@ class CampaignAnswers:
         """For every class the record that separates it best."""
         found = (separating_record(self.problem, terms, one) for one in classes if len(one.members) > 1)
         return tuple(one for one in found if one is not None)
+
+    def write_drive_files(self, proposals: Sequence[Proposal], folder: Path) -> None:
+        """Write the drive files of :meth:`proposals`.
+
+        Raises
+        ------
+        UsageError : the folder cannot be written.
+        """
+        for proposal in proposals:
+            proposal.write(folder)
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
@@ -84,27 +120,34 @@ class CampaignAnswers:
         gauges = GAUGES if self.problem.model.plant.kind == "gyro" else ()
         return structs.replace(answer, invisible=(*answer.invisible, *gauges))
 
-    def diagnosis(self, found: Diagnosis, separating: str | None) -> DiagnosisAnswer:
-        """What the given model lacks; ``separating`` is the text about the separating record."""
+    def diagnosis(self, found: Diagnosis, proposals: Sequence[Proposal], drive_files: bool) -> DiagnosisAnswer:
+        """What the given model lacks.
+
+        Parameters
+        ----------
+        found : the result of criticism.
+        proposals : from :meth:`proposals`.
+        drive_files : whether their drive files are written, so that the answer names them.
+        """
         after = found.fit_after
         return structs.replace(
             self.first_diagnosis(found),
-            separating_record=separating,
+            separating_record=_separating_text(proposals, drive_files),
             hints=() if after is None or not after.ok else self._hints(after.terms, found.verdict),
         )
 
-    def refinement(self, ladder: Ladder, separating: str | None) -> RefinementAnswer:
-        """The ladder; ``separating`` is the text about the separating record."""
-        answer = refinement_answer(ladder, self.problem)
+    def refinement(self, ladder: Ladder, proposals: Sequence[Proposal], drive_files: bool) -> RefinementAnswer:
+        """The ladder; arguments as in :meth:`diagnosis`."""
+        answer = refinement_answer(ladder)
         if not ladder.rungs:
             return answer
-        first, last = self._first_regions, self._regions(self.fitted(ladder.terms))
+        first, last = self._first_regions, self.problem.misfit_regions(ladder.terms)
         noise_dof = self.problem.noise.dof
         return structs.replace(
             answer,
             ladder=tuple(self._rung(one, rung) for one, rung in zip(answer.ladder, ladder.rungs)),
             hints=self._hints(ladder.terms, ladder.verdict),
-            separating_record=separating,
+            separating_record=_separating_text(proposals, drive_files),
             regions=significant_places(first, noise_dof, last),
             regions_by_kind=significant_places(by_kind(first), noise_dof, by_kind(last)),
             noise=self.noise,
@@ -121,7 +164,7 @@ class CampaignAnswers:
         kinds = [place.kind for place in self.comparison.where_by_kind or ()]
         return structs.replace(
             answer,
-            explained_by_kind=explained_by_kind(self._first_regions, self._regions(fit), kinds),
+            explained_by_kind=explained_by_kind(self._first_regions, self.problem.misfit_regions(rung.terms), kinds),
             error_v=fit.error_v,
             relative_error_validate=fit.relative_error["validate"],
         )
@@ -131,16 +174,8 @@ class CampaignAnswers:
         return self.problem.noise.source != "local"
 
     @cached_property
-    def _partition(self) -> CampaignPartition:
-        """The partition of the residual follows from the first fit and is the same for all models."""
-        return campaign_partition(self.fitted(), self.problem.partitions)
-
-    @cached_property
     def _first_regions(self) -> list[Region]:
-        return self._regions(self.fitted())
-
-    def _regions(self, fit: CampaignFit) -> list[Region]:
-        return misfit_regions(fit, self._partition, {block.name: block.labels for block in self.problem.fit(()).blocks})
+        return self.problem.misfit_regions(())
 
     def _hints(self, terms: Sequence[str], verdict: str) -> tuple[str, ...]:
         """Whether another DAC hold would explain the records better; not asked where the model reaches a known noise level."""
@@ -152,3 +187,10 @@ class CampaignAnswers:
             return ()
         found = hold_hint(fit, self.problem.campaign, self.problem.model.effects)
         return () if found is None else (str(found),)
+
+
+def _separating_text(found: Sequence[Proposal], written: bool) -> str | None:
+    """``separating_record`` of the JSON, with the names of the drive files if they are ``written``; ``None`` without a class."""
+    if len(found) == 1:
+        return found[0].text(written)
+    return "; ".join(f"{' or '.join(one.members)}: {one.text(written)}" for one in found) or None

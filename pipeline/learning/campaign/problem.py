@@ -17,8 +17,14 @@ from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit, fit_with_columns
 from ...inference.general.residuals import CampaignResiduals
-from ..where.partition import RecordPartition, record_partitions, residual_spectra
-from ..where.regions import structure_regions
+from ..where.partition import (
+    CampaignPartition,
+    RecordPartition,
+    campaign_partition,
+    record_partitions,
+    residual_spectra,
+)
+from ..where.regions import misfit_regions, structure_regions
 from .modes import Scan, mode_candidate, mode_scans
 from .rows import TOP_HZ, FourierRows, fit_result, spectra_of, strata_of
 from .signatures import KnownSignatures, disturbance_candidate, known_signatures, probe_signatures
@@ -67,6 +73,12 @@ class CampaignProblem:
     def partitions(self) -> dict[str, RecordPartition]:
         """The partition of each record by name, from the first fit; it is the same for all models."""
         return record_partitions(self.campaign, self.campaign_fit(tuple(next(iter(self._fits)))))
+
+    @cached_property
+    def partition(self) -> CampaignPartition:
+        """The partition of the campaign, from the fit of the first model; it is the same for all models."""
+        self.fit(())
+        return campaign_partition(self.campaign_fit(()), self.partitions)
 
     @cached_property
     def scans(self) -> tuple[Scan, ...]:
@@ -134,6 +146,11 @@ class CampaignProblem:
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """Residual energy of each record and channel by resonance, harmonic, band and time, up to Nyquist."""
         return structure_regions(self.campaign_fit(fit.terms), self.partitions)
+
+    def misfit_regions(self, terms: Sequence[str]) -> list[Region]:
+        """The residual of the model with these terms by every family of the answer."""
+        conditions = {block.name: block.labels for block in self.fit(()).blocks}
+        return misfit_regions(self.campaign_fit(terms), self.partition, conditions)
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
         """Residual energy of all records by frequency, up to Nyquist."""

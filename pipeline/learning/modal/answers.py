@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,17 +21,29 @@ from ...criticism.ladder import Diagnosis, Ladder
 from ...criticism.pairs import best_pairs
 from ...criticism.problem import FitResult
 from ...criticism.scores import Score
-from ...criticism.verdict import TermClass, misfit
+from ...criticism.verdict import TermClass
+from ...device.model import DEFAULT_COMPARE_MODEL, Model
+from ...experiment.files.modal_record import ModalRecord
 from ...inference.modal.axes import NAMES
 from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, PairAnswer, RefinementAnswer, TermTest
-from ..common import diagnosis_answer, refinement_answer
+from ..common import diagnosis_answer, misfit, refinement_answer
 from ..next_experiment.separating import Proposal
-from ..where.modal import entries_by_misfit
+from ..where.modal import entries_by_misfit, explained_entries
 from .problem import ModalProblem
 
 ALPHA_UNKNOWN_NOISE = 0.05
 _PAIRS = 6
 _RIVALS = 4
+
+
+def modal_answers(record: ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> ModalAnswers:
+    """Prepare the answers for a modal record.
+
+    Raises
+    ------
+    MeasurementError : the record's modes are not those of the plant of ``model``.
+    """
+    return ModalAnswers(ModalProblem(record, model))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +64,9 @@ class ModalAnswers:
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
         """None: a modal record is not repeated with another drive."""
         return ()
+
+    def write_drive_files(self, proposals: Sequence[Proposal], folder: Path) -> None:
+        """Write nothing, because there are no proposals."""
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
@@ -77,12 +93,14 @@ class ModalAnswers:
 
     def first_diagnosis(self, found: Diagnosis) -> DiagnosisAnswer:
         """What the given model lacks."""
-        return self.diagnosis(found, None)
+        return self.diagnosis(found)
 
-    def diagnosis(self, found: Diagnosis, separating: str | None) -> DiagnosisAnswer:
-        """What the given model lacks; no record separates classes, so ``separating`` is not used."""
+    def diagnosis(
+        self, found: Diagnosis, proposals: Sequence[Proposal] = (), drive_files: bool = False
+    ) -> DiagnosisAnswer:
+        """What the given model lacks; ``proposals`` are none."""
         answer = diagnosis_answer(found)
-        if found.fit is None or not found.fit.ok:
+        if not found.fit.ok:
             return answer
         tests = self._tests(found.fit)
         pairs = best_pairs(tests.projected, tests.signatures.candidates, self.problem.noise_known)[:_PAIRS]
@@ -101,9 +119,11 @@ class ModalAnswers:
             invisible=(*answer.invisible, *self.problem.unseen),
         )
 
-    def refinement(self, ladder: Ladder, separating: str | None) -> RefinementAnswer:
-        """The ladder; no record separates classes, so ``separating`` is not used."""
-        answer = refinement_answer(ladder, self.problem)
+    def refinement(
+        self, ladder: Ladder, proposals: Sequence[Proposal] = (), drive_files: bool = False
+    ) -> RefinementAnswer:
+        """The ladder; ``proposals`` are none."""
+        answer = refinement_answer(ladder)
         if not ladder.rungs:
             return answer
         fits = [self.fitted(rung.terms) for rung in ladder.rungs]
@@ -118,6 +138,7 @@ class ModalAnswers:
                 structs.replace(rung, dof=fit.dof, **self._axes(fit), **tests)
                 for rung, fit, tests in zip(answer.ladder, fits, added)
             ),
+            regions=explained_entries(ladder),
             relative_error={"before": first.relative_error["fit"], "after": last.relative_error["fit"]},
             where=entries_by_misfit(self.problem, last),
             candidates_left=_term_tests(self._tests(last)),

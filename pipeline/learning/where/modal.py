@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
 
+import numpy as np
+from msgspec import convert
+
+from ...criticism.ladder import Ladder
 from ...criticism.problem import FitResult
-from ..answers import Place, place_at
+from ..answers import Place
 from ..modal.problem import ModalProblem
 
 
@@ -20,9 +24,8 @@ def entries_by_misfit(problem: ModalProblem, fit: FitResult) -> tuple[Place, ...
         region, norm = regions[entry], problem.norms[entry[0]]
         measured, modelled = complex(problem.measured.c[entry] / norm), complex(model[entry] / norm)
         places.append(
-            place_at(
+            _place(
                 region.labels,
-                kind="resonance",
                 share=float(squared[entry] / max(float(squared.sum()), 1e-300)),
                 error=float(np.sqrt(region.chi2 / region.dof)) if problem.noise_known else None,
                 relative_error=float(np.abs(residual[entry])),
@@ -31,3 +34,12 @@ def entries_by_misfit(problem: ModalProblem, fit: FitResult) -> tuple[Place, ...
             )
         )
     return tuple(places)
+
+
+def explained_entries(ladder: Ladder) -> tuple[Place, ...]:
+    """Entries where the first model of a ladder fails, with the share of the excess that the last one explains."""
+    return tuple(_place(w.labels, share=w.share, error=w.error, explained=share) for w, share in ladder.regions)
+
+
+def _place(labels: Mapping[str, object], **values: object) -> Place:
+    return convert({**labels, "kind": "resonance", **values}, Place)

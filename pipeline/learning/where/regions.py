@@ -18,7 +18,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from msgspec import structs
+from msgspec import convert, structs
 
 from ...arrays import FloatArray, IntArray
 from ...criticism.problem import Region
@@ -26,7 +26,7 @@ from ...criticism.regions import ALPHA, RegionShare, explained_share, region_sha
 from ...experiment.noise.time_frequency import lapped
 from ...inference.general.fit import CampaignFit
 from ...inference.general.record_fit import RecordFit
-from ..answers import Place, place_at
+from ..answers import Place
 from .partition import LEVELS, CampaignPartition, RecordPartition, short_blocks, without_lines
 
 #: Kinds of regions of the family "frequency"; their shares add up to one together.
@@ -162,8 +162,8 @@ def remaining_shares(places: Sequence[Place]) -> dict[str, float]:
 def _place(item: RegionShare, before: Region, after: Region | None) -> Place:
     # Edges lie on bins of a spectrum, so digits beyond the sixth carry no information.
     rounded = {k: [float(f"{end:.6g}") for end in v] if isinstance(v, list) else v for k, v in item.labels.items()}
-    labels = {"kind": item.family, "time_s": None, **rounded}
-    place = place_at(labels, family=item.family, share=item.share, error=item.error)
+    known = {"kind": item.family, "record": None, "channel": None, "band_hz": None, "time_s": None, **rounded}
+    place = convert({**known, "family": item.family, "share": item.share, "error": item.error}, Place)
     if after is None:
         return place
     return structs.replace(place, error_after=math.sqrt(after.chi2 / after.dof), explained=explained([before], [after]))

@@ -175,7 +175,7 @@ def test_the_sd_of_the_paired_difference_is_what_repetition_shows() -> None:
 def test_answers_are_json_with_the_keys_of_the_contract(toy: Any) -> None:
     problem = toy.problem(2, {"square": 20.0})
     diagnosis = json.loads(to_json(diagnosis_answer(diagnose(problem, rules=RULES))))
-    refinement = json.loads(to_json(refinement_answer(refine(problem, rules=RULES), problem)))
+    refinement = json.loads(to_json(refinement_answer(refine(problem, rules=RULES))))
     assert {"verdict", "effects", "candidates", "classes", "invisible", "error"} <= set(diagnosis)
     assert {"effect", "delta_chi2", "p_value", "estimate", "error_after", "class"} <= set(diagnosis["candidates"][0])
     rung = {

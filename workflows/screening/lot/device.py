@@ -247,11 +247,10 @@ def diagnosis_texts(found: Diagnosis) -> tuple[str, str, str]:
         return "", "", "adequate: no effect is significant and the residual has no structure"
     if found.verdict == "fit_failed":
         return "unknown", "", f"fit_failed: {found.why}"
-    worst = None if found.after is None else found.after.worst
     best = found.scores[0] if found.scores else None
     parts = ["no known effect explains the misfit"]
-    if worst is not None:
-        parts.append(f"the residual has structure: {worst.test} ({worst.where})")
+    if found.left:
+        parts.append(f"the residual has structure: {found.left}")
     if best is not None:
         parts.append(f"closest candidate {best.name}, which lowers chi2 by {best.delta_chi2:.3g}")
     return "unknown", "", "; ".join(parts)

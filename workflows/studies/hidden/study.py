@@ -22,9 +22,9 @@ from pipeline.criticism.ladder import as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
 from pipeline.criticism.selection import forward_selection
 from pipeline.errors import GyroscreenError, UsageError
-from pipeline.learning.campaign.answers import CampaignAnswers
+from pipeline.learning.campaign.answers import campaign_answers
 
-from ...learning import DiagnosisResult, RefinementResult, view_of
+from ...learning import DiagnosisResult, RefinementResult
 from ...machine import worker_count
 from ...screening.cluster import cluster, in_parallel
 from .draw import KINDS, Hidden, hide
@@ -100,18 +100,17 @@ def run_loop(hidden: Hidden) -> dict[str, Any]:
 
     Both include the time of the selection, so the time of a diagnosis, whose selection is shorter, is an upper bound.
     """
-    view = view_of(hidden.campaign, hidden.model, threads=1)
-    problem: Problem = RestrictedProblem(view, hidden.left_out) if hidden.left_out else view
+    answers = campaign_answers(hidden.campaign, hidden.model, threads=1)
+    problem: Problem = RestrictedProblem(answers.problem, hidden.left_out) if hidden.left_out else answers.problem
     selection, shared = _timed(lambda: forward_selection(problem))
     short = selection
     if len(selection.steps) > Rules.max_named:
         short = forward_selection(problem, rules=Rules(rungs=Rules.max_named))
     diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
-    answers = CampaignAnswers(view)
     row = {"diagnose": {**_diagnosed(DiagnosisResult(answers, diagnosis).to_dict()), **_sum(shared, own)}}
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, selection))
-        row["refine"] = {**_refined(RefinementResult(answers, ladder, selection).to_dict()), **_sum(shared, own)}
+        row["refine"] = {**_refined(RefinementResult(answers, ladder).to_dict()), **_sum(shared, own)}
     return row
 
 

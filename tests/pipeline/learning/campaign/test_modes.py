@@ -10,8 +10,8 @@ import pytest
 
 from pipeline.criticism.selection import forward_selection
 from pipeline.experiment.forward.record import forward
+from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.campaign.modes import mode_candidate
-from workflows.learning import view_of
 from workflows.studies.hidden.draw import hide
 from workflows.studies.hidden.effects import LIBRARY
 from workflows.studies.hidden.restricted import RestrictedProblem
@@ -23,7 +23,7 @@ NAME = "parasitic_mode"
 @pytest.mark.parametrize("f_hz", [329.0, 617.3, 1773.0])
 def test_the_scan_peaks_at_the_mode_with_a_decrease_of_chi2_near_its_squared_snr(f_hz: float) -> None:
     hidden = hide("none", 0, 2026)
-    problem = view_of(hidden.campaign, threads=1)
+    problem = campaign_answers(hidden.campaign, threads=1).problem
     problem.fit(())
     model = problem.model.with_effect(NAME)
     values = {**problem.campaign_fit(()).values, f"{NAME}.f": f_hz, f"{NAME}.zeta": 3e-3, f"{NAME}.a": 30.0}
@@ -36,7 +36,7 @@ def test_the_scan_peaks_at_the_mode_with_a_decrease_of_chi2_near_its_squared_snr
     unit = np.sqrt(sum(float(np.sum(((b - a) / problem.noise.sigma_v) ** 2)) for a, b in zip(without, once)))
     change = [100.0 / unit * (b - a) for a, b in zip(without, once)]
     records = [replace(r, sense_v=r.sense_v + c) for r, c in zip(hidden.campaign.records, change)]
-    with_mode = view_of(replace(hidden.campaign, records=tuple(records)), threads=1)
+    with_mode = campaign_answers(replace(hidden.campaign, records=tuple(records)), threads=1).problem
     found = mode_candidate(
         NAME, (f"{NAME}.f", f"{NAME}.zeta"), with_mode.fit(()), with_mode.scans, 2, with_mode.noise.sigma_v
     )
@@ -48,7 +48,7 @@ def test_the_scan_peaks_at_the_mode_with_a_decrease_of_chi2_near_its_squared_snr
 
 @pytest.mark.usefixtures("brief_records")
 def test_the_grid_is_fine_in_the_driven_band_and_coarse_elsewhere() -> None:
-    problem = view_of(hide("none", 0, 2026).campaign, threads=1)
+    problem = campaign_answers(hide("none", 0, 2026).campaign, threads=1).problem
     problem.fit(())
     points = [(p.f_hz, p.zeta) for p in problem.scans[0].points]
     assert min(f for f, _ in points) == 300.0
@@ -62,5 +62,7 @@ def test_the_grid_is_fine_in_the_driven_band_and_coarse_elsewhere() -> None:
 @pytest.mark.usefixtures("brief_records")
 def test_a_mode_within_the_resonance_of_a_plant_mode_is_refused() -> None:
     hidden = hide("left-out", LIBRARY.index("pickoff_crosstalk"), 1)
-    selection = forward_selection(RestrictedProblem(view_of(hidden.campaign, threads=1), hidden.left_out))
+    selection = forward_selection(
+        RestrictedProblem(campaign_answers(hidden.campaign, threads=1).problem, hidden.left_out)
+    )
     assert NAME not in selection.last.fit.terms

@@ -13,11 +13,11 @@ from pipeline.experiment.files.readers import read_columns, write_columns
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.noise.measure import Hum, measured
 from pipeline.inference.general.fit import fit_campaign
+from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.common import separating_text
 from pipeline.learning.next_experiment.experiments import Experiment, experiments
 from pipeline.learning.next_experiment.separating import LEAST, separating_record
 from workflows.cli import call
-from workflows.learning import view_of
 from workflows.simulate import campaign_config, simulate
 
 
@@ -39,7 +39,7 @@ def drifting():
     made, campaign = one_chirp("gain_drift:gamma=0.00045")
     quiet = tuple(r if r.role == "noise" else replace(r, sense_v=response(made, r)) for r in campaign.records)
     campaign = replace(campaign, records=quiet)
-    problem = view_of(campaign)
+    problem = campaign_answers(campaign).problem
     fits = {}
     for name in ("gain_drift", "electrode_mismatch"):
         fits[name] = problem.fit((name,))
@@ -103,7 +103,7 @@ def test_a_device_with_one_drive_is_offered_one_drive(drifting):
 
 def test_no_record_of_this_instrument_separates_a_delay_from_a_pole(tmp_path):
     _, campaign = one_chirp("loop_delay:tau=1e-6")
-    problem = view_of(campaign)
+    problem = campaign_answers(campaign).problem
     problem.fit(("pickoff_pole",), problem.fit(("loop_delay",)))
     proposal = separating_record(problem, ("loop_delay",), TermClass("loop_delay", ("loop_delay", "pickoff_pole"), ()))
     assert proposal.snr < 0.1
