@@ -132,7 +132,7 @@ class CampaignAnswers:
         after = found.fit_after
         return structs.replace(
             self.first_diagnosis(found),
-            separating_record=_separating_text(proposals, drive_files),
+            separating_record=separating_text(proposals, drive_files),
             hints=() if after is None or not after.ok else self._hints(after.terms, found.verdict),
         )
 
@@ -147,7 +147,7 @@ class CampaignAnswers:
             answer,
             ladder=tuple(self._rung(one, rung) for one, rung in zip(answer.ladder, ladder.rungs)),
             hints=self._hints(ladder.terms, ladder.verdict),
-            separating_record=_separating_text(proposals, drive_files),
+            separating_record=separating_text(proposals, drive_files),
             regions=significant_places(first, noise_dof, last),
             regions_by_kind=significant_places(by_kind(first), noise_dof, by_kind(last)),
             noise=self.noise,
@@ -189,7 +189,7 @@ class CampaignAnswers:
         return () if found is None else (str(found),)
 
 
-def _separating_text(found: Sequence[Proposal], written: bool) -> str | None:
+def separating_text(found: Sequence[Proposal], written: bool) -> str | None:
     """``separating_record`` of the JSON, with the names of the drive files if they are ``written``; ``None`` without a class."""
     if len(found) == 1:
         return found[0].text(written)

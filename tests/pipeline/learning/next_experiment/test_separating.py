@@ -13,8 +13,7 @@ from pipeline.experiment.files.readers import read_columns, write_columns
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.noise.measure import Hum, measured
 from pipeline.inference.general.fit import fit_campaign
-from pipeline.learning.campaign.answers import campaign_answers
-from pipeline.learning.common import separating_text
+from pipeline.learning.campaign.answers import campaign_answers, separating_text
 from pipeline.learning.next_experiment.experiments import Experiment, experiments
 from pipeline.learning.next_experiment.separating import LEAST, separating_record
 from workflows.cli import call
