@@ -1,4 +1,4 @@
-"""Any function with optional terms goes through the loop: frequencies that are unknown, noise levels that are unknown."""
+"""Terms are selected for any function: with an unknown frequency, and with an unknown noise level."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _problem(seed: int, noise_known: bool = True, scale: float = 1.0, **truth: f
     return Regression(scaled, measured, {"a": 15.0, "rate": 2.0}, TERMS, held=1, noise_known=noise_known)
 
 
-def test_a_line_of_unknown_frequency_is_found_where_it_is() -> None:
+def test_a_line_of_unknown_frequency_is_found_at_its_frequency() -> None:
     ladder = refine(_problem(1, cos=1.5, f=47.3), rules=RULES)
     assert (ladder.verdict, ladder.terms) == ("adequate", ("line",))
     value, sd = ladder.rungs[-1].parameters["f"]
@@ -64,7 +64,7 @@ def test_a_nonlinear_term_is_found_with_its_size_and_sign() -> None:
     assert value > 5.0 * sd
 
 
-def test_without_a_noise_level_f_tests_find_the_term_and_no_error_is_told() -> None:
+def test_with_an_unknown_noise_level_the_term_is_found_and_no_error_is_given() -> None:
     found = diagnose(_problem(3, noise_known=False, scale=1e-3, cos=2.0, f=33.0), rules=RULES)
     assert (found.verdict, found.terms) == ("effect", ("line",))
     assert (found.fit.error_of("fit"), found.fit.error_of("validate")) == (None, None)
@@ -72,7 +72,7 @@ def test_without_a_noise_level_f_tests_find_the_term_and_no_error_is_told() -> N
     assert (nothing.verdict, nothing.terms) == ("adequate", ())
 
 
-def test_the_baseline_alone_is_fitted_to_its_truth() -> None:
+def test_the_baseline_parameters_are_estimated_within_their_sd() -> None:
     fit = _problem(5).fit(())
     assert fit.ok
     for name, truth in (("a", 20.0), ("rate", 3.0)):
@@ -84,7 +84,7 @@ def test_the_baseline_alone_is_fitted_to_its_truth() -> None:
 _SLOPE = np.linspace(-1.0, 1.0, 20)[:, None]
 
 
-def test_a_fit_stays_inside_its_limits_and_fits_the_rest() -> None:
+def test_a_fit_stays_within_its_limits_and_fits_the_other_parameters() -> None:
     def predict(p: Mapping[str, float]) -> list[FloatArray]:
         return [p["a"] + p["b"] * _SLOPE]
 
@@ -97,8 +97,8 @@ def test_a_fit_stays_inside_its_limits_and_fits_the_rest() -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-4])
-def test_with_an_unknown_noise_level_units_change_nothing(unit: float) -> None:
-    """A member that is needed stays, however small the rows are."""
+def test_with_an_unknown_noise_level_the_selection_does_not_depend_on_units(unit: float) -> None:
+    """A needed term is kept, however small the numbers are."""
     rng = np.random.default_rng(6)
     truth = _SLOPE + 0.3 * _SLOPE**2 + 0.2 * _SLOPE**3 + 0.02 * rng.standard_normal(_SLOPE.shape)
 
