@@ -27,7 +27,7 @@ from .linear_step import (
     Sensitivity,
     broyden_update,
     damped_step,
-    expected_fall,
+    expected_decrease,
     normal_equations,
     point_at,
     relative_change,
@@ -38,21 +38,21 @@ from .linearized import LinearizedResiduals
 from .residuals import CampaignResiduals, Tasks
 
 _ITERATIONS, _TRIALS = 24, 8
-#: Expected fall of chi2, in units of chi2/dof (at least 1), at which the fit has converged: 3 % of a sd.
+#: Expected decrease of chi2, in units of chi2/dof (at least 1), at which the fit has converged: 3 % of a sd.
 _CONVERGED = 1e-3
 #: The same where a trial does not lower chi2, because of rounding and inexact columns: a tenth of a sd.
 CLOSE = 1e-2
 #: Damping after the first rejected trial, and its factors after a rejected and after an accepted one.
 _LEAST_DAMPING, _RAISED, _LOWERED = 1e-2, 30.0, 0.1
-#: After so many iterations a fall of chi2 by this share of the remaining misfit counts as convergence.
+#: After so many iterations a decrease of chi2 by this share of the remaining misfit counts as convergence.
 _SLOW_AFTER, _SLOW = 8, 1e-4
 #: Relative change of the fitted records above which columns are recomputed; below it they are updated.
 _FAR = 5e-3
 #: The same for the parameters of forces and sense laws, which change the records little where they are weak.
 _SIZE_CHANGED = 0.1
-#: Share of the fall of chi2 by which the linearized residuals may be wrong while their columns are still used.
+#: Share of the decrease of chi2 by which the linearized residuals may be wrong while their columns are still used.
 _PREDICTED = 0.02
-#: Relative change of the records since columns were computed below which they serve as those of the result.
+#: Relative change of the records since columns were computed below which they are returned with the result.
 _UNCHANGED = 1e-3
 #: Relative strength of nonlinear effects below which columns without them always suffice.
 FAINT = 1e-3
@@ -90,9 +90,9 @@ def minimise(problem: CampaignResiduals, at: FitPoint, tasks: Tasks, dof: int) -
     if nearer is None:
         return _minimise(problem, at, tasks, dof, steps)
     weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[reference]) <= _NOTABLE
-    # Columns that predicted the fall of chi2 still hold: an inverse gap may have doubled, and its column with it.
-    missed, fall = abs(nearer.chi2 - linear.at.chi2), at.chi2 - nearer.chi2
-    predicted = missed <= max(1.0, nearer.chi2 / dof, _PREDICTED * fall)
+    # Columns are kept only if they predicted chi2: an inverse gap may have doubled, and its column with it.
+    missed, decrease = abs(nearer.chi2 - linear.at.chi2), at.chi2 - nearer.chi2
+    predicted = missed <= max(1.0, nearer.chi2 / dof, _PREDICTED * decrease)
     return _minimise(problem, nearer, tasks, dof, steps, linear.sensitivities if weak and predicted else None)
 
 
@@ -140,7 +140,7 @@ def _linear_step(
     moving = ~((at.x <= limits[0]) & (slope < 0.0)) & ~((at.x >= limits[1]) & (slope > 0.0))
     _, newton = damped_step(normal, slope, 0.0, moving)
     noise = max(1.0, at.chi2 / dof)
-    return _LinearStep(normal, slope, eliminated, moving, noise, expected_fall(slope, newton, eliminated))
+    return _LinearStep(normal, slope, eliminated, moving, noise, expected_decrease(slope, newton, eliminated))
 
 
 def _accepted(
@@ -200,25 +200,25 @@ def _minimise(
             sensitivities, damping = None, 0.0
             continue
         if accepted is None:
-            # chi2 has kinks where samples start to clip: it did not fall before the columns were recomputed, nor after.
+            # chi2 has kinks where samples start to clip: it did not decrease before the columns were recomputed, nor after.
             converged = paused or expected < CLOSE * noise
             if converged or exact or strength < FAINT:
                 return result(converged)
             exact, damping, sensitivities = True, 0.0, None
             continue
-        fall = at.chi2 - accepted.chi2
+        decrease = at.chi2 - accepted.chi2
         sensitivities = broyden_update(sensitivities, at, accepted, np.diagonal(normal))
         at = accepted
         damping = 0.0 if damping <= _LEAST_DAMPING else damping * _LOWERED
-        poor = expected > noise and fall < 0.5 * expected
+        poor = expected > noise and decrease < 0.5 * expected
         was_exact, exact = exact, exact or strength > STRONG or (poor and fresh and strength > _NOTABLE)
-        # A wrong model may creep along a valley for ever, by falls that are nothing beside the misfit that remains.
+        # A wrong model may creep along a valley for ever, by steps that are negligible beside the remaining misfit.
         slow = _SLOW * max(at.chi2 - dof, 0.0) if iteration >= _SLOW_AFTER else 0.0
-        paused = fall < max(_CONVERGED * noise, slow) and exact == was_exact
+        paused = decrease < max(_CONVERGED * noise, slow) and exact == was_exact
         if paused and (fresh or expected < CLOSE * noise or slow > _CONVERGED * noise):
             return result(True)
         if paused:
-            # A larger fall was expected, so the columns are outdated rather than the fit converged.
+            # A larger decrease was expected, so the columns are outdated rather than the fit converged.
             sensitivities, damping = None, 0.0
         elif poor or exact != was_exact or not _columns_hold(problem, computed, at, _FAR):
             sensitivities = None

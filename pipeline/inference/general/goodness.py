@@ -3,8 +3,8 @@
     chi2 = sum |r|^2                             over the samples of all fit records, or
     chi2 = sum 2/N |R(w)|^2                      over the bins w of a band, R the discrete Fourier transform of r
 
-r is the residual in sigmas with the nuisances removed.  An excess that is concentrated in a band is seen far more clearly there:
-3 sqrt(2 dof), the smallest significant excess, falls with the number of data.
+r is the residual in sigmas with the nuisances removed.  An excess that is concentrated in a band is far more significant there,
+because the smallest significant excess, 3 sqrt(2 dof), is smaller for fewer data.
 
 Shapes: N samples, S senses.
 """

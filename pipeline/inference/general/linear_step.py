@@ -127,8 +127,8 @@ def starts_after(
     )
 
 
-def expected_fall(slope: FloatArray, newton: FloatArray, eliminated: Sequence[Elimination | None]) -> float:
-    """By how much chi2 falls after the undamped step ``newton`` (P,) if the residuals are linear."""
+def expected_decrease(slope: FloatArray, newton: FloatArray, eliminated: Sequence[Elimination | None]) -> float:
+    """Decrease of chi2 after the undamped step ``newton`` (P,), for linear residuals."""
     return float(newton @ slope) + sum(float(e[2] @ e[0] @ e[2]) for e in eliminated if e is not None)
 
 

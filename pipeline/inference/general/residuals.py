@@ -166,8 +166,8 @@ class CampaignResiduals:
         if exact and start is not None:
             before = nonlinear_response(system, group, [start])[0]
             omega = np.sqrt(np.diagonal(m.stiffness[0]))
-            seen = np.max(np.abs(m.position_sense[0]) + omega * np.abs(m.velocity_sense[0]), axis=0)
-            motion = (1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / seen)[:own]
+            sensitivity = np.max(np.abs(m.position_sense[0]) + omega * np.abs(m.velocity_sense[0]), axis=0)
+            motion = (1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / sensitivity)[:own]
             for i, step in enumerate(np.concatenate([motion, motion * omega[:own]])):
                 moved = start.copy()
                 moved[i] += step

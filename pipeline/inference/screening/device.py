@@ -111,7 +111,7 @@ def explains(fit: Fit) -> bool:
 
 
 def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
-    """The best fit from the ``starts`` (12,), which are tried in turn until one explains the band; sigma (S,) [V]."""
+    """The best fit from the ``starts`` (12,), tried in order until one explains the band; sigma (S,) [V]."""
     best: Fit | None = None
     for start in starts:
         try:

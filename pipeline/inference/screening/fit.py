@@ -128,10 +128,10 @@ def _descend(
         small = float(step @ gram @ step) < 1e-6
         if not improved:
             return x, small, shift
-        fall = chi2 - float(moved @ moved)
+        decrease = chi2 - float(moved @ moved)
         x, r, chi2, shift = trial, moved, float(moved @ moved), shift_trial
         damping = max(damping * 0.1, 1e-12)
-        if small or fall < 1e-9:
+        if small or decrease < 1e-9:
             return x, True, shift
     return x, False, shift
 

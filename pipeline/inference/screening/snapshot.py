@@ -28,7 +28,7 @@ _FREEDOM = 20.0
 _PROPOSALS = 4000
 _DRAWS = 2000
 #: How often a fit that has not converged is continued, and the ratio of chi2 above which it is given up.
-_CONTINUED, _LEAST_FALL = 4, 0.95
+_CONTINUED, _LEAST_DECREASE = 4, 0.95
 #: How many of the fits that have not converged are continued.
 _BEST = 2
 #: Effective number of proposals below which importance sampling is not reliable.
@@ -82,12 +82,12 @@ def _rank(fit: Fit) -> tuple[bool, float]:
 
 
 def _continued(data: BandData, sigma_v: FloatArray, fit: Fit) -> Fit:
-    """The fit continued while it has not converged but chi2 still falls: starts from few samples are far away."""
+    """The fit continued while it has not converged but chi2 still decreases: starts from few samples are far away."""
     for _ in range(_CONTINUED):
         if fit.converged:
             break
         further = best_fit([data], sigma_v, [fit.x])
-        if further is None or not (further.converged or further.chi2 < _LEAST_FALL * fit.chi2):
+        if further is None or not (further.converged or further.chi2 < _LEAST_DECREASE * fit.chi2):
             break
         fit = further
     return fit
@@ -146,7 +146,7 @@ def snapshot(
 
 
 def _estimate(fit: Fit, rate: RateSettings, gate: Gate, seed: np.random.SeedSequence) -> Estimate:
-    # The error of a few bins scatters more than that of a whole record: 3 sd of chi2 are taken off.
+    # The error of a few bins scatters more than that of a whole record, so 3 sd of chi2 are subtracted.
     error = math.sqrt(max(fit.chi2 / fit.dof - 3.0 * math.sqrt(2.0 / fit.dof), 0.0))
     goodness = GoodnessOfFit(error, fit.chi2, fit.dof)
     columns = {"chi2_per_dof": goodness.chi2_per_dof}

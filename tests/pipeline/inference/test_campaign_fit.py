@@ -1,4 +1,4 @@
-"""Fits of campaigns: truth comes back, with the scatter that the covariance says."""
+"""General fit of campaigns: estimates agree with the truth within their covariance."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _campaign(model: Model, values: Mapping[str, float], sigma: float, seed: int
     return Campaign("device", tuple(records), instrument)
 
 
-def test_without_noise_the_parameters_come_back_to_a_millionth() -> None:
+def test_a_noise_free_fit_returns_the_parameters_to_1e_6() -> None:
     fit = fit_campaign(SCREENING_MODEL, _campaign(SCREENING_MODEL, PLANT | C12, 0.0), NOISE)
     assert fit.fit_ok
     for name, value in (PLANT | C12).items():
@@ -68,7 +68,9 @@ def test_without_noise_the_parameters_come_back_to_a_millionth() -> None:
         ("parasitic_mode", PARASITIC),
     ],
 )
-def test_a_fit_with_the_right_effect_explains_everything_within_its_sd(effect: str, values: dict[str, float]) -> None:
+def test_a_fit_with_the_right_effect_has_chi2_of_noise_and_the_truth_within_its_covariance(
+    effect: str, values: dict[str, float]
+) -> None:
     model = DEFAULT_COMPARE_MODEL.with_effect(effect)
     campaign = _campaign(model, PLANT | values, SIGMA)
     before = fit_campaign(DEFAULT_COMPARE_MODEL, campaign, NOISE)
@@ -90,7 +92,7 @@ def test_a_fit_with_the_right_effect_explains_everything_within_its_sd(effect: s
 
 
 @pytest.mark.parametrize("mains", [50.0, 60.0])
-def test_hum_is_found_refitted_and_counted_on_every_record(mains: float) -> None:
+def test_hum_lines_are_found_and_their_amplitudes_fitted_and_counted_in_every_record(mains: float) -> None:
     campaign = _campaign(DEFAULT_COMPARE_MODEL, PLANT, SIGMA)
     t = np.arange(10_000) / RATE
     hum = np.stack([0.01 * np.cos(2 * np.pi * mains * t + 1.0), 0.02 * np.cos(2 * np.pi * 3 * mains * t)], axis=1)
@@ -103,7 +105,7 @@ def test_hum_is_found_refitted_and_counted_on_every_record(mains: float) -> None
     assert abs(fit.chi2 - fit.dof) < 4.0 * np.sqrt(2.0 * fit.dof)
 
 
-def test_priors_and_fixed_values_are_kept() -> None:
+def test_a_fixed_value_and_a_tight_prior_determine_the_estimate() -> None:
     campaign = _campaign(SCREENING_MODEL, PLANT | C12, SIGMA)
     fixed = replace(SCREENING_MODEL, fixed={"c12_per_s": 0.1, "zeta3": 1.17e-3})
     fit = fit_campaign(fixed, campaign, NOISE, PLANT)
@@ -123,7 +125,7 @@ def test_a_bounded_parameter_stays_in_its_range() -> None:
         assert 0.0 <= value < 4.0 * sd
 
 
-def test_an_unknown_initial_state_is_fitted_and_counted() -> None:
+def test_the_initial_state_of_a_record_not_at_rest_is_fitted_and_counted() -> None:
     spec = Model(PlantSpec("modal", 1, "displacement"))
     values = {"f1_hz": 70.0, "zeta1": 0.02, "gain1_s1d1": 2e5}
     instrument = Instrument(sample_rate_hz=600.0, hold="foh")
@@ -154,7 +156,7 @@ _SILVERBOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "silverbo
 
 @pytest.mark.silverbox
 @pytest.mark.skipif(not _SILVERBOX.exists(), reason="the Silverbox record is not beside the project")
-def test_cubic_and_quadratic_springs_explain_the_silverbox_to_a_millivolt() -> None:
+def test_cubic_and_quadratic_springs_predict_the_silverbox_to_a_millivolt() -> None:
     data = loadmat(_SILVERBOX)
     u, y = (data[key].reshape(-1, 1).astype(np.float64) for key in ("V1", "V2"))
     rate = 610.35

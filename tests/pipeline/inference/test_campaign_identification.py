@@ -1,4 +1,4 @@
-"""A campaign without silence is identified, but its error is not judged by its own residual."""
+"""In-band identification of a campaign, with and without a silent record."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def identify(campaign):
     return identify_campaign(campaign, IdentificationSettings(), SamplerSettings(), Gate(), np.random.SeedSequence(2))
 
 
-def test_without_silence_the_estimates_stand_and_the_error_is_null(bench, paper_device):
+def test_without_a_silent_record_the_estimates_agree_and_the_error_is_null(bench, paper_device):
     with_silence, without = (identify(campaign_of(bench, paper_device, s)) for s in (True, False))
     assert with_silence.columns["error"] is not None
     assert without.columns["error"] is None

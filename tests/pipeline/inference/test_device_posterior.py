@@ -1,4 +1,4 @@
-"""A device comes back from its record, with the uncertainty it deserves."""
+"""In-band identification of virtual devices: estimates, posterior and status against the truth."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def test_noise_free_round_trip_returns_the_parameters_to_1e_6(bench, paper_devic
 
 
 @pytest.mark.parametrize("split", [1.9, 0.1, 0.02])
-def test_sd_of_theta_and_split_are_the_cramer_rao_bounds_of_the_literature(bench, paper_device, split):
+def test_sd_of_theta_and_split_are_the_cramer_rao_bounds(bench, paper_device, split):
     # FACTS: 3 s from rest at 60 dB and split 1.9 Hz: 2.83e-4 deg, 4.08e-6 Hz; sd(theta) scales as 1/split below.
     device = paper_device.copy()
     device[1] = device[0] + split
@@ -54,7 +54,7 @@ def test_sd_of_theta_and_split_are_the_cramer_rao_bounds_of_the_literature(bench
         assert columns["theta_deg_sd"] * split == pytest.approx(3.4e-4, rel=0.15)
 
 
-def test_intervals_cover_and_no_device_is_lost_down_to_a_split_of_20_mhz(bench):
+def test_intervals_cover_the_truth_and_every_device_is_identified_down_to_a_split_of_20_mhz(bench):
     devices = random_devices(40, seed=11)
     inside, z = [], []
     for i, device in enumerate(devices):
@@ -73,7 +73,7 @@ def test_intervals_cover_and_no_device_is_lost_down_to_a_split_of_20_mhz(bench):
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=4.0 / np.sqrt(160.0))
 
 
-def test_theta_near_90_deg_is_an_arc_and_not_a_jump(bench, paper_device):
+def test_the_interval_of_theta_near_90_deg_is_a_short_arc(bench, paper_device):
     device = paper_device.copy()
     device[1], device[6] = device[0] + 0.005, 89.995
     c = bench.identify(device, seed=5).columns
@@ -92,20 +92,20 @@ def test_posterior_draws_have_the_mean_and_covariance_of_the_laplace_approximati
     np.testing.assert_array_less(np.abs(x.mean(0) - centre), 5.0 * x.std(0) / np.sqrt(ess))
 
 
-def test_a_missing_effect_is_a_misfit_and_not_a_tiny_sd(bench, paper_device):
+def test_a_record_with_an_unmodelled_effect_has_status_misfit(bench, paper_device):
     y, sigma = bench.record(paper_device, seed=9)
     result = bench.identify_record(y + 0.004 * y**2, sigma)
     assert result.estimate.status == "misfit"
     assert "error" in result.estimate.reason
 
 
-def test_devices_are_identified_the_same_whatever_was_identified_before(bench, paper_device):
+def test_the_result_of_a_device_does_not_depend_on_earlier_devices(bench, paper_device):
     first = bench.identify(paper_device, seed=21).columns
     bench.identify(random_devices(1, seed=3)[0], seed=22)
     assert bench.identify(paper_device, seed=21).columns == first
 
 
-def test_a_record_without_a_gyro_fails_with_a_reason(bench):
+def test_a_record_of_noise_has_status_fit_failed_with_a_reason(bench):
     noise = np.random.default_rng(0).normal(size=bench.drive.shape)
     result = bench.identify_record(noise, np.full(2, 1.0))
     assert result.estimate.status == "fit_failed"

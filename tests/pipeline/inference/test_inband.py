@@ -19,7 +19,7 @@ DRIVE = drive_samples(Chirp(), 10_000.0)
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize("antialias", [AntiAlias(), None])
-def test_band_model_is_the_transform_of_the_simulated_record(hold, antialias):
+def test_the_band_model_is_the_transform_of_the_simulated_record(hold, antialias):
     instrument = Instrument(hold=hold, antialias=antialias)
     modes = gyro_modes(DEVICE)
     record = respond(behind_filter(modes, antialias), DRIVE, 10_000.0, hold)[0]
@@ -32,7 +32,7 @@ def test_band_model_is_the_transform_of_the_simulated_record(hold, antialias):
     assert np.max(np.abs(spectrum - model)) < 1e-11 * np.max(np.abs(spectrum))
 
 
-def test_taylor_series_in_the_pole_converges_at_its_order():
+def test_the_taylor_series_in_the_pole_converges_at_its_order():
     band = make_band(DRIVE, Instrument(antialias=AntiAlias()), 400.0, 700.0)
     pole, shift = complex(gyro_modes(DEVICE).poles[0, 0]), 0.02 + 0.02j
     series = features(band, pole, 3)

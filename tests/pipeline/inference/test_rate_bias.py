@@ -1,4 +1,4 @@
-"""Rate bias from posterior draws: the spread is that of what is uncertain, and the loops show the centre."""
+"""Rate bias from posterior draws: median against simulated loops, sd against propagated uncertainties."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ KAPPA, PHI = 0.7, 1.0
 COUNT = 20_000
 
 
-def test_median_bias_is_what_the_closed_loops_show():
+def test_the_median_bias_is_that_of_the_simulated_loops():
     found = bias_from_posterior(np.tile(PAPER, (10, 1)), (KAPPA, 0.0), (PHI, 0.0), np.random.default_rng(0))
     shown = measured_biases_dps(settled(operate(PAPER[None], KAPPA)), KAPPA, PHI)
     for name, value in shown.items():
@@ -24,7 +24,7 @@ def test_median_bias_is_what_the_closed_loops_show():
         assert found[f"{name}_sd"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_damping_and_phase_uncertainty_spread_the_bias_as_they_should():
+def test_uncertainty_of_damping_and_phase_propagates_to_the_bias():
     random = np.random.default_rng(4)
     draws = np.tile(PAPER, (COUNT, 1))
     draws[:, 7] += random.normal(0.0, 0.05, COUNT)
@@ -39,21 +39,21 @@ def test_damping_and_phase_uncertainty_spread_the_bias_as_they_should():
     assert half == pytest.approx(1.645 * np.hypot(inphase, leak), rel=0.04)
 
 
-def test_relative_uncertainty_of_kappa_is_that_of_the_bias():
+def test_the_relative_uncertainty_of_the_bias_is_that_of_kappa():
     found = bias_from_posterior(np.tile(PAPER, (COUNT, 1)), (KAPPA, 0.014), (PHI, 0.0), np.random.default_rng(5))
     assert found["rate_bias_dps_sd"] / abs(found["rate_bias_dps"]) == pytest.approx(0.02, rel=0.03)
 
 
-def test_convention_f1_is_the_device_formula_and_locked_lies_between_f1_and_f2():
+def test_drive_f1_and_f2_follow_the_device_formula_and_locked_lies_between_them():
     for drive in ("f1", "f2"):
-        said = rate_biases_dps(PAPER[None], KAPPA, PHI, drive)
+        expected = rate_biases_dps(PAPER[None], KAPPA, PHI, drive)
         for name, value in bias_draws(PAPER[None], KAPPA, PHI, drive).items():
-            np.testing.assert_allclose(value, said[name], rtol=1e-12)
+            np.testing.assert_allclose(value, expected[name], rtol=1e-12)
     rates = [abs(bias_draws(PAPER[None], KAPPA, PHI, one)["quadrature_rate_dps"][0]) for one in ("f2", "locked", "f1")]
     assert rates == sorted(rates)
 
 
-def test_after_a_trim_the_rate_bias_has_lost_its_quadrature_and_kept_its_damping():
+def test_a_trim_removes_the_quadrature_and_keeps_the_in_phase_bias():
     random = np.random.default_rng(6)
     draws = np.tile(PAPER, (2000, 1))
     rate = RateSettings(KAPPA, PHI, "f1")

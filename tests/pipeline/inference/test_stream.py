@@ -1,4 +1,4 @@
-"""A record identified while it grows."""
+"""Streaming identification of a growing record."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_the_last_snapshot_is_the_batch_fit_of_the_same_samples(bench, grown):
     assert abs(route.axes.mean_deg - snapshot.estimate.columns["theta_deg"]) < 0.2
 
 
-def test_the_lattice_of_the_stream_is_that_of_the_driven_samples_behind_the_bandpass(bench, grown):
+def test_the_lattice_of_a_stream_is_that_of_the_bandpassed_driven_samples(bench, grown):
     drive, sense, _, _ = grown
     stream = feed(start_stream(bench.instrument, StreamSettings(order=10)), drive[:12_000], sense[:12_000])
     both = bandpass(np.concatenate([sense[:12_000], drive[:12_000]], axis=1), RATE)[QUIET - 1 :]
@@ -80,7 +80,7 @@ def test_the_lattice_of_the_stream_is_that_of_the_driven_samples_behind_the_band
 
 
 @pytest.mark.parametrize("block", [1, 500, 777, 6_000])
-def test_the_size_of_the_blocks_changes_nothing(bench, grown, block):
+def test_the_state_does_not_depend_on_the_size_of_the_blocks(bench, grown, block):
     drive, sense = grown[0][:6_000], grown[1][:6_000]
     whole = feed(start_stream(bench.instrument, StreamSettings(order=10)), drive, sense)
     parts = start_stream(bench.instrument, StreamSettings(order=10, first_s=9.0))
@@ -93,7 +93,7 @@ def test_the_size_of_the_blocks_changes_nothing(bench, grown, block):
     assert np.array_equal(parts.lattice.energy, whole.lattice.energy)
 
 
-def test_without_silence_and_without_a_level_the_noise_is_unknown(bench, grown):
+def test_without_silence_and_without_a_given_level_the_noise_is_refused(bench, grown):
     drive, sense, _, _ = grown
     stream = feed(start_stream(bench.instrument, StreamSettings()), drive[QUIET:], sense[QUIET:])
     with pytest.raises(MeasurementError, match="noise is unknown"):
