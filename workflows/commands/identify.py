@@ -37,19 +37,20 @@ def identify(measurement: Path, model: Path | None, json: bool) -> None:
 
 
 def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:
-    """The measurement; a lone record that a campaign.toml beside it names brings that campaign's instrument and silence."""
+    """The measurement; a single record that the campaign.toml in its folder lists is read with that campaign's instrument
+    and silent records."""
     beside = measurement.parent / "campaign.toml"
     if measurement.suffix != ".toml" and measurement.is_file() and beside.is_file():
         campaign = read_campaign(beside)
-        mine = [r for r in campaign.records if r.file is not None and Path(r.file).name == measurement.name]
-        if mine:
-            silent = tuple(r for r in campaign.with_role("noise") if r is not mine[0])
-            return replace(campaign, records=(*silent, replace(mine[0], role="fit")))
+        listed = [r for r in campaign.records if r.file is not None and Path(r.file).name == measurement.name]
+        if listed:
+            silent = tuple(r for r in campaign.with_role("noise") if r is not listed[0])
+            return replace(campaign, records=(*silent, replace(listed[0], role="fit")))
     return read_measurement(measurement)
 
 
 def modal_columns(route: RouteResult, fit: ModalFit) -> dict[str, Any]:
-    """The columns that apply to a modal record: the paper's four thetas, and the least-squares fit of its own model."""
+    """The columns that apply to a modal record: the paper's four thetas, and a least-squares fit of plant "gyro"."""
     axes = route.axes
     columns: dict[str, Any] = {
         "theta_u1_deg": axes.theta_u1_deg,
@@ -80,7 +81,7 @@ def _modal_text(name: str, c: dict[str, Any]) -> list[str]:
 
 
 def rounded(value: float, sd: float | None) -> str:
-    """``value`` with as many digits as two digits of its sd deserve."""
+    """``value`` rounded to two significant digits of its sd."""
     if sd is None or not sd > 0.0 or not math.isfinite(sd):
         return f"{value:.6g}"
     digits = 1 - math.floor(math.log10(sd))
@@ -110,12 +111,12 @@ def _text(result: Identification) -> list[str]:
 
 def check(campaign: Path, json: bool) -> None:
     """See ``gyroscreen check --help``."""
-    from pipeline.experiment.checks.check import check as look
+    from pipeline.experiment.checks.check import check as check_measurement
 
     found = read_measurement(campaign)
     if isinstance(found, ModalRecord):
         raise UsageError("a modal record has no samples to check", value=str(campaign), allowed="a campaign or record")
-    report = look(found)
+    report = check_measurement(found)
     if json:
         print(json_.dumps(report.to_dict()))
         return
@@ -132,7 +133,7 @@ def _check_text(report: CheckReport) -> list[str]:
         where = " ".join(part for part in (finding.record, finding.channel) if part)
         lines.append(f"{finding.severity + ':':11s} {where + ': ' if where else ''}{finding.text}")
     if not report.findings:
-        lines.append("nothing wrong was found")
+        lines.append("no problem found")
     if report.toml:
-        lines += ["", "# in campaign.toml, this mends it:", report.toml.rstrip()]
+        lines += ["", "# correction in campaign.toml:", report.toml.rstrip()]
     return lines
