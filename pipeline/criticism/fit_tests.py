@@ -109,7 +109,7 @@ class FitTests:
         return tuple(score for score in self.scores if score.p_value < alpha)
 
     def is_significant(self, delta_chi2: float, parameters: int, alpha: float) -> bool:
-        """Whether a refit lowers chi2 as significantly as the score of its term had to."""
+        """Whether a refit lowers chi2 as significantly as the score of its term had to, at ``alpha``."""
         critical = max(self.null.critical(alpha), np.log(alpha))
         return bool(_log_p_of_decrease(self, delta_chi2, parameters) <= critical)
 
@@ -119,7 +119,7 @@ class FitTests:
 
 
 def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
-    """Test a fit; ``fit.ok`` must hold."""
+    """Test a fit: scores of the absent terms, structure in the residual, energy by region.  ``fit.ok`` must hold."""
     base = baseline(fit)
     with ThreadPoolExecutor(1) as pool:
         # The tests of the residual do not need the signatures, so both run at the same time.
@@ -157,7 +157,10 @@ def _log_p_of_increase(tests: FitTests, delta_chi2: float, parameters: int) -> f
 
 
 def log_p_without(fit: FitResult, smaller: FitResult) -> float:
-    """log p of the increase of chi2 from ``fit`` to a fit with fewer terms."""
+    """log P of the increase of chi2 from ``fit`` to the ``smaller`` fit, which has fewer terms.
+
+    The increase is divided by chi2 / dof of ``fit``, but at least by 1 where the noise level is known.
+    """
     level = fit.chi2 / max(fit.dof, 1)
     level = max(1.0, level) if fit.noise_known else max(level, 1e-300)
     increase = max(smaller.chi2 - fit.chi2, 0.0) / level
@@ -166,7 +169,10 @@ def log_p_without(fit: FitResult, smaller: FitResult) -> float:
 
 
 def wald(fit: FitResult, term: str) -> float:
-    """Wald statistic theta' C^-1 theta of a term in the fit, from the jacobian; parameters without a null are left out."""
+    """W = theta' C^-1 theta of a term in the fit (Wald 1943), with C from (J' J)^-1 and the noise level of the fit.
+
+    Parameters at their null or without one are left out; W is 0 where no other is left.
+    """
     gram = sum((jac.T @ jac for jac in fit.jacobian), np.zeros((fit.jacobian[0].shape[1],) * 2))
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     covariance = np.linalg.pinv(gram / scale / scale[:, None], rcond=1e-14, hermitian=True)
@@ -180,7 +186,7 @@ def wald(fit: FitResult, term: str) -> float:
 
 
 def is_clear(fit: FitResult, term: str) -> bool:
-    """Whether the size of a term in the fit exceeds zero by more than 8 sigma."""
+    """Whether W > 64: the size of a term in the fit differs from zero by more than 8 sigma."""
     return wald(fit, term) > _CLEAR_WALD
 
 
@@ -205,7 +211,7 @@ class PairedDifference:
 
 
 def held_out_difference(before: FitResult, after: FitResult) -> PairedDifference:
-    """Compare a fit with a larger one on the held-out data."""
+    """Compare a fit with a larger one on the held-out data; noise of 1 [sigma], or sqrt(chi2/dof) if not known."""
     level = 1.0 if after.noise_known else float(np.sqrt(after.chi2 / max(after.dof, 1)))
     return paired_difference(before.held, after.held, level)
 
@@ -213,7 +219,13 @@ def held_out_difference(before: FitResult, after: FitResult) -> PairedDifference
 def paired_difference(
     before: Sequence[ResidualBlock], after: Sequence[ResidualBlock], level: float = 1.0
 ) -> PairedDifference:
-    """Compare two models on the same held-out blocks, whose noise has rms ``level`` [sigma]."""
+    """delta_chi2 and its sd, as defined at the head of the module, of two models on the same held-out blocks.
+
+    Parameters
+    ----------
+    before, after : blocks (n, m) of the smaller and of the larger model, in the same order and of the same shapes.
+    level : rms of the noise [sigma].
+    """
     decrease = sum(old.chi2 - new.chi2 - (new.nuisances - old.nuisances) for old, new in zip(before, after))
     better = after if decrease > 0.0 else before
     nominal, actual = 0.0, 0.0
@@ -245,7 +257,11 @@ class RefitTest:
 
 
 def refit_test(tests: FitTests, score: Score, fit: FitResult, rules: Rules) -> RefitTest:
-    """Whether ``fit``, which adds the term of ``score`` to the tested fit, is significantly better."""
+    """Whether ``fit``, which adds the term of ``score`` to the tested fit, is significantly better.
+
+    The tests in order: the fit succeeded, no parameter at a limit, a size above its sd, delta_chi2 on the fitted data,
+    the share of the misfit that it explains, and the paired difference on the held-out data.
+    """
     delta_chi2, held, name = tests.fit.chi2 - fit.chi2, PairedDifference(0.0, 0.0), score.name
     if not fit.ok or fit.chi2 > tests.fit.chi2 * (1.0 + 1e-9):
         return RefitTest(delta_chi2, held, "failed", "its fit failed or raised chi2")

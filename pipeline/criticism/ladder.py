@@ -33,12 +33,12 @@ class Rung:
     ----------
     term, status : added on this rung, and whether it is confirmed; ``None`` on the first.
     terms : in the model on this rung.
-    error_fit, error_validate, relative_error : of this model; ``None`` where they cannot be given.
+    error_fit, error_validate, relative_error : of this model [sigma], [sigma], [1]; ``None`` where not known.
     delta_chi2 : decrease of the fitted chi2 from the rung before.
     held_delta_chi2, held_sd : decrease of the held-out chi2 and its sd.
     explained : share of the first model's excess chi2 that this model explains; ``None`` without a significant excess.
     dropped : terms removed on this rung.
-    parameters, derived : name -> (value, sd).
+    parameters, derived : name -> (value, sd), each in the unit of the parameter.
     """
 
     term: str | None
@@ -96,11 +96,11 @@ class Diagnosis:
     verdict : see ``pipeline.criticism.verdict``.
     terms : that together explain the whole misfit; empty for "adequate" and "unknown".
     scores : of every absent term at the given model, most significant first.
-    error_after : term -> error on the fitted data with the term in the model, by a refit where there was one, else expected
-        from its score.
+    error_after : term -> error [sigma] on the fitted data with the term in the model, by a refit where there was one,
+        else expected from its score.
     classes : of ``terms``.
     invisible : terms that these data could not have shown.
-    error : "fit" and "validate" -> error of the given model.
+    error : "fit" and "validate" -> error of the given model [sigma].
     p_left, left : p-value of the structure that the last model of the selection leaves, and "test: where".
     fit, fit_after : the given model, and the last one of the selection.
     wrong_form : term -> the partition between whose parts its fitted size differs.
@@ -185,7 +185,7 @@ def _rung(fit: FitResult, explained: float | None, step: SelectionStep | None = 
 
 
 def diagnose(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Diagnosis:
-    """Say what the model with ``terms`` lacks; at most ``rules.max_named`` terms are named."""
+    """Say what the model with ``terms`` lacks, by a forward selection of at most ``rules.max_named`` terms."""
     rules = rules or Rules()
     selection = forward_selection(problem, terms, replace(rules, rungs=min(rules.rungs, rules.max_named)))
     return as_diagnosis(problem, selection, rules)

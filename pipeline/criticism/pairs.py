@@ -24,7 +24,7 @@ _RANK = 1e-9
 
 @dataclass(frozen=True)
 class Pair:
-    """Two terms, the decrease of chi2 that they are expected to bring together, and the family-wise p over all pairs."""
+    """Two terms, the decrease T of chi2 expected of both together, and the family-wise p over all pairs."""
 
     names: tuple[str, str]
     delta_chi2: float
@@ -38,10 +38,10 @@ def best_pairs(
 
     Parameters
     ----------
-    projected : scores of the columns of all candidates.
+    projected : scores (K,) of the columns of all candidates, and their covariance (K, K).
     candidates : absent terms.
     known : the noise level is known.
-    draws, seed : of the simulated null.
+    draws, seed : number of simulated score vectors, and the seed of the simulation.
     """
     plain = [candidate for candidate in candidates if len(candidate.cells) == 1]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x2A125,)))

@@ -28,7 +28,7 @@ class ResidualBlock:
     Parameters
     ----------
     name : of the record or wafer.
-    residual : (n, m), of unit variance where model and noise level are right.
+    residual : (n, m) [sigma], of unit variance where model and noise level are right.
     labels : conditions, such as {"level": "0.35", "direction": "up"}; the size of a term is compared between them.
     repeat : blocks with the same mark are repeats, equal row by row except for the noise.
     nuisances : number of free amplitudes fitted to this block; corrects the comparison of held-out chi2.
@@ -42,12 +42,12 @@ class ResidualBlock:
 
     @property
     def rows(self) -> FloatArray:
-        """(n m,) residual in the row order of J and Z."""
+        """(n m,) residual [sigma] in the row order of J and Z."""
         return self.residual.reshape(-1)
 
     @property
     def chi2(self) -> float:
-        """Sum of squares of the residual."""
+        """Sum over n m rows of r^2."""
         return float(np.vdot(self.residual, self.residual))
 
 
@@ -61,7 +61,7 @@ class FitResult:
     terms : terms in the model besides the baseline.
     parameters, derived : name -> (value, sd).
     blocks, held : fitted and held-out blocks; only the free amplitudes of held-out blocks were fitted to them.
-    jacobian : for each fitted block (n m, P).
+    jacobian : for each fitted block J (n m, P) [sigma per unit of the parameter].
     columns : term -> its columns in the jacobian.
     shifts : term -> value - null of the parameter of each of its columns, in the unit of the column (zero for a parameter
         that does not exist at the null).
@@ -72,7 +72,8 @@ class FitResult:
     nuisances : number of amplitudes that were projected out; they reduce the degrees of freedom.
     at_limit : terms with a parameter at a limit of its range other than its null, or at a value where the term duplicates
         part of the model.
-    error, relative_error : "fit" and "validate" as the problem defines them; an omitted error is the rms of the residuals.
+    error, relative_error : "fit" and "validate" as the problem defines them; an omitted error
+        is the rms of the residuals [sigma].
     """
 
     ok: bool
@@ -95,7 +96,7 @@ class FitResult:
 
     @property
     def chi2(self) -> float:
-        """Sum of squares over the fitted blocks."""
+        """Sum of r^2 over the rows of the fitted blocks."""
         return sum(block.chi2 for block in self.blocks)
 
     @property
@@ -105,11 +106,14 @@ class FitResult:
 
     @property
     def dof(self) -> int:
-        """Rows less free parameters and nuisances."""
+        """Rows less the P free parameters and the nuisances."""
         return self.rows - (self.jacobian[0].shape[1] if self.jacobian else 0) - self.nuisances
 
     def error_of(self, part: str) -> float | None:
-        """The error on "fit" or "validate"; ``None`` without data of that kind, or with an unknown noise level."""
+        """sqrt(chi2 / rows) [sigma] on "fit" or "validate", or the error that the problem gives.
+
+        ``None`` without data of that kind, or with an unknown noise level.
+        """
         if part in self.error:
             return self.error[part]
         blocks = self.blocks if part == "fit" else self.held
@@ -138,7 +142,7 @@ class TermParameter:
 
     @classmethod
     def with_range(cls, name: str, unit: str, null: float, low: float, high: float) -> TermParameter:
-        """A parameter with the declared range [low, high]."""
+        """A parameter with the declared range [low, high], in ``unit``; a null at an end of the range sets ``side``."""
         side = 1 if low == null else (-1 if high == null else 0)
         return cls(name, unit, null, max(abs(high - null), abs(low - null)), side)
 
@@ -170,7 +174,7 @@ class LocalCandidate:
     name : of the term.
     delta_chi2s, dofs : decrease of chi2 at each grid point; at the null, delta_chi2 / level is chi-square of ``dofs``.
     grid : for each grid point the values of the scanned parameters.
-    reach : expected delta_chi2 of the strongest term within the declared range.
+    reach : expected delta_chi2 (the square of its SNR) of the strongest term within the declared range.
     levels : noise variance at each grid point; 1 where omitted.
     """
 
@@ -189,7 +193,7 @@ class Signatures:
     Parameters
     ----------
     candidates : absent terms, each with its cells of columns; a column may belong to none.
-    blocks : for each fitted block Z_b (n m, K).
+    blocks : for each fitted block Z_b (n m, K) [sigma per unit of the parameter].
     local : candidates with free amplitudes in every block.
     grams : ``stratum_grams`` of the blocks (strata, K, K), where the problem stores them.
     """
@@ -242,7 +246,7 @@ class Spectrum:
 
     Parameters
     ----------
-    frequency_hz, chi2 : (M,); neighbours may share energy.
+    frequency_hz, chi2 : (M,) [Hz] and energy; neighbours may share energy.
     dof : degrees of freedom of each.
     """
 
@@ -259,11 +263,11 @@ class Problem(Protocol):
         ...
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Candidates that the model of the fit lacks, with their columns at the null."""
+        """Candidates that the model of the fit lacks, with their columns Z (n m, K) at the null."""
         ...
 
     def probes(self, fit: FitResult) -> Signatures:
-        """Generic shapes that any misfit is likely to correlate with; they are never named.  May be empty."""
+        """Generic shapes (n m, K) that any misfit is likely to correlate with; they are never named.  May be empty."""
         ...
 
     def regions(self, fit: FitResult) -> Sequence[Region]:

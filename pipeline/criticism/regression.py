@@ -76,7 +76,10 @@ class Regression:
         return len(self.measured) - self.held
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
-        """Least squares from the parameters of ``start`` and from the most promising scanned values."""
+        """argmin sum |r|^2 from the parameters of ``start`` and from the most promising scanned values.
+
+        ``ok`` is false where least squares found no finite residual or did not converge.
+        """
         # Importing scipy.optimize takes 0.2 s, which users of the types of this module need not spend.
         from scipy.optimize import least_squares
 
@@ -115,7 +118,7 @@ class Regression:
         return self._result(terms, chosen, names, values, bool(best.status > 0))
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Central differences at the null of every absent term, for every scanned value."""
+        """Z (n m, K) by central differences at the null of every absent term, for every scanned value."""
         at = {name: value for name, (value, _) in fit.parameters.items()}
         blocks: list[list[FloatArray]] = [[] for _ in range(self.fitted)]
         candidates, column = [], 0
@@ -136,7 +139,7 @@ class Regression:
         return Signatures(tuple(candidates), tuple(np.concatenate([e, *z], axis=1) for e, z in zip(empty, blocks)))
 
     def probes(self, fit: FitResult) -> Signatures:
-        """The generic shapes given as ``probe``."""
+        """The generic shapes (n m, K) given as ``probe``."""
         shapes = self.probe or {}
         empty = [np.zeros((block.residual.size, 0)) for block in self.measured[: self.fitted]]
         candidates, column = [], 0
@@ -149,7 +152,7 @@ class Regression:
         return Signatures(tuple(candidates), tuple(blocks))
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
-        """One region per fitted block."""
+        """One region per fitted block, with n m degrees of freedom."""
         return [Region("block", {"block": b.name}, b.chi2, float(b.residual.size)) for b in fit.blocks]
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:

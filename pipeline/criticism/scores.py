@@ -123,7 +123,7 @@ class Score:
 
 @lru_cache(maxsize=2)
 def baseline(fit: FitResult, without: tuple[int, ...] = ()) -> Baseline:
-    """Orthonormalise the jacobian of a fit, leaving out the columns ``without``.
+    """Q and R of the jacobian of a fit, J = Q R, without the columns ``without``; residual r - Q Q' r.
 
     A second pass removes the rounding error of the first, so that a signature of which a millionth survives is still right.
     The last two results are cached because several tests of one fit use the same baseline.
@@ -215,7 +215,7 @@ def _orthonormal(blocks: Sequence[FloatArray]) -> tuple[tuple[FloatArray, ...], 
 
 
 def triangle(matrix: FloatArray) -> FloatArray:
-    """R (k, k) of the QR factorisation of a matrix (n, k)."""
+    """R (k, k) of the QR factorisation of a matrix (n, k); (n, k) where n < k."""
     return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
@@ -238,7 +238,7 @@ def _gamma(fit: FitResult, residual: Sequence[FloatArray], dof: int) -> tuple[tu
 
 
 def cells_of(projected: Projected, candidate: Candidate) -> tuple[Cell, ...]:
-    """The grid points of a candidate, ready to be evaluated for any number of scores."""
+    """The grid points of a candidate: their columns, cones and inflation, for use with any number of scores."""
     return tuple(_cell(projected, candidate, part) for part in candidate.cells)
 
 
@@ -259,7 +259,7 @@ def _cell(projected: Projected, candidate: Candidate, part: slice) -> Cell:
 
 
 def inverse_of(gram: FloatArray) -> tuple[FloatArray, int]:
-    """Pseudo-inverse (k, k) and rank of a block of G; directions that the baseline absorbs are dropped."""
+    """G^+ (k, k) and its rank for a block (k, k) of G; directions that the baseline absorbs are dropped."""
     if gram.size == 0:
         return np.zeros_like(gram), 0
     size, vector = np.linalg.eigh(gram)

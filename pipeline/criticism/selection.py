@@ -44,7 +44,7 @@ class FitCache:
         self._fits = dict(fits or {})
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
-        """The fit with these terms, from ``start`` where it has not been made before."""
+        """The fit with these terms; where it has not been made before, it starts from the parameters of ``start``."""
         key = frozenset(terms)
         if key not in self._fits:
             self._fits[key] = self._problem.fit(terms, start)
@@ -99,7 +99,7 @@ class ForwardSelection:
 
     @property
     def last(self) -> FitTests:
-        """Tests of the last fit."""
+        """Tests of the last fit; only where the first fit succeeded."""
         return self.tests[-1]
 
     @property

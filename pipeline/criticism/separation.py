@@ -50,27 +50,30 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Separation:
-    """The pairs of a class and their SNR, smallest first."""
+    """The pairs of a class and their SNR [sigma], smallest first."""
 
     pairs: tuple[tuple[tuple[str, str], float], ...]
 
     @property
     def least(self) -> float:
-        """Smallest SNR of a pair."""
+        """Smallest SNR of a pair [sigma]."""
         return self.pairs[0][1]
 
     def apart(self, snr: float) -> int:
-        """Number of pairs that reach ``snr``."""
+        """Number of pairs whose SNR is at least ``snr`` [sigma]."""
         return sum(value >= snr for _, value in self.pairs)
 
 
 def known_of(fit: FitResult) -> FloatArray:
-    """R (P, P) with R' R = J' J over the fitted blocks."""
+    """R (P, P) with R' R = J' J over the fitted blocks; triangular."""
     return triangle(np.concatenate([triangle(block) for block in fit.jacobian]))
 
 
 def snr(right: Prediction, wrong: Prediction) -> float:
-    """snr(A | B) of a right and a wrong prediction; negative (-sqrt(-snr^2)) where the wrong one would still fit better."""
+    """snr(A | B) [sigma] of a right prediction A and a wrong one B, both (n,), as defined at the head of the module.
+
+    Negative, -sqrt(-snr^2), where the wrong one would still fit better; an upper bound without a jacobian.
+    """
     difference = right.signal - wrong.signal
     left = float(difference @ difference)
     if wrong.jacobian is not None:

@@ -59,7 +59,7 @@ class Evidence:
     weights: FloatArray
 
     def scaled(self) -> tuple[Evidence, FloatArray]:
-        """The same with columns of unit mean information, and the scale (K,) by which they were divided."""
+        """The same with columns of unit mean information, and the scale (K,) by which they were divided [1 / unit]."""
         mean = np.sqrt(np.maximum(np.mean(np.diagonal(self.information, axis1=1, axis2=2), axis=0), 0.0))
         scale = np.where(mean > 0.0, mean, 1.0)
         present = np.diagonal(self.information, axis1=1, axis2=2) > _NO_INFORMATION * scale**2
@@ -96,7 +96,7 @@ class Joint:
     right_side: bool
 
     def log_p_family(self, count: float) -> float:
-        """The larger of ``log_p`` and ``log_p_without``, as the smallest of ``count`` terms."""
+        """The larger of ``log_p`` and ``log_p_without`` as the smallest of ``count`` terms: log(1 - (1 - p)^count)."""
         return max(float(log_any(p, count)) for p in (self.log_p, self.log_p_without))
 
 
@@ -127,7 +127,7 @@ def shared(
     Parameters
     ----------
     evidence : scores of n units.
-    terms : candidates.
+    terms : E candidates and their columns among the K.
     population : number of units in all, of which a tenth is the smallest share that counts.
     alpha : family-wise probability of naming a term where none is shared.
     trials : number of families of terms that are tested.

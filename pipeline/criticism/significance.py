@@ -90,7 +90,7 @@ def _log_chi2_far(t: FloatArray, k: int) -> FloatArray:
 
 
 def log_any(log_p: FloatArray | float, trials: FloatArray | float) -> FloatArray:
-    """log of the probability that any of ``trials`` independent tests (a real number) falls below p."""
+    """log(1 - (1 - p)^trials), that any of ``trials`` independent tests (a real number) falls below p; (...) like p."""
     log_p = np.asarray(log_p, dtype=np.float64)
     p = np.exp(np.minimum(log_p, -1e-16))
     with np.errstate(divide="ignore"):
@@ -104,7 +104,7 @@ def trials_of(log_p: float, share: float) -> float:
 
 
 def normal_log_tail(z: FloatArray | float) -> FloatArray:
-    """log P(|N(0, 1)| > |z|)."""
+    """log P(|N(0, 1)| > |z|) of z (...) [sigma]."""
     return np.asarray(np.log(2.0) + log_ndtr(-np.abs(z)))
 
 
@@ -124,7 +124,7 @@ class Null:
     known: bool
 
     def p_family(self, log_p: float) -> float:
-        """P(min p* <= p)."""
+        """P(min_i p_i* <= p) from log p; beyond the simulated range by the effective number of trials."""
         below = int(np.searchsorted(self.smallest, log_p, side="right"))
         if below >= _COUNTED:
             return (below + 1) / (self.smallest.size + 1)
@@ -132,7 +132,7 @@ class Null:
         return float(np.exp(log_any(log_p, trials_of(float(self.smallest[_COUNTED]), share))))
 
     def critical(self, alpha: float) -> float:
-        """The log p at which a single candidate is significant at ``alpha`` family-wise."""
+        """The log p at which a single candidate is significant at ``alpha`` family-wise: inverse of ``p_family``."""
         place = alpha * self.smallest.size
         if place >= _COUNTED:
             return float(self.smallest[int(place)])

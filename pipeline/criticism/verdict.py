@@ -191,7 +191,7 @@ def _classes(cache: FitCache, selection: ForwardSelection, rules: Rules) -> tupl
 
 
 def rivals(fit: FitResult, term: str, signatures: Signatures) -> tuple[Rival, ...]:
-    """Compare every absent term with one that is in the fit, nearest first.
+    """T(A|B), T(B|A) and the sine of the angle for every absent term B and one fitted term A, smallest T(A|B) first.
 
     Parameters
     ----------

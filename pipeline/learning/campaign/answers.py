@@ -70,17 +70,17 @@ class CampaignAnswers:
         return rules if self._noise_known else replace(rules, max_named=rules.rungs)
 
     def fitted(self, terms: Sequence[str] = ()) -> CampaignFit:
-        """The fit of the given model with ``terms``."""
+        """The fit of the given model with ``terms``, made where it has not been made before."""
         self.problem.fit(tuple(terms))
         return self.problem.campaign_fit(terms)
 
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
-        """For every class the record that separates it best."""
+        """For every class of several effects the record that separates it best; ``terms`` are in the fit."""
         found = (separating_record(self.problem, terms, one) for one in classes if len(one.members) > 1)
         return tuple(one for one in found if one is not None)
 
     def write_drive_files(self, proposals: Sequence[Proposal], folder: Path) -> None:
-        """Write the drive files of :meth:`proposals`.
+        """Write the drive files of :meth:`proposals`: drive samples (N, D) [V].
 
         Raises
         ------
@@ -91,7 +91,7 @@ class CampaignAnswers:
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
-        """How well the given model explains the campaign."""
+        """How well the given model explains the campaign: errors [sigma] by role and record, and where it fails."""
         result = self.problem.fit(())
         if not result.ok:
             return ComparisonAnswer(error={}, relative_error={}, where=(), parameters={}, fit_ok=False, why=result.why)
@@ -155,7 +155,7 @@ class CampaignAnswers:
 
     @property
     def noise(self) -> Noise:
-        """sigma [V] of each channel, and where it comes from."""
+        """sigma [V] of each channel, and where it comes from: "residual" without a silent record and repeats."""
         noise = self.problem.noise
         return Noise(sigma=tuple(noise.sigma_v.tolist()), from_=noise.source if self._noise_known else "residual")
 

@@ -32,7 +32,7 @@ class HoldHint:
     ----------
     declared, likely : the two holds.
     look_alikes : effects that mimic a wrong hold; they are in the model with ``declared``, but not in that with ``likely``.
-    error, error_declared : relative error with ``likely`` and with ``declared``.
+    error, error_declared : rms(measured - model) / rms(measured) with ``likely`` and with ``declared``.
     """
 
     declared: Hold

@@ -57,7 +57,7 @@ class ScanPoint:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """The grid for one drive group: indices of its records, gains (R, D, W) of the waveforms, grid points."""
+    """The grid for one drive group: places of its records, gains (R, D, W) of the waveforms, grid points."""
 
     places: tuple[int, ...]
     gains: FloatArray
@@ -65,7 +65,7 @@ class Scan:
 
     @property
     def mixing(self) -> FloatArray:
-        """(W, D R): the amplitude of each waveform in each drive of each record."""
+        """(W, D R): the amplitude of each waveform in each drive of each record, from ``gains``."""
         return np.asarray(self.gains.transpose(2, 1, 0).reshape(self.gains.shape[2], -1))
 
 
@@ -75,7 +75,7 @@ def mode_scans(campaign: Campaign, bins: Sequence[int], top_hz: float, displacem
     Parameters
     ----------
     campaign : its fit records.
-    bins : number of bins above zero of each fit record.
+    bins : number F of bins above zero of each fit record.
     top_hz : highest frequency of a mode [Hz].
     displacement : whether the pick-off senses displacement rather than velocity.
     """

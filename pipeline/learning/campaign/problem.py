@@ -42,7 +42,7 @@ class CampaignProblem:
     ----------
     campaign : with at least one record of role "fit".
     model : the model to start from.
-    noise : level of each channel.
+    noise : level of each channel, (S,) [V].
     threads : signatures that are computed, and records that are integrated, in parallel.
     """
 
@@ -61,12 +61,12 @@ class CampaignProblem:
 
     @cached_property
     def spectra(self) -> tuple[FourierRows, ...]:
-        """The transform of each fit record to rows."""
+        """For each fit record its transform (N, S) -> (2 F, S)."""
         return tuple(spectra_of(record) for record in self.records)
 
     @cached_property
     def strata(self) -> tuple[IntArray, ...]:
-        """Noise stratum of every row of each fit record."""
+        """For each fit record (2 F S,) the noise stratum of every row."""
         return tuple(strata_of(s, record.sense_v.shape[1]) for record, s in zip(self.records, self.spectra))
 
     @cached_property
@@ -91,7 +91,10 @@ class CampaignProblem:
         return self._fits[frozenset(terms)][0]
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
-        """Fit the model with these terms, from the parameters of ``start`` if given."""
+        """Least squares with these terms in the model, from the parameters of ``start`` if given.
+
+        A fit that raises a project error or a singular matrix is returned with ``ok`` false and the reason.
+        """
         key = frozenset(terms)
         if key not in self._fits:
             model = self.model
@@ -108,7 +111,7 @@ class CampaignProblem:
         return self._fits[key][1]
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Signatures of all absent effects; those of an earlier fit are reused until the model has moved by ``_STALE``."""
+        """Z (2 F S, K) of all absent effects; reused until the predictions have moved by the share ``_STALE``."""
         fitted = self.campaign_fit(fit.terms)
         library, absent = fitted.model.library, fitted.model.candidates()
         names = [name for name in absent if name not in self._modes and library[name].disturbance is None]
@@ -139,7 +142,7 @@ class CampaignProblem:
         return (found,)
 
     def probes(self, fit: FitResult) -> Signatures:
-        """Generic shapes that almost any missing effect resembles."""
+        """Generic shapes (2 F S, K) that almost any missing effect resembles."""
         fitted = self.campaign_fit(fit.terms)
         return probe_signatures(self._residuals(fitted), fitted, self.records, self.spectra)
 

@@ -32,7 +32,7 @@ _APART = 3.0
 
 @dataclass(frozen=True, eq=False)
 class FourierRows:
-    """The transform of one record of ``samples`` samples to rows: its ``bins`` (F,) and their frequencies [Hz]."""
+    """The transform of one record of ``samples`` samples to rows: its ``bins`` (F,) and their frequencies (F,) [Hz]."""
 
     samples: int
     bins: IntArray
@@ -53,13 +53,13 @@ class FourierRows:
         return out
 
     def columns(self, jacobian: FloatArray, senses: int) -> FloatArray:
-        """(N S, k) -> (2 F S, k): the rows of each column."""
+        """(N S, k) -> (2 F S, k): the rows of each column, sqrt(2/N) (Re, Im) of its Fourier coefficients."""
         k = jacobian.shape[1]
         return self(jacobian.T.reshape(k, self.samples, senses)).reshape(k, -1).T
 
 
 def spectra_of(record: Record) -> FourierRows:
-    """Bins above zero, up to ``TOP_HZ`` and below Nyquist."""
+    """Bins above zero, up to ``TOP_HZ`` [Hz] and below Nyquist."""
     n, rate = record.drive_v.shape[0], record.sample_rate_hz
     bins = np.arange(1, (n - 1) // 2 + 1)
     frequency = bins * rate / n
@@ -89,7 +89,7 @@ def fit_result(
     fitted, sensitivities : the fit, and for each fit record its columns (N S, P) and those of its initial state, in sigmas.
     terms : effects in the model beside the given ones.
     campaign : its records.
-    spectra, strata : of each fit record.
+    spectra, strata : of each fit record: its transform, and (2 F S,) the noise stratum of each row.
     """
     free, noise_known = fitted.model.free, fitted.noise.source != "local"
     columns = {

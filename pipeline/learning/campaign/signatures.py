@@ -65,7 +65,7 @@ class KnownSignatures:
     candidates : those of the requested effects that make sense for the model.
     requested : names of the effects.
     blocks : for each fit record Z (2 F S, K).
-    grams : Z' Z by noise stratum.
+    grams : Z' Z by noise stratum (strata, K, K).
     predicted_v : (N, S) of each fit record [V] by name.
     """
 
@@ -76,7 +76,7 @@ class KnownSignatures:
     predicted_v: Mapping[str, FloatArray]
 
     def moved(self, fitted: CampaignFit) -> float:
-        """Relative change (rms) of the predicted fit records since the signatures were computed."""
+        """rms(change) / rms(prediction) of the predicted fit records since the signatures were computed [1]."""
         now = fitted.of_role("fit")
         return relative_change(
             [self.predicted_v[record.name] for record in now], [record.predicted_v for record in now]
@@ -94,7 +94,7 @@ def known_signatures(
 ) -> KnownSignatures:
     """Signatures of the effects ``names`` at a fit; they are computed in parallel by ``executor``.
 
-    ``records``, ``spectra`` and ``strata`` are those of the fit records.
+    ``records``, ``spectra`` and ``strata`` (2 F S,) are those of the fit records.
     """
     tasks = problem.tasks(records, fitted.values)
 
@@ -141,7 +141,7 @@ def tangent_of(
     records: Sequence[Record],
     rows: Callable[[int, FloatArray], FloatArray],
 ) -> Tangent:
-    """The tangent at a fit; ``tasks`` are those of its fit ``records`` at its values, ``rows`` as in ``Tangent``."""
+    """The tangent at a fit; ``tasks`` belong to its fit ``records`` at its values, ``rows`` as in :class:`Tangent`."""
     known = {r.name: r.start for r in fitted.records}
     starts = [known[record.name] for record in records]
     groups = tuple(
@@ -197,7 +197,7 @@ def _candidate(
 
 
 def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: str) -> LocalCandidate:
-    """The disturbance ``name``, whose amplitudes are free in every fit record and channel."""
+    """The disturbance ``name``, its amplitudes free in every fit record and channel: delta_chi2 by grid point."""
     residuals = {r.name: r.residual for r in fitted.records}
     shapes = free_shapes(
         fitted.model.library[name],
@@ -217,7 +217,10 @@ def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: 
 def probe_signatures(
     problem: CampaignResiduals, fitted: CampaignFit, records: Sequence[Record], spectra: Sequence[FourierRows]
 ) -> Signatures:
-    """Generic shapes that almost any missing effect resembles: powers, drifts and crosstalk of the predicted records."""
+    """Generic shapes (2 F S, K) that almost any missing effect resembles, one candidate each.
+
+    Powers, drifts, slopes and crosstalk of the predicted records, whitened, each in each channel separately.
+    """
     blocks = []
     count = 0
     for record, transform in zip(records, spectra):

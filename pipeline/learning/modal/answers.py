@@ -70,7 +70,7 @@ class ModalAnswers:
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
-        """How well the given model explains the modal record."""
+        """How well the given model explains the modal record: relative error, and with a declared noise error [sigma]."""
         fit = self.fitted()
         if not fit.ok:
             return ComparisonAnswer(error={}, relative_error={}, where=(), parameters={}, fit_ok=False, why=fit.why)
@@ -98,7 +98,7 @@ class ModalAnswers:
     def diagnosis(
         self, found: Diagnosis, proposals: Sequence[Proposal] = (), drive_files: bool = False
     ) -> DiagnosisAnswer:
-        """What the given model lacks; ``proposals`` are none."""
+        """What the given model lacks, with F-tests and pairs; ``proposals`` are none."""
         answer = diagnosis_answer(found)
         if not found.fit.ok:
             return answer

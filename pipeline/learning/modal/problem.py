@@ -175,7 +175,10 @@ class ModalProblem:
         return abs(self._start[name]) if name.startswith("zeta") else max(abs(self._start[name]), 1e-2)
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
-        """Least squares of the model with these terms."""
+        """Least squares of the model with these terms, from ``start``.
+
+        A fit that raises a project error or a singular matrix is returned with ``ok`` false and the reason.
+        """
         key = frozenset(terms)
         if key not in self._fits:
             try:
@@ -224,7 +227,7 @@ class ModalProblem:
         )
 
     def covariance(self, fit: FitResult) -> FloatArray:
-        """Of the free parameters (P, P)."""
+        """(P, P) of the free parameters, level^2 (J' J)^-1 in their units; level: 1, or sqrt(chi2/dof) if not declared."""
         jacobian = fit.jacobian[0]
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0.0] = 1.0
@@ -236,7 +239,7 @@ class ModalProblem:
         return 1.0 if self.noise_known else float(np.sqrt(fit.chi2 / max(fit.dof, 1)))
 
     def relative_sd(self, fit: FitResult) -> FloatArray:
-        """(M,) sd of the real or imaginary part of an entry, in units of the norm of its mode."""
+        """(M,) sd of the real or imaginary part of an entry, in units of the norm of its mode [1]."""
         return self.rows.relative_unit * self._level(fit)
 
     def noise(self, fit: FitResult) -> tuple[FloatArray, FloatArray]:
@@ -244,11 +247,11 @@ class ModalProblem:
         return self.rows.unit * self._level(fit), self.rows.pole_unit * self._level(fit)
 
     def residuals(self, fit: FitResult) -> ComplexArray:
-        """(M, S, D) measured less modelled c, in units of the norm of each mode."""
+        """(M, S, D) c - c(model), in units of the norm of each mode [1]."""
         return np.asarray((self.measured.c - self.modes(_values(fit)).c) / self.norms[:, None, None])
 
     def relative_error(self, fit: FitResult) -> float:
-        """Relative error of the residues at resonance, as defined at the head of the module."""
+        """sqrt(mean over modes of |c - c(model)|^2 / |c|^2) of the residues at resonance [1]."""
         return float(np.sqrt(np.sum(np.abs(self.residuals(fit)) ** 2) / self.norms.size))
 
     def thetas(self, fit: FitResult) -> FourThetas | None:
@@ -264,15 +267,15 @@ class ModalProblem:
             return None
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Finite differences at the null of every absent term."""
+        """Z (n, K) by central differences at the null of every absent term."""
         return self._problem.signatures(fit)
 
     def probes(self, fit: FitResult) -> Signatures:
-        """Any change of the residues of one mode, and of all modes: an F-test or chi2 test of the whole residual."""
+        """(n, K): any change of the residues of one mode, and of all modes: a test of the whole residual."""
         return self.rows.probes(self._rows(self.measured).size)
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
-        """The residual energy of each entry of each mode."""
+        """The residual energy of each of the M S D entries."""
         return self.rows.regions(fit)
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:

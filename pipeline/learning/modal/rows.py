@@ -53,7 +53,7 @@ class ModalRows:
 
     @cached_property
     def unit(self) -> FloatArray:
-        """(M, 2, S, D) the unit of Im c and Re c [1/s]: declared sd, or the norm of the mode."""
+        """(M, 2, S, D) the unit of Im c and Re c [1/s]: the declared sd of R1 and R0/w, or the norm of the mode."""
         shape = (self.norms.size, 2, *self.record.R1.shape[1:])
         whole = np.broadcast_to(self.norms[:, None, None, None], shape)
         return whole if self.record.sd is None else self.record.sd
@@ -65,17 +65,20 @@ class ModalRows:
 
     @cached_property
     def pole_unit(self) -> FloatArray:
-        """(M,) the unit of a pole [rad/s]."""
+        """(M,) -pole_weight Re(p) ``relative_unit``, the unit of a pole [rad/s]."""
         return np.asarray(-self.pole_weight * self.measured.poles.real * self.relative_unit)
 
     def rows(self, modes: ResonantModes, present: BoolArray) -> FloatArray:
-        """(n, 1): Re and Im of every residue, then of the deviation of the poles that are ``present`` (M,) in the plant."""
+        """(n, 1): Im and Re of every residue, then Re and Im of the deviation of the poles, each in its unit.
+
+        ``present`` (M,) selects the poles that the plant has.
+        """
         poles = ((modes.poles - self.measured.poles) / self.pole_unit)[present]
         parts = (modes.c.imag / self.unit[:, 0], modes.c.real / self.unit[:, 1], poles.real, poles.imag)
         return np.concatenate([part.ravel() for part in parts])[:, None]
 
     def probes(self, rows: int) -> Signatures:
-        """Any change of the residues, mode by mode and of all modes together; ``rows`` is n."""
+        """(n, K): any change of the residues, mode by mode and of all modes together; ``rows`` is n."""
         entries = self.measured.c.size
         mode = np.repeat(np.arange(self.norms.size), entries // self.norms.size)
         groups = {f"mode {m + 1}": np.flatnonzero(np.tile(mode, 2) == m) for m in range(self.norms.size)}
@@ -89,7 +92,7 @@ class ModalRows:
         return Signatures(tuple(candidates), (np.concatenate(columns, axis=1),))
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
-        """The residual energy of each entry of each mode."""
+        """The residual energy of each of the M S D entries; two rows less their share of the fitted parameters."""
         entries = self.measured.c.size
         residuals = fit.blocks[0].rows[: 2 * entries].reshape(2, *self.measured.c.shape)
         energy = np.sum(residuals**2, axis=0)

@@ -41,7 +41,7 @@ def modal_terms(
     ----------
     model, values : the model to start from, with start values of its parameters.
     rows : the record.
-    at_null : modes of the model at ``values``.
+    at_null : modes of the model at ``values``: poles [rad/s] and residues (M, S, D) [1/s].
     declared : effects that are fixed by a declared condition.
     """
     names = (name for name in model.candidates() if name not in declared)

@@ -71,21 +71,21 @@ class Experiment:
         return ", ".join(parts)
 
     def scaled(self, factor: float) -> Experiment:
-        """Every amplitude times ``factor``."""
+        """Every amplitude times ``factor`` [1]; excitations other than chirp and multisine stay as they are."""
         full = self.excitation
         if not isinstance(full, Chirp | Multisine):
             return self
         return replace(self, excitation=replace(full, amplitude_v=tuple(factor * a for a in full.amplitude_v)))
 
     def lasting(self, duration_s: float) -> Experiment:
-        """The same excitation stretched to ``duration_s`` [s]."""
+        """The same excitation stretched to ``duration_s`` [s]; the period of a multisine grows with it."""
         slow = self.excitation
         if isinstance(slow, Multisine):
             slow = replace(slow, period_s=slow.period_s * duration_s / slow.duration_s)
         return replace(self, excitation=replace(slow, duration_s=duration_s))
 
     def record(self, campaign: Campaign) -> Record:
-        """The record before it is measured: its sense samples are zero."""
+        """The record before it is measured: drive (N, D) [V], sense (N, S) zero."""
         rate = campaign.instrument.sample_rate_hz
         drive = drive_samples(self.excitation, rate)
         sense = np.zeros((drive.shape[0], campaign.records[0].sense_v.shape[1]))
@@ -93,7 +93,7 @@ class Experiment:
 
 
 def within(experiment: Experiment, peak_v: float, adc: Adc | None) -> Experiment:
-    """``experiment``, with its level reduced if a response of ``peak_v`` [V] would come too near full scale."""
+    """``experiment``, with its level reduced if a response of ``peak_v`` [V] exceeds 0.9 of full scale."""
     if adc is None or peak_v <= _FULL * adc.full_scale_v:
         return experiment
     return experiment.scaled(0.98 * _FULL * adc.full_scale_v / peak_v)

@@ -70,12 +70,12 @@ class Proposal:
 
     @property
     def snr(self) -> float:
-        """Predicted SNR with which ``pair`` is separated."""
+        """Predicted SNR [sigma] with which ``pair`` is separated."""
         return dict(self.separation.pairs)[self.pair]
 
     @property
     def separates(self) -> bool:
-        """Whether at least one pair is separated."""
+        """Whether at least one pair is separated, with an SNR of at least ``LEAST`` [sigma]."""
         return self.snr >= LEAST
 
     @property
@@ -108,7 +108,7 @@ class Proposal:
         return "\n".join(head) + "\n" + toml.table("[[record]]", {"file": self.file, "role": "fit", **conditions})
 
     def write(self, folder: Path) -> Path | None:
-        """Writes the drive file and, beside it, the lines for campaign.toml; writes nothing if no pair is separated.
+        """Write the drive file and, beside it, the lines for campaign.toml; write nothing if no pair is separated.
 
         Raises
         ------

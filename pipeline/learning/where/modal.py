@@ -14,7 +14,7 @@ from ..modal.problem import ModalProblem
 
 
 def entries_by_misfit(problem: ModalProblem, fit: FitResult) -> tuple[Place, ...]:
-    """Every entry with its share of the squared misfit, the largest first."""
+    """Every entry with its share of the squared misfit, the largest first; relative to the norm of its mode."""
     values = {name: value for name, (value, _) in fit.parameters.items()}
     residual, model = problem.residuals(fit), problem.modes(values).c
     squared = np.abs(residual) ** 2

@@ -94,7 +94,7 @@ class CampaignPartition:
 
 
 def campaign_partition(fit: CampaignFit, records: Mapping[str, RecordPartition]) -> CampaignPartition:
-    """Adds the lines that the residual of ``fit`` shows in a fitted record or in the sum over all of them."""
+    """Adds the lines [Hz] that the residual of ``fit`` shows in a fitted record or in the sum over all of them."""
     fitted = fit.of_role("fit")
     spectra = residual_spectra(fit, records)
     found: list[float] = []
@@ -108,7 +108,7 @@ def campaign_partition(fit: CampaignFit, records: Mapping[str, RecordPartition])
 
 
 def residual_spectra(fit: CampaignFit, records: Mapping[str, RecordPartition]) -> list[Spectrum]:
-    """Residual energy by frequency of each fitted record."""
+    """Residual energy by frequency [Hz] of each fitted record, with a Hann window and summed over channels."""
     return [_spectrum(mine.residual, records[mine.name].sample_rate_hz) for mine in fit.of_role("fit")]
 
 
@@ -134,7 +134,7 @@ def _merged(frequencies_hz: Sequence[float], resolution_hz: float) -> list[float
 
 
 def record_partitions(campaign: Campaign, fit: CampaignFit) -> dict[str, RecordPartition]:
-    """The partition of each driven record by name, from the resonances and the predicted motion of ``fit``."""
+    """The partition of each record in ``fit`` by name, from its resonances [Hz] and its predicted motion (N, S) [V]."""
     records: Mapping[str, Record] = {record.name: record for record in campaign.records}
     rms = {mine.name: np.sqrt(np.mean(short_blocks(mine.predicted_v) ** 2, axis=1)) for mine in fit.records}
     largest = np.maximum(np.max([level.max(axis=0) for level in rms.values()], axis=0), 1e-300)

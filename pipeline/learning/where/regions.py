@@ -115,7 +115,7 @@ def by_kind(regions: Sequence[Region]) -> list[Region]:
 
 
 def explained(before: Sequence[Region], after: Sequence[Region]) -> float:
-    """Share of the excess of ``before`` that ``after`` no longer has, at most 1."""
+    """1 - excess after / excess before, at most 1; the excess of some regions is sum(chi2 - dof)."""
     return min(explained_share(*(sum(r.chi2 - r.dof for r in regions) for regions in (before, after))), 1.0)
 
 
@@ -135,7 +135,7 @@ def significant_places(regions: Sequence[Region], noise_dof: float, after: Seque
     Parameters
     ----------
     regions : of every family.
-    noise_dof : degrees of freedom of the noise level.
+    noise_dof : degrees of freedom of the noise level, for the uncertainty of its F-test.
     after : the same regions with another model; a place then has the error with it and the share that it explains.
     """
     old, new = ({(r.family, repr(r.labels)): r for r in part} for part in (regions, after))
