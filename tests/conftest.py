@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
@@ -12,6 +13,19 @@ from hypothesis import settings  # noqa: E402
 # The same examples every time, and no deadline: a busy machine is not a failure.
 settings.register_profile("suite", deadline=None, derandomize=True)
 settings.load_profile("suite")
+
+_LONGEST_FIRST = ("workflows/screening", "workflows", "pipeline/learning", "reports", "pipeline/identification")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first: two workers that take whole files then finish within seconds of each other."""
+    root = Path(__file__).parent
+
+    def place(item: pytest.Item) -> int:
+        folder = item.path.relative_to(root).as_posix()
+        return next((i for i, name in enumerate(_LONGEST_FIRST) if folder.startswith(name)), len(_LONGEST_FIRST))
+
+    items.sort(key=place)
 
 
 @pytest.fixture

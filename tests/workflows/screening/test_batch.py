@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 
 import pytest
-from distributed import LocalCluster
 
 from pipeline.experiment.campaign import write_campaign
 from pipeline.store.digest import table_digest
@@ -34,18 +33,12 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, "-c", "from workflows.cli import main; main()", *arguments]
 
 
-def run(tmp: Path, name: str, devices: int = 8, block: int = 2, workers: int = 1) -> str:
+def run(tmp: Path, name: str, *options: str, devices: int = 8, block: int = 2) -> Path:
+    """Folder with the results of a run with these options."""
     config = tmp / f"{name}.toml"
     config.write_text(CONFIG.format(devices=devices, block=block))
-    done = subprocess.run(
-        command("run", str(config), "--out", str(tmp / name), "--workers", str(workers), "--json"),
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)["run_id"]
+    assert call(["run", str(config), "--out", str(tmp / name), "--json", *options]) == 0
+    return tmp / name
 
 
 def digest(results: Path) -> str:
@@ -53,19 +46,18 @@ def digest(results: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def one_worker(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of eight devices with one worker, in blocks of two."""
-    tmp = tmp_path_factory.mktemp("batch")
-    run(tmp, "one")
-    return tmp / "one"
+def on_cluster(tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Path:
+    """Results of eight devices on an existing cluster with one worker, in blocks of two."""
+    return run(tmp_path_factory.mktemp("batch"), "remote", "--scheduler", scheduler)
 
 
-def test_workers_and_blocks_do_not_change_the_table(one_worker: Path, tmp_path: Path) -> None:
-    run(tmp_path, "two", block=3, workers=2)
-    assert digest(tmp_path / "two") == digest(one_worker)
+def test_two_local_workers_and_other_blocks_give_the_table_of_a_cluster(on_cluster: Path, tmp_path: Path) -> None:
+    assert digest(run(tmp_path, "two", "--workers", "2", block=3)) == digest(on_cluster)
 
 
-def test_a_run_that_is_killed_and_resumed_gives_the_same_table(one_worker: Path, tmp_path: Path) -> None:
+def test_a_run_that_is_killed_and_resumed_gives_the_same_table(
+    on_cluster: Path, scheduler: str, tmp_path: Path
+) -> None:
     config, results = tmp_path / "killed.toml", tmp_path / "killed"
     config.write_text(CONFIG.format(devices=8, block=1))
     process = subprocess.Popen(
@@ -83,23 +75,23 @@ def test_a_run_that_is_killed_and_resumed_gives_the_same_table(one_worker: Path,
     process.wait()
     committed = open_run(results).committed_blocks()
     assert 3 <= len(committed) < 8
-    assert call(["run", "--resume", "latest", "--out", str(results), "--workers", "2", "--json"]) == 0
-    assert digest(results) == digest(one_worker)
+    assert call(["run", "--resume", "latest", "--out", str(results), "--scheduler", scheduler, "--json"]) == 0
+    assert digest(results) == digest(on_cluster)
 
 
 def test_query_report_and_verify_read_the_results(
-    one_worker: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    on_cluster: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert call(["query", "SELECT count(*) AS n FROM devices", "--results", str(one_worker), "--format", "json"]) == 0
+    assert call(["query", "SELECT count(*) AS n FROM devices", "--results", str(on_cluster), "--format", "json"]) == 0
     assert json.loads(capfd.readouterr().out) == [{"n": 8}]
     page = tmp_path / "page.html"
-    assert call(["report", "--results", str(one_worker), "--out", str(page)]) == 0
+    assert call(["report", "--results", str(on_cluster), "--out", str(page)]) == 0
     assert page.read_text(encoding="utf-8").lower().startswith("<!doctype html>")
-    assert call(["verify", "--results", str(one_worker)]) == 0
+    assert call(["verify", "--results", str(on_cluster)]) == 0
 
 
-def test_a_query_from_the_shell_prints_only_its_result(one_worker: Path) -> None:
-    query = command("query", "SELECT count(*) AS n FROM devices", "--results", str(one_worker), "--format", "json")
+def test_a_query_from_the_shell_prints_only_its_result(on_cluster: Path) -> None:
+    query = command("query", "SELECT count(*) AS n FROM devices", "--results", str(on_cluster), "--format", "json")
     done = subprocess.run(query, capture_output=True, text=True, check=False)
     assert (done.returncode, json.loads(done.stdout), done.stderr) == (0, [{"n": 8}], "")
 
@@ -111,16 +103,7 @@ def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> Non
     assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
 
 
-def test_an_existing_dask_cluster_gives_the_same_table(one_worker: Path, tmp_path: Path) -> None:
-    config, results = tmp_path / "remote.toml", tmp_path / "remote"
-    config.write_text(CONFIG.format(devices=8, block=4))
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as remote:
-        code = call(["run", str(config), "--out", str(results), "--scheduler", remote.scheduler_address, "--json"])
-    assert code == 0
-    assert digest(results) == digest(one_worker)
-
-
-def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(tmp_path: Path) -> None:
+def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(scheduler: str, tmp_path: Path) -> None:
     for seed in (1, 2):
         simulated = simulate(campaign_config(None), {}, ["offdiagonal_damping:c12=0.5"], seed)
         write_campaign(simulated.campaign, tmp_path / "lot" / f"device-{seed}")
@@ -130,7 +113,7 @@ def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(tmp_pa
         file.write("\n[reference]\nf3_hz = [590.0, 50.0]\n")
     config = tmp_path / "lot.toml"
     config.write_text(f'[source]\nkind = "campaigns"\npath = "{tmp_path / "lot"}"\n[diagnosis]\nsample = 1\n')
-    assert call(["run", str(config), "--out", str(tmp_path / "out"), "--workers", "1", "--json"]) == 0
+    assert call(["run", str(config), "--out", str(tmp_path / "out"), "--scheduler", scheduler, "--json"]) == 0
     rows = {row["device_id"]: row for row in read_run(tmp_path / "out").devices.to_pylist()}
     assert rows["virtual-1"]["status"] == rows["virtual-2"]["status"] == "ok"
     assert rows["virtual-1"]["c12_per_s"] == pytest.approx(0.5, abs=5e-4)
@@ -139,11 +122,11 @@ def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(tmp_pa
     assert "nothing" in rows["broken"]["status_reason"]
 
 
-def test_a_yield_below_the_target_has_exit_code_1_and_keeps_the_results(tmp_path: Path) -> None:
+def test_a_yield_below_the_target_has_exit_code_1_and_keeps_the_results(scheduler: str, tmp_path: Path) -> None:
     config = tmp_path / "gate.toml"
     config.write_text(
         CONFIG.format(devices=2, block=2) + "[targets]\nyield_min = 1.0\n[limits.split_hz]\nmax = 0.001\n"
     )
     results = tmp_path / "gate"
-    assert call(["run", str(config), "--out", str(results), "--workers", "1", "--json"]) == 1
+    assert call(["run", str(config), "--out", str(results), "--scheduler", scheduler, "--json"]) == 1
     assert read_run(results).devices.num_rows == 2
