@@ -30,7 +30,7 @@ class Devices:
         return int(self.table.num_rows)
 
     def number(self, name: str) -> FloatArray:
-        """(B,) values of a numeric column; nan where null or absent."""
+        """(B,) values of a numeric column, in its unit; nan where null or absent."""
         if name not in self.table.column_names:
             return np.full(len(self), np.nan)
         return np.array(self.table[name].cast(pa.float64()).to_pylist(), dtype=np.float64)

@@ -22,7 +22,7 @@ from .yields import Interval, clopper_pearson
 
 @dataclass(frozen=True)
 class Risk:
-    """Consumer's and producer's global risk."""
+    """Consumer's and producer's global risk, as shares of all devices."""
 
     consumer: float
     producer: float
@@ -42,17 +42,16 @@ class CountedRisk:
 def normal_risk(
     process_sd: float, measurement_sd: float, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> Risk:
-    """Risks of a rule that accepts if the measured y lies in the acceptance interval; x ~ N(0, u0), y given x ~
-    N(x, u).
+    """Risks of a rule that accepts if the measured y lies in the acceptance interval (JCGM 106:2012, section 9).
 
-        consumer's = int over x outside the tolerance of N(x; 0, u0) P(y accepted | x) dx,   producer's
-        likewise
+    x ~ N(0, u0), y given x ~ N(x, u).
+
+        consumer's = int over x outside the tolerance of N(x; 0, u0) P(y accepted | x) dx,   producer's likewise
 
     Parameters
     ----------
     process_sd, measurement_sd : u0 and u, in the unit of the quantity.
-    tolerance, acceptance : (low, high) about the process mean; the ends of ``acceptance`` may be
-    guard-banded.
+    tolerance, acceptance : (low, high) about the process mean; the ends of ``acceptance`` may be guard-banded.
     """
 
     def accepted(x: float) -> float:
@@ -94,7 +93,7 @@ def expected_risk(p_pass: FloatArray, verdicts: Sequence[str]) -> Risk:
 
 
 def counted_risk(verdicts: Sequence[str], conforming: BoolArray) -> CountedRisk:
-    """Wrong passes and wrong fails against the truth: verdicts (B), conforming (B,)."""
+    """Wrong passes and wrong fails against the truth, with B verdicts and ``conforming`` (B,)."""
     n = len(verdicts)
     wrong_pass = sum(verdict == "pass" and not good for verdict, good in zip(verdicts, conforming, strict=True))
     wrong_fail = sum(verdict == "fail" and bool(good) for verdict, good in zip(verdicts, conforming, strict=True))

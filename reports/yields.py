@@ -72,8 +72,8 @@ class Clustering:
     between_sd : sd of the groups' true yields, after removal of their binomial scatter.
     design_effect : var(yield) over its binomial value; 1 for independent devices.
     effective : n*, the number of independent devices that would carry the same information.
-    interval : of the process yield, groups drawn at random; ``None`` with one group, which contains
-    no information about it.
+    interval : of the process yield, groups drawn at random; ``None`` with one group, which contains no
+        information about it.
     """
 
     by: str
@@ -187,7 +187,7 @@ def yield_of_verdicts(verdicts: Sequence[str], level: float = LEVEL) -> Yield:
 
 
 def poisson_binomial(probability: FloatArray) -> FloatArray:
-    """P(K = k), k = 0..n, of a sum of independent Bernoulli(p_i): coefficients of prod (1 - p_i + p_i x)."""
+    """(n + 1,) P(K = k) of a sum K of independent Bernoulli(p_i), p (n,): coefficients of prod (1 - p_i + p_i x)."""
     factors = [np.array([1.0 - p, p]) for p in probability]
     while len(factors) > 1:
         # Products of equal degree are cheap and accurate.
@@ -197,7 +197,7 @@ def poisson_binomial(probability: FloatArray) -> FloatArray:
 
 
 def measurement_uncertainty(p_pass: FloatArray, level: float = LEVEL) -> Measurement:
-    """The number of conforming devices given p_pass (B,), nan where unknown: Poisson-binomial."""
+    """The number of conforming devices given p_pass (B,), nan where unknown: Poisson-binomial, central interval."""
     known = p_pass[np.isfinite(p_pass)]
     # Certain devices only shift the count.
     certain = int(np.sum(known == 1.0))
@@ -217,7 +217,7 @@ def measurement_uncertainty(p_pass: FloatArray, level: float = LEVEL) -> Measure
 
 
 def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: float = LEVEL) -> Clustering:
-    """The yield of the process, with whole groups as independent draws.
+    """The yield of the process, with whole groups as independent draws (Korn and Graubard 1998).
 
     Parameters
     ----------
@@ -279,5 +279,5 @@ def by_group(
 
 
 def natural(name: str) -> tuple[tuple[int, str], ...]:
-    """A key that sorts W2 before W10."""
+    """A sort key for names with numbers: W2 comes before W10."""
     return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name))

@@ -86,7 +86,7 @@ def parse_values(text: str) -> dict[str, float]:
 
 
 def device_parameters(changes: Mapping[str, float], seed: int) -> dict[str, float]:
-    """Plant parameters by name of the first device that the default population draws with ``seed``.
+    """Plant parameters by name, each in its unit, of the first device that the default population draws with ``seed``.
 
     ``changes`` replaces values by name; split_hz changes f2_hz.
 

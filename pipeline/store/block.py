@@ -25,7 +25,9 @@ def other_name(entry: FileEntry) -> str:
 
 
 def amended(table: pa.Table, values: Mapping[str, Mapping[str, Any]]) -> pa.Table:
-    """Copy of a devices table with the given cells replaced; the same table if nothing changes.
+    """Copy of a devices table with the cells device_id -> column -> value replaced, each in the unit of its column.
+
+    The same table if nothing changes.
 
     Raises
     ------
@@ -42,8 +44,11 @@ def amended(table: pa.Table, values: Mapping[str, Mapping[str, Any]]) -> pa.Tabl
 
 
 def check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
-    """Raise IntegrityError unless the tables are in the registered schema, each device has one row, and all
-    draws belong to these devices.
+    """Check the tables of a block before they are committed.
+
+    Raises
+    ------
+    IntegrityError : a table is not in the registered schema, a device has several rows, or draws of other devices.
     """
     where = f"block {block}"
     require_schema(tables["devices"], devices_schema(), f"{where} of devices")

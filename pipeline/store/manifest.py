@@ -80,7 +80,7 @@ class Manifest:
         return frozenset(f.block for f in self.files if f.kind == "devices" and f.block is not None)
 
     def rows(self, kind: Kind) -> int:
-        """Rows over all blocks."""
+        """Number of rows of one table over all blocks."""
         return sum(f.rows or 0 for f in self.of_kind(kind))
 
 

@@ -56,5 +56,5 @@ def decode_table(data: bytes | pa.Buffer, schema: pa.Schema, where: str) -> pa.T
 
 
 def stored_columns(data: bytes) -> frozenset[str]:
-    """Names of the columns that a file holds."""
+    """Names of the columns in the Parquet bytes of a table."""
     return frozenset(pq.read_schema(pa.BufferReader(data)).names)

@@ -179,12 +179,12 @@ def posterior_schema() -> pa.Schema:
 
 
 def devices_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
-    """Build a ``devices`` table; see :func:`build_table`."""
+    """Build a ``devices`` table from column name -> (n,) values, one row a device; see :func:`build_table`."""
     return build_table(columns, DEVICES)
 
 
 def posterior_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
-    """Build a ``posterior`` table; see :func:`build_table`."""
+    """Build a ``posterior`` table from column name -> (n,) values, one row a draw; see :func:`build_table`."""
     return build_table(columns, POSTERIOR)
 
 
@@ -195,9 +195,8 @@ def build_table(
 
     Parameters
     ----------
-    values : column name -> n values in the column's unit; an absent column, or ``None``, is null
-    throughout.  Units are those
-        of the column.  NaN becomes null.
+    values : column name -> (n,) values in the unit of the column; an absent column, or ``None``, is null throughout.
+        NaN becomes null.
     columns : registered columns.
 
     Raises

@@ -49,7 +49,7 @@ def columns_view() -> pa.Table:
 
 
 def runs_view(manifests: Sequence[Manifest]) -> pa.Table:
-    """One row a run."""
+    """One row a run, with the columns ``RUNS``, in the order of ``manifests``."""
     rows = [
         (
             m.run_id,

@@ -36,7 +36,7 @@ _WHOLE = ("level", "direction", "channel", "record", "entry")
 class PlaceRow:
     """A place in words, its share of the misfit, the error of the first and of the last model there, the explained share.
 
-    The error of an entry of a modal record is relative to the norm of its mode.
+    Errors are in sigmas; that of an entry of a modal record is relative to the norm of its mode.
     """
 
     place: str
@@ -57,7 +57,7 @@ class PlaceTable:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """(value, sd) of a parameter in the first and in the last model; ``shift`` in sds of the first."""
+    """(value, sd) of a parameter in the first and in the last model, in its unit; ``shift`` in sds of the first."""
 
     name: str
     unit: str

@@ -37,7 +37,7 @@ class RecordView:
     drive_v : (N, D) commanded drive samples [V].
     measured_v, model_v : (N, S) sense samples [V].
     residual : (N, S) in sigmas, without offset and lines.
-    error : rms of the residual.
+    error : rms of the residual [sigma].
     """
 
     name: str
@@ -51,7 +51,7 @@ class RecordView:
 
     @property
     def senses(self) -> int:
-        """S."""
+        """S, the number of sense channels."""
         return int(self.measured_v.shape[1])
 
     @property
@@ -60,7 +60,7 @@ class RecordView:
         return 30.0 * self.sample_rate_hz / self.measured_v.shape[0]
 
     def channel_errors(self) -> FloatArray:
-        """(S,) rms of the residual by channel."""
+        """(S,) rms of the residual by channel [sigma]."""
         return np.asarray(np.sqrt(np.mean(self.residual**2, axis=0)))
 
 
@@ -77,7 +77,7 @@ class FrequencyWindow:
 
     @property
     def band_hz(self) -> tuple[float, float]:
-        """From below the first to above the last resonance."""
+        """(low, high) [Hz]: from below the first to above the last resonance; low is at least 0."""
         return max(self.centres_hz[0] - self.half_hz, 0.0), self.centres_hz[-1] + self.half_hz
 
 
@@ -105,11 +105,11 @@ def pictured(pairs: Sequence[RecordPair]) -> list[RecordPair]:
 
 
 def resonance_windows(parameters: Mapping[str, float], views: Sequence[RecordView]) -> list[FrequencyWindow]:
-    """Windows around the model's resonances, close ones together; around the largest response where it has none.
+    """Windows [Hz] around the model's resonances, close ones together; around the largest response where it has none.
 
     Parameters
     ----------
-    parameters : of the model; f1_hz, zeta1 and so on are the resonances.
+    parameters : of the model; f1_hz [Hz], zeta1 and so on are the resonances, those above Nyquist are left out.
     views : the records.
     """
     if not views:

@@ -42,12 +42,12 @@ class PrintedNumber:
 
     @property
     def value(self) -> float:
-        """The printed number."""
+        """The printed number, in ``unit``."""
         return float(self.printed)
 
     @property
     def half_digit(self) -> float:
-        """Half a unit of the last printed digit."""
+        """Half a unit of the last printed digit, in ``unit``."""
         mantissa, _, exponent = self.printed.lower().partition("e")
         decimals = len(mantissa.partition(".")[2])
         return 0.5 * 10.0 ** (int(exponent or 0) - decimals)
@@ -60,7 +60,7 @@ class PrintedNumber:
 
     @property
     def deviation(self) -> float:
-        """Compared minus printed."""
+        """Compared minus printed, in ``unit``."""
         return self.compared - self.value
 
     @property

@@ -81,7 +81,7 @@ class VerdictCheck:
 
 
 def z_scores(devices: Devices, quantity: str) -> FloatArray:
-    """(n,) z of the ok devices with estimate, truth and a positive sd."""
+    """(n,) z = (estimate - truth) / sd of the n ok devices with estimate, truth and a positive sd."""
     estimate, truth = devices.number(quantity), devices.number(f"true_{quantity}")
     sd = devices.number(f"{quantity}_sd")
     miss = difference(estimate, truth) if quantity in AXES else estimate - truth

@@ -126,11 +126,9 @@ def run_content(
 
     Parameters
     ----------
-    run : tables in the registered schema (absent or null columns are left out of the page), manifest,
-    configuration.
+    run : tables in the registered schema (absent or null columns are left out of the page), manifest, configuration.
     limits : the limits and rule by which the run was judged.
-    population_summary : description of the population, shown unchanged; nested tables become dotted
-    names.
+    population_summary : description of the population, shown unchanged; nested tables become dotted names.
 
     lot_effects : findings about its misfits, or ``None``.
 

@@ -27,7 +27,7 @@ class StatusCount:
 
 @dataclass(frozen=True)
 class Spread:
-    """5, 50 and 95 % points and extremes of one diagnostic over the devices that have it."""
+    """5, 50 and 95 % points and extremes of one diagnostic over the devices that have it, in the unit of its column."""
 
     name: str
     devices: int
@@ -42,8 +42,8 @@ class Spread:
 class RouteDifference:
     """An estimate of theta [deg] or split [Hz] against the posterior and against the truth.
 
-    The medians and 90 % points are of absolute differences (for theta, of angles between axes); nan if there
-    is nothing to compare with.
+    The medians and 90 % points are of absolute differences (for theta, of angles between axes); nan if there is
+    nothing to compare with.
     """
 
     name: str
@@ -90,7 +90,7 @@ def route_differences(devices: Devices) -> tuple[RouteDifference, ...]:
 
 
 def miss(devices: Devices, name: str, against: str) -> FloatArray:
-    """(B,) absolute difference of two columns of the ok devices, as axes where they are thetas; else nan."""
+    """(B,) |difference| of two columns of the ok devices, in their unit, as axes [deg] if thetas; else nan."""
     a, b = devices.number(name), devices.number(against)
     away = np.abs(difference(a, b) if "theta" in name else a - b)
     return np.where(devices.is_ok(), away, np.nan)

@@ -24,7 +24,7 @@ _MOST_LISTED = 40
 
 @dataclass(frozen=True)
 class ParameterSize:
-    """Size of one parameter among the devices that have the effect: mean with its sd, and the sd between devices."""
+    """Size of a parameter, in its unit, among devices that have the effect: mean with sd, and sd between devices."""
 
     name: str
     unit: str

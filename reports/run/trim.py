@@ -49,7 +49,7 @@ def trim_yield(devices: Devices, conforms_before: BoolArray | None) -> TrimYield
     Parameters
     ----------
     devices : the run's devices.
-    conforms_before : (n,) whether the truth conforms before the trim; ``None`` for measured devices.
+    conforms_before : (B,) whether the truth conforms before the trim; ``None`` for measured devices.
     """
     voltages = devices.text("trim_voltages_v")
     done = np.array([bool(v) for v in voltages])

@@ -14,7 +14,7 @@ from ..limits import Limits
 
 @dataclass(frozen=True)
 class WorstEstimate:
-    """One quantity of one device: value, sd, 90 % interval and the truth; nan where unknown."""
+    """One quantity of one device, in its unit: value, sd, 90 % interval and the truth; nan where unknown."""
 
     quantity: str
     value: float
@@ -33,7 +33,7 @@ class WorstDevice:
     device_id, lot, wafer, die_mm : identity and place of manufacture; nan if unknown.
     why : reason for its selection.
     verdict, status, reason, failed_limits : as in the results.
-    p_pass, error : probability of conformity; rms of the residual over sigma.
+    p_pass, error : probability of conformity; rms of the residual [sigma].
     margin : distance of the estimates to the nearest limit (see ``Limit.margin``), negative outside.
     estimates : theta, split, c12, imbalance and the limited quantities.
     """
@@ -54,7 +54,7 @@ class WorstDevice:
 
 
 def margins(devices: Devices, limits: Limits) -> FloatArray:
-    """(B,) smallest margin over the limits whose quantity is known; nan if none is known."""
+    """(B,) smallest ``Limit.margin`` over the limits whose quantity is known; nan if none is known."""
     each = np.array([limit.margin(devices.number(limit.quantity)) for limit in limits.limits])
     return np.where(np.isnan(each).all(axis=0), np.nan, np.where(np.isnan(each), np.inf, each).min(axis=0))
 

@@ -28,7 +28,7 @@ class ErrorChange:
 
     Parameters
     ----------
-    before, after : ``None`` where not known.
+    before, after : [sigma], or relative errors; ``None`` where not known.
     where : the data, as in "on the held-out records".
     relative : rms(measured - model)/rms(measured), used where the noise level is not known.
     delta_chi2 : total decrease of chi2 on the fitted records.
@@ -47,7 +47,7 @@ class ErrorChange:
 
     @property
     def misfit(self) -> tuple[float | None, float | None]:
-        """sqrt(max(error^2 - 1, 0)) of both."""
+        """sqrt(max(error^2 - 1, 0)) of both [sigma]; ``None`` where the error is not known."""
         ends = (None if one is None else math.sqrt(max(one * one - 1.0, 0.0)) for one in (self.before, self.after))
         return next(ends), next(ends)
 

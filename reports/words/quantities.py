@@ -78,7 +78,7 @@ def unit_of(name: str, effects: Mapping[str, Effect]) -> str:
 
 
 def with_unit(value: float, quantity: str) -> str:
-    """A limit with its unit."""
+    """A limit of a quantity with its unit."""
     return f"{value:.6g} {UNITS.get(quantity, '')}".replace("-", "−").strip()
 
 
@@ -94,7 +94,7 @@ def limit_words(limit: Limit) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent, with enough digits to distinguish it from 0 and 100 %."""
+    """A share (0 to 1) in percent, with enough digits to distinguish it from 0 and 100 %."""
     if math.isnan(share):
         return "–"
     digits = 1 if 0.001 <= share <= 0.999 or share in (0.0, 1.0) else 2
@@ -103,7 +103,7 @@ def percent(share: float) -> str:
 
 
 def percent_range(low: float, high: float) -> str:
-    """A range of shares in percent."""
+    """A range of shares (0 to 1) in percent."""
     return f"{percent(low).removesuffix(PERCENT)} to {percent(high)}"
 
 

@@ -125,7 +125,7 @@ class ComparisonResult(Result):
 
     @property
     def noise(self) -> Noise | None:
-        """sigma by channel and where it comes from; ``None`` where the fit failed."""
+        """sigma [V] by channel and where it comes from; ``None`` where the fit failed."""
         return self.answer.noise or None
 
     @property
@@ -135,7 +135,7 @@ class ComparisonResult(Result):
 
     @property
     def records(self) -> pd.DataFrame:
-        """One row per record: role and errors."""
+        """One row per record: role and errors (in sigmas, in volts, relative)."""
         return tables.records_table(self.answer.records or {})
 
     @property
@@ -257,7 +257,7 @@ class RefinementResult(SelectionResult):
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row per rung: errors, theta, split, verdict."""
+        """One row per rung: errors, theta [deg], split [Hz], verdict."""
         return tables.ladder_table(self.answer.ladder)
 
     @property

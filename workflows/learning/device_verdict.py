@@ -38,14 +38,14 @@ class ModelVerdict:
 def verdict_of(
     fit: CampaignFit, campaign: Campaign, limits: Limits = DEFAULT_LIMITS, gate: Gate | None = None
 ) -> ModelVerdict | None:
-    """The verdict according to one model of a gyro; ``None`` for any other plant.
+    """The verdict by P(conform) over draws N(parameters, covariance); ``None`` for a plant that is no gyro.
 
     Parameters
     ----------
     fit : the model fitted to the campaign.
     campaign : its angular gain and demodulation, for the rate biases.
     limits : those of the shipped configuration by default.
-    gate : that of the shipped configuration by default; not applied where nothing but the driven records shows the noise.
+    gate : that of the shipped configuration by default; not applied where only a local fit shows the noise level.
     """
     if fit.model.plant.kind != "gyro":
         return None

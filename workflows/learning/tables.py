@@ -27,7 +27,7 @@ def where_table(places: Sequence[Place]) -> pd.DataFrame:
 
 
 def records_table(records: Mapping[str, RecordErrors]) -> pd.DataFrame:
-    """One row per record: role and errors."""
+    """One row per record: role, error [sigma], error in volts and relative error."""
     import pandas as pd
 
     rows = {name: to_builtins(errors) for name, errors in records.items()}
@@ -35,7 +35,7 @@ def records_table(records: Mapping[str, RecordErrors]) -> pd.DataFrame:
 
 
 def parameters_table(values: Values, model: Model, effects: Sequence[str] = ()) -> pd.DataFrame:
-    """One row per parameter of ``model`` with ``effects``: value, sd, unit."""
+    """One row per parameter of ``model`` with ``effects``: value and sd in its unit, and the unit."""
     import pandas as pd
 
     for effect in effects:
@@ -55,7 +55,7 @@ def candidates_table(candidates: Sequence[CandidateAnswer]) -> pd.DataFrame:
 
 
 def ladder_table(ladder: Sequence[RungAnswer]) -> pd.DataFrame:
-    """One row per rung, from the given model on: errors, delta_chi2, theta, split and verdict with that model."""
+    """One row per rung, from the given model on: errors, delta_chi2, theta [deg], split [Hz], verdict."""
     import pandas as pd
 
     rows = []

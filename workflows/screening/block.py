@@ -50,7 +50,7 @@ class BlockTables:
 
 
 def blocks_of(config: RunConfig, devices: int) -> tuple[DeviceBlock, ...]:
-    """The devices of a run, divided into blocks."""
+    """The devices 0 .. ``devices`` - 1 of a run, divided into blocks of ``run.block`` devices."""
     size = config.run.block
     return tuple(DeviceBlock(i, i * size, min(size, devices - i * size)) for i in range(-(-devices // size)))
 
@@ -64,7 +64,7 @@ def _identified(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> 
 
 
 def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[str, FloatArray]:
-    """fab_<q> and true_<q>, each (B,), of a draw."""
+    """fab_<q> and true_<q>, each (B,) in the unit of its column, of a draw: as fabricated and as packaged."""
     out: dict[str, FloatArray] = {}
     for prefix, values in (("fab", drawn.fab), ("true", drawn.true)):
         all_q = quantities(physical_of(values), rate_of(config, angular_gain), values["split_hz"])
@@ -80,7 +80,7 @@ def _causes(limits: Limits, truth: Mapping[str, FloatArray]) -> list[str | None]
 
 
 def judged(results: Sequence[DeviceResult], limits: Limits) -> dict[str, list[Any]]:
-    """p_pass, verdict and failed_limits of each result."""
+    """p_pass, verdict and failed_limits of each result, by column name."""
     out: dict[str, list[Any]] = {"p_pass": [], "verdict": [], "failed_limits": []}
     for result in results:
         draws = {q: result.estimate.draws.get(q, np.full(1, np.nan))[None] for q in limits.quantities}

@@ -32,7 +32,7 @@ from .settings import EFFECT_STREAM, NOISE_STREAM, POSTERIOR_STREAM, device_seed
 
 
 def physical_of(values: Mapping[str, FloatArray]) -> FloatArray:
-    """Physical parameters (B, 12) from arrays (B,) by quantity name."""
+    """Physical parameters (B, 12), in the order of ``PHYSICAL``, from arrays (B,) by quantity name."""
     return np.stack([values[name] for name in PHYSICAL], axis=-1)
 
 
@@ -90,7 +90,7 @@ def virtual_model(config: RunConfig) -> Model:
 
 
 def effect_sizes(config: RunConfig, model: Model, n: int, device_id: str, lot: str) -> dict[str, float]:
-    """Sizes by parameter that [effects] gives to device ``n``; empty if the device has none of them."""
+    """Parameter -> size, in its unit, that [effects] gives to device ``n``; empty if the device has none of them."""
     out: dict[str, float] = {}
     for name, table in sorted(config.effects.items()):
         key = (EFFECT_STREAM, n, crc32(name.encode()))
@@ -122,7 +122,7 @@ def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
 
 
 def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray, FloatArray, float]:
-    """Silent and fit record, each (N, 2), of device ``i`` of a draw, and the noise sigma."""
+    """Silent and fit record, each (N, 2) [V], of device ``i`` of a draw, and the noise sigma [V]."""
     instrument = config.instrument.instrument()
     volts = virtual_volts(config, drawn, i)
     sigma = config.noise.sigma_v or 0.001
@@ -137,7 +137,7 @@ def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray,
 
 
 def identify_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> DeviceResult:
-    """Simulate the records of device ``i`` of a draw and identify it."""
+    """Simulate the records of device ``i`` of a draw, measure sigma on the silent one, and identify the device."""
     instrument = config.instrument.instrument()
     shared = shared_record(config)
     silent, fit, _ = virtual_records(config, drawn, i)

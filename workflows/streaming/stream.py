@@ -43,7 +43,7 @@ class Bench:
 
 @dataclass(frozen=True, eq=False)
 class StreamStep:
-    """One estimate from the data so far, its verdict, and theta and split of the lattice."""
+    """One estimate from the data so far, P(conform) and its verdict, and theta and split of the lattice."""
 
     snapshot: Snapshot
     p_pass: float
@@ -75,7 +75,7 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
 
 
 def verdict_of(snapshot: Snapshot, limits: Limits) -> tuple[float, Verdict]:
-    """P(conform) and the verdict of the rule."""
+    """P(conform) = share of the draws that meet all limits, nan if unknown, and the verdict of the rule."""
     estimate = snapshot.estimate
     draws = {name: estimate.draws.get(name, np.full(1, np.nan))[None] for name in limits.quantities}
     decision = decide(limits, draws, [estimate.status])

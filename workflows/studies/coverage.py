@@ -42,7 +42,7 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class Row:
-    """One device: true split, status, errors in units of the Cramer-Rao sd, coverage, size of the posterior."""
+    """One device: true split [Hz], status, errors in units of the Cramer-Rao sd, coverage, size of the posterior."""
 
     split_hz: float
     status: str
@@ -62,7 +62,7 @@ class Share:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % Clopper-Pearson."""
+        """95 % Clopper-Pearson interval of count / total."""
         found = clopper_pearson(self.count, self.total)
         return found.low, found.high
 
@@ -94,7 +94,7 @@ def with_small_splits(drawn: Draw, seed: int) -> Draw:
 
 
 def bound_sd(config: RunConfig, physical: FloatArray, sigma_v: FloatArray) -> tuple[float, float]:
-    """Cramer-Rao sd of theta [deg] and split [Hz] of one device, physical (12,)."""
+    """Cramer-Rao sd of theta [deg] and split [Hz] of one device: ``physical`` (12,), ``sigma_v`` (2,) [V]."""
     shared = shared_record(config)
     data = BandData(shared.band, np.zeros((2, shared.band.bins.size), dtype=np.complex128), shared.nuisance)
     x = to_cartesian(physical[None])[0]
@@ -149,7 +149,7 @@ def _row(config: RunConfig, drawn: Draw, i: int, gain: float) -> Row:
 
 
 def run_study(devices: int, splits: str, seed: int, workers: int) -> list[Row]:
-    """Rows of all devices, in their order.
+    """Rows of all devices, in their order; ``splits`` is "population" or "small".
 
     Raises
     ------

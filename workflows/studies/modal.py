@@ -21,7 +21,7 @@ from pipeline.learning.modal.problem import ModalProblem
 
 
 def redrawn(problem: ModalProblem, fit: FitResult, rng: np.random.Generator) -> ModalRecord:
-    """A record of the fitted model plus noise at the level of the fit's residual, or at the declared level."""
+    """A record of the fitted model plus white noise on residues and poles, of the estimated or the declared level."""
     modes = problem.modes({name: value for name, (value, _) in fit.parameters.items()})
     unit, pole_unit = problem.noise(fit)
     c = modes.c + unit[:, 1] * rng.standard_normal(modes.c.shape)

@@ -60,7 +60,10 @@ _STREAM_ANALYSIS = 107
 
 @dataclass(frozen=True)
 class InterimResults:
-    """One device: whether it conforms, P(conform) at each interim analysis, and at the fixed times (nan: unknown)."""
+    """One device: whether it conforms, P(conform) at ``ANALYSIS_TIMES_S``, and time [s] -> P(conform) of fixed tests.
+
+    nan where P(conform) is unknown; the analyses stop where it is close to 0 or 1.
+    """
 
     conforms: bool
     p_pass: tuple[float, ...]
@@ -128,7 +131,7 @@ def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, 
 
 
 def study_block(config: RunConfig, span: tuple[int, int]) -> list[InterimResults]:
-    """The devices first .. first + count - 1."""
+    """The devices first .. first + count - 1, where span = (first, count)."""
     first, count = span
     with threadpool_limits(limits=1):
         spec = population(config)
@@ -179,12 +182,12 @@ def _tested(rows: Sequence[InterimResults], verdicts: Sequence[Verdict], seconds
 
 
 def fixed_test(rows: Sequence[InterimResults], time_s: float, a: float) -> Test:
-    """One decision after ``time_s`` seconds, one of ``FIXED``, at the thresholds a and 1 - a."""
+    """pass or fail by P(conform) >= 1 - a or <= a after ``time_s`` [s], one of ``FIXED``; undecided between."""
     return _tested(rows, [_verdict(row.fixed[time_s], a) for row in rows], [time_s] * len(rows))
 
 
 def sequential_test(rows: Sequence[InterimResults], a: float) -> Test:
-    """The decision at the first interim analysis beyond a or 1 - a."""
+    """pass or fail at the first analysis with P(conform) >= 1 - a or <= a; undecided at the end of the record."""
     verdicts: list[Verdict] = []
     seconds = []
     for row in rows:
@@ -196,7 +199,10 @@ def sequential_test(rows: Sequence[InterimResults], a: float) -> Test:
 
 
 def as_good_as(rows: Sequence[InterimResults], fixed: Test) -> tuple[float, Test] | None:
-    """The loosest threshold a at which neither error rate of the sequential test exceeds that of ``fixed``; and that test."""
+    """The loosest threshold a at which the sequential test has no more wrong passes and wrong fails than ``fixed``.
+
+    Returns a and that test; ``None`` if no threshold of ``_STRICTER`` is strict enough.
+    """
     for a in _STRICTER:
         test = sequential_test(rows, a)
         if test.wrong_pass.count <= fixed.wrong_pass.count and test.wrong_fail.count <= fixed.wrong_fail.count:

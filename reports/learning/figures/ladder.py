@@ -31,7 +31,7 @@ _OFFSETS = ((9, 3), (9, -11), (-37, 3), (-37, -11))
 
 
 def ladder_plot(ladder: Sequence[RungAnswer], refused: Sequence[str] = ()) -> str:
-    """Error of each model above, its misfit below; refused effects to the right.  "" for a single model.
+    """Error [sigma] of each model above, its misfit below; refused effects to the right.  "" for a single model.
 
     Where no error in sigmas is known, the relative error alone: it has neither a noise floor nor a misfit.
     """
@@ -204,7 +204,7 @@ def _entry(axes: Axes, entry: Place, models: Sequence[Place], colour: str) -> No
 
 
 def four_thetas_plot(ladder: Sequence[RungAnswer]) -> str:
-    """theta of the fit and the four thetas of the paper's route, for each model; "" where there are none."""
+    """theta [deg] of the fit and the four thetas of the paper's route, for each model; "" where there are none."""
     rungs = [rung for rung in ladder if rung.four_thetas_deg and rung.theta_deg]
     if not rungs:
         return ""

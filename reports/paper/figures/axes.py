@@ -18,7 +18,7 @@ _SHADES = (ACCENT, COLOURS["fail"], TRUTH)
 
 
 def thetas(estimates: Mapping[str, FloatArray], name: str = "thetas") -> str:
-    """The four estimates of theta, one row per source."""
+    """The four estimates of theta, source -> (4,) [deg], one row per estimate and one marker colour per source."""
     with style():
         figure = Figure(figsize=(WIDTH, 2.4), layout="constrained")
         axes = figure.subplots()
@@ -44,7 +44,7 @@ def thetas(estimates: Mapping[str, FloatArray], name: str = "thetas") -> str:
 
 
 def orders(view: OrderView, name: str = "orders") -> str:
-    """Error of theta, of the split, and in-band phase change against the order of the ARX model, 2 s and 3 s."""
+    """Errors of theta [deg] and split [mHz], and in-band phase change [deg], against the ARX order, by window."""
     with style():
         figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
         panels = figure.subplots(1, 3)
@@ -74,7 +74,7 @@ def orders(view: OrderView, name: str = "orders") -> str:
 
 
 def steps(view: StepsView, name: str = "steps") -> str:
-    """|error of theta| against the split: two-step route, its limit without noise, and the one-step fit."""
+    """|error of theta| [deg] against the split [Hz]: two-step route, its limit without noise, and the one-step fit."""
     with style():
         figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
         panels = figure.subplots(1, view.share.size, sharey=True, squeeze=False)[0]

@@ -30,7 +30,7 @@ def _envelope(time_s: FloatArray, volts: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def records(view: PaperRecord, name: str = "figure-4") -> str:
-    """Sense records and their power spectral density: resonances, their harmonics, multiples of the mains frequency."""
+    """Sense records [V] and their power spectral density [V^2/Hz], with resonances, their harmonics and hum marked."""
     with style():
         figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
         panels = figure.subplots(2, 2, width_ratios=(1.0, 1.35))
@@ -110,7 +110,7 @@ def zoomed(view: ResponseView, name: str = "figure-6") -> str:
 
 
 def hankel(view: HankelView, shown: int = 24, name: str = "hankel") -> str:
-    """Hankel singular values of the order-40 model of the record, of eq. (14), and as printed."""
+    """Hankel singular values, the first ``shown``: of the order-40 model of the record, of eq. (14), and as printed."""
     with style():
         figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
         axes = figure.subplots()

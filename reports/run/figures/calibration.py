@@ -38,7 +38,7 @@ def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") 
 
 
 def z_panels(panels: Sequence[tuple[str, FloatArray]], name: str = "z-scores") -> str:
-    """For each (label, z): histogram over the standard normal, and normal quantile plot."""
+    """For each (label, z (n,)): histogram over the standard normal, and normal quantile plot."""
     with style():
         figure = Figure(figsize=(WIDTH, 2.9), layout="constrained")
         axes = figure.subplots(1, 2 * len(panels), squeeze=False)[0]

@@ -100,7 +100,7 @@ def parameters_of(name: str) -> tuple[tuple[str, str, float], ...]:
 
 
 def bounds_of(name: str) -> tuple[tuple[float, float], ...]:
-    """Range of each parameter of an effect."""
+    """(low, high) of each parameter of an effect, in its unit."""
     model = Model(effects=(name,))
     return tuple(model.bounds(full) for full, _, _ in parameters_of(name))
 
@@ -108,7 +108,7 @@ def bounds_of(name: str) -> tuple[tuple[float, float], ...]:
 def sizes_in(
     scope: Scope, examined: Mapping[int, DeviceExamination], parameter: str, null: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fitted sizes minus null, their sd and weights, each (n,), of the devices with the parameter in their model."""
+    """Fitted sizes less ``null``, their sd and weights, each (n,), of the devices with the parameter in their model."""
     weights = scope.weights({n: one for n, one in examined.items() if parameter in one.parameters})
     pairs = [examined[n].parameters[parameter] for n in sorted(weights)]
     values = np.array([value - null for value, _ in pairs])
@@ -116,7 +116,7 @@ def sizes_in(
 
 
 def needed_in(scope: Scope, examined: Mapping[int, DeviceExamination], name: str, alpha: float) -> bool:
-    """Whether the fitted sizes of effect ``name`` are significant in the scope, at family-wise ``alpha``."""
+    """Whether the fitted sizes of effect ``name`` are together significant in the scope, at family-wise ``alpha``."""
     own = parameters_of(name)
     return any(
         still_needed(*sizes_in(scope, examined, full, null), scope.population, alpha / len(own))

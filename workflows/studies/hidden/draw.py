@@ -118,7 +118,7 @@ def effects_of(
 
 
 def draw_device(random: np.random.Generator) -> dict[str, float]:
-    """Plant parameters, by name, of a device of the default population with rocking Q > 600."""
+    """Plant parameters by name, each in its unit, of a device of the default population with rocking Q > 600."""
     while True:
         values = device_parameters({}, int(random.integers(2**31)))
         if max(values["zeta1"], values["zeta2"]) < 0.5 / _LEAST_Q:

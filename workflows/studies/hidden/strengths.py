@@ -41,7 +41,7 @@ class FittedBaseline:
     sigma_v: float
 
     def snr(self, change: Sequence[FloatArray]) -> float:
-        """SNR of a ``change`` (N, 2) [V] of every fitted record."""
+        """|(I - P) change| / sigma of a ``change`` (N, 2) [V] of every fitted record."""
         whole = row(change)
         rest = whole - self.basis @ (self.basis.T @ whole)
         return float(np.linalg.norm(rest)) / self.sigma_v

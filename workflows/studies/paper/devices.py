@@ -75,7 +75,10 @@ def _noisy(volts: FloatArray, seed: int, snr_db: float = 60.0) -> tuple[FloatArr
 
 
 def eq14_record(eq14: Eq14, seed: int) -> Record:
-    """The paper's experiment on eq. (14) itself, with the noise ``seed``: its poles and residues hold the filter already."""
+    """A record (N, 2) [V] of the paper's experiment, simulated from eq. (14); ``seed`` is that of the noise.
+
+    The poles and residues of eq. (14) contain the anti-alias filter, so none is applied.
+    """
     rate = INSTRUMENT.sample_rate_hz
     drive = drive_samples(Chirp(), rate)
     volts = respond(Bank(eq14.modes.poles[None], eq14.modes.residues[None]), drive, rate, "zoh")[0]
@@ -83,7 +86,7 @@ def eq14_record(eq14: Eq14, seed: int) -> Record:
 
 
 def paper_record(physical: FloatArray) -> tuple[Record, float]:
-    """The paper's experiment on the virtual device, its sense electrodes nonlinear; and sigma [V]."""
+    """A record of the paper's experiment on the virtual device, with nonlinear sense electrodes; and sigma [V]."""
     rate = INSTRUMENT.sample_rate_hz
     drive = drive_samples(Chirp(), rate)
     model = Model(effects=("sense_nonlinearity",))
@@ -96,7 +99,7 @@ def paper_record(physical: FloatArray) -> tuple[Record, float]:
 
 
 def record_view(record: Record, physical: FloatArray) -> PaperRecord:
-    """Figure 4."""
+    """Figure 4: the record [V] and its power spectral density [V^2/Hz] (Welch)."""
     rate, count = record.sample_rate_hz, record.sense_v.shape[0]
     frequency, psd = welch(record.sense_v, rate, nperseg=8192, axis=0)
     return PaperRecord(
@@ -106,7 +109,7 @@ def record_view(record: Record, physical: FloatArray) -> PaperRecord:
 
 
 def lattice_model(record: Record, order: int = ORDER, window_s: float = 2.0) -> ArxModel:
-    """The paper's ARX model: bandpassed, the window around the largest signal, through the lattice."""
+    """The paper's ARX model: bandpass, the window [s] around the largest signal, lattice filter."""
     both = bandpass(np.concatenate([record.sense_v, record.drive_v], axis=1), record.sample_rate_hz)
     window = both[window_slice(both[:, :2], record.sample_rate_hz, window_s)]
     return fit_arx_lattice(window[:, :2], window[:, 2:], order, _LATTICE_RIDGE)
@@ -122,7 +125,7 @@ def _of_modes(modes: ContinuousModes, frequency_hz: FloatArray) -> ComplexArray:
 
 
 def response_view(model: ArxModel, modal: ContinuousModes, eq14: Eq14) -> ResponseView:
-    """Figures 5 and 6: the order-40 model, its six states by balanced and modal truncation, and eq. (14)."""
+    """Figures 5 and 6: responses (F, 2, 2) of the ARX model, its six states by two truncations, and eq. (14)."""
     rate = INSTRUMENT.sample_rate_hz
     wide, narrow = np.geomspace(100.0, 5000.0, 900), np.concatenate([ROCKING_HZ, UPDOWN_HZ])
     six = truncate(balance(state_space_of(model)), 6)
@@ -140,7 +143,7 @@ def response_view(model: ArxModel, modal: ContinuousModes, eq14: Eq14) -> Respon
 
 
 def order_view(record: Record, physical: FloatArray, orders: tuple[int, ...]) -> OrderView:
-    """Convergence with the order and with 2 s against 3 s of data."""
+    """Estimates against the ARX order, from windows of 2 s and 3 s."""
     windows = (2.0, 3.0)
     steps = order_study(record, INSTRUMENT, orders, windows)
     by_window = [[step for step in steps if step.window_s == w] for w in windows]
@@ -161,7 +164,7 @@ def _band(record: Record) -> tuple[Band, FloatArray]:
 
 
 def one_step(record: Record, sigma_v: float, shared: tuple[Band, FloatArray], start: FloatArray) -> Fit:
-    """The one-step fit of the physical model, from ``start`` (12,)."""
+    """Maximum-likelihood fit of the physical model from ``start`` (12,); ``shared`` is the band and nuisance basis."""
     band, nuisance = shared
     adc = INSTRUMENT.adc
     total = np.hypot(sigma_v, adc.lsb_v / np.sqrt(12.0) if adc else 0.0)
@@ -170,7 +173,7 @@ def one_step(record: Record, sigma_v: float, shared: tuple[Band, FloatArray], st
 
 
 def fit_summary(fit: Fit, seed: int = 1) -> dict[str, float]:
-    """Estimates and sd of the physical parameters from the curvature at the maximum."""
+    """Estimates, sd and intervals of the physical parameters from 4000 draws of N(x, covariance) at the maximum."""
     scale = np.sqrt(np.diag(fit.covariance))
     factor = np.linalg.cholesky(fit.covariance / np.outer(scale, scale)) * scale[:, None]
     draws = fit.x + np.random.default_rng(seed).standard_normal((4000, fit.x.size)) @ factor.T
@@ -179,7 +182,7 @@ def fit_summary(fit: Fit, seed: int = 1) -> dict[str, float]:
 
 
 def fit_record(record: Record, sigma_v: float) -> dict[str, float]:
-    """The one-step fit of a record, started from the two-step route."""
+    """Summary of the one-step fit of a record, started from the two-step route."""
     route = identify_record(record, INSTRUMENT, ORDER)
     return fit_summary(one_step(record, sigma_v, _band(record), start_from_modes(route.poles, route.residues)))
 
@@ -189,7 +192,10 @@ def _turn(angle_deg: float) -> float:
 
 
 def steps_view(physical: FloatArray, splits: FloatArray, shares: FloatArray) -> StepsView:
-    """One step against two over split and c12 (a share of sqrt(c11 c22)), one record each at 60 dB."""
+    """Errors of theta [deg] of the two-step route and of the one-step fit, on one record at 60 dB for each pair.
+
+    ``splits`` (n,) [Hz]; ``shares`` (m,) are c12 / sqrt(c11 c22).
+    """
     shape = (shares.size, splits.size)
     route_deg, limit_deg, fit_deg, sd_deg = (np.full(shape, np.nan) for _ in range(4))
     shared: tuple[Band, FloatArray] | None = None
@@ -214,7 +220,7 @@ def steps_view(physical: FloatArray, splits: FloatArray, shares: FloatArray) -> 
                 route_deg[i, j] = _turn(route.axes.mean_deg - theta)
                 start = start_from_modes(route.poles, route.residues)
             except IdentificationError:
-                # Two modes on one root: the route gives nothing here, and the fit starts beside the truth.
+                # The ARX model has one pole for both modes, so the route fails, and the fit starts near the truth.
                 start[:6] += 0.05
             fit = one_step(record, sigma, shared, start)
             if fit.converged:
@@ -224,7 +230,7 @@ def steps_view(physical: FloatArray, splits: FloatArray, shares: FloatArray) -> 
 
 
 def bias_rows(physical: FloatArray) -> tuple[BiasRow, ...]:
-    """Eq. (3) to (6): as printed, as corrected, and by the simulated loops of figure 3."""
+    """Eq. (3) to (6): as printed, as corrected, and measured on the simulated loops of figure 3; ``physical`` (12,)."""
     device = physical.copy()
     device[7] = BIAS_C12
     rate_dps, phase = 10.0, 1.0
@@ -248,15 +254,15 @@ def bias_rows(physical: FloatArray) -> tuple[BiasRow, ...]:
         BiasRow("(3)", "damping of ψ_y", "1/s", c_yy, c_yy, float(at_rest.damping_per_s[0]), ""),
         BiasRow("(3)", "free frequency of ψ_y", "Hz", w0 / TAU, w0 / TAU, float(at_rest.frequency_hz[0]), ""),
         BiasRow("(4), (5)", "quadrature torque / ψ_y′", "1/s", quadrature, quadrature,
-                float(at_rest.quadrature_per_s[0]), "sin ω₀t is 90° behind ψ_y′ = A cos ω₀t, hence the sign"),
+                float(at_rest.quadrature_per_s[0]), "sin ω₀t lags ψ_y′ = A cos ω₀t by 90°, hence the sign"),
         BiasRow("(4), (5)", "in-phase torque / ψ_y′ at rest", "1/s", unprinted, inphase,
-                float(at_rest.inphase_per_s[0]), "the print has ½ c12 cos 2θ; (2) gives c12 cos 2θ"),
+                float(at_rest.inphase_per_s[0]), "printed: ½ c12 cos 2θ; eq. (2) gives c12 cos 2θ"),
         BiasRow("(4)", "in-phase torque / (ψ_y′ Ω)", "1", -2.0 * KAPPA, -2.0 * KAPPA, slope, "eq. (4) is right"),
         BiasRow("(5)", "in-phase torque / (ψ_y′ Ω)", "1", -KAPPA, -2.0 * KAPPA, slope,
                 "the print drops the 2 before (I_p/I_0p) Ω"),
         BiasRow("(6)", "rate bias at φ_E = 1°", "deg/s", float(printed_bias / (2.0 * KAPPA)),
                 float(biases["rate_bias_dps"][0]), float(loops_bias / (2.0 * KAPPA)),
-                "from ½ c12 (that A/2 should be A²/2 is only scale); the formula takes ω₀ = ω₁, the loops run between the modes"),
+                "printed with ½ c12 (A/2 or A²/2 is only a scale); the formula takes ω₀ = ω₁, the loops run between ω₁ and ω₂"),
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
-"""The printed numbers of the paper, each beside the one that follows from what is printed before it.
+"""The printed numbers of the paper, each beside the one computed from the numbers printed before it.
 
-Inputs are eq. (14) and (15) with the one sign put right (``configs/eq14.toml``); everything else is computed from them:
+Inputs are eq. (14) and (15) with the misprinted sign corrected (``configs/eq14.toml``); everything else is computed from them:
 phase correction (16), Markov parameters (17), singular values, gains (18), the four thetas.
 """
 
@@ -51,14 +51,14 @@ class Eq14:
 
 
 def printed_device() -> Eq14:
-    """Eq. (14) and (15)."""
+    """The device of eq. (14) and (15), from ``configs/eq14.toml``."""
     record = read_modal_record(EQ14)
     modes = modes_from_fractions(record.frequency_hz, record.zeta, record.R1, record.R0)
     return Eq14(record, modes, identify_modal(record))
 
 
 def hankel_of(modes: ContinuousModes) -> FloatArray:
-    """Hankel singular values of continuous modes behind a zero-order hold at 10 kHz."""
+    """Hankel singular values (K,), largest first, of continuous modes behind a zero-order hold at 10 kHz."""
     z = np.exp(modes.poles / RATE_HZ)
     residues = modes.residues * hold_gain(modes.poles, RATE_HZ, "zoh")[:, None, None]
     count, senses, drives = residues.shape
@@ -77,7 +77,7 @@ def hankel_of(modes: ContinuousModes) -> FloatArray:
 
 
 def derived(route: RouteResult, M: FloatArray | None = None) -> dict[str, float]:
-    """Everything that Section 4 prints of a device, by name; ``M`` (3, 2, 2) in place of the route's own."""
+    """Everything that Section 4 prints of a device, by name, in the printed unit; ``M`` (3, 2, 2) replaces the route's."""
     M = route.M if M is None else M
     out: dict[str, float] = {}
     filtered = route.filtered
@@ -113,7 +113,7 @@ def derived(route: RouteResult, M: FloatArray | None = None) -> dict[str, float]
 
 
 def rounding_spread(eq14: Eq14, draws: int = 300) -> dict[str, float]:
-    """How far each derived number moves while the inputs move within half a unit of their last digit."""
+    """Largest change of each derived number while the inputs vary at random within half a unit of their last digit."""
     random = np.random.default_rng(0)
     record = eq14.record
     centre = derived(eq14.route)
@@ -136,7 +136,7 @@ def _within(printed: Sequence[Sequence[str]], random: np.random.Generator) -> Fl
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Derived numbers from eq. (14), from a record of it, and how far each may move by rounding and by noise."""
+    """Numbers by name, from eq. (14) and from a record of it, and how much each may change by rounding and by noise."""
 
     eq14: dict[str, float]
     record: dict[str, float]
@@ -146,20 +146,20 @@ class Sources:
     def row(
         self, name: str, where: str, printed: str, unit: str = "", remark: str = "", relation: Relation = "="
     ) -> PrintedNumber:
-        """A number that follows from eq. (14)."""
+        """A printed number beside the one computed from eq. (14) and the one identified from the record."""
         row = PrintedNumber(
             name, where, printed, self.eq14[name], self.record[name], unit, remark, self.rounding[name], relation
         )
         return row if row.agrees or remark or not row.consistent else replace(row, remark=_ROUNDED)
 
     def again(self, name: str, where: str, printed: str, unit: str = "", remark: str = "") -> PrintedNumber:
-        """A number of eq. (14) or (15) itself, from the record."""
+        """A printed number of eq. (14) or (15) itself, beside the one identified from the record."""
         row = PrintedNumber(name, where, printed, None, self.record[name], unit, remark, self.noise[name])
         return row if row.agrees or remark or not row.consistent else replace(row, remark=_NOISE)
 
 
 def sources(eq14: Eq14, found: Sequence[RouteResult]) -> Sources:
-    """Of eq. (14) and of routes from records of it that differ in their noise; the first one is shown."""
+    """Numbers from eq. (14), and from records of it that differ in their noise; those of the first record are shown."""
     each = [derived(route) for route in found]
     sd = {name: float(np.std([one[name] for one in each], ddof=1)) for name in each[0]}
     hinf = derived(eq14.route, correct_phase_hinf(eq14.modes, eq14.record.antialias))
@@ -167,12 +167,12 @@ def sources(eq14: Eq14, found: Sequence[RouteResult]) -> Sources:
 
 
 def model_numbers(of: Sources) -> NumberGroup:
-    """Eq. (14) and (15) identified again from a simulated record of them."""
+    """Eq. (14) and (15), and their identification from a simulated record."""
     rows = []
     for k, (text, damping) in enumerate(zip(("534.5", "536.4", "590.3"), ("3.167e-4", "1.586e-4", "11.70e-4"))):
         rows.append(of.again(f"frequency of mode {k + 1}", "eq. (15)", text, "Hz"))
         rows.append(of.again(f"damping ratio of mode {k + 1}", "eq. (15)", damping))
-    sign = "sign misprinted: +64740; with −64740 the up-down mode would not move all electrodes alike"
+    sign = "sign misprint: should be +64740; with −64740 the up-down mode would not move all electrodes in phase"
     for name, printed in (("R1", _R1), ("R0", _R0)):
         for k in range(3):
             for j, channel in enumerate(_CHANNELS):
@@ -187,8 +187,8 @@ def model_numbers(of: Sources) -> NumberGroup:
 
 
 def frequency_numbers(found: RouteResult) -> NumberGroup:
-    """What Section 4.1 says of the frequencies, and the settings that were taken over."""
-    instrument = "another instrument on the real device: cannot be computed; the print itself is this far from eq. (15)"
+    """Section 4.1: frequencies [Hz] by the vibrometer, the split, and the range of the second harmonics."""
+    instrument = "measured by another instrument, so it cannot be computed; shown beside it is eq. (15)"
     f = (534.5, 536.4, 590.3)
     rows = [
         PrintedNumber(f"vibrometer, mode {k + 1}", "sec. 4.1", text, f[k], None, "Hz", "as above" if k else instrument)
@@ -203,9 +203,9 @@ def frequency_numbers(found: RouteResult) -> NumberGroup:
 
 
 def hankel_numbers(eq14: FloatArray, reduction: Reduction) -> NumberGroup:
-    """Hankel singular values: of eq. (14), and of the order-40 model of the record."""
-    first = "does not follow from the printed M and ζ: a light mode has |M|₂/(4ζω), that is 11.8, 6.48 and 3.30 here"
-    rest = "what of the record is no mode (noise, hum): a property of that record, not of the device"
+    """Hankel singular values as printed, of eq. (14) ``eq14`` (K,), and of the order-40 model of the record."""
+    first = "does not follow from the printed M and ζ: a lightly damped mode has |M|₂/(4ζω), here 11.8, 6.48 and 3.30"
+    rest = "from the part of the record that is not a mode (noise, hum): a property of the record, not of the device"
     rows = tuple(
         PrintedNumber(
             f"Hankel value {k + 1}",
@@ -221,8 +221,8 @@ def hankel_numbers(eq14: FloatArray, reduction: Reduction) -> NumberGroup:
 
 
 def markov_numbers(of: Sources) -> NumberGroup:
-    """M1 to M3 by the H-infinity phase correction (16)."""
-    sign = "sign misprinted: eq. (14) has −1.233 s − 727.3 there, and only −1.153 gives the printed singular values"
+    """M1 to M3 by the H-infinity phase correction, eq. (16) and (17)."""
+    sign = "sign misprint: eq. (14) has −1.233 s − 727.3 there, and only −1.153 gives the printed singular values"
     rows = tuple(
         of.row(f"M{k + 1}, {channel}", "eq. (17)", _M[k][j], "", sign if (k, j) == (1, 2) else "")
         for k in range(3)
@@ -234,9 +234,9 @@ def markov_numbers(of: Sources) -> NumberGroup:
 def gain_numbers(of: Sources) -> NumberGroup:
     """SVD of M3, the gains, and the rank-one tests of the rocking modes."""
     digits = (
-        "four digits of M3 fix it only to 0.003; from a record it is as small as printed, since the residue of an ARX "
+        "four digits of M3 determine it only to 0.003; from a record it is as small as printed for any device, because "
     )
-    digits += "pole is of rank one by construction: it says nothing of the device"
+    digits += "the residue of an ARX pole has rank one by construction"
     rows = (
         of.row("K_S1", "sec. 4.2", "0.6793"),
         of.row("K_S2", "sec. 4.2", "0.7338"),
@@ -264,7 +264,7 @@ def gain_numbers(of: Sources) -> NumberGroup:
 
 
 def theta_numbers(of: Sources) -> NumberGroup:
-    """The four estimates of theta."""
+    """The four estimates of theta [deg] and their discrepancies."""
     four = [of.row(f"θ from {n}", "sec. 4.2", text, "deg") for n, text in zip(("u1", "v1", "u2", "v2"), THETAS)]
     about = "printed as “about 1 degree”"
     four.append(of.row("largest discrepancy", "sec. 4.2", "6", "deg", "", "<"))

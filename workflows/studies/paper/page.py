@@ -47,24 +47,24 @@ def _chain(physical: FloatArray, reduction: Reduction, fit: dict[str, float]) ->
 
 
 def paper_content(sizes: study.StudySizes, say: Callable[[str], None] = lambda _: None) -> PaperContent:
-    """Everything on the page.
+    """Compute everything on the page.
 
     Parameters
     ----------
-    sizes : how much of the two studies.
-    say : told what is computed next.
+    sizes : size of the convergence study, of the study of one step against two, and number of noise records.
+    say : called with a short description before each part.
     """
     say("eq. (14) and (15)")
     eq14 = numbers.printed_device()
     physical = study.paper_physical(eq14)
-    say("a record of eq. (14), identified")
+    say("identification of records of eq. (14)")
     again = [study.eq14_record(eq14, seed) for seed in range(sizes.noises)]
     closing = reduce_model(study.lattice_model(again[0]), study.INSTRUMENT)
     found = closing.modal
     others = [identify_record(record, study.INSTRUMENT, study.ORDER) for record in again[1:]]
     of = numbers.sources(eq14, [found, *others])
     hankel14 = numbers.hankel_of(eq14.modes)
-    say("the record of figure 4, its models")
+    say("the record of figure 4 and its models")
     record, sigma_v = study.paper_record(physical)
     began = time.perf_counter()
     model = study.lattice_model(record)
@@ -86,7 +86,7 @@ def paper_content(sizes: study.StudySizes, say: Callable[[str], None] = lambda _
     orders = study.order_view(record, physical, sizes.orders)
     say("one step against two")
     steps = study.steps_view(physical, np.array(sizes.splits_hz), np.array(sizes.shares))
-    say("loops closed")
+    say("phase correction, frequency responses and rate biases")
     projected = correct_phase(eq14.modes, eq14.record.antialias)
     hinf = correct_phase_hinf(eq14.modes, eq14.record.antialias)
     gain = filter_response(eq14.record.antialias, np.array([1j * np.abs(eq14.modes.poles[0])]))
@@ -118,7 +118,7 @@ def paper_content(sizes: study.StudySizes, say: Callable[[str], None] = lambda _
 def write_paper(
     out: Path, sizes: study.StudySizes | None = None, say: Callable[[str], None] = lambda _: None
 ) -> tuple[Path, PaperContent, float]:
-    """Write the page into the folder ``out``; returns its path, what it shows, and the seconds it took.
+    """Write the page into the folder ``out``; returns its path, its content, and the run time [s].
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Tables 1 and 2 of the paper from scratch, beside the print."""
+"""Tables 1 and 2 of the paper, recomputed from its equations, beside the printed values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WIDER_HZ = 1.95
 
 
 def table1_numbers(eq14: Eq14) -> NumberGroup:
-    """Table 1 and what Section 5.1 says of the damping."""
+    """Table 1 (largest error of theta [deg] for a bound on the damping) and the damping in Section 5.1, recomputed."""
     f, zeta = eq14.record.frequency_hz[:2], eq14.record.zeta[:2]
     wider = np.array([f[0], f[0] + _WIDER_HZ])
     rows = []
@@ -38,17 +38,17 @@ def table1_numbers(eq14: Eq14) -> NumberGroup:
     rows.append(PrintedNumber("their ratio, about", "sec. 5.2", "7", float(high / low), None, "", seven))
     return NumberGroup(
         "Table 1: error of θ against a bound δ on the damping",
-        "The largest error over all positive semidefinite C with eigenvalues up to δ, searched from scratch.",
+        "The largest error over all positive semidefinite C with eigenvalues up to δ, by numerical search.",
         tuple(rows),
     )
 
 
 def table2_numbers(eq14: Eq14) -> NumberGroup:
-    """Table 2: ellipses of the rocking modes."""
+    """Table 2, recomputed: tilt [deg] and axis ratio of the ellipses of the rocking modes."""
     f1, zeta = float(eq14.record.frequency_hz[0]), eq14.record.zeta[:2]
     c11, c22 = (2.0 * zeta * TAU * eq14.record.frequency_hz[:2]).tolist()
-    repeated = "the print repeats row 2; the modes of row 1 are alike, as its own ε2 and ratio show"
-    off = "half the split takes ε four times, 0.46: not what the row's own parameters give"
+    repeated = "misprint: repeats row 2, but in row 1 both modes have equal ellipses, as printed ε2 and ratio show"
+    off = "half the split multiplies ε by four, to 0.46; the print does not follow from the parameters of its row"
     printed = (
         ("1.90 Hz, √(c11 c22)", 1.90, float(np.sqrt(c11 * c22)), ("0.115", "0.163", "22.4", "15.8"), repeated),
         ("1.90 Hz, c22", 1.90, c22, ("0.115", "0.115", "22.4", "22.3"), ""),
@@ -66,6 +66,6 @@ def table2_numbers(eq14: Eq14) -> NumberGroup:
             rows.append(replace(row, remark=remark))
     return NumberGroup(
         "Table 2: ellipses of the rocking modes",
-        "Half axes and turn of each mode's ellipse, from scratch.",
+        "Ratio of the half axes and tilt of each mode's ellipse, recomputed.",
         tuple(rows),
     )
