@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
@@ -13,8 +12,6 @@ import pytest
 from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.ladder import as_diagnosis, as_ladder, diagnose, refine
 from pipeline.criticism.selection import forward_selection
-from pipeline.learning.answers import to_json
-from pipeline.learning.common import diagnosis_answer, refinement_answer
 
 RULES = Rules(draws=2000)
 X, SCALE_HELD_OUT = np.linspace(-1.0, 1.0, 400), 0.8
@@ -163,28 +160,3 @@ def test_judging_a_selection_does_not_change_it(toy: Any) -> None:
     assert as_ladder(problem, selection, RULES).verdict == "class"
     assert as_diagnosis(problem, selection, RULES).verdict == "class"
     assert selection.fits == fits
-
-
-def test_answers_are_json_with_the_keys_of_the_contract(toy: Any) -> None:
-    problem = toy.problem(2, {"square": 20.0})
-    diagnosis = json.loads(to_json(diagnosis_answer(diagnose(problem, rules=RULES))))
-    refinement = json.loads(to_json(refinement_answer(refine(problem, rules=RULES))))
-    assert {"verdict", "effects", "candidates", "classes", "invisible", "error"} <= set(diagnosis)
-    assert {"effect", "delta_chi2", "p_value", "estimate", "error_after", "class"} <= set(diagnosis["candidates"][0])
-    rung = {
-        "effect",
-        "status",
-        "error_fit",
-        "error_validate",
-        "misfit_fit",
-        "misfit_validate",
-        "relative_error",
-        "delta_chi2",
-    }
-    assert rung <= set(refinement["ladder"][0])
-
-
-def test_the_same_problem_gives_the_same_diagnosis(toy: Any) -> None:
-    problem = toy.problem(2, {"square": 6.0})
-    first, second = (to_json(diagnosis_answer(diagnose(problem, rules=RULES))) for _ in range(2))
-    assert first == second
