@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -29,14 +30,17 @@ class Bank:
     residues: ComplexArray
 
 
+@cache
 def filter_poles(antialias: AntiAlias) -> tuple[ComplexArray, ComplexArray]:
-    """Poles q_j and residues r_j of the filter, both (order,) [rad/s]."""
+    """Poles q_j and residues r_j of the filter, both (order,) [rad/s], read-only."""
     order = antialias.order
     corner = 2.0 * math.pi * antialias.corner_hz
     q = corner * np.exp(1j * math.pi * (2.0 * np.arange(1, order + 1) + order - 1) / (2.0 * order))
     difference = q[:, None] - q[None, :]
     np.fill_diagonal(difference, 1.0)
-    return q, corner**order / np.prod(difference, axis=1)
+    r = corner**order / np.prod(difference, axis=1)
+    q.flags.writeable = r.flags.writeable = False
+    return q, r
 
 
 def filter_response(antialias: AntiAlias | None, s: ComplexArray) -> ComplexArray:

@@ -186,6 +186,7 @@ def test_noise_that_a_converter_clips_stays_below_its_level() -> None:
     assert found[0.0] > lsb
 
 
+@pytest.mark.usefixtures("brief_records")
 def test_a_stop_is_reached_although_the_up_down_motion_is_larger() -> None:
     assert all(10.0 < hide("outside", number, 5).snr[0] < 1000.0 for number in (14, 38))
 

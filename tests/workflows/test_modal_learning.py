@@ -118,7 +118,7 @@ def test_noise_alone_is_significant_as_often_as_the_tests_say():
     rng, smallest = np.random.default_rng(7), []
     for _ in range(30):
         answers = ModalAnswers(ModalProblem(record_of({}, 0.03, rng), DEFAULT_COMPARE_MODEL))
-        tests = fit_tests(answers.problem, answers.fitted(), replace(answers.rules, draws=2000))
+        tests = fit_tests(answers.problem, answers.fitted(), replace(answers.rules, draws=500))
         smallest.append(tests.scores[0].p_value)
     assert kstest(smallest, "uniform").pvalue > 0.01
     assert binomtest(sum(p < 0.05 for p in smallest), 30, 0.05, alternative="greater").pvalue > 0.01

@@ -127,7 +127,10 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
             )
 
     def appended(motion: FloatArray) -> FloatArray:
-        return np.pad(motion, ((0, 0), (0, mechanics.stiffness.shape[1] - motion.shape[1])))
+        rows, own = motion.shape
+        out = np.zeros((rows, mechanics.stiffness.shape[1]))
+        out[:, :own] = motion
+        return out
 
     def of(stage: str) -> tuple[tuple[Any, FloatArray], ...]:
         return tuple((effect, p) for effect, p in effects if getattr(effect, stage) is not None)
