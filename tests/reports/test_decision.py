@@ -19,7 +19,7 @@ def _share(inside: int, n: int = 100) -> np.ndarray:
     return np.where(np.arange(n) < inside, 1.0, 5.0)
 
 
-def test_thresholds_themselves_decide() -> None:
+def test_a_probability_equal_to_a_threshold_is_decided() -> None:
     draws = {"split_hz": np.stack([_share(k) for k in (100, 95, 94, 6, 5, 0)])}
     decisions = decide(SPLIT, draws, ["ok"] * 6)
     assert decisions.verdict == ("pass", "pass", "undecided", "undecided", "fail", "fail")
@@ -41,14 +41,14 @@ def test_the_worst_limit_is_named_first() -> None:
 
 
 @pytest.mark.parametrize("status", ["not_converged", "fit_failed", "misfit"])
-def test_no_verdict_without_a_sound_identification(status: str) -> None:
+def test_devices_whose_status_is_not_ok_are_undecided(status: str) -> None:
     decisions = decide(SPLIT, {"split_hz": _share(0)[None]}, [status])
     assert decisions.verdict == ("undecided",)
     assert decisions.failed_limits == ("",)
     assert np.isnan(decisions.p_pass[0])
 
 
-def test_unknown_values_decide_only_what_they_cannot_change() -> None:
+def test_unknown_draws_leave_a_verdict_only_where_both_bounds_agree() -> None:
     unknown = np.full(100, np.nan)
     draws = {"split_hz": np.stack([_share(0), _share(100), unknown]), "theta_deg": np.stack([unknown] * 3)}
     decisions = decide(BOTH, draws, ["ok"] * 3)
@@ -65,7 +65,7 @@ def test_p_pass_is_the_normal_probability_within_its_sampling_error() -> None:
     assert np.all(np.abs(p - expected) < 5 * np.sqrt(expected * (1 - expected) / n))
 
 
-def test_truth_conforms_in_any_shape_and_nan_never() -> None:
+def test_conforms_keeps_the_shape_of_the_values_and_nan_does_not_conform() -> None:
     truth = {
         "split_hz": np.array([[1.0, 5.0], [3.0, np.nan]]),
         "theta_deg": np.array([[90.0, 90.0], [-79.0, 90.0]]),
@@ -74,7 +74,7 @@ def test_truth_conforms_in_any_shape_and_nan_never() -> None:
     np.testing.assert_array_equal(conforms_each(BOTH, truth)["split_hz"], [[True, False], [True, False]])
 
 
-def test_no_devices_is_no_error_and_missing_or_ragged_draws_are() -> None:
+def test_no_devices_are_accepted_and_missing_or_ragged_draws_are_refused() -> None:
     assert decide(SPLIT, {"split_hz": np.empty((0, 10))}, []).verdict == ()
     with pytest.raises(UsageError, match="no values of a limited quantity"):
         decide(BOTH, {"split_hz": np.ones((1, 10))}, ["ok"])
@@ -86,7 +86,7 @@ def test_no_devices_is_no_error_and_missing_or_ragged_draws_are() -> None:
         decide(BOTH, {"split_hz": np.ones((1, 10)), "theta_deg": np.ones((1, 9))}, ["ok"])
 
 
-def test_a_quantity_without_draws_of_its_own_is_known_or_unknown_as_a_whole() -> None:
+def test_a_single_value_stands_for_all_draws_of_a_known_or_unknown_quantity() -> None:
     split = np.stack([_share(100), _share(0)])
     known = decide(BOTH, {"split_hz": split, "theta_deg": np.full((2, 1), 90.0)}, ["ok"] * 2)
     assert known.verdict == ("pass", "fail")

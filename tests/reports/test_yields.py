@@ -24,13 +24,13 @@ from reports.yields import (
 )
 
 
-def test_none_of_1000_gives_the_published_limits() -> None:
+def test_zero_of_1000_has_the_published_upper_limits() -> None:
     assert clopper_pearson(0, 1000).high == pytest.approx(0.00368, abs=5e-6)
     assert wilson(0, 1000).high == pytest.approx(0.00383, abs=5e-6)
 
 
 @given(st.integers(0, 60), st.integers(0, 60), st.sampled_from([0.9, 0.95]))
-def test_intervals_are_those_of_scipy_and_mirror(passed: int, failed: int, level: float) -> None:
+def test_intervals_equal_those_of_scipy_and_swap_ends_with_the_counts(passed: int, failed: int, level: float) -> None:
     n = passed + failed
     if n:
         exact = stats.binomtest(passed, n).proportion_ci(level, "exact")
@@ -53,7 +53,7 @@ def test_intervals_are_those_of_scipy_and_mirror(passed: int, failed: int, level
         ((5, 3, 2), (0.5, 0.7), (0.18709, 0.93326)),
     ],
 )
-def test_undecided_devices_widen_the_yield_and_edges_hold(
+def test_undecided_devices_widen_bounds_and_envelope(
     counts: tuple[int, int, int], bounds: tuple[float, float], envelope: tuple[float, float]
 ) -> None:
     result = yield_of(*counts)
@@ -97,7 +97,7 @@ def _process(rng: np.random.Generator, wafers: int, dies: int, spread: float) ->
     ]
 
 
-def test_wafers_that_differ_widen_the_interval_until_it_covers_the_process() -> None:
+def test_the_clustered_interval_covers_the_process_where_wafers_differ() -> None:
     rng = np.random.default_rng(11)
     plain = clustered = 0
     runs = 300
@@ -124,7 +124,7 @@ def test_between_wafer_sd_is_recovered_and_vanishes_for_equal_wafers() -> None:
     assert alike.between_sd < 0.03
 
 
-def test_one_wafer_says_nothing_about_wafers_and_equal_verdicts_do_not_break() -> None:
+def test_one_wafer_gives_no_process_interval_and_equal_verdicts_give_the_binomial_one() -> None:
     assert clustering(["pass", "fail"], ["W1", "W1"], "wafer").interval is None
     assert clustering([], [], "wafer").groups == 0
     equal = clustering(["pass"] * 10, ["W1"] * 5 + ["W2"] * 5, "wafer").interval
@@ -151,7 +151,7 @@ def test_groups_are_counted_by_wafer_and_by_lot() -> None:
     assert [g.lot for g in by_group(["pass"] * 4, ["L10", "L2", "", "7"])] == ["", "7", "L2", "L10"]
 
 
-def test_risks_of_the_normal_process_are_the_published_ones() -> None:
+def test_risks_of_the_normal_process_equal_the_published_values() -> None:
     risk = normal_risk(0.12, 0.04, (-0.2, 0.2), (-0.2, 0.2))
     assert risk.consumer == pytest.approx(0.0189422067, abs=5e-11)
     assert risk.producer == pytest.approx(0.0372078002, abs=5e-11)
@@ -178,7 +178,7 @@ def test_predicted_and_counted_risks_agree_with_the_integral() -> None:
     assert expected.producer == pytest.approx(truth.producer, abs=4 * math.sqrt(truth.producer / n))
 
 
-def test_a_guard_band_trades_the_consumers_risk_for_the_producers() -> None:
+def test_a_guard_band_lowers_the_consumers_risk_and_raises_the_producers() -> None:
     plain = normal_risk(0.12, 0.04, (-0.2, 0.2), (-0.2, 0.2))
     guarded = normal_risk(0.12, 0.04, (-0.2, 0.2), (-0.13, 0.13))
     assert guarded.consumer < 0.1 * plain.consumer

@@ -60,13 +60,13 @@ def _all_at_once() -> dict[str, float]:
     return {name: value for effect in CONTINUOUS for name, value in _drawn(effect, strong.get(effect, 10.0)).items()}
 
 
-def test_the_whole_library_is_hidden_and_stated_laws_are_laws_of_the_library() -> None:
+def test_the_study_hides_every_library_effect_and_states_library_laws_only() -> None:
     assert set(LIBRARY) == set(Model().candidates())
     assert set(LIBRARY) >= STATED
     assert not set(OUTSIDE) & set(LIBRARY)
 
 
-def test_smaller_steps_change_nothing() -> None:
+def test_smaller_integration_steps_change_the_response_by_less_than_1e_8() -> None:
     values = {**_DEVICE, **_all_at_once()}
     fine = response(values, _SWEEP, INSTRUMENT, steps=8)
     assert _rms(response(values, _SWEEP, INSTRUMENT) - fine) < 1e-8 * _rms(fine)
@@ -96,7 +96,7 @@ def test_the_simulator_agrees_with_an_adaptive_solver(effect: str) -> None:
     assert _rms(found - expected) < (1e-6 if effect in ("hysteresis", "stop") else 1e-7) * _rms(expected)
 
 
-def test_lag_of_a_wave_is_a_first_order_low_pass() -> None:
+def test_the_lag_equals_a_first_order_low_pass() -> None:
     omega, lag, h = 2.0 * np.pi * 600.0, 3e-6, 5e-5
 
     def at(t: float) -> FloatArray:
@@ -146,7 +146,7 @@ def test_the_size_gives_the_requested_snr() -> None:
     assert base.snr([moved - before]) < 1e-3 * np.linalg.norm(moved - before) / SIGMA_V
 
 
-def test_a_size_is_found_for_steep_and_limited_and_diverging_effects() -> None:
+def test_sized_reaches_the_snr_of_steep_limited_and_diverging_effects() -> None:
     assert sized(lambda s: s**3, 100.0, 1e9).snr == pytest.approx(100.0, rel=0.16)
     assert sized(lambda s: s, 100.0, 20.0).size == 20.0
 
@@ -159,7 +159,7 @@ def test_a_size_is_found_for_steep_and_limited_and_diverging_effects() -> None:
 
 
 @pytest.mark.usefixtures("short_records")
-def test_a_campaign_is_decided_by_seed_kind_and_number() -> None:
+def test_the_same_seed_kind_and_number_give_the_same_campaign() -> None:
     number = LIBRARY.index("cubic_stiffness")
     first, again, other = hide("one", number, 7), hide("one", number, 7), hide("one", number + len(LIBRARY), 7)
     assert first.values == again.values
@@ -173,7 +173,7 @@ def test_a_campaign_is_decided_by_seed_kind_and_number() -> None:
 
 
 @pytest.mark.usefixtures("short_records")
-def test_noise_that_a_converter_clips_stays_below_its_level() -> None:
+def test_samples_exceed_the_clip_level_only_where_noise_is_added_after_clipping() -> None:
     found = {}
     first, count = LIBRARY.index("adc_saturation"), len(LIBRARY)
     for number in range(first, 12 * count, count):
@@ -187,7 +187,7 @@ def test_noise_that_a_converter_clips_stays_below_its_level() -> None:
 
 
 @pytest.mark.usefixtures("brief_records")
-def test_a_stop_is_reached_although_the_up_down_motion_is_larger() -> None:
+def test_a_mechanical_stop_is_reached_although_the_up_down_motion_is_larger() -> None:
     assert all(10.0 < hide("outside", number, 5).snr[0] < 1000.0 for number in (14, 38))
 
 
@@ -230,7 +230,7 @@ def test_an_instrument_without_antialias_filter_is_refused() -> None:
         ("left-out", LIBRARY.index("sense_nonlinearity"), "unknown"),
     ],
 )
-def test_the_loop_names_the_hidden_effect_and_no_other(kind: str, number: int, expected: str) -> None:
+def test_the_diagnosis_of_each_kind_of_campaign_is_the_expected_one(kind: str, number: int, expected: str) -> None:
     hidden = hide(kind, number, 2026)
     row = study.examine(hidden)
     assert answer(row, "diagnose") == expected, row

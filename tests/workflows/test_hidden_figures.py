@@ -57,7 +57,7 @@ def test_an_answer_is_assessed_with_its_classes() -> None:
     assert answer(_row("weak", 0, [k]), "diagnose") == "adequate"
 
 
-def test_figures_are_the_right_proportions() -> None:
+def test_figures_equal_the_proportions_counted_by_hand() -> None:
     k, d = "cubic_stiffness", "drive_nonlinearity"
     rows = [
         _row("none", 0, []),

@@ -72,6 +72,6 @@ def test_a_users_own_effect_goes_through_the_same_commands(tmp_path, capfd):
 
 
 @pytest.mark.parametrize("command", ["compare", "diagnose", "refine"])
-def test_a_missing_campaign_is_one_message(command, tmp_path, capfd):
+def test_a_missing_campaign_gives_one_error_message(command, tmp_path, capfd):
     assert call([command, str(tmp_path / "none")]) == 5
     assert capfd.readouterr().err.startswith("error: ")

@@ -29,14 +29,14 @@ RATE, SIGMA = 10_000.0, 1e-6
 NOISE = NoiseLevel(np.full(2, SIGMA), "silent", 10_000)
 
 
-def test_the_study_accepts_what_the_effects_declare() -> None:
+def test_look_alikes_of_the_study_are_those_that_the_effects_declare() -> None:
     assert look_alikes("loop_delay") == (frozenset({"pickoff_pole"}),)
     assert frozenset({"pickoff_crosstalk", "electrode_mismatch"}) in look_alikes("electrode_misalignment")
     assert look_alikes("gain_drift") == ()
 
 
 @pytest.mark.parametrize(("imitated", "like", "factor"), CASES)
-def test_a_look_alike_leaves_less_than_a_hundredth_of_what_the_baseline_cannot_absorb(
+def test_a_declared_look_alike_leaves_less_than_1e_4_of_the_chi2_of_the_baseline(
     imitated: str, like: LookAlike, factor: float
 ) -> None:
     values = {**PLANT, **{f"{imitated}.{name}": factor * value for name, value in like.example.items()}}

@@ -1,4 +1,4 @@
-"""The loop on poles and residues: what is hidden is named, noise alone is not, and docs/paper-model.md says what it finds."""
+"""The loop on modal records: hidden effects are named, noise alone names none, docs/paper-model.md states the results."""
 
 import json
 import re
@@ -83,12 +83,12 @@ HIDDEN = (
     {"loop_delay.tau": 2e-5},
     {"pickoff_crosstalk.a": 0.06, "pickoff_crosstalk.b": -0.04},
 )
-#: What no modal record of one device can tell apart.
+#: Effects that no modal record of one device distinguishes.
 SAME = {"updown_tilt": {"electrode_mismatch"}, "loop_delay": {"pickoff_pole"}}
 
 
 @pytest.mark.parametrize("hidden", HIDDEN, ids=lambda hidden: effect_of(next(iter(hidden))))
-def test_a_hidden_effect_is_named_alone_with_its_size_where_sd_is_stated(hidden):
+def test_with_a_declared_sd_the_hidden_effect_is_named_alone_and_its_size_recovered(hidden):
     name = effect_of(next(iter(hidden)))
     found = diagnose(record_of(hidden, 2e-3, np.random.default_rng(11), stated=True))
     members = set(found.effects).union(*found.classes)
@@ -103,18 +103,18 @@ def test_a_hidden_effect_is_named_alone_with_its_size_where_sd_is_stated(hidden)
     assert abs(fit.derived["theta_deg"][0] - DEVICE["theta_deg"]) < 4.0 * fit.derived["theta_deg"][1]
 
 
-def test_without_sd_the_hidden_effect_is_always_among_those_named_and_seldom_with_another():
+def test_without_a_declared_sd_the_hidden_effect_is_named_and_at_most_half_the_answers_name_another():
     rng, others = np.random.default_rng(21), 0
     for hidden in HIDDEN:
         name = effect_of(next(iter(hidden)))
         found = diagnose(record_of(hidden, 2e-3, rng))
         assert name in set(found.effects).union(*found.classes)
         others += len(found.effects) > 1
-    # After the right effect each of six has one chance in twenty, and one for pairs.
+    # After the right effect, each of six records names another one with probability 0.05, and as often a pair.
     assert others <= 3
 
 
-def test_noise_alone_is_significant_as_often_as_the_tests_say():
+def test_under_noise_alone_the_smallest_p_value_is_uniform():
     rng, smallest = np.random.default_rng(7), []
     for _ in range(30):
         answers = ModalAnswers(ModalProblem(record_of({}, 0.03, rng), DEFAULT_COMPARE_MODEL))
@@ -124,7 +124,7 @@ def test_noise_alone_is_significant_as_often_as_the_tests_say():
     assert binomtest(sum(p < 0.05 for p in smallest), 30, 0.05, alternative="greater").pvalue > 0.01
 
 
-def test_residues_of_no_known_effect_leave_a_stated_noise_unexplained():
+def test_residues_changed_by_no_known_effect_give_unknown():
     made = record_of({}, 5e-3, np.random.default_rng(3), stated=True)
     assert diagnose(made).verdict == "adequate"
     assert compare(made).answer.error["fit"] == pytest.approx(1.0, abs=0.4)
@@ -135,7 +135,7 @@ def test_residues_of_no_known_effect_leave_a_stated_noise_unexplained():
     assert found.answer.p_left < 1e-3
 
 
-def test_a_mode_that_the_plant_lacks_is_a_parasitic_one():
+def test_a_fourth_mode_is_named_parasitic_mode_with_its_drive_vector_and_sense_angle():
     rng = np.random.default_rng(5)
     names = ("f", "zeta", "b_d1", "b_d2", "a")
     hidden = {f"parasitic_mode.{n}": v for n, v in zip(names, (612.0, 2e-3, 3.0, -1.0, 30.0))}
@@ -151,7 +151,7 @@ def test_a_mode_that_the_plant_lacks_is_a_parasitic_one():
     assert free.relative_error["fit"] < 0.01
 
 
-def test_only_effects_that_move_poles_or_residues_are_candidates():
+def test_only_effects_that_change_poles_or_residues_are_candidates():
     made = record_of({}, 1e-2, np.random.default_rng(2))
     problem = ModalProblem(made, DEFAULT_COMPARE_MODEL)
     assert {term.name for term in problem.terms} == {
@@ -166,7 +166,7 @@ def test_only_effects_that_move_poles_or_residues_are_candidates():
     }
 
 
-def test_a_fit_slides_along_the_edge_of_passive_damping():
+def test_a_fit_with_c12_at_its_passivity_limit_reaches_the_minimum_on_the_limit():
     made = record_of({"c12_per_s": -1.508}, 0.05, np.random.default_rng(9))
     with_c12 = DEFAULT_COMPARE_MODEL.with_effect("offdiagonal_damping")
     fit = ModalProblem(made, DEFAULT_COMPARE_MODEL).fit(("offdiagonal_damping",))
@@ -177,14 +177,14 @@ def test_a_fit_slides_along_the_edge_of_passive_damping():
     assert fit.chi2 <= ModalProblem(made, held).fit(()).chi2 * (1.0 + 1e-6)
 
 
-def test_volts_may_have_any_unit():
+def test_scaling_the_residues_changes_neither_effects_nor_relative_error():
     made = record_of({"c12_per_s": -0.8}, 1e-2, np.random.default_rng(4))
     both = [refine(replace(made, R1=made.R1 * unit, R0=made.R0 * unit)) for unit in (1.0, 1e-3)]
     assert both[0].effects == both[1].effects == ("offdiagonal_damping",)
     np.testing.assert_allclose(*(f.ladder.rungs[-1].relative_error for f in both), rtol=1e-6)
 
 
-def test_a_record_of_two_modes_is_no_gyro():
+def test_plant_gyro_refuses_a_record_of_two_modes():
     made = record_of({}, 1e-2, np.random.default_rng(2))
     two = replace(made, frequency_hz=made.frequency_hz[:2], zeta=made.zeta[:2], R1=made.R1[:2], R0=made.R0[:2])
     with pytest.raises(MeasurementError, match="three modes"):
@@ -192,7 +192,7 @@ def test_a_record_of_two_modes_is_no_gyro():
 
 
 @pytest.mark.parametrize("question", ["compare", "diagnose", "refine"])
-def test_the_commands_answer_in_json_text_and_a_page_that_stands_alone(question, tmp_path, capfd):
+def test_the_commands_print_json_and_text_and_write_a_self_contained_page(question, tmp_path, capfd):
     path = tmp_path / "device.toml"
     write_modal_record(record_of({"c12_per_s": -0.8}, 5e-3, np.random.default_rng(8)), path)
     assert call([question, str(path), "--json"]) == 0
@@ -219,7 +219,7 @@ def test_the_commands_answer_in_json_text_and_a_page_that_stands_alone(question,
 
 
 @PAPER
-def test_the_papers_model_misses_its_measurement_by_a_tenth(paper):
+def test_the_model_of_the_paper_has_a_relative_error_of_9_9_percent_and_the_printed_thetas(paper):
     answer = compare(paper).answer
     assert answer.relative_error["fit"] == pytest.approx(0.09915, abs=5e-5)
     four = [value for value, _ in answer.four_thetas_deg.values()]
@@ -227,7 +227,7 @@ def test_the_papers_model_misses_its_measurement_by_a_tenth(paper):
 
 
 @PAPER
-def test_the_ladder_of_the_paper_is_the_one_in_its_page(paper, ladder):
+def test_docs_paper_model_states_the_computed_tables_and_sizes(paper, ladder):
     text = PAGE.read_text(encoding="utf-8")
     for row in (*where_rows(compare(paper).answer), *candidate_rows(diagnose(paper).answer), *rung_rows(ladder)):
         assert any(alike(row, line) for line in text.splitlines()), row
@@ -278,7 +278,7 @@ def rung_rows(answer):
 
 
 @PAPER
-def test_an_undeclared_rate_would_take_what_is_left_at_a_size_that_no_bench_has(paper):
+def test_with_an_undeclared_rate_angular_rate_is_added_last_with_the_documented_size(paper):
     answer = refine(replace(paper, rate_dps=None)).answer
     last = answer.ladder[-1]
     omega, sd = answer.parameters["angular_rate.Omega"]
@@ -290,7 +290,7 @@ def test_an_undeclared_rate_would_take_what_is_left_at_a_size_that_no_bench_has(
 
 
 @PAPER
-def test_exact_poles_would_give_the_same_ladder(paper, ladder):
+def test_fixing_the_poles_changes_neither_theta_nor_the_error_of_a_rung(paper, ladder):
     problem = ModalProblem(paper, DEFAULT_COMPARE_MODEL, pole_weight=0.01)
     for rung in ladder.ladder:
         fit = problem.fit(rung.terms)
@@ -299,7 +299,7 @@ def test_exact_poles_would_give_the_same_ladder(paper, ladder):
 
 
 @PAPER
-def test_noise_of_the_size_of_the_misfit_climbs_no_such_ladder(paper, ladder):
+def test_noise_as_large_as_the_misfit_gives_fewer_rungs(paper, ladder):
     by_chance = rungs_by_chance(paper, draws=5)
     assert max(by_chance) < len(ladder.ladder) - 1
     assert sum(rungs > 0 for rungs in by_chance) <= 2

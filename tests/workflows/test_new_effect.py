@@ -87,7 +87,7 @@ def _number(model: Model, name: str) -> int:
 
 
 @pytest.mark.usefixtures("brief_records")
-def test_the_loop_finds_a_hidden_effect_that_is_only_a_file(model: Model) -> None:
+def test_an_effect_added_as_one_file_is_hidden_and_found(model: Model) -> None:
     hidden = hide("one", _number(model, FILM), 7, model)
     assert hidden.effects == (FILM,) == without_law(hidden.effects)
     assert 5.0 < hidden.snr[0] < 1500.0

@@ -29,7 +29,7 @@ def notebook(tmp_path_factory):
     return names
 
 
-def test_the_page_fits_one_screen():
+def test_the_notebook_page_has_at_most_50_lines():
     assert len(PAGE.read_text(encoding="utf-8").splitlines()) <= 50
 
 
@@ -57,7 +57,7 @@ def test_the_verdict_is_undecided_until_the_model_explains_the_records(notebook)
     assert ladder["verdict"].iloc[-1] == ladder["verdict_at_face"].iloc[-1] != "undecided"
 
 
-def test_regions_of_the_first_model_show_what_the_last_one_leaves(notebook):
+def test_regions_state_the_error_of_the_last_model_and_the_explained_share(notebook):
     regions = notebook["better"].where
     first = regions.iloc[0]
     assert first["error"] > 1.5
@@ -68,7 +68,7 @@ def test_regions_of_the_first_model_show_what_the_last_one_leaves(notebook):
 @pytest.mark.parametrize(("name", "says"), [
     ("how_good", "harmonic of the drive"), ("missing", "sense_nonlinearity"), ("better", "confirmed"),
 ])  # fmt: skip
-def test_answers_print_show_and_are_frozen(notebook, name, says):
+def test_results_print_text_show_tables_and_are_frozen(notebook, name, says):
     answer = notebook[name]
     assert says in str(answer)
     assert repr(answer) == str(answer)

@@ -69,7 +69,7 @@ def test_two_hidden_effects_are_found_with_every_source_of_the_noise_level(noise
     assert all(volts == pytest.approx(SIGMA_V, rel=0.03) for volts in last.error_v.values())
 
 
-def test_a_real_feedthrough_raises_no_doubt_about_the_hold():
+def test_a_real_feedthrough_gives_no_hint_about_the_hold():
     one = PlantSpec("modal", 1, "velocity")
     values = {name: value for name, value in MODES.items() if "1_" in name or name == "zeta1"}
     made = campaign(

@@ -22,7 +22,7 @@ def lines():
             yield shlex.split(line.split("#")[0])[1:]
 
 
-def test_the_two_commands_make_their_own_environment():
+def test_the_run_and_test_commands_create_a_virtual_environment():
     run, test = re.findall(r"<!-- (?:run|test) command -->\n```sh\n(.*?)\n```", README)
     assert run.startswith("python3 -m venv .venv && .venv/bin/pip install")
     assert run.endswith(".venv/bin/gyroscreen run")
@@ -30,13 +30,13 @@ def test_the_two_commands_make_their_own_environment():
     assert test.endswith(".venv/bin/pytest -n 2")
 
 
-def test_links_lead_to_files():
+def test_links_of_the_readme_lead_to_existing_files():
     for target in re.findall(r"\]\(([^)]+)\)", README):
         assert (ROOT / target).exists(), target
 
 
 @pytest.mark.parametrize("arguments", list(lines()), ids=" ".join)
-def test_every_command_shown_knows_its_options(arguments, capfd):
+def test_every_option_shown_is_in_the_help_of_its_command(arguments, capfd):
     options = [a for a in arguments if a.startswith("--")]
     group = arguments[:2] if arguments[0] == "model" else arguments[:1]
     assert call([*group, "--help"]) == 0
@@ -45,7 +45,7 @@ def test_every_command_shown_knows_its_options(arguments, capfd):
         assert option in said
 
 
-def test_the_commands_on_a_campaign_run_as_they_stand(tmp_path, monkeypatch, capfd):
+def test_the_shown_commands_on_a_campaign_exit_with_0(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for arguments in lines():
         if arguments[0] in ("simulate", "check", "identify", "model") and "--stream" not in arguments:
@@ -54,7 +54,7 @@ def test_the_commands_on_a_campaign_run_as_they_stand(tmp_path, monkeypatch, cap
     assert (tmp_path / "device.json").exists()
 
 
-def test_the_loop_in_five_lines_runs(tmp_path, monkeypatch, capfd):
+def test_the_python_example_of_the_readme_runs(tmp_path, monkeypatch, capfd):
     from pipeline.experiment.campaign import write_campaign
 
     code = re.search(r"```python\n(.*?)```", README, flags=re.DOTALL)

@@ -29,7 +29,7 @@ def shortened(hold):
     return replace(campaign, records=tuple(records))
 
 
-def test_refine_reduces_the_linear_model_to_a_third_of_a_millivolt():
+def test_refine_adds_cubic_then_quadratic_stiffness_and_the_test_error_falls_below_0_35_mv():
     rows = table(found := learning.refine(shortened("bandlimited"), MODEL))
     first, cubic, quadratic = rows[:3]
     assert (cubic["effect"], quadratic["effect"]) == ("cubic_stiffness", "quadratic_stiffness")
@@ -46,7 +46,7 @@ def test_refine_reduces_the_linear_model_to_a_third_of_a_millivolt():
 
 
 @pytest.mark.parametrize("hold", ["foh", "zoh"])
-def test_a_wrong_hold_gives_a_hint_instead_of_missing_physics(hold, tmp_path, capfd):
+def test_a_wrongly_declared_hold_gives_a_hint_that_names_the_better_hold(hold, tmp_path, capfd):
     entries = [
         f"[[record]]\nfile = {json.dumps(str(DATA / FILE))}\nname = '{name}'\nrole = '{role}'\nat_rest = false\n"
         f"start = {start}\nstop = {start + FIT if role == 'fit' else start + HELD if name == 'test' else stop}\n"

@@ -1,4 +1,4 @@
-"""An effect that is named without sizes is as strong as promised."""
+"""An effect that is named without sizes gets sizes with the documented SNR."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PLANT = {
 
 
 @pytest.mark.parametrize("effect", ["cubic_stiffness", "electrostatic_softening", "pickoff_crosstalk"])
-def test_a_size_is_found_although_the_record_does_not_move_in_proportion(effect: str) -> None:
+def test_sized_gives_an_snr_of_300_within_5_percent(effect: str) -> None:
     instrument, drive = Instrument(antialias=AntiAlias()), drive_samples(Chirp(), 10_000.0)
     chirp = Record("chirp", 10_000.0, drive, np.zeros_like(drive))
     model = DEFAULT_COMPARE_MODEL.with_effect(effect)

@@ -118,7 +118,7 @@ def write_run(store: RunStore) -> None:
     store.finish("complete", {})
 
 
-def test_a_crash_at_any_step_on_disk_is_survived(tmp_path: Path) -> None:
+def test_after_a_crash_at_any_disk_operation_committed_blocks_are_whole(tmp_path: Path) -> None:
     undisturbed = create_run(tmp_path, "undisturbed", CONFIG, PROVENANCE)
     write_run(undisturbed)
     moment, finished = 0, False
@@ -143,7 +143,9 @@ def test_a_crash_at_any_step_on_disk_is_survived(tmp_path: Path) -> None:
     assert moment > 30
 
 
-def test_a_full_disk_is_a_typed_error_and_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_an_incomplete_error_and_keeps_committed_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = create_run(tmp_path, "r", CONFIG, PROVENANCE)
     store.commit_block(0, *block_tables(0))
 
@@ -159,7 +161,7 @@ def test_a_full_disk_is_a_typed_error_and_costs_nothing(tmp_path: Path, monkeypa
     assert verify(tmp_path).ok
 
 
-def test_a_committed_block_is_left_as_it_is(tmp_path: Path) -> None:
+def test_committing_a_block_again_leaves_it_unchanged(tmp_path: Path) -> None:
     store = create_run(tmp_path, "r", CONFIG, PROVENANCE)
     store.commit_block(0, *block_tables(0))
     before = store.manifest
@@ -168,7 +170,7 @@ def test_a_committed_block_is_left_as_it_is(tmp_path: Path) -> None:
     assert read_run(tmp_path, "r").devices.equals(block_tables(0)[0])
 
 
-def test_writers_at_the_same_time_lose_no_block(tmp_path: Path) -> None:
+def test_concurrent_writers_lose_no_block(tmp_path: Path) -> None:
     create_run(tmp_path, "r", CONFIG, PROVENANCE)
     with ThreadPoolExecutor(4) as pool:
         jobs = [pool.submit(open_run(tmp_path, "r").commit_block, n // 2, *block_tables(n // 2)) for n in range(32)]
@@ -178,7 +180,7 @@ def test_writers_at_the_same_time_lose_no_block(tmp_path: Path) -> None:
     assert not verify(tmp_path).findings
 
 
-def test_stopped_runs_go_on_and_complete_ones_do_not(tmp_path: Path) -> None:
+def test_stopped_runs_accept_blocks_and_complete_runs_refuse_them(tmp_path: Path) -> None:
     store = create_run(tmp_path, "r", CONFIG, PROVENANCE)
     store.commit_block(1, *block_tables(1))
     with pytest.raises(IncompleteError, match=r"lacks blocks: \[0\]"):
@@ -215,7 +217,7 @@ def test_wrong_blocks_are_refused_before_anything_is_written(tmp_path: Path) -> 
         store.finish("complete", {})
 
 
-def test_runs_are_created_once(tmp_path: Path) -> None:
+def test_existing_and_invalid_run_names_are_refused(tmp_path: Path) -> None:
     make_run(tmp_path, "r")
     with pytest.raises(ConfigError, match=r"a run of that name exists: 'r'.*--resume r"):
         create_run(tmp_path, "r", CONFIG, PROVENANCE)
@@ -244,7 +246,7 @@ def test_the_newest_run_is_the_default_and_missing_ones_are_named(tmp_path: Path
         open_run(tmp_path, "c")
 
 
-def test_pages_may_be_replaced_and_nothing_else(tmp_path: Path) -> None:
+def test_only_pages_may_be_replaced(tmp_path: Path) -> None:
     store = make_run(tmp_path, "r")
     store.write_file("report.html", b"new")
     assert verify(tmp_path).ok
@@ -267,7 +269,7 @@ def test_summaries_that_are_not_json_are_refused(tmp_path: Path) -> None:
     assert store.manifest.status == "running"
 
 
-def test_the_log_is_json_lines_whatever_is_logged(tmp_path: Path) -> None:
+def test_every_log_line_is_json(tmp_path: Path) -> None:
     store = create_run(tmp_path, "r", CONFIG, PROVENANCE)
     store.log({"event": "block", "rate": float("nan"), "where": Path("a"), "text": "two\nlines"})
     store.log({"event": "end"})

@@ -31,7 +31,7 @@ def written(table: pa.Table, format: str) -> str:
     return sink.getvalue().decode()
 
 
-def test_devices_of_all_runs_are_told_apart(results: Path) -> None:
+def test_run_id_distinguishes_devices_of_the_same_name(results: Path) -> None:
     answer = query("SELECT run_id, count(*) AS n FROM devices GROUP BY run_id ORDER BY run_id", results)
     assert answer.to_pylist() == [{"run_id": "one", "n": 12}, {"run_id": "two", "n": 8}]
     draws = query("SELECT count(*) AS n FROM posterior WHERE run_id = 'two'", results)
@@ -56,7 +56,7 @@ def test_every_column_is_explained_in_the_view_columns(results: Path) -> None:
     assert len(query("FROM columns", results)) > len(COLUMNS)
 
 
-def test_runs_tell_their_state(results: Path) -> None:
+def test_the_view_runs_has_status_and_counts(results: Path) -> None:
     answer = query("SELECT run_id, status, devices, draws, blocks, seed FROM runs ORDER BY run_id", results).to_pylist()
     assert [row["status"] for row in answer] == ["running", "complete", "complete"]
     assert answer[1] == {"run_id": "one", "status": "complete", "devices": 12, "draws": 60, "blocks": 3, "seed": "7"}
@@ -130,7 +130,9 @@ def test_a_query_reads_results_and_nothing_else(results: Path, tmp_path: Path, s
     assert python_variable.num_rows == 1
 
 
-def test_endless_queries_end(results: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_queries_beyond_time_memory_or_size_limits_are_refused(
+    results: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.chdir(tmp_path)
     endless = "SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE hash(a.range) % 7 = hash(b.range) % 3"
     with pytest.raises(UsageError, match=r"no result within 0.2 s"):
@@ -143,7 +145,7 @@ def test_endless_queries_end(results: Path, monkeypatch: pytest.MonkeyPatch, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_limits_that_are_none_are_refused(results: Path) -> None:
+def test_invalid_query_limits_are_refused(results: Path) -> None:
     with pytest.raises(UsageError, match="the timeout is not a positive time: nan"):
         query("SELECT 1", results, timeout_s=float("nan"))
     with pytest.raises(UsageError, match=r"memory limit.*: 'much'"):
@@ -163,7 +165,7 @@ def test_the_text_table_shows_units_and_aligns() -> None:
     assert "\x1b" not in written(pa.table({"a": ["\x1b[31m"]}), "table")
 
 
-def test_formats_keep_every_bit(tmp_path: Path) -> None:
+def test_json_csv_and_parquet_keep_the_full_precision(tmp_path: Path) -> None:
     table = block_tables(3)[0].select(["device_id", "theta_deg", "split_hz", "verdict"])
     rows = table.to_pylist()
     assert json.loads(written(table, "json")) == rows
@@ -176,7 +178,7 @@ def test_formats_keep_every_bit(tmp_path: Path) -> None:
     assert back.schema.field("split_hz").metadata[b"unit"] == b"Hz"
 
 
-def test_json_is_json_whatever_the_answer_holds(results: Path) -> None:
+def test_every_duckdb_type_is_written_as_valid_json_and_csv(results: Path) -> None:
     answer = query(
         "SELECT 'inf'::DOUBLE AS a, 'nan'::DOUBLE AS b, sum(range) AS c, [1, 2] AS d, {'k': 1.5} AS e,"
         " DATE '2026-01-02' AS f, 'x'::BLOB AS g, INTERVAL 1 DAY AS h, 1.25::DECIMAL(4, 2) AS i FROM range(10)",
@@ -189,12 +191,12 @@ def test_json_is_json_whatever_the_answer_holds(results: Path) -> None:
     assert json.loads(written(answer.slice(0, 0), "json")) == []
 
 
-def test_names_that_occur_twice_are_numbered(results: Path) -> None:
+def test_repeated_column_names_are_numbered(results: Path) -> None:
     answer = query("SELECT a.device_id, b.device_id FROM devices a, devices b LIMIT 1", results)
     assert answer.schema.names == ["device_id", "device_id_1"]
 
 
-def test_answers_go_where_they_can_and_say_where_they_cannot(tmp_path: Path) -> None:
+def test_unwritable_files_and_unknown_formats_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot write the file"):
         write_table(pa.table({"a": [1]}), "csv", tmp_path / "nowhere" / "a.csv")
     with pytest.raises(UsageError, match="unknown format: 'xlsx'; allowed: table, csv, json, parquet"):

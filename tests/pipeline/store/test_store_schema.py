@@ -89,7 +89,7 @@ def test_digest_sees_signed_zeros_shifted_text_and_order() -> None:
     assert digest(["a", "b"], [1.0, 2.0]) != digest(["b", "a"], [2.0, 1.0])
 
 
-def test_digest_ignores_what_lies_under_a_null() -> None:
+def test_digest_ignores_values_under_a_null() -> None:
     masked = [pa.array(np.array([under]), mask=np.array([True])) for under in (1.0, 2.0)]
     one, two = (pa.table([array], names=["x"]) for array in masked)
     assert table_digest(one) == table_digest(two)

@@ -41,7 +41,7 @@ def test_a_sound_run_has_no_findings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["devices-00000.parquet", "posterior-00000.parquet", NAME, "run.toml"])
-def test_no_flipped_bit_is_read_or_verified(tmp_path: Path, name: str) -> None:
+def test_a_flipped_bit_fails_reading_and_verification(tmp_path: Path, name: str) -> None:
     store = make_run(tmp_path, "r", blocks=(0,))
     path = store.folder / name
     bits = 8 * path.stat().st_size
@@ -57,7 +57,7 @@ def test_no_flipped_bit_is_read_or_verified(tmp_path: Path, name: str) -> None:
     assert verify(tmp_path).ok
 
 
-def test_a_query_rests_on_undamaged_files(tmp_path: Path) -> None:
+def test_a_query_on_a_damaged_file_is_refused(tmp_path: Path) -> None:
     store = make_run(tmp_path, "r", blocks=(0,))
     for name, table in (("devices-00000.parquet", "devices"), ("posterior-00000.parquet", "Posterior")):
         path = store.folder / name
@@ -94,7 +94,7 @@ def test_missing_and_exchanged_files_are_named(tmp_path: Path) -> None:
     assert (told["ok"], len(told["findings"]), told["findings"][0]["fatal"]) == (False, 2, True)
 
 
-def test_strays_are_named_and_break_nothing(tmp_path: Path) -> None:
+def test_stray_files_are_named_but_are_no_errors(tmp_path: Path) -> None:
     store = make_run(tmp_path, "r")
     foreign = pa.table({"device_id": [1, 2], "surprise": ["x", "y"]})
     strays = [store.folder / "devices-00099.parquet", store.folder / "notes.txt", tmp_path / "devices.parquet"]

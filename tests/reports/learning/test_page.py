@@ -144,7 +144,7 @@ def test_every_figure_is_on_the_page(page: str) -> None:
     ]
 
 
-def test_nothing_on_the_page_leaves_it_and_ids_are_unique(page: str) -> None:
+def test_the_page_has_no_external_addresses_and_ids_are_unique(page: str) -> None:
     found = Parsed(page)
     assert all(address.startswith(("#", "data:image/png;base64,")) for address in found.addresses)
     assert {a[1:] for a in found.addresses if a.startswith("#")} <= set(found.ids)
@@ -184,7 +184,7 @@ def test_numbers_that_are_not_known_are_dashes(comparison: Build, diagnosis: Bui
     assert not re.search(r"\b(nan|None|inf|UNSET)\b", found.text)
 
 
-def test_names_from_outside_are_text(
+def test_markup_in_names_is_escaped(
     comparison: Build, diagnosis: Build, refinement: Build, candidate: Build, record: Build
 ) -> None:
     evil = '<script>alert("x")</script>&$x_{$'

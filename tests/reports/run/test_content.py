@@ -47,7 +47,7 @@ def test_pareto_counts_failed_devices_once_a_limit() -> None:
     assert (bars.limits[0].above, bars.limits[0].below, bars.limits[1].below) == (3, 0, 1)
 
 
-def test_stages_tell_who_lost_a_device_and_what_packaging_gave_back() -> None:
+def test_stage_losses_count_fabrication_packaging_and_recovered_devices() -> None:
     fine = [2000.0] * 5
     devices = _devices(
         fab_split_hz=[1.0, 1.0, 5.0, 5.0, None],
@@ -74,7 +74,7 @@ def test_a_measured_batch_has_no_stages_no_calibration_and_no_check() -> None:
 
 
 @pytest.mark.parametrize("centre", [0.0, 89.99, -89.99])
-def test_right_intervals_of_an_axis_are_in_the_band_wherever_it_points(centre: float) -> None:
+def test_calibrated_intervals_of_an_axis_are_in_the_band_at_any_angle(centre: float) -> None:
     rng = np.random.default_rng(1)
     n, sd, z90 = 2000, 0.5, 1.6448536
     truth = centre + rng.normal(0.0, 1.0, n)
@@ -131,7 +131,7 @@ def test_wrong_verdicts_are_counted_against_the_truth() -> None:
     assert check.predicted.producer == pytest.approx(0.05 / 4)
 
 
-def test_the_worst_come_in_four_kinds_and_never_twice() -> None:
+def test_worst_devices_have_four_kinds_and_no_repetition() -> None:
     devices = _devices(
         status=["ok", "ok", "ok", "ok", "misfit", "fit_failed"],
         verdict=["pass", "undecided", "fail", "undecided", "undecided", "undecided"],
@@ -166,7 +166,7 @@ def test_wafers_of_two_lots_never_share_a_name() -> None:
     assert devices.wafers() == ("L1 L10-W1", "L10-W1", "L1 W1", "W1", "")
 
 
-def test_reasons_that_differ_in_numbers_only_are_one() -> None:
+def test_reasons_that_differ_in_numbers_only_are_counted_together() -> None:
     devices = _devices(status=["misfit"] * 3, status_reason=["error 1.2 above 1.1", "error 3e+02 above 1.1", "bias"])
     assert [(row.reason, row.devices) for row in status_counts(devices)] == [("error … above …", 2), ("bias", 1)]
 
@@ -176,7 +176,7 @@ def test_nested_facts_become_dotted_lines() -> None:
     assert [(row.name, row.value) for row in rows] == [("seed", "7"), ("versions.numpy", "2.4"), ("sweep", "1, 2.5")]
 
 
-def test_the_content_of_the_synthetic_run_is_what_it_was(synthetic_run: Callable[..., Any]) -> None:
+def test_the_content_of_the_synthetic_run_equals_its_reference_values(synthetic_run: Callable[..., Any]) -> None:
     content = run_content(synthetic_run(), DEFAULT_LIMITS, {"spec": "synthetic"})
     percent = "\u00a0%"
     assert (content.total.passed, content.total.failed, content.total.undecided) == (77, 99, 24)
@@ -206,7 +206,7 @@ def test_the_content_of_the_synthetic_run_is_what_it_was(synthetic_run: Callable
         ("fail", (0.0, 0.0925), "38 of the 38 failed devices break this limit (100\u00a0%"),
     ],
 )
-def test_all_alike_is_said_with_its_uncertainty(
+def test_equal_verdicts_of_all_devices_are_reported_with_an_interval(
     synthetic_run: Callable[..., Any], verdict: str, yielded: tuple[float, float], said: str
 ) -> None:
     run = synthetic_run(38)
@@ -228,7 +228,7 @@ def test_content_is_frozen_and_equal_for_equal_input(synthetic_run: Callable[...
         content.run_id = "other"  # type: ignore[misc]
 
 
-def test_limits_that_the_results_do_not_hold_are_refused(synthetic_run: Callable[..., Any]) -> None:
+def test_limits_on_absent_columns_are_refused(synthetic_run: Callable[..., Any]) -> None:
     run = synthetic_run(5)
     bare = dataclasses.replace(run, devices=pa.table({"device_id": ["D0"], "verdict": ["pass"]}))
     with pytest.raises(ConfigError, match="not in the results"):

@@ -66,7 +66,7 @@ def page(synthetic_run: Build) -> str:
     return render_run_report(synthetic_run(), DEFAULT_LIMITS, population_summary={"spec": "synthetic"})
 
 
-def test_nothing_on_the_page_leaves_it(page: str) -> None:
+def test_the_page_has_no_external_addresses(page: str) -> None:
     elements = _Elements(page)
     assert elements.open == []
     assert all(address.startswith("#") for address in elements.addresses)
@@ -83,7 +83,7 @@ def test_no_two_figures_share_an_id(page: str) -> None:
     assert used <= set(_Elements(page).ids)
 
 
-def test_the_head_tells_yield_interval_counts_and_cause(page: str) -> None:
+def test_the_header_states_yield_interval_counts_and_cause(page: str) -> None:
     head = page[page.index("<header>") : page.index("</header>")]
     text = " ".join(re.sub(r"<[^>]+>", " ", head).replace("\u00a0", " ").split())
     for part in (
@@ -97,7 +97,7 @@ def test_the_head_tells_yield_interval_counts_and_cause(page: str) -> None:
         assert part in text
 
 
-def test_every_section_is_there_with_its_figure(page: str) -> None:
+def test_every_section_is_present_with_its_figure(page: str) -> None:
     elements = _Elements(page)
     for name in (
         "causes",
@@ -129,7 +129,7 @@ def test_a_page_of_many_devices_stays_below_2_mb(synthetic_run: Build) -> None:
     assert "The first 12 of 30 wafers" in many
 
 
-def test_hostile_names_are_text(synthetic_run: Build) -> None:
+def test_markup_in_names_is_escaped(synthetic_run: Build) -> None:
     evil = "<script>alert('x')</script>\"&"
     run = synthetic_run(12)
     table = run.devices
@@ -146,7 +146,7 @@ def test_hostile_names_are_text(synthetic_run: Build) -> None:
     assert "&lt;script&gt;" in hostile
 
 
-def test_no_devices_still_give_a_page_that_says_so(synthetic_run: Build) -> None:
+def test_a_run_without_devices_gives_a_page_that_states_it(synthetic_run: Build) -> None:
     run = synthetic_run(4)
     empty = dataclasses.replace(run, devices=run.devices.slice(0, 0), posterior=None)
     page = render_run_report(empty, DEFAULT_LIMITS)
@@ -170,14 +170,14 @@ def test_a_measured_batch_without_truth_or_wafers_gives_a_page(synthetic_run: Bu
     assert "In truth" not in page
 
 
-def test_devices_of_which_nothing_is_known_give_a_page() -> None:
+def test_devices_without_any_value_give_a_page() -> None:
     table = devices_table({"device_id": ["A", "B"], "status": ["fit_failed"] * 2, "verdict": ["undecided"] * 2})
 
     page = render_run_report(SimpleNamespace(devices=table, posterior=None, manifest=None, config_toml=""), ARC)
     assert "Undecided: 2 fit failed" in page
 
 
-def test_figures_leave_the_settings_of_matplotlib_alone() -> None:
+def test_figures_do_not_change_the_settings_of_matplotlib() -> None:
     before = dict(matplotlib.rcParams)
     with style():
         assert matplotlib.rcParams["svg.fonttype"] == "none"
@@ -197,7 +197,7 @@ def test_numbers_are_rounded_by_their_sd() -> None:
     assert (number(1.0, 4), number(float("inf")), number(None), number(1409.2)) == ("1.000", "∞", "–", "1409")
 
 
-def test_shares_near_the_ends_are_told_from_them() -> None:
+def test_shares_near_0_and_1_are_not_rounded_to_them() -> None:
     shares = [0.0, 0.0004, 0.385, 0.9996, 1.0, np.nan]
     assert [percent(share).replace("\u00a0", " ") for share in shares] == [
         "0 %",

@@ -131,7 +131,7 @@ def test_classes_forms_and_failures_are_stated() -> None:
     assert failure_sentence("") == "The fit failed: no reason was given."
 
 
-def test_an_unknown_misfit_is_never_headed_by_a_name() -> None:
+def test_the_headline_of_an_unknown_misfit_names_no_effect() -> None:
     text = missing_sentence("unknown", ("cubic_stiffness", "mains_hum"), (), added=True)
     assert text == (
         "A misfit remains that no effect in the library explains. Cubic stiffness and mains hum do not remove it."

@@ -41,7 +41,7 @@ def joined(blocks) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([p.drive_v for p in parts]), np.concatenate([p.sense_v for p in parts])
 
 
-def test_a_file_that_grows_gives_every_sample_once_whatever_the_writer_breaks_off(
+def test_a_growing_file_gives_every_sample_once_although_lines_arrive_in_parts(
     lines: list[str], tmp_path: Path
 ) -> None:
     text = "".join(lines[:4_001])
@@ -66,7 +66,7 @@ def test_a_file_that_grows_gives_every_sample_once_whatever_the_writer_breaks_of
     assert np.array_equal(found[1], expected[1])
 
 
-def test_theta_and_split_come_with_their_uncertainty_and_the_verdict_with_its_time(
+def test_stream_reports_theta_and_split_with_sd_and_the_time_of_the_verdict(
     lines: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, limits = tmp_path / "record.csv", tmp_path / "limits.toml"
@@ -93,14 +93,14 @@ def test_theta_and_split_come_with_their_uncertainty_and_the_verdict_with_its_ti
         (lambda rows: [], "does not name the columns"),
     ],
 )
-def test_a_damaged_record_is_refused_where_it_is_damaged(lines, tmp_path, change, message) -> None:
+def test_a_damaged_record_is_refused_with_the_kind_of_damage(lines, tmp_path, change, message) -> None:
     file = tmp_path / "damaged.csv"
     file.write_text("".join(change(lines)))
     with pytest.raises(MeasurementError, match=message):
         joined(record_blocks(file, None, 0.05))
 
 
-def test_a_record_without_drive_and_options_that_make_no_sense_are_refused(lines: list[str], tmp_path: Path) -> None:
+def test_a_record_without_drive_and_invalid_options_are_refused(lines: list[str], tmp_path: Path) -> None:
     file = tmp_path / "silent.csv"
     file.write_text("".join(lines[:1_500]))
     with pytest.raises(MeasurementError, match="before the drive started"):

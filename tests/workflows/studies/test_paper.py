@@ -1,4 +1,4 @@
-"""The page of the paper: every printed number comes out again or is explained."""
+"""The page of the paper: every printed number is reproduced, or a remark explains the difference."""
 
 import re
 from pathlib import Path
@@ -20,13 +20,13 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, PaperContent]:
     return path, content
 
 
-def test_every_printed_number_is_consistent_or_says_why_not(page: tuple[Path, PaperContent]) -> None:
+def test_every_printed_number_is_consistent_or_has_a_remark(page: tuple[Path, PaperContent]) -> None:
     for row in page[1].numbers:
         assert row.consistent or row.remark, row
         assert np.isfinite(row.compared), row
 
 
-def test_what_does_not_come_out_is_what_the_print_has_wrong(page: tuple[Path, PaperContent]) -> None:
+def test_only_the_known_exceptions_are_inconsistent(page: tuple[Path, PaperContent]) -> None:
     wrong = {row.name for row in page[1].numbers if not row.consistent}
     of_eq14 = {name for name in wrong if name.startswith(("R0", "R1", "frequency of", "damping ratio of"))}
     assert "R0 of mode 3, S1/D2" in of_eq14
@@ -43,7 +43,9 @@ def test_what_does_not_come_out_is_what_the_print_has_wrong(page: tuple[Path, Pa
     }
 
 
-def test_a_record_of_eq_14_gives_back_the_four_printed_thetas(page: tuple[Path, PaperContent]) -> None:
+def test_the_four_thetas_from_eq_14_and_from_a_record_of_it_agree_with_the_print(
+    page: tuple[Path, PaperContent],
+) -> None:
     rows = page[1].groups["theta"].rows[:4]
     assert [row.printed for row in rows] == ["-30.76", "-36.44", "-33.40", "-32.31"]
     for row in rows:
@@ -51,21 +53,21 @@ def test_a_record_of_eq_14_gives_back_the_four_printed_thetas(page: tuple[Path, 
         assert abs(row.record - row.value) < 0.03
 
 
-def test_the_route_loses_theta_to_c12_at_a_small_split_and_the_fit_does_not(page: tuple[Path, PaperContent]) -> None:
+def test_at_a_small_split_c12_biases_theta_of_the_route_but_not_of_the_fit(page: tuple[Path, PaperContent]) -> None:
     steps = page[1].steps
     assert steps.route_deg[1, 0] > 10.0
     assert steps.route_deg[1, 0] == pytest.approx(steps.limit_deg[1, 0], rel=0.05)
     assert np.all(steps.fit_deg < 5.0 * steps.sd_deg)
 
 
-def test_the_loops_agree_with_the_corrected_equations(page: tuple[Path, PaperContent]) -> None:
+def test_the_simulated_loops_agree_with_the_corrected_equations(page: tuple[Path, PaperContent]) -> None:
     for row in page[1].biases:
         assert row.loops == pytest.approx(row.corrected, rel=0.01)
     wrong = [row.equation for row in page[1].biases if row.printed != pytest.approx(row.corrected, rel=0.01)]
     assert wrong == ["(4), (5)", "(5)", "(6)"]
 
 
-def test_the_page_stands_alone(page: tuple[Path, PaperContent]) -> None:
+def test_the_page_is_self_contained(page: tuple[Path, PaperContent]) -> None:
     text = page[0].read_text(encoding="utf-8")
     assert text.lower().startswith("<!doctype html>")
     assert text.count("<svg") == 7

@@ -26,13 +26,13 @@ def rows() -> list[InterimResults]:
     ]
 
 
-def test_the_test_stops_at_the_first_look_beyond_a_threshold() -> None:
+def test_the_test_stops_at_the_first_interim_analysis_beyond_a_threshold() -> None:
     found = sequential_test(rows(), 0.05)
     assert found.mean_s == (0.4 + 0.3 + 0.4 + 3.0) / 4.0
     assert (found.wrong_pass.count, found.wrong_fail.count, found.undecided.count) == (1, 0, 1)
 
 
-def test_the_threshold_is_tightened_until_the_sequential_test_errs_no_more_than_the_fixed_one() -> None:
+def test_as_good_as_returns_the_loosest_threshold_with_no_more_errors_than_the_fixed_test() -> None:
     fixed = fixed_test(rows(), 2.0, 0.05)
     assert (fixed.wrong_pass.count, fixed.undecided.count) == (0, 1)
     found = as_good_as(rows(), fixed)
@@ -42,7 +42,7 @@ def test_the_threshold_is_tightened_until_the_sequential_test_errs_no_more_than_
     assert test.wrong_pass.count == 0
 
 
-def test_virtual_devices_are_decided_well_before_two_seconds_and_rightly() -> None:
+def test_virtual_devices_are_decided_without_error_within_one_second_on_average() -> None:
     config = load_config(None, {"seed": 2026, "devices": 4})
     found = study_block(config, (0, 4))
     test = sequential_test(found, DEFAULT_LIMITS.rule.fail_at)

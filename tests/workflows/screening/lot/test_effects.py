@@ -116,7 +116,7 @@ def test_an_effect_of_one_device_is_not_an_effect_of_the_lot(tmp_path):
     assert '<td class="words">cubic_stiffness<' in row[: row.index("</tr>")]
 
 
-def test_an_effect_too_weak_for_a_single_device_is_found_from_all_together(tmp_path):
+def test_an_effect_too_weak_for_a_single_device_is_found_from_all_devices(tmp_path):
     weak = "[effects.cubic_stiffness]\nsize = { k3 = [1.6e8, 0.0] }\n[diagnosis]\nsample = 10\n"
     _, found, table = examined(tmp_path, 10, weak)
     rows = table.to_pylist()
