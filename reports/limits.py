@@ -62,13 +62,13 @@ class Limit:
         return self.quantity in AXES
 
     def admits(self, values: FloatArray) -> BoolArray:
-        """Whether each value (...) conforms; nan does not."""
+        """Whether low <= value <= high, or the axis is in the arc, for each value (...); nan does not conform."""
         if self.axis:
             return in_arc(values, self.low, self.high)
         return np.asarray((values >= self.low) & (values <= self.high))
 
     def margin(self, values: FloatArray) -> FloatArray:
-        """Distance (...) to the nearest limit in half-widths of the tolerance, or in units of a single limit.
+        """Distance (...) to the nearest limit, in half-widths of the tolerance or in units of a single limit.
 
         Positive inside, 1 in the middle of a tolerance; nan where the value is.
         """

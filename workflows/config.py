@@ -68,11 +68,11 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
         return judged if self.limits else Limits(judged.rule, DEFAULT_LIMITS.limits)
 
     def hum_source(self) -> Hum:
-        """Hum that is added to virtual records."""
+        """Hum that is added to virtual records: frequency [Hz] and amplitudes [V]."""
         return Hum(float(self.hum.frequency_hz), self.hum.amplitude_v)
 
     def line_hz(self) -> float | None:
-        """Fundamental of the hum lines in the model, or ``None``."""
+        """Fundamental of the hum lines in the model [Hz], or ``None``."""
         return float(self.hum.frequency_hz) if self.hum.amplitude_v else None
 
 

@@ -56,7 +56,9 @@ class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ExperimentTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The excitation, the silent record before it, and effects that virtual devices have in addition to the model's."""
+    """The excitation, the silent record before it, and effects that virtual devices have in addition to the model's.
+
+    One start, stop [Hz] and amplitude [V] for each drive; ``period_s`` [s] is that of the multisine."""
 
     kind: Literal["chirp", "multisine"] = "chirp"
     start_hz: tuple[Positive, ...] = (400.0, 700.0)
@@ -103,14 +105,14 @@ class RunInstrumentTable(InstrumentTable, frozen=True, forbid_unknown_fields=Tru
 
 
 class NoiseTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """White noise: sigma in volts, or the SNR of each device (rms of the signal in the window over sigma)."""
+    """White noise: sigma [V], or the SNR [dB] of each device (rms of the signal in the window over sigma)."""
 
     sigma_v: Positive | None = None
     snr_db: Annotated[float, Meta(ge=-400.0, extra=MAY_BE_INFINITE)] | None = None
 
 
 class HumTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """Mains hum: amplitudes of the harmonics 1, 2, .. of ``frequency_hz``; an empty list means no hum."""
+    """Mains hum: amplitudes [V] of the harmonics 1, 2, .. of ``frequency_hz`` [Hz]; an empty list means no hum."""
 
     frequency_hz: Literal[50, 60] = 60
     amplitude_v: tuple[NotNegative, ...] = (0.005, 0.002, 0.003, 0.001, 0.002, 0.0005, 0.001, 0.0005, 0.0005)
@@ -123,7 +125,7 @@ class RunDemodulationTable(DemodulationTable, frozen=True, forbid_unknown_fields
 
 
 class IdentificationTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """ARX order and window of the paper's route, and the band of the likelihood."""
+    """ARX order and window [s] of the paper's route, and the band [Hz] of the likelihood."""
 
     order: Annotated[int, Meta(ge=10, le=80)] = 40
     window_s: Positive = 2.0
@@ -147,7 +149,7 @@ class PosteriorTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The goodness-of-fit gate."""
+    """The goodness-of-fit gate: largest error [sigma] and largest bias of theta [deg] of an acceptable fit."""
 
     error_max: Threshold = 1.1
     theta_bias_max_deg: Threshold = 0.5
@@ -160,7 +162,7 @@ class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
 class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Electrostatic trim after the test: pairs of trim electrodes and the target; without the table there is no trim.
 
-    ``softening_hz_per_v2`` is the frequency shift of the mode along the azimuth of a pair; its relative sd is ``gain_sd``.
+    ``softening_hz_per_v2`` is the shift [Hz/V^2] of the mode along the azimuth of a pair, ``gain_sd`` its relative sd.
     """
 
     azimuth_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)

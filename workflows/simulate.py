@@ -54,7 +54,7 @@ def standard_excitations(seed: int) -> tuple[tuple[str, Role, Excitation], ...]:
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A simulated campaign, with the model and all its true parameters by name."""
+    """A simulated campaign, with the model and all its true parameters by name, each in its unit."""
 
     campaign: Campaign
     model: Model

@@ -105,7 +105,7 @@ class FitTests:
         return tuple(sorted(score.name for score in self.scores if not score.detectable))
 
     def significant(self, alpha: float) -> tuple[Score, ...]:
-        """Candidates that are significant at ``alpha``, family-wise."""
+        """Candidates whose p-value, family-wise, is below ``alpha``; most significant first."""
         return tuple(score for score in self.scores if score.p_value < alpha)
 
     def is_significant(self, delta_chi2: float, parameters: int, alpha: float) -> bool:

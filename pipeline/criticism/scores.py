@@ -76,7 +76,7 @@ class Projected:
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """A face of the cone: indices of its free parameters, the pseudo-inverse of their G, and their sides (+1, -1, 0)."""
+    """A face of the cone: indices (f,) of its free parameters, their G^+ (f, f), and their sides (f,) +1, -1 or 0."""
 
     free: IntArray
     inverse: FloatArray

@@ -64,8 +64,8 @@ class SelectionStep:
     ----------
     term : the term.
     fit : with the term in the model.
-    delta_chi2 : decrease of the fitted chi2.
-    held : decrease of the held-out chi2.
+    delta_chi2 : decrease of chi2 on the fitted data.
+    held : decrease of chi2 on the held-out data, and its sd.
     dropped : terms removed afterwards.
     alone : the term was significant by itself, not only as one of a pair.
     """

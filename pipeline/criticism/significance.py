@@ -132,7 +132,7 @@ class Null:
         return float(np.exp(log_any(log_p, trials_of(float(self.smallest[_COUNTED]), share))))
 
     def critical(self, alpha: float) -> float:
-        """The log p at which a single candidate is significant at ``alpha`` family-wise: inverse of ``p_family``."""
+        """The log p of a single candidate at which ``p_family`` is ``alpha``."""
         place = alpha * self.smallest.size
         if place >= _COUNTED:
             return float(self.smallest[int(place)])

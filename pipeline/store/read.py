@@ -140,7 +140,12 @@ def read_table(folder: Path, manifest: Manifest, kind: Kind) -> pa.Table:
 
 
 def stored_devices(folder: Path, manifest: Manifest, devices: pa.Table) -> pa.Table:
-    """``devices`` with the columns that the run's files hold: one registered later is not part of its digest."""
+    """``devices`` with the columns that the run's files hold: one registered later is not part of its digest.
+
+    Raises
+    ------
+    IntegrityError : a file is not what was committed.
+    """
     stored: set[str] = set()
     for entry in manifest.of_kind("devices"):
         stored |= stored_columns(read_file(folder, entry))

@@ -179,12 +179,12 @@ def posterior_schema() -> pa.Schema:
 
 
 def devices_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
-    """Build a ``devices`` table from column name -> (n,) values, one row a device; see :func:`build_table`."""
+    """Build a ``devices`` table from column name -> (n,) values, one row a device; raises as :func:`build_table`."""
     return build_table(columns, DEVICES)
 
 
 def posterior_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
-    """Build a ``posterior`` table from column name -> (n,) values, one row a draw; see :func:`build_table`."""
+    """Build a ``posterior`` table from column name -> (n,) values, one row a draw; raises as :func:`build_table`."""
     return build_table(columns, POSTERIOR)
 
 

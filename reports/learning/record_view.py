@@ -253,7 +253,7 @@ def drive_band(view: RecordView) -> tuple[float, float]:
 
 
 def by_level(view: RecordView, channel: int, bins: int = 12) -> tuple[FloatArray, FloatArray]:
-    """Response level [V rms] and rms of the residual [sigmas] of one channel, by bins of level.
+    """Response level (b,) [V rms] and rms of the residual (b,) [sigma] of one channel, by bins of level.
 
     Blocks of 1/500 of the record are sorted by their level into ``bins`` bins of equal ratio; bins with fewer than three
     blocks are left out.

@@ -156,7 +156,7 @@ class StepsView:
 
 @dataclass(frozen=True)
 class ChainRow:
-    """One quantity of the virtual device: truth, balanced truncation, modal truncation and one-step fit."""
+    """One quantity of the virtual device, in ``unit``: truth, balanced and modal truncation, one-step fit and its sd."""
 
     name: str
     unit: str
@@ -169,7 +169,7 @@ class ChainRow:
 
 @dataclass(frozen=True)
 class BiasRow:
-    """One coefficient of eq. (3) to (6): as printed, as corrected, and from the simulated loops."""
+    """One coefficient of eq. (3) to (6), in ``unit``: as printed, as corrected, and from the simulated loops."""
 
     equation: str
     name: str
@@ -184,6 +184,7 @@ class BiasRow:
 class PaperContent:
     """The whole page.
 
+    thetas_deg : source -> the four thetas (4,) [deg].
     lattice_theta_deg : largest difference of theta between lattice and batch least squares [deg].
     lattice_s : time that the lattice took for the window [s].
     phase_deg : of the anti-alias filter at the first mode [deg].

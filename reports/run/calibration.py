@@ -51,7 +51,7 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """inside / devices."""
+        """inside / devices, the observed coverage."""
         return self.inside / self.devices
 
     @property

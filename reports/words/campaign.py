@@ -155,7 +155,7 @@ def change_sentence(change: ErrorChange) -> str:
 
 
 def largest_place_sentence(place: str, share: float, model: str) -> str:
-    """Where the largest part of the misfit of a model ("model" or "first model") lies."""
+    """Where the largest part, ``share`` (0 to 1), of the misfit of a model ("model" or "first model") lies."""
     return f"Largest part of the misfit of the {model}: {place} ({percent(share)})."
 
 

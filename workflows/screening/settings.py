@@ -46,11 +46,11 @@ def population(config: RunConfig) -> PopulationSpec:
 
 
 def settings_of(config: RunConfig) -> IdentificationSettings:
-    """Identification settings of a configuration."""
+    """Identification settings of a configuration: ARX order, window [s], band [Hz] and hum line [Hz]."""
     i = config.identification
     return IdentificationSettings(i.order, i.window_s, i.low_hz, i.high_hz, config.line_hz())
 
 
 def rate_of(config: RunConfig, angular_gain: float | None) -> RateSettings:
-    """Rate settings of a configuration; ``angular_gain`` is I_p / I_0p."""
+    """Settings of the rate biases [deg/s]; ``angular_gain`` is I_p / I_0p."""
     return RateSettings(angular_gain, config.demodulation.phase_error_deg, config.demodulation.drive)

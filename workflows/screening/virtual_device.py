@@ -105,7 +105,7 @@ def effect_sizes(config: RunConfig, model: Model, n: int, device_id: str, lot: s
 
 
 def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
-    """Pick-off volts (N, 2) of device ``i`` of a draw, before hum, noise and ADC, with the effects of the configuration."""
+    """Pick-off volts (N, 2) of device ``i`` of a draw, before hum, noise and ADC; raises as :func:`virtual_model`."""
     instrument = config.instrument.instrument()
     shared = shared_record(config).record
     physical = physical_of(drawn.true)[i : i + 1]
@@ -122,7 +122,7 @@ def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
 
 
 def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray, FloatArray, float]:
-    """Silent and fit record, each (N, 2) [V], of device ``i`` of a draw, and the noise sigma [V]."""
+    """Silent and fit record, (N, 2) [V], of device ``i`` of a draw, and sigma [V]; raises as :func:`virtual_model`."""
     instrument = config.instrument.instrument()
     volts = virtual_volts(config, drawn, i)
     sigma = config.noise.sigma_v or 0.001

@@ -102,7 +102,7 @@ def _analyse(
 
 
 def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, limits: Limits) -> InterimResults:
-    """All interim analyses of device i of a draw until P(conform) is close to 0 or 1, and those of the fixed tests."""
+    """P(conform) of device i of a draw at all interim analyses until it is close to 0 or 1, and at the fixed times."""
     instrument = config.instrument.instrument()
     silent, fit_v, _ = virtual_records(config, drawn, i)
     sigma_v = silent_sigma(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)

@@ -51,7 +51,7 @@ class HoldHint:
 
 
 def hold_hint(fit: CampaignFit, campaign: Campaign, given: Sequence[str] = ()) -> HoldHint | None:
-    """A hold that explains the records better than the declared one, if there is one.
+    """A hold that explains the fit records clearly better than the declared one does; ``None`` if there is none.
 
     Parameters
     ----------

@@ -141,7 +141,9 @@ def tangent_of(
     records: Sequence[Record],
     rows: Callable[[int, FloatArray], FloatArray],
 ) -> Tangent:
-    """The tangent at a fit; ``tasks`` belong to its fit ``records`` at its values, ``rows`` as in :class:`Tangent`."""
+    """The tangent at a fit: base of each drive group, for changes (k, N, S) [V] of its records.
+
+    ``tasks`` belong to its fit ``records`` at its values; ``rows`` as in :class:`Tangent`."""
     known = {r.name: r.start for r in fitted.records}
     starts = [known[record.name] for record in records]
     groups = tuple(

@@ -108,7 +108,7 @@ class ModalProblem:
         return {name: tried[0] for name, tried in scans if len(tried) == 1}
 
     def modes(self, values: Mapping[str, float]) -> ResonantModes:
-        """The modes of the model at ``values``; parameters of absent effects are at their nulls.
+        """Poles [rad/s] and residues at resonance (M, S, D) [1/s] of the model; absent effects are at their nulls.
 
         Raises
         ------

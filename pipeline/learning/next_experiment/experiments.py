@@ -106,8 +106,8 @@ def experiments(
 
     Parameters
     ----------
-    campaign : highest drive level, driven band and typical duration are those of its records.
-    model, values : a fit, for its resonances.
+    campaign : highest drive level [V], driven band [Hz] and typical duration [s] are those of its records.
+    model, values : a fit, for its resonances [Hz].
     terms : members of the class; bias and rate are varied if one of them depends on it.
     """
     driven = [r for r in campaign.records if r.role in ("fit", "validate") and np.any(r.drive_v)]

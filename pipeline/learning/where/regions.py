@@ -120,7 +120,7 @@ def explained(before: Sequence[Region], after: Sequence[Region]) -> float:
 
 
 def explained_by_kind(before: Sequence[Region], after: Sequence[Region], kinds: Sequence[str]) -> dict[str, float]:
-    """``explained`` for each of ``kinds`` of the family "frequency"."""
+    """``explained`` for each of ``kinds`` of the family "frequency", by kind."""
     out = {}
     for kind in FREQUENCY_KINDS:
         if kind in kinds:

@@ -70,7 +70,7 @@ def record_figures(
     Parameters
     ----------
     before, after : the records with the first and with the last model.
-    parameters : of the last model; its resonances are pictured.
+    parameters : of the last model; its resonances (f1_hz [Hz], ..) are pictured.
     """
     pairs = record_pairs(before, after)
     chosen = pictured(pairs)

@@ -29,7 +29,7 @@ SIGNIFICANT_SD = 3.0
 
 @dataclass(frozen=True)
 class LotDevice:
-    """The part of a row of the devices table from which an examination starts."""
+    """The part of a row of the devices table from which an examination starts; ``start`` has (parameter, value)."""
 
     number: int
     device_id: str

@@ -56,7 +56,7 @@ class Drawn:
     null: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, size: float) -> dict[str, float]:
-        """Values of the effect's parameters at ``size``."""
+        """Values of the effect's parameters at ``size`` [1]: ``fixed``, and null + size * direction."""
         scaled = {name: size * value for name, value in self.direction.items()}
         return {**self.fixed, **scaled, **{name: value + scaled[name] for name, value in self.null.items()}}
 

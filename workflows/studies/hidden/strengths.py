@@ -50,7 +50,9 @@ class FittedBaseline:
 def baseline(
     values: Mapping[str, float], records: Sequence[Record], instrument: Instrument, sigma_v: float
 ) -> FittedBaseline:
-    """The baseline at plant ``values`` by name; of the fitted ``records`` only the drive samples are used."""
+    """The baseline at plant ``values`` by name, with noise ``sigma_v`` [V].
+
+    Of the fitted ``records`` only the drive samples (N, 2) [V] are used."""
     model = DEFAULT_COMPARE_MODEL
     plant = {name: values[name] for name in PHYSICAL if name in model.by_name}
     columns = [jacobian(model, plant, record, instrument) for record in records]
@@ -82,7 +84,7 @@ def modelled(
 
 @dataclass(frozen=True)
 class Sized:
-    """Size of an effect (its parameters are ``size`` times their direction) and its SNR."""
+    """Size [1] of an effect (its parameters are ``size`` times their direction) and its SNR [sigma]."""
 
     size: float
     snr: float
@@ -94,7 +96,7 @@ def sized(snr_of: Callable[[float], float], target: float, most: float, start: f
     Parameters
     ----------
     snr_of : SNR at a size; may raise ConfigError where the motion diverges.
-    target : the SNR to reach.
+    target : the SNR to reach [sigma].
     most : largest size; it is used even if its SNR is below the target.
     start : first guess.
 

@@ -58,7 +58,7 @@ def _rotated(axis_deg: float, first: float, second: float, cross: float = 0.0) -
 
 
 def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
-    """The coefficients of the equations of motion at ``values`` by name; an effect without values is absent.
+    """The coefficients (SI units) of the equations of motion at ``values`` by name; an effect without values is absent.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def response(
 
 
 def clipped(y: FloatArray, values: Mapping[str, float]) -> FloatArray:
-    """``y`` [V], any shape, after the input stage of the converter, which may saturate."""
+    """``y`` (...) [V] limited to +- one level, the input stage of the converter; unchanged without adc_saturation."""
     inverse = float(values.get("adc_saturation.1/level", 0.0))
     return y if inverse == 0.0 else np.clip(y, -1.0 / inverse, 1.0 / inverse)
 

@@ -86,7 +86,10 @@ def eq14_record(eq14: Eq14, seed: int) -> Record:
 
 
 def paper_record(physical: FloatArray) -> tuple[Record, float]:
-    """A record of the paper's experiment on the virtual device, with nonlinear sense electrodes; and sigma [V]."""
+    """A record (N, 2) [V] of the paper's experiment on the virtual device ``physical`` (12,), and sigma [V].
+
+    Its sense electrodes are nonlinear, as the harmonics in figure 4 require.
+    """
     rate = INSTRUMENT.sample_rate_hz
     drive = drive_samples(Chirp(), rate)
     model = Model(effects=("sense_nonlinearity",))
@@ -99,7 +102,7 @@ def paper_record(physical: FloatArray) -> tuple[Record, float]:
 
 
 def record_view(record: Record, physical: FloatArray) -> PaperRecord:
-    """Figure 4: the record [V] and its power spectral density [V^2/Hz] (Welch)."""
+    """Figure 4: the record (N, 2) [V] and its power spectral density (F, 2) [V^2/Hz] (Welch); ``physical`` (12,)."""
     rate, count = record.sample_rate_hz, record.sense_v.shape[0]
     frequency, psd = welch(record.sense_v, rate, nperseg=8192, axis=0)
     return PaperRecord(
@@ -143,7 +146,7 @@ def response_view(model: ArxModel, modal: ContinuousModes, eq14: Eq14) -> Respon
 
 
 def order_view(record: Record, physical: FloatArray, orders: tuple[int, ...]) -> OrderView:
-    """Estimates against the ARX order, from windows of 2 s and 3 s."""
+    """Estimates against the ARX order, from windows of 2 s and 3 s; truth from ``physical`` (12,)."""
     windows = (2.0, 3.0)
     steps = order_study(record, INSTRUMENT, orders, windows)
     by_window = [[step for step in steps if step.window_s == w] for w in windows]
@@ -182,7 +185,7 @@ def fit_summary(fit: Fit, seed: int = 1) -> dict[str, float]:
 
 
 def fit_record(record: Record, sigma_v: float) -> dict[str, float]:
-    """Summary of the one-step fit of a record, started from the two-step route."""
+    """Summary of the one-step fit of a record with noise ``sigma_v`` [V], started from the two-step route."""
     route = identify_record(record, INSTRUMENT, ORDER)
     return fit_summary(one_step(record, sigma_v, _band(record), start_from_modes(route.poles, route.residues)))
 
