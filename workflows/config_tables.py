@@ -149,7 +149,7 @@ class PosteriorTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The goodness-of-fit gate: largest error [sigma] and largest bias of theta [deg] of an acceptable fit."""
+    """The goodness-of-fit gate: largest error [sigma] and largest bound on the bias of theta [deg]."""
 
     error_max: Threshold = 1.1
     theta_bias_max_deg: Threshold = 0.5

@@ -184,19 +184,21 @@ def _read(reader: pa.RecordBatchReader) -> pa.Table:
 
 def _refused(error: Exception, sql: str) -> GyroscreenError:
     """The typed error for an exception of DuckDB or the Arrow scan, with DuckDB's own hint."""
-    said = " ".join(line.strip() for line in str(error).split("\n\nLINE ")[0].splitlines() if line.strip())
-    if isinstance(error, (pa.ArrowException, OSError)) or "checksum" in said or "CRC" in said:
-        return IntegrityError(f"results cannot be read ({said})", next_step="run `gyroscreen verify`")
+    message = " ".join(line.strip() for line in str(error).split("\n\nLINE ")[0].splitlines() if line.strip())
+    if isinstance(error, (pa.ArrowException, OSError)) or "checksum" in message or "CRC" in message:
+        return IntegrityError(f"results cannot be read ({message})", next_step="run `gyroscreen verify`")
     if isinstance(error, duckdb.PermissionException):
         return UsageError(
-            f"a query can read stored results only ({said})",
+            f"a query can read stored results only ({message})",
             value=sql,
             allowed="the views devices, posterior, runs, columns",
         )
     if isinstance(error, duckdb.OutOfMemoryException):
-        return UsageError("the query needs more memory than it may take", value=sql, next_step=f"request less ({said})")
+        return UsageError(
+            "the query needs more memory than it may take", value=sql, next_step=f"request less ({message})"
+        )
     return UsageError(
-        said, value=sql, allowed="one SELECT on devices, posterior, runs, columns", next_step=_COLUMNS_QUERY
+        message, value=sql, allowed="one SELECT on devices, posterior, runs, columns", next_step=_COLUMNS_QUERY
     )
 
 

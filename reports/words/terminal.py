@@ -143,7 +143,7 @@ def _modal_ladder(rungs: Sequence[RungAnswer]) -> list[str]:
 
 def _verdict(answer: DiagnosisAnswer | RefinementAnswer, noise_known: bool) -> str:
     ladder = answer.ladder if isinstance(answer, RefinementAnswer) else None
-    said = missing_sentence(
+    verdict_text = missing_sentence(
         answer.verdict,
         answer.effects,
         answer.classes,
@@ -152,7 +152,7 @@ def _verdict(answer: DiagnosisAnswer | RefinementAnswer, noise_known: bool) -> s
         noise_known=noise_known,
         data="residues" if answer.declared is not UNSET else "records",
     )
-    return f"{answer.verdict}: {said}"
+    return f"{answer.verdict}: {verdict_text}"
 
 
 def _place(place: Place) -> str:

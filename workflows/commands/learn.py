@@ -49,16 +49,16 @@ def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[P
 
 @threadpool_limits.wrap(limits=1)
 def _answer(
-    ask: Callable[[Campaign | ModalRecord, Model], Result],
+    command: Callable[[Campaign | ModalRecord, Model], Result],
     path: Path,
     model: Path | None,
     out: Path | None,
     folders: Sequence[Path],
     json: bool,
 ) -> None:
-    """Read the measurement, ask, write drive files and the page where ``out`` is given, print."""
+    """Read the measurement, run ``command`` on it, write drive files and the page where ``out`` is given, and print."""
     measured = read_measurement(path)
-    found = ask(measured if isinstance(measured, ModalRecord) else _fitted(measured), _model(model, folders))
+    found = command(measured if isinstance(measured, ModalRecord) else _fitted(measured), _model(model, folders))
     page = None
     if out is not None:
         if isinstance(found, SelectionResult):

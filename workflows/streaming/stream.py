@@ -94,11 +94,11 @@ def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[S
     previous: FloatArray | None = None
     done = 0
     for block in blocks:
-        mended = correct(block, bench.channels)
+        corrected = correct(block, bench.channels)
         if stream is None:
             instrument = bench.instrument or Instrument(sample_rate_hz=block.sample_rate_hz)
             stream = start_stream(instrument, bench.settings)
-        for state, due in steps(stream, mended.drive_v, mended.sense_v):
+        for state, due in steps(stream, corrected.drive_v, corrected.sense_v):
             stream = state
             if due:
                 done = stream.driven

@@ -23,8 +23,8 @@ def thetas(estimates: Mapping[str, FloatArray], name: str = "thetas") -> str:
         figure = Figure(figsize=(WIDTH, 2.4), layout="constrained")
         axes = figure.subplots()
         markers = ("s", "o", "D", "^")
-        looks = ((INK, "none", 11.0), (ACCENT, ACCENT, 6.5), (COLOURS["fail"], COLOURS["fail"], 4.0))
-        for (source, values), (edge, face, size) in zip(estimates.items(), looks):
+        marker_styles = ((INK, "none", 11.0), (ACCENT, ACCENT, 6.5), (COLOURS["fail"], COLOURS["fail"], 4.0))
+        for (source, values), (edge, face, size) in zip(estimates.items(), marker_styles):
             for k, (value, marker) in enumerate(zip(values, markers)):
                 axes.plot(
                     value,
@@ -48,9 +48,9 @@ def orders(view: OrderView, name: str = "orders") -> str:
     with style():
         figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
         panels = figure.subplots(1, 3)
-        looks = (("o", "-"), ("D", (0, (4, 2))))
+        line_styles = (("o", "-"), ("D", (0, (4, 2))))
         for window, theta, split, phase, colour, (marker, dash) in zip(
-            view.window_s, view.theta_deg, view.split_hz, view.phase_change_deg, _SHADES, looks, strict=False
+            view.window_s, view.theta_deg, view.split_hz, view.phase_change_deg, _SHADES, line_styles, strict=False
         ):
             label = f"{window:g} s of data"
             error = np.sqrt(np.mean((theta - view.true_theta_deg) ** 2, axis=1))

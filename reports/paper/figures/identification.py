@@ -12,7 +12,7 @@ from ...html.style import ACCENT, COLOURS, MUTED, RULE, TRUTH, WIDTH, style, to_
 from ..content import HankelView, PaperRecord, ResponseView
 
 _CHANNELS = (("S1/D1", 0, 0), ("S1/D2", 0, 1), ("S2/D1", 1, 0), ("S2/D2", 1, 1))
-_LOOKS = (
+_LINE_STYLES = (
     {"color": MUTED, "lw": 3.2, "alpha": 0.45},
     {"color": COLOURS["fail"], "lw": 1.4, "ls": (0, (5, 3))},
     {"color": ACCENT, "lw": 1.1},
@@ -89,12 +89,12 @@ def zoomed(view: ResponseView, name: str = "figure-6") -> str:
             for j, part in enumerate(parts):
                 gain, phase = panels[2 * (k // 2) : 2 * (k // 2) + 2, 2 * (k % 2) + j]
                 f = view.narrow_hz[part]
-                for (model, response), look in zip(view.narrow.items(), _LOOKS, strict=True):
+                for (model, response), line_style in zip(view.narrow.items(), _LINE_STYLES, strict=True):
                     h = response[part, s, d]
-                    gain.plot(f, 20.0 * np.log10(np.abs(h)), label=model, **look)
+                    gain.plot(f, 20.0 * np.log10(np.abs(h)), label=model, **line_style)
                     # The branch is fixed at the left edge, the same for all models.
-                    turn = np.rad2deg(np.unwrap(np.angle(h)))
-                    phase.plot(f, turn - 360.0 * np.round((turn[0] + 130.0 * (1 + j)) / 360.0), **look)
+                    phase_deg = np.rad2deg(np.unwrap(np.angle(h)))
+                    phase.plot(f, phase_deg - 360.0 * np.round((phase_deg[0] + 130.0 * (1 + j)) / 360.0), **line_style)
                 if j == 0:
                     gain.set_title(label)
                 for axes in (gain, phase):

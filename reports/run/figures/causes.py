@@ -78,14 +78,14 @@ def stage_bars(bars: Sequence[StageBar], name: str = "stages") -> str:
         height = 0.36 * len(bars) + 0.95
         figure = Figure(figsize=(WIDTH, height))
         axes = figure.add_axes((0.38, 0.52 / height, 0.58, 0.36 * len(bars) / height))
-        looks = (
+        bar_styles = (
             ("lost in fabrication", "fabrication", "#6b4c9a", "", 1),
             ("lost in packaging", "packaging", "#e0a040", "////", 1),
             ("recovered by packaging", "recovered", "#4d9a6f", "..", -1),
         )
-        counts = {key: np.array([getattr(bar, key) for bar in bars]) for _, key, *_ in looks}
+        counts = {key: np.array([getattr(bar, key) for bar in bars]) for _, key, *_ in bar_styles}
         y = -np.arange(len(bars))
-        for label, key, colour, hatch, sign in looks:
+        for label, key, colour, hatch, sign in bar_styles:
             left = counts["fabrication"] if key == "packaging" else np.zeros(len(bars), dtype=np.int64)
             axes.barh(
                 y,

@@ -88,7 +88,7 @@ def eq14_record(eq14: Eq14, seed: int) -> Record:
 def paper_record(physical: FloatArray) -> tuple[Record, float]:
     """A record (N, 2) [V] of the paper's experiment on the virtual device ``physical`` (12,), and sigma [V].
 
-    Its sense electrodes are nonlinear, as the harmonics in figure 4 require.
+    Its sense electrodes are nonlinear, which gives the second harmonic of figure 4.
     """
     rate = INSTRUMENT.sample_rate_hz
     drive = drive_samples(Chirp(), rate)
@@ -190,7 +190,8 @@ def fit_record(record: Record, sigma_v: float) -> dict[str, float]:
     return fit_summary(one_step(record, sigma_v, _band(record), start_from_modes(route.poles, route.residues)))
 
 
-def _turn(angle_deg: float) -> float:
+def _axis_difference(angle_deg: float) -> float:
+    """|angle| [deg] between two axes, in [0, 90], from the difference of their angles."""
     return abs((angle_deg + 90.0) % 180.0 - 90.0)
 
 
@@ -211,7 +212,7 @@ def steps_view(physical: FloatArray, splits: FloatArray, shares: FloatArray) -> 
             theta = float(device[6])
             modes = gyro_modes(device[None])
             exact = 2.0 * modes.residues[0].real
-            limit_deg[i, j] = _turn(axes(exact[0], exact[1], gains_from_updown(exact[2])).mean_deg - theta)
+            limit_deg[i, j] = _axis_difference(axes(exact[0], exact[1], gains_from_updown(exact[2])).mean_deg - theta)
             bank = behind_filter(modes, INSTRUMENT.antialias)
             volts = respond(bank, drive, INSTRUMENT.sample_rate_hz, INSTRUMENT.hold)[0]
             sense, sigma = _noisy(volts, 1000 * i + j)
@@ -220,7 +221,7 @@ def steps_view(physical: FloatArray, splits: FloatArray, shares: FloatArray) -> 
             start = to_cartesian(device[None])[0]
             try:
                 route = identify_record(record, INSTRUMENT, ORDER)
-                route_deg[i, j] = _turn(route.axes.mean_deg - theta)
+                route_deg[i, j] = _axis_difference(route.axes.mean_deg - theta)
                 start = start_from_modes(route.poles, route.residues)
             except IdentificationError:
                 # The ARX model has one pole for both modes, so the route fails, and the fit starts near the truth.
@@ -228,7 +229,7 @@ def steps_view(physical: FloatArray, splits: FloatArray, shares: FloatArray) -> 
             fit = one_step(record, sigma, shared, start)
             if fit.converged:
                 found = fit_summary(fit)
-                fit_deg[i, j], sd_deg[i, j] = _turn(found["theta_deg"] - theta), found["theta_deg_sd"]
+                fit_deg[i, j], sd_deg[i, j] = _axis_difference(found["theta_deg"] - theta), found["theta_deg_sd"]
     return StepsView(splits, shares, route_deg, limit_deg, fit_deg, sd_deg)
 
 

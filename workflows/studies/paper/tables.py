@@ -12,7 +12,7 @@ from reports.paper.content import NumberGroup, PrintedNumber
 from .numbers import Eq14
 
 TAU = 2.0 * np.pi
-#: Split from which the entries of Table 1 follow: the printed frequencies, 0.1 Hz apart at the least, allow 1.8 to 2.0 Hz.
+#: Split [Hz] that gives the entries of Table 1; frequencies printed to 0.1 Hz allow 1.8 to 2.0 Hz.
 _WIDER_HZ = 1.95
 
 
