@@ -58,7 +58,8 @@ class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
 class ExperimentTable(Struct, frozen=True, forbid_unknown_fields=True):
     """The excitation, the silent record before it, and effects that virtual devices have in addition to the model's.
 
-    One start, stop [Hz] and amplitude [V] for each drive; ``period_s`` [s] is that of the multisine."""
+    One start, stop [Hz] and amplitude [V] for each drive; ``period_s`` [s] is that of the multisine.
+    """
 
     kind: Literal["chirp", "multisine"] = "chirp"
     start_hz: tuple[Positive, ...] = (400.0, 700.0)

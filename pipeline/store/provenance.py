@@ -66,7 +66,8 @@ def package_versions() -> dict[str, str]:
 
 def simd_tier() -> list[str]:
     """SIMD extensions that numpy dispatches to on this processor, as numpy names them; empty if numpy does
-    not say."""
+    not say.
+    """
     config: Any = np.show_config(mode="dicts")
     try:
         found = config["SIMD Extensions"]

@@ -30,7 +30,8 @@ class RunTables:
 
 def run_folders(results: Path) -> tuple[Path, ...]:
     """Folders of runs (``run=<id>`` with a manifest), by name; anything else in the results folder is not a
-    run."""
+    run.
+    """
     if not results.is_dir():
         return ()
     return tuple(

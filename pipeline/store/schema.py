@@ -33,7 +33,8 @@ TYPES: dict[str, pa.DataType] = {
 @dataclass(frozen=True)
 class Column:
     """One column of a results table; ``type`` is a key of ``TYPES``, ``unit`` is "" for text and "1" for a
-    pure number."""
+    pure number.
+    """
 
     table: str
     name: str

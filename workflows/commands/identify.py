@@ -38,7 +38,8 @@ def identify(measurement: Path, model: Path | None, json: bool) -> None:
 
 def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:
     """The measurement; a single record that the campaign.toml in its folder lists is read with that campaign's instrument
-    and silent records."""
+    and silent records.
+    """
     beside = measurement.parent / "campaign.toml"
     if measurement.suffix != ".toml" and measurement.is_file() and beside.is_file():
         campaign = read_campaign(beside)

@@ -93,7 +93,7 @@ class CampaignProblem:
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
         """Least squares with these terms in the model, from the parameters of ``start`` if given.
 
-        A fit that raises a project error or a singular matrix is returned with ``ok`` false and the reason.
+        Where the fit raises a GyroscreenError or LinAlgError, ``ok`` is false and ``why`` is its message.
         """
         key = frozenset(terms)
         if key not in self._fits:

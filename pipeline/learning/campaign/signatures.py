@@ -143,7 +143,8 @@ def tangent_of(
 ) -> Tangent:
     """The tangent at a fit: base of each drive group, for changes (k, N, S) [V] of its records.
 
-    ``tasks`` belong to its fit ``records`` at its values; ``rows`` as in :class:`Tangent`."""
+    ``tasks`` belong to its fit ``records`` at its values; ``rows`` as in :class:`Tangent`.
+    """
     known = {r.name: r.start for r in fitted.records}
     starts = [known[record.name] for record in records]
     groups = tuple(

@@ -177,7 +177,7 @@ class ModalProblem:
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
         """Least squares of the model with these terms, from ``start``.
 
-        A fit that raises a project error or a singular matrix is returned with ``ok`` false and the reason.
+        Where the fit raises a GyroscreenError or LinAlgError, ``ok`` is false and ``why`` is its message.
         """
         key = frozenset(terms)
         if key not in self._fits:

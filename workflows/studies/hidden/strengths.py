@@ -52,7 +52,8 @@ def baseline(
 ) -> FittedBaseline:
     """The baseline at plant ``values`` by name, with noise ``sigma_v`` [V].
 
-    Of the fitted ``records`` only the drive samples (N, 2) [V] are used."""
+    Of the fitted ``records`` only the drive samples (N, 2) [V] are used.
+    """
     model = DEFAULT_COMPARE_MODEL
     plant = {name: values[name] for name in PHYSICAL if name in model.by_name}
     columns = [jacobian(model, plant, record, instrument) for record in records]

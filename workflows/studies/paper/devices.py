@@ -263,7 +263,7 @@ def bias_rows(physical: FloatArray) -> tuple[BiasRow, ...]:
                 float(at_rest.inphase_per_s[0]), "printed: ½ c12 cos 2θ; eq. (2) gives c12 cos 2θ"),
         BiasRow("(4)", "in-phase torque / (ψ_y′ Ω)", "1", -2.0 * KAPPA, -2.0 * KAPPA, slope, "eq. (4) is right"),
         BiasRow("(5)", "in-phase torque / (ψ_y′ Ω)", "1", -KAPPA, -2.0 * KAPPA, slope,
-                "the print drops the 2 before (I_p/I_0p) Ω"),
+                "the factor 2 before (I_p/I_0p) Ω is missing in the print"),
         BiasRow("(6)", "rate bias at φ_E = 1°", "deg/s", float(printed_bias / (2.0 * KAPPA)),
                 float(biases["rate_bias_dps"][0]), float(loops_bias / (2.0 * KAPPA)),
                 "printed with ½ c12 (A/2 or A²/2 is only a scale); the formula takes ω₀ = ω₁, the loops run between ω₁ and ω₂"),
