@@ -61,7 +61,12 @@ def conforms_each(limits: Limits, values: Mapping[str, FloatArray]) -> dict[str,
 
 
 def conforms(limits: Limits, values: Mapping[str, FloatArray]) -> BoolArray:
-    """Whether all limits are met together: (...) like the values; nan never conforms."""
+    """Whether all limits are met together: (...) like the values; nan never conforms.
+
+    Raises
+    ------
+    UsageError : a limited quantity has no values.
+    """
     return np.asarray(np.logical_and.reduce(list(conforms_each(limits, values).values())))
 
 

@@ -53,7 +53,7 @@ class ResidualStructure:
 
 @dataclass(frozen=True)
 class ResidualTests:
-    """All tests together; ``p_value`` by Bonferroni, ``level`` the rms of the residual per degree of freedom."""
+    """All tests together; ``p_value`` by Bonferroni, ``level`` the rms [sigma] of the residual per degree of freedom."""
 
     p_value: float
     structures: tuple[ResidualStructure, ...]
@@ -237,7 +237,7 @@ def partitions(fit: FitResult) -> dict[str, dict[str, list[int]]]:
 def agreement(
     base: Baseline, partition: str, parts: Mapping[str, Sequence[int]], columns: Sequence[int] | None = None
 ) -> Agreement:
-    """Q over ``parts`` (part -> indices of blocks) for the given columns of the jacobian, or for all of them together."""
+    """Q over ``parts`` (part -> indices of blocks) for these columns of the jacobian, or for all of them together."""
     p = base.upper.shape[0]
     directions = np.eye(p) if columns is None else base.upper[:, list(columns)]
     directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-300)

@@ -139,7 +139,7 @@ def lines_in(spectrum: Spectrum, excluded_hz: Sequence[tuple[float, float]]) -> 
 
 
 def pooled_spectra(spectra: Sequence[Spectrum]) -> list[Spectrum]:
-    """One spectrum per frequency grid: the sum of those that share it."""
+    """One spectrum (M,) per frequency grid: the sum of those that share it."""
     by_grid: dict[bytes, list[Spectrum]] = {}
     for one in spectra:
         by_grid.setdefault(one.frequency_hz.tobytes(), []).append(one)

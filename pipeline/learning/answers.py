@@ -30,7 +30,7 @@ class Answer(Struct, frozen=True, eq=False):
 
 
 class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
-    """Noise level ``sigma`` by channel, where it comes from, and its unit where that is not volts."""
+    """Noise level ``sigma`` [V] by channel, where it comes from, and its unit where that is not volts."""
 
     sigma: tuple[float, ...]
     from_: str
@@ -72,7 +72,7 @@ class Place(Answer, frozen=True, eq=False):
 
 
 class RecordErrors(Answer, frozen=True, eq=False):
-    """Role and errors of one record; ``error_v`` is rms(measured - model) in volts."""
+    """Role and errors of one record: ``error`` [sigma], ``error_v`` = rms(measured - model) [V]."""
 
     role: str
     error: float | None
@@ -85,7 +85,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
 
     Parameters
     ----------
-    error, relative_error, misfit : by role.
+    error, relative_error, misfit : by role, [sigma], [1], [sigma].
     where : significant regions.
     where_by_kind : the same with all records and channels together.
     where_rest : the share of each family that is in no significant region.

@@ -67,7 +67,7 @@ def classes_of(found: Sequence[TermClass]) -> tuple[tuple[str, ...], ...]:
 
 
 def misfit(error: float | None) -> float | None:
-    """sqrt(max(error^2 - 1, 0)); it still changes where the error rounds to 1.000."""
+    """sqrt(max(error^2 - 1, 0)) of an error [sigma]; it still changes where the error rounds to 1.000."""
     return None if error is None else math.sqrt(max(error * error - 1.0, 0.0))
 
 

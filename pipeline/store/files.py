@@ -64,8 +64,7 @@ def staged_files(folder: Path) -> tuple[Path, ...]:
 
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Hold a run's folder for writing; a second writer waits.  The lock dies with its process, even by
-    kill -9.
+    """Lock a run's folder for writing; a second writer waits.  The lock ends with its process, even by kill -9.
 
     Leftovers found under the lock have no owner and are removed.
     """

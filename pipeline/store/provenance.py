@@ -65,9 +65,7 @@ def package_versions() -> dict[str, str]:
 
 
 def simd_tier() -> list[str]:
-    """SIMD extensions that numpy dispatches to on this processor, as numpy names them; empty if numpy does
-    not say.
-    """
+    """SIMD extensions that numpy dispatches to on this processor, in numpy's names; empty if numpy does not say."""
     config: Any = np.show_config(mode="dicts")
     try:
         found = config["SIMD Extensions"]

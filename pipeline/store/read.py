@@ -29,9 +29,7 @@ class RunTables:
 
 
 def run_folders(results: Path) -> tuple[Path, ...]:
-    """Folders of runs (``run=<id>`` with a manifest), by name; anything else in the results folder is not a
-    run.
-    """
+    """Folders of runs (``run=<id>`` with a manifest), by name; anything else in the results folder is no run."""
     if not results.is_dir():
         return ()
     return tuple(
@@ -154,8 +152,7 @@ def stored_devices(folder: Path, manifest: Manifest, devices: pa.Table) -> pa.Ta
 
 
 def read_run(results: Path, run_id: str | None = None) -> RunTables:
-    """Read a run, verifying every byte of its tables and configuration; an unfinished run gives what is
-    committed.
+    """Read a run, verifying every byte of its tables and configuration; an unfinished run gives its committed part.
 
     Parameters
     ----------

@@ -43,8 +43,7 @@ def _now() -> str:
 
 @dataclass(frozen=True)
 class RunStore:
-    """A run's folder, open for writing.  It keeps no state of its own: every answer comes from the
-    manifest on disk.
+    """A run's folder, open for writing; it keeps no state: every answer comes from the manifest on disk.
 
     Any number of processes may hold one; writes wait for each other.
     """
@@ -80,8 +79,7 @@ class RunStore:
         return None if entry is None else read_file(self.folder, entry)
 
     def commit_block(self, block: int, devices: pa.Table, posterior: pa.Table | None) -> None:
-        """Commit the tables of one block, atomically.  A block that is already committed is left
-        unchanged.
+        """Commit the tables of one block, atomically; a block that is already committed is left unchanged.
 
         Parameters
         ----------

@@ -32,9 +32,7 @@ TYPES: dict[str, pa.DataType] = {
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a results table; ``type`` is a key of ``TYPES``, ``unit`` is "" for text and "1" for a
-    pure number.
-    """
+    """One column of a results table; ``type`` is a key of ``TYPES``, ``unit`` is "" for text, "1" for a pure number."""
 
     table: str
     name: str

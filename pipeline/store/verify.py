@@ -88,9 +88,10 @@ class VerifyReport:
 
 
 def verify(results: Path) -> VerifyReport:
-    """Check all runs of a results folder: the manifest against its own SHA-256, every listed file against
-    the manifest, every Parquet page against its checksum, schema, row counts, blocks without gaps, devices
-    without duplicates, the digest of a finished run; and name every file that no manifest lists.
+    """Check all runs of a results folder, and name every file that no manifest lists.
+
+    Checked are the manifest against its own SHA-256, every listed file against the manifest, every Parquet page against
+    its checksum, schema, row counts, blocks without gaps, devices without duplicates, and the digest of a finished run.
 
     Raises
     ------

@@ -37,8 +37,9 @@ def identify(measurement: Path, model: Path | None, json: bool) -> None:
 
 
 def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:
-    """The measurement; a single record that the campaign.toml in its folder lists is read with that campaign's instrument
-    and silent records.
+    """The measurement; a single record is read with the campaign that lists it, if there is one.
+
+    The campaign.toml in the folder of the record then gives the instrument and the silent records.
     """
     beside = measurement.parent / "campaign.toml"
     if measurement.suffix != ".toml" and measurement.is_file() and beside.is_file():

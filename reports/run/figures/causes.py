@@ -23,9 +23,7 @@ class CauseBar:
 
 @dataclass(frozen=True)
 class StageBar:
-    """Truly lost devices of one limit, in fabrication and in packaging, and those that packaging
-    recovered.
-    """
+    """Truly lost devices of one limit, in fabrication and in packaging, and those that packaging recovered."""
 
     label: str
     fabrication: int
@@ -73,9 +71,7 @@ def pareto_bars(bars: Sequence[CauseBar], total: int, name: str = "pareto") -> s
 
 
 def stage_bars(bars: Sequence[StageBar], name: str = "stages") -> str:
-    """To the right, devices lost in fabrication and in packaging; to the left, those that packaging
-    recovered.
-    """
+    """To the right, devices lost in fabrication and in packaging; to the left, those that packaging recovered."""
     with style():
         height = 0.36 * len(bars) + 0.95
         figure = Figure(figsize=(WIDTH, height))

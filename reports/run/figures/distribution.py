@@ -25,12 +25,11 @@ def theta_and_split(
     split_limit: Limit | None,
     name: str = "theta-split",
 ) -> str:
-    """Left: theta as a rose of axes.  Middle: (split cos 2 theta, split sin 2 theta).  Right: histogram of
-    the split.
+    """Left: theta as a rose of axes.  Middle: (split cos 2 theta, split sin 2 theta).  Right: histogram of split.
 
     Parameters
     ----------
-    theta_deg, split_hz : (B,) estimates; nan is not drawn.
+    theta_deg, split_hz : (B,) estimates [deg], [Hz]; nan is not drawn.
     verdicts : B verdicts.
     theta_limit, split_limit : drawn where given.
     """
