@@ -1,4 +1,4 @@
-"""Yields and risks: published figures, edges, and what clustering does to an interval."""
+"""Yields and risks: published values, limiting cases, and intervals for devices in groups."""
 
 from __future__ import annotations
 

@@ -196,18 +196,18 @@ def test_the_commands_print_json_and_text_and_write_a_self_contained_page(questi
     path = tmp_path / "device.toml"
     write_modal_record(record_of({"c12_per_s": -0.8}, 5e-3, np.random.default_rng(8)), path)
     assert call([question, str(path), "--json"]) == 0
-    said = json.loads(capfd.readouterr().out)
+    answer = json.loads(capfd.readouterr().out)
     keys = {
         "compare": {"error", "relative_error", "noise", "where", "parameters", "fit_ok"},
         "diagnose": {"verdict", "effects", "candidates", "separating_record", "classes", "invisible", "error"},
         "refine": {"ladder", "verdict", "effects", "classes", "theta_deg", "split_hz", "theta_before_deg"},
     }[question]
-    assert keys <= said.keys()
+    assert keys <= answer.keys()
     if question == "compare":
-        assert said["error"] == {"fit": None, "validate": None}
-        assert sum(one["share"] for one in said["where"]) == pytest.approx(1.0)
+        assert answer["error"] == {"fit": None, "validate": None}
+        assert sum(one["share"] for one in answer["where"]) == pytest.approx(1.0)
     else:
-        assert said["effects"] == ["offdiagonal_damping"]
+        assert answer["effects"] == ["offdiagonal_damping"]
     assert call([question, str(path), "--out", str(tmp_path)]) == 0
     text = capfd.readouterr().out
     assert not re.search(r"\bnan\b", text)

@@ -1,4 +1,4 @@
-"""What the README says is true: its commands run, its links lead somewhere."""
+"""The README is correct: its commands run, and its links lead to existing files."""
 
 import re
 import shlex
@@ -40,9 +40,9 @@ def test_every_option_shown_is_in_the_help_of_its_command(arguments, capfd):
     options = [a for a in arguments if a.startswith("--")]
     group = arguments[:2] if arguments[0] == "model" else arguments[:1]
     assert call([*group, "--help"]) == 0
-    said = capfd.readouterr().out
+    help_text = capfd.readouterr().out
     for option in options:
-        assert option in said
+        assert option in help_text
 
 
 def test_the_shown_commands_on_a_campaign_exit_with_0(tmp_path, monkeypatch, capfd):

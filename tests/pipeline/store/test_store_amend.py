@@ -1,4 +1,4 @@
-"""What is known only after the last block is written into committed tables, or not at all."""
+"""Columns of committed devices are amended after the last block: atomically, and without changing anything else."""
 
 from __future__ import annotations
 

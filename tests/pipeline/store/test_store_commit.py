@@ -1,4 +1,4 @@
-"""Whatever happens while a run is written, it reads back: whole blocks, identical after a resume."""
+"""A run interrupted at any moment holds whole blocks only, and after a resume its tables are identical."""
 
 from __future__ import annotations
 

@@ -49,8 +49,8 @@ def test_values_are_those_committed_with_their_units(results: Path) -> None:
 def test_every_column_is_explained_in_the_view_columns(results: Path) -> None:
     for view in ("devices", "posterior", "runs", "columns"):
         has = query(f"FROM (DESCRIBE {view})", results).column("column_name").to_pylist()
-        told = query(f"""SELECT name FROM columns WHERE "table" = '{view}'""", results).column("name").to_pylist()
-        assert told == has
+        explained = query(f"""SELECT name FROM columns WHERE "table" = '{view}'""", results).column("name").to_pylist()
+        assert explained == has
     unit = query("SELECT unit FROM columns WHERE name = 'quadrature_rate_dps_sd'", results)
     assert unit.column("unit").to_pylist() == ["deg/s"]
     assert len(query("FROM columns", results)) > len(COLUMNS)

@@ -1,4 +1,4 @@
-"""No damage goes unseen, and what does not belong there does no damage."""
+"""Every damage to committed results is found, and stray files do not affect results."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ def test_missing_and_exchanged_files_are_named(tmp_path: Path) -> None:
     assert damaged == {"devices-00001.parquet", "posterior-00002.parquet"}
     report = verify(tmp_path)
     assert all(name in str(report) for name in (*damaged, "2 damaged"))
-    told = json.loads(json.dumps(report.to_dict()))
-    assert (told["ok"], len(told["findings"]), told["findings"][0]["fatal"]) == (False, 2, True)
+    shown = json.loads(json.dumps(report.to_dict()))
+    assert (shown["ok"], len(shown["findings"]), shown["findings"][0]["fatal"]) == (False, 2, True)
 
 
 def test_stray_files_are_named_but_are_no_errors(tmp_path: Path) -> None:

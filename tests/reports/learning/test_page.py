@@ -1,4 +1,4 @@
-"""The page of an answer shows the values of its content in tables and figures, and nothing on it leaves it."""
+"""The page of an answer shows the values of its content in tables and figures, and has no external addresses."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ def test_the_content_of_the_synthetic_run_equals_its_reference_values(synthetic_
 
 
 @pytest.mark.parametrize(
-    ("verdict", "yielded", "said"),
+    ("verdict", "yielded", "sentence"),
     [
         ("undecided", (0.0, 1.0), "lies between 0\u00a0% and 100\u00a0%"),
         ("pass", (0.9075, 1.0), "No device failed."),
@@ -207,7 +207,7 @@ def test_the_content_of_the_synthetic_run_equals_its_reference_values(synthetic_
     ],
 )
 def test_equal_verdicts_of_all_devices_are_reported_with_an_interval(
-    synthetic_run: Callable[..., Any], verdict: str, yielded: tuple[float, float], said: str
+    synthetic_run: Callable[..., Any], verdict: str, yielded: tuple[float, float], sentence: str
 ) -> None:
     run = synthetic_run(38)
     table = run.devices
@@ -216,7 +216,7 @@ def test_equal_verdicts_of_all_devices_are_reported_with_an_interval(
         table = table.set_column(table.column_names.index(column), table.schema.field(column), pa.array(text))
     content = run_content(dataclasses.replace(run, devices=table), DEFAULT_LIMITS)
     assert (content.total.envelope.low, content.total.envelope.high) == pytest.approx(yielded, abs=1e-4)
-    assert said in " ".join(dataclasses.astuple(content.headline))
+    assert sentence in " ".join(dataclasses.astuple(content.headline))
 
 
 def test_content_is_frozen_and_equal_for_equal_input(synthetic_run: Callable[..., Any]) -> None:

@@ -1,4 +1,4 @@
-"""The page: self-contained, escaped, the same for the same input, and honest at the edges."""
+"""The page: self-contained, escaped, the same for the same input, and complete for few devices or missing columns."""
 
 from __future__ import annotations
 
