@@ -106,7 +106,7 @@ def _sum(rows: Iterable[FloatArray]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """Relative stiffness: of rocking K / K0, of up-down (B,), and the 1-theta moment S1 (B,) of the springs."""
+    """Relative stiffness [1]: of rocking K / K0, of up-down (B,), and the 1-theta moment S1 (B,) of the springs."""
 
     rocking: Symmetric
     updown: FloatArray
@@ -114,7 +114,7 @@ class Stiffness:
 
 
 def spring_stiffness(device: NominalDevice, ln_spring: FloatArray, azimuth_rad: FloatArray) -> Stiffness:
-    """(S0, -S2), S0 and S1 of springs with ln(k / k0) and azimuth errors, both (J, B)."""
+    """(S0, -S2), S0 and S1 [1] of springs with ln(k / k0) [1] and azimuth errors [rad], both (J, B)."""
     nominal = np.deg2rad(np.array(device.spring_azimuth_deg))
     # Expanded about the nominal azimuths, so that the moments of a symmetric suspension are exactly zero.
     relative = [np.exp(row) for row in ln_spring]
@@ -137,7 +137,7 @@ def spring_stiffness(device: NominalDevice, ln_spring: FloatArray, azimuth_rad: 
 
 
 def stiffness(device: NominalDevice, structure: Structure, bias: float) -> Stiffness:
-    """Relative stiffness from springs, anisotropy and electrostatic softening; ``bias`` is V / V0."""
+    """Relative stiffness [1] from springs, anisotropy and electrostatic softening; ``bias`` is V / V0 [1]."""
     springs = spring_stiffness(device, structure.ln_spring, structure.azimuth_rad)
     common = np.exp(structure.ln_stiffness)
     rocking = product(springs.rocking, Symmetric(np.ones_like(common), structure.anisotropy))
@@ -159,19 +159,19 @@ def stiffness(device: NominalDevice, structure: Structure, bias: float) -> Stiff
 
 
 def softening(device: NominalDevice) -> float:
-    """Relative reduction of K0 by both drive electrodes at the nominal bias: -2 df / f0."""
+    """Relative reduction of K0 by both drive electrodes at the nominal bias [1]: -2 df / f0."""
     return -2.0 * device.softening_hz_per_v2 * device.nominal_bias_v**2 / device.rocking_hz
 
 
 def inertia(device: NominalDevice, offset_mm: ComplexArray) -> Symmetric:
-    """I / I0 with the post off centre by ``offset_mm`` (B,): I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y."""
+    """I / I0 [1], post off centre by ``offset_mm`` (B,) [mm]: I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y."""
     x, y = offset_mm.real / device.arm_mm, offset_mm.imag / device.arm_mm
     weight = device.lever * device.post_mass_fraction / 2.0
     return Symmetric(1.0 + weight * (x * x + y * y), as_complex(weight * (y * y - x * x), -2.0 * weight * x * y))
 
 
 def inverse_quality(device: NominalDevice, structure: Structure, pressure: float) -> tuple[FloatArray, FloatArray]:
-    """1/Q (B,) of rocking and up-down; ``pressure`` is p / p0."""
+    """1/Q (B,) [1] of rocking and up-down; ``pressure`` is p / p0 [1]."""
     other = 1.0 / device.quality_anchor + 1.0 / device.quality_thermoelastic
     gas = [1.0 / total - other for total in (device.quality_rocking, device.quality_updown)]
     gas_loss = [pressure * np.exp(structure.ln_pressure + ln) for ln in structure.ln_gas]
@@ -185,7 +185,7 @@ def inverse_quality(device: NominalDevice, structure: Structure, pressure: float
 
 
 def parameters(device: NominalDevice, structure: Structure, bias: float, pressure: float) -> dict[str, FloatArray]:
-    """The parameters of ``pipeline.quantities.MODEL`` by name, each (B,).
+    """The parameters of ``pipeline.quantities.MODEL`` by name, each (B,) [units of MODEL].
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def parameters(device: NominalDevice, structure: Structure, bias: float, pressur
 
 
 def electrode_gains(structure: Structure, bias: float) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Relative gains of D1, D2, S1, S2, each (B,), for up-down and for rocking; ``bias`` is V / V0."""
+    """Relative gains [1] of D1, D2, S1, S2, each (B,), for up-down and for rocking; ``bias`` is V / V0."""
     volts = (bias, bias, 1.0, 1.0)
     ln = [structure.ln_area[k] - 2.0 * structure.ln_gap[k] + structure.ln_channel[k] for k in range(4)]
     updown = [volts[k] * np.exp(ln[k]) for k in range(4)]
@@ -252,7 +252,7 @@ def electrode_gains(structure: Structure, bias: float) -> tuple[list[FloatArray]
 
 
 def imbalance(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(K_2 - K_1) / (K_2 + K_1)."""
+    """(K_2 - K_1) / (K_2 + K_1) (B,) [1]."""
     return (second - first) / (second + first)
 
 

@@ -32,13 +32,14 @@ class Draw:
     ----------
     index : device numbers n.
     device_id, lot, wafer, package : names, "D000123", "L01", "L01-W03", "P000123".
-    die_x_mm, die_y_mm : centre of the die on its wafer.
-    fab : parameter of ``pipeline.quantities.MODEL`` -> (B,), as the wafer prober measures it, with the gains of its channels.
+    die_x_mm, die_y_mm : centre of the die on its wafer (B,) [mm].
+    fab : parameter of ``pipeline.quantities.MODEL`` -> (B,) [its unit], as the wafer prober measures it with its own
+        channel gains.
     true : the same, as packaged, at the operating bias and temperature.
-    effects : effect -> parameter -> (B,), sizes of the effects that are not parameters of the plant, as packaged.
-    causes : contributions of each irregularity, (B,), as packaged: "split_hz.<irregularity>" (projected on the anisotropy of
-        the device, so that they add up to the split in first order), "frequency_hz.<irregularity>" (mean rocking frequency)
-        and "ln_quality.<irregularity>" (ln of the mean rocking Q).
+    effects : effect -> parameter -> (B,) [its unit], sizes of effects that are not parameters of the plant, as packaged.
+    causes : contributions of each irregularity, (B,), as packaged: "split_hz.<irregularity>" [Hz] (projected on the anisotropy
+        of the device, so that they add up to the split in first order), "frequency_hz.<irregularity>" [Hz] (mean rocking
+        frequency) and "ln_quality.<irregularity>" [1] (ln of the mean rocking Q).
     """
 
     index: IntArray

@@ -30,9 +30,9 @@ Stage = Literal["fabrication", "probe", "package"]
 
 @dataclass(frozen=True)
 class Change:
-    """Changes of the structure of B devices; ``None`` is no change.
+    """Changes of the structure of B devices; ``None`` is no change; shapes beside the fields.
 
-    A vector or a 2-theta quantity is complex.  ``ln_`` marks the logarithm of a ratio to nominal.
+    A vector or a 2-theta quantity is complex.  ``ln_`` marks the logarithm of a ratio to nominal [1]; others [rad, mm, 1].
     """
 
     ln_stiffness: FloatArray | None = None  # of all springs, (B,)

@@ -63,7 +63,7 @@ def die_centres(wafer: Wafer) -> FloatArray:
 
 @lru_cache(maxsize=32)
 def visiting_order(wafer: Wafer) -> IntArray:
-    """Eight orders of the dies, permutations (8, D): the images of one under the symmetries of the square grid.
+    """Eight orders of the dies, permutations (8, D) [die numbers]: the images of one under the symmetries of the square grid.
 
     In the first, each point of the R2 sequence, mapped to the disc, takes the nearest die that is still free.
     """
@@ -91,7 +91,7 @@ def visiting_order(wafer: Wafer) -> IntArray:
 
 
 def places(wafer: Wafer, index: IntArray) -> Places:
-    """Lot, wafer and die of the devices ``index`` (B,)."""
+    """Lot, wafer and die [numbers from 0] of the devices ``index`` (B,), and the centre of each die [mm]."""
     centres, order = die_centres(wafer), visiting_order(wafer)
     dies, lots = len(centres), wafer.lots_per_batch
     wafers = lots * wafer.wafers_per_lot

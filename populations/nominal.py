@@ -19,7 +19,8 @@ Count = Annotated[int, Meta(ge=1, le=1000)]
 class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The device as designed, at ``nominal_bias_v``, ``nominal_temperature_c`` and ``nominal_pressure_pa``.
 
-    x and y are the axes of the paper's Figure 2; the electrodes lie on the diagonals.
+    Units: [Hz], [1/s], [V], [degC], [Pa], [deg], [mm], [um], by the ends of the names.  x and y are the axes of the paper's
+    Figure 2; the electrodes lie on the diagonals.
     """
 
     rocking_hz: Positive  # f0, both rocking modes
@@ -63,7 +64,7 @@ class Wafer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class Operating(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Operating point of the packaged device, and the pressure in the wafer prober."""
+    """Operating point of the packaged device [V, degC, Pa], and the pressure in the wafer prober [Pa]."""
 
     bias_v: Positive
     temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0)]

@@ -1,6 +1,6 @@
 """The places of a batch of devices, and random numbers for each level of the hierarchy.
 
-A random stream belongs to (irregularity, level, label) and to the number k of the lot, wafer or device:
+A random stream is identified by (irregularity, level, label) and the number k of the lot, wafer or device:
 
     SeedSequence(seed, spawn_key=(crc32("irregularity/level/label"), k))
 
@@ -30,7 +30,7 @@ Level = Literal["lot", "wafer", "die", "package"]
 
 @lru_cache(maxsize=32)
 def field_factor(wafer: Wafer, length_mm: float) -> FloatArray:
-    """Cholesky factor (D, D) of exp(-d / length) over the dies of a wafer."""
+    """Cholesky factor (D, D) [1] of exp(-d / length) over the dies of a wafer; d and ``length_mm`` [mm]."""
     centres = die_centres(wafer)
     offset = centres[:, None, :] - centres[None, :, :]
     distance = np.hypot(offset[..., 0], offset[..., 1])
@@ -41,7 +41,7 @@ def field_factor(wafer: Wafer, length_mm: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """The input of an irregularity: the nominal device, the place of each die, and random numbers.
+    """The input of an irregularity: the nominal device, the place of each die, and random numbers [1].
 
     The same (level, label) always gives the same numbers.
     """
@@ -62,7 +62,7 @@ class Site:
         return {"lot": self.places.lot, "wafer": self.places.wafer}.get(level, self.index)
 
     def normal(self, level: Level, size: int = 1, label: str = "") -> FloatArray:
-        """Standard normals (size, B); at level "lot" or "wafer", devices of the same lot or wafer share them."""
+        """Standard normals (size, B) [1]; at level "lot" or "wafer", devices of the same lot or wafer share them."""
         keys, back = np.unique(self._numbers(level), return_inverse=True)
         drawn = np.empty((size, len(keys)))
         for column, key in enumerate(keys.tolist()):
@@ -70,11 +70,11 @@ class Site:
         return np.take(drawn, back, axis=1)
 
     def fixed(self, size: int = 1, label: str = "") -> FloatArray:
-        """Standard normals (size,), the same for all devices of the seed."""
+        """Standard normals (size,) [1], the same for all devices of the seed."""
         return self._generator(f"fixed/{label}", 0).standard_normal(size)
 
     def uniform(self, level: Level, label: str = "") -> FloatArray:
-        """Uniform numbers (B,) in [0, 1)."""
+        """Uniform numbers (B,) [1] in [0, 1)."""
         keys, back = np.unique(self._numbers(level), return_inverse=True)
         drawn = np.array([self._generator(f"{level}/{label}/uniform", key).random() for key in keys.tolist()])
         return np.take(drawn, back)

@@ -18,27 +18,27 @@ from pipeline.arrays import ComplexArray, FloatArray
 
 
 def as_complex(real: FloatArray, imag: FloatArray) -> ComplexArray:
-    """real + i imag; a product with 1j would round and could change the sign of zeros."""
+    """real + i imag, both of one shape and unit; a product with 1j would round and could change the sign of zeros."""
     result = np.empty(np.shape(real), dtype=np.complex128)
     result.real, result.imag = real, imag
     return result
 
 
 class Symmetric(NamedTuple):
-    """Mean a0 (B,) and anisotropy a (B,)."""
+    """Mean a0 (B,) and anisotropy a (B,), in the unit of the matrix."""
 
     mean: FloatArray
     anisotropy: ComplexArray
 
 
 def product(a: Symmetric, b: Symmetric) -> Symmetric:
-    """A.B = (A B + B A) / 2."""
+    """A.B = (A B + B A) / 2 of B matrices each."""
     inner = a.anisotropy.real * b.anisotropy.real + a.anisotropy.imag * b.anisotropy.imag
     return Symmetric(a.mean * b.mean + inner, a.mean * b.anisotropy + b.mean * a.anisotropy)
 
 
 def congruence(n: Symmetric, a: Symmetric) -> Symmetric:
-    """N A N."""
+    """N A N = 2 N.(N.A) - (N.N).A of B matrices each."""
     twice, square = product(n, product(n, a)), product(product(n, n), a)
     return Symmetric(2.0 * twice.mean - square.mean, 2.0 * twice.anisotropy - square.anisotropy)
 
@@ -59,7 +59,7 @@ def axis_deg(anisotropy: ComplexArray) -> FloatArray:
 
 
 def rotated(anisotropy: ComplexArray, theta_deg: FloatArray) -> ComplexArray:
-    """The anisotropy (B,) in axes rotated by theta (B,): a exp(-2 i theta)."""
+    """The anisotropy (B,) in axes rotated by theta (B,) [deg]: a exp(-2 i theta), unit unchanged."""
     double = np.deg2rad(2.0 * theta_deg)
     c, s = np.cos(double), np.sin(double)
     x, y = anisotropy.real, anisotropy.imag

@@ -169,7 +169,7 @@ class Effect:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Names of its stages, in the order of the signal path."""
+        """Names of the stages of the effect, in the order of the signal path."""
         return tuple(stage for stage in _STAGES if getattr(self, stage) is not None)
 
     @property
@@ -180,7 +180,7 @@ class Effect:
         return module.rpartition(".")[2] if module.startswith(library.__name__) else str(function.__code__.co_filename)
 
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
-        """Its parameters on a plant of ``shape`` with families expanded, in the order of ``p``."""
+        """Parameters of the effect on a plant of ``shape`` with families expanded, in the order of ``p``."""
         return tuple(member for parameter in self.parameters for member in parameter.members(shape))
 
     def full_name(self, member: Parameter) -> str:
@@ -199,7 +199,7 @@ class Effect:
         )
 
     def is_null(self, p: FloatArray, shape: Shape) -> bool:
-        """Whether the effect is absent at ``p`` (k,): all parameters without a grid (or all, if each has one) are null."""
+        """Whether all parameters without a grid (or all, if each has one) are null at ``p`` (k,) [declared units]."""
         members = self.members(shape)
         if all(member.grid for member in members):
             return all(value == member.null for value, member in zip(p, members))

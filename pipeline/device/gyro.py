@@ -88,7 +88,10 @@ def to_cartesian(physical: FloatArray) -> FloatArray:
 
 
 def to_physical(cartesian: FloatArray) -> FloatArray:
-    """Physical parameters (..., 12) from cartesian parameters (..., 12); theta_deg in (-90, 90]."""
+    """Physical parameters (..., 12) from cartesian parameters (..., 12), units at the head of the module; theta in (-90, 90].
+
+    f1 and zeta1 are nan where no device has the parameters (eps > omega0).
+    """
     omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = np.moveaxis(cartesian, -1, 0)
     eps = np.hypot(eps_c, eps_s)
     # The lower axis has the eigenvalue -eps, so 2 theta is the angle of -(eps_c, eps_s).
@@ -119,7 +122,7 @@ def to_physical(cartesian: FloatArray) -> FloatArray:
 
 
 def split_hz(cartesian: FloatArray) -> FloatArray:
-    """(omega2 - omega1)/2pi [Hz], free of cancellation: 2 omega0 eps / (omega1 + omega2) / 2pi."""
+    """(omega2 - omega1)/2pi = 2 omega0 eps / (omega1 + omega2) / 2pi (...) [Hz], free of cancellation; x (..., 12)."""
     omega0, eps = cartesian[..., 0], np.hypot(cartesian[..., 1], cartesian[..., 2])
     omega1 = np.sqrt(omega0**2 - omega0 * eps)
     omega2 = np.sqrt(omega0**2 + omega0 * eps)
@@ -127,7 +130,7 @@ def split_hz(cartesian: FloatArray) -> FloatArray:
 
 
 def gyro_mechanics(physical: FloatArray) -> Mechanics:
-    """Mechanics in the coordinates (psi_x, psi_y, z) from physical parameters (B, 12)."""
+    """Mechanics (n = 3) in (psi_x, psi_y, z) [V s] from physical parameters (B, 12): the paper, eq. (1), (9), (10), (18)."""
     x = to_cartesian(physical)
     batch = x.shape[0]
     omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = x.T
@@ -153,7 +156,12 @@ def gyro_mechanics(physical: FloatArray) -> Mechanics:
 
 
 def gyro_modes(physical: FloatArray) -> Modes:
-    """Modes from physical parameters (B, 12), by the eigenvectors of the state matrix; errors as in :func:`modes_of`."""
+    """Modes (B, 3) [rad/s] from physical parameters (B, 12), by the eigenvectors of the state matrix.
+
+    Raises
+    ------
+    ConfigError : as in :func:`modes_of`.
+    """
     return modes_of(gyro_mechanics(physical))
 
 

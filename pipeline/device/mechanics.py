@@ -28,7 +28,7 @@ from ..errors import ConfigError
 
 @dataclass(frozen=True, eq=False)
 class Mechanics:
-    """Mass-normalised second-order mechanics of a batch of devices (symbols and shapes at the head of the module)."""
+    """Mass-normalised second-order mechanics of a batch of devices; symbols, shapes and units at the head of the module."""
 
     damping: FloatArray
     gyroscopic: FloatArray
@@ -40,20 +40,20 @@ class Mechanics:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """H(s) = sum_k R_k / (s - p_k) + conj: poles (B, n) [rad/s] with Im p > 0, residues (B, n, S, D)."""
+    """H(s) = sum_k R_k / (s - p_k) + conj: poles (B, n) [rad/s] with Im p > 0, residues (B, n, S, D) [rad/s]."""
 
     poles: ComplexArray
     residues: ComplexArray
 
     def response(self, s: ComplexArray) -> ComplexArray:
-        """H(s), (B, S, D, len(s)), at complex frequencies ``s`` [rad/s]."""
+        """H(s) (B, S, D, W) [1], from drive to pick-off volts, at complex frequencies ``s`` (W,) [rad/s]."""
         p = self.poles[:, :, None, None, None]
         r = self.residues[..., None]
         return np.sum(r / (s - p) + np.conj(r) / (s - np.conj(p)), axis=1)
 
 
 def state_matrix(mechanics: Mechanics) -> FloatArray:
-    """A (B, 2n, 2n) in d/dt (q, q') = A (q, q') + ..."""
+    """A = [[0, I], [-K, -(C + G)]] (B, 2n, 2n) in d/dt (q, q') = A (q, q') + ...; q [V s], q' [V]."""
     stiffness = mechanics.stiffness
     batch, n, _ = stiffness.shape
     a = np.zeros((batch, 2 * n, 2 * n))

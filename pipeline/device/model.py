@@ -151,7 +151,7 @@ class Model:
         return True
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """(low, high) of a parameter: its range, narrowed by a uniform prior in the model."""
+        """(low, high) of a parameter [its declared unit]: its range, narrowed by a uniform prior in the model."""
         parameter = self.by_name[name]
         kind, a, b = self.prior_of(name)
         if kind == "uniform" and name in self.prior:
@@ -159,7 +159,7 @@ class Model:
         return parameter.low, parameter.high
 
     def prior_of(self, name: str) -> tuple[str, float, float]:
-        """("normal", mean, sd) or ("uniform", low, high) of a parameter.
+        """("normal", mean, sd) or ("uniform", low, high) of a parameter [its declared unit].
 
         Raises
         ------
@@ -219,7 +219,7 @@ class Model:
         return not any(name in self.fixed for name in self._plant_names)
 
     def to_internal(self, values: Mapping[str, float]) -> FloatArray:
-        """Smooth coordinates (P,) of complete parameter ``values``, in the order of ``free``."""
+        """Smooth coordinates (P,) of complete ``values`` [declared units], in the order of ``free``; units as in ``Plant``."""
         x = np.array([values[name] for name in self.free])
         if self._smooth:
             n = len(self._plant_names)
@@ -227,7 +227,7 @@ class Model:
         return x
 
     def to_values(self, x: FloatArray) -> dict[str, float]:
-        """Values of all parameters by name from smooth coordinates ``x`` (P,)."""
+        """Values [declared units] by name from smooth coordinates ``x`` (P,); ConfigError where one is not finite."""
         free = x.copy()
         if self._smooth:
             n = len(self._plant_names)
@@ -235,7 +235,7 @@ class Model:
         return self.complete(dict(zip(self.free, free.tolist())))
 
     def steps(self, x: FloatArray) -> FloatArray:
-        """Steps (P,) for finite differences in the smooth coordinates ``x`` (P,)."""
+        """Steps (P,) for finite differences at ``x`` (P,), in the units of ``x``; 1e-2 of ``scale`` for effects."""
         values = self.to_values(x)
         n = len(self._plant_names)
         out = np.array([1e-2 * self.by_name[name].scale for name in self.free])
@@ -249,7 +249,7 @@ class Model:
         return out
 
     def values_jacobian(self, x: FloatArray) -> FloatArray:
-        """d(values of the free parameters)/dx (P, P) at smooth coordinates ``x`` (P,), by central differences."""
+        """d(free values)/dx (P, P) [unit of value / unit of x] at smooth coordinates ``x`` (P,), by central differences."""
         jacobian = np.eye(x.size)
         if not self._smooth:
             return jacobian
@@ -266,7 +266,7 @@ class Model:
         return jacobian
 
     def covariance_of_values(self, x: FloatArray, covariance: FloatArray) -> FloatArray:
-        """Covariance (P, P) of the free parameters, to first order from that of the smooth coordinates (P, P)."""
+        """J cov J^T (P, P) [declared units]: first-order covariance of the free values from that of ``x`` (P, P)."""
         jacobian = self.values_jacobian(x)
         return np.asarray(jacobian @ covariance @ jacobian.T)
 

@@ -1,6 +1,6 @@
 """Parameters: one number of a model, with everything that is needed to fit, test and report it.
 
-A parameter with ``per`` stands for a family of parameters, one for each index of the plant:
+A parameter with ``per`` represents a family of parameters, one for each index of the plant:
 
 | per           | members                                | names, for ``k2`` per rocking axis of the gyro |
 |---|---|---|
@@ -85,7 +85,7 @@ class Parameter:
 
 
 def read_prior(name: str, text: str) -> tuple[str, float, float]:
-    """("normal", mean, sd) or ("uniform", low, high) from the text of the prior of parameter ``name``.
+    """("normal", mean, sd) or ("uniform", low, high), in the unit of parameter ``name``, from the text of its prior.
 
     Raises
     ------

@@ -41,7 +41,7 @@ class Plant(Protocol):
         ...
 
     def mechanics(self, values: Mapping[str, float]) -> Mechanics:
-        """Mechanics (a batch of one) at parameter ``values`` by name."""
+        """Mechanics (a batch of one) at parameter ``values`` by name, in the units that ``parameters`` declares."""
         ...
 
     def sense_motion(self) -> FloatArray:
@@ -53,15 +53,15 @@ class Plant(Protocol):
         ...
 
     def to_internal(self, physical: FloatArray) -> FloatArray:
-        """Smooth coordinates (P,) from values (P,) of ``names``."""
+        """Smooth coordinates (P,) from values (P,) of ``names`` [declared units]; each plant states the units."""
         ...
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """Values (P,) of ``names`` from smooth coordinates (P,)."""
+        """Values (P,) of ``names`` [declared units] from smooth coordinates (P,)."""
         ...
 
     def steps(self, internal: FloatArray) -> FloatArray:
-        """Steps (P,) for central differences in the smooth coordinates."""
+        """Steps (P,) for central differences in the smooth coordinates, in their units."""
         ...
 
 
@@ -99,15 +99,15 @@ class GyroPlant:
         return gyro_mechanics(np.array([[0.0 if name == C12 else values[name] for name in PHYSICAL]]))
 
     def sense_motion(self) -> FloatArray:
-        """x = M_S psi + z."""
+        """(2, 3) [1]: x = M_S psi + z [V s], M_S of the paper, eq. (10)."""
         return np.concatenate([M_S, np.ones((2, 1))], axis=1)
 
     def drive_motion(self) -> FloatArray:
-        """x = M_D^T psi + z."""
+        """(2, 3) [1]: x = M_D^T psi + z [V s], M_D of the paper, eq. (9)."""
         return np.concatenate([M_D.T, np.ones((2, 1))], axis=1)
 
     def to_internal(self, physical: FloatArray) -> FloatArray:
-        """Cartesian parameters (12,) with c12, or the eleven smooth coordinates without c12."""
+        """Cartesian parameters (12,) with c12, or the smooth coordinates (11,) without c12 [rad/s, 1/s, 1]."""
         full = np.zeros(12)
         full[list(_WITHOUT_C12)] = physical[:11]
         if physical.size == 12:
@@ -120,7 +120,7 @@ class GyroPlant:
         return np.concatenate([x[:4], [delta], x[6:]])
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """The inverse of :meth:`to_internal`."""
+        """The inverse of :meth:`to_internal`: (12,) or (11,) values [declared units]."""
         if internal.size == 12:
             physical = to_physical(internal[None])[0]
             return np.append(physical[list(_WITHOUT_C12)], physical[PHYSICAL.index(C12)])
@@ -130,7 +130,7 @@ class GyroPlant:
         return np.asarray(to_physical(x[None])[0][list(_WITHOUT_C12)])
 
     def steps(self, internal: FloatArray) -> FloatArray:
-        """1e-4 rad/s or 1/s, and 1e-5 for gains and imbalances: a resonance is about 1 rad/s wide, a record about 1 s long."""
+        """(P,): 1e-4 [rad/s, 1/s], 1e-5 for gains and imbalances; a resonance is about 1 rad/s wide, a record 1 s long."""
         return np.array([1e-4] * (internal.size - 4) + [1e-5] * 4)
 
 
@@ -191,23 +191,23 @@ class ModalPlant:
         return Mechanics(damping, np.zeros((1, n, n)), stiffness, drive, velocity, position)
 
     def sense_motion(self) -> FloatArray:
-        """Each sense measures the sum of its own coordinates."""
+        """(S, n) [1]: each sense measures the sum of its own coordinates."""
         return np.tile(np.eye(self.senses), (1, self.modes))
 
     def drive_motion(self) -> FloatArray:
-        """Zeros: a modal plant does not know the motion of its drive electrodes, and effects that need it do not apply."""
+        """Zeros (D, n): the motion of the drive electrodes is unknown, and effects that need it do not apply."""
         return np.zeros((self.drives, self.modes * self.senses))
 
     def to_internal(self, physical: FloatArray) -> FloatArray:
-        """The identity: frequency, damping ratio and gains are smooth coordinates."""
+        """The identity on (P,): frequency [Hz], damping ratio [1] and gains [1/s or 1/s^2] are smooth coordinates."""
         return physical
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """The identity."""
+        """The identity on (P,), units as in :meth:`to_internal`."""
         return internal
 
     def steps(self, internal: FloatArray) -> FloatArray:
-        """1e-4 of the half width for f, 1e-4 of zeta, and 1e-4 of the largest gain of the mode for all its gains."""
+        """(P,): 1e-4 of the half width [Hz] for f, 1e-4 of zeta, and 1e-4 of the largest gain of the mode for all its gains."""
         width = 2 + self.senses * self.drives
         rows = internal.reshape(self.modes, width)
         out = np.empty_like(rows)

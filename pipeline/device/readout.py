@@ -6,7 +6,7 @@
 |---|---|---|---|
 | q_j    | poles      | (J,)      | rad/s, all poles, conjugates included |
 | Q_j    | residues   | (J, S, S) | rad/s |
-| Q_0    | static     | (S, S)    | 1; zero behind a low-pass |
+| Q_0    | static     | (S, S)    | 1; zero if there is a low-pass |
 | tau    | delay_s    |           | s, >= 0 |
 | R      | resistive  | (S, D)    | 1 |
 | C      | capacitive | (S, D)    | s |
@@ -23,7 +23,7 @@ from ..arrays import ComplexArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """Read-out of one device (symbols and shapes at the head of the module)."""
+    """Read-out of one device; symbols, shapes and units at the head of the module."""
 
     poles: ComplexArray
     residues: ComplexArray
@@ -33,12 +33,12 @@ class Readout:
     capacitive: FloatArray
 
     def response(self, s: ComplexArray) -> ComplexArray:
-        """G(s) without the delay, (len(s), S, S), at complex frequencies ``s`` [rad/s]."""
+        """G(s) without the delay (W, S, S) [1] at complex frequencies ``s`` (W,) [rad/s]."""
         terms = self.residues[None] / (s[:, None] - self.poles)[:, :, None, None]
         return np.asarray(terms.sum(axis=1) + self.static)
 
     def through(self, matrix: FloatArray) -> Readout:
-        """G(s) matrix: the read-out of pick-offs that a static ``matrix`` (S, S) mixes first."""
+        """G(s) matrix: the read-out of pick-offs that a static ``matrix`` (S, S) [1] mixes first."""
         return replace(self, residues=self.residues @ matrix, static=self.static @ matrix)
 
     def with_pole(self, pole: complex) -> Readout:

@@ -10,7 +10,7 @@
                      drive_offset_v = [5.0, 5.0]  subtracted from the drive columns of the files
                      sense_polarity = [1, -1]     factor of each sense column; drive_polarity likewise
                      sense_order = [2, 1]         sense1 of the record is sense2 of the files; drive_order likewise
-                     lag_samples = 3              sense is 3 samples late: drive[n] belongs to sense[n + 3]
+                     lag_samples = 3              sense is 3 samples late: drive[n] is paired with sense[n + 3]
 
 Roles that are not stated: if no record has the role "validate", the last record validates and the others fit; otherwise all
 fit.  A single record fits.  A wrong campaign.toml is a :class:`ConfigError`, a file that is not a record a
@@ -43,7 +43,7 @@ Sign = Literal[-1, 1]
 
 
 class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[[record]]``: a file, its role and its conditions."""
+    """``[[record]]``: a file, its role, its conditions [deg/s, V], and its samples ``start`` to ``stop`` (exclusive)."""
 
     file: Annotated[str, Meta(min_length=1)]
     name: str | None = None
@@ -56,7 +56,7 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[channels]``: corrections of the files."""
+    """``[channels]``: corrections of the files, in the units of :class:`pipeline.experiment.record.Channels`."""
 
     sense_polarity: tuple[Sign, ...] | None = None
     drive_polarity: tuple[Sign, ...] | None = None
@@ -140,7 +140,7 @@ def _same_shape(records: Sequence[Record]) -> None:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """All records of a campaign, corrected as [channels] says, with their roles.
+    """All records of a campaign, corrected as [channels] states, with their roles.
 
     ``path`` is the folder or its campaign.toml; file names are relative to that folder.  If ``sample_rate_hz`` is not stated,
     the time column of the first record determines it for all.

@@ -16,7 +16,7 @@ HOLDS: tuple[Hold, ...] = ("zoh", "foh", "bandlimited")
 
 @dataclass(frozen=True)
 class AntiAlias:
-    """Analog low-pass filter before the ADC, with unit gain at zero frequency."""
+    """Analog low-pass filter before the ADC, unit gain at zero frequency, -3 dB at ``corner_hz`` [Hz]."""
 
     kind: Literal["butterworth"] = "butterworth"
     order: int = 8
@@ -25,14 +25,14 @@ class AntiAlias:
 
 @dataclass(frozen=True)
 class Adc:
-    """Mid-tread ADC of ``bits`` bits over +- ``full_scale_v`` volts."""
+    """Mid-tread ADC of ``bits`` bits over +- ``full_scale_v`` [V]."""
 
     bits: int = 16
     full_scale_v: float = 10.0
 
     @property
     def lsb_v(self) -> float:
-        """LSB = 2 full_scale / 2^bits, in volts."""
+        """LSB = 2 full_scale / 2^bits [V]."""
         return 2.0 * self.full_scale_v / 2.0**self.bits
 
 
@@ -41,6 +41,7 @@ class Instrument:
     """Everything between the drive samples and the record except the device.
 
     hold : how drive samples become volts between samples ("zoh", "foh", "bandlimited"); antialias, adc : ``None`` is none.
+    sample_rate_hz : f_s [Hz]; bias_v : bias of the electrodes [V].
     """
 
     sample_rate_hz: float = 10_000.0

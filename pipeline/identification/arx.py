@@ -109,11 +109,11 @@ def _shift_down(w: FloatArray, order: int, first_row: FloatArray, gram: FloatArr
 
 
 def gram_matrix(w: FloatArray, order: int) -> FloatArray:
-    """G[i, j] = sum_{t=n}^{N-1} w(t-i) w(t-j)^T as one symmetric matrix ((n+1) C, (n+1) C), lag by lag.
+    """G[i, j] = sum_{t=n}^{N-1} w(t-i) w(t-j)^T as one symmetric matrix ((n+1) C, (n+1) C) [V^2].
 
     Parameters
     ----------
-    w : (C, N) all channels, one a row.
+    w : (C, N) all channels, one per row [V].
     order : n, the largest lag.
     """
     channels = w.shape[0]
@@ -167,7 +167,7 @@ def solve_gram(
 
 
 def fit_arx(y: FloatArray, u: FloatArray, order: int, ridge: float = 1e-12, direct: bool = False) -> ArxModel:
-    """A, B = argmin sum_{t=n}^{N-1} |y(t) - sum_k (B_k u(t-k) - A_k y(t-k))|^2 + ridge.
+    """A, B = argmin sum_{t=n}^{N-1} |y(t) - sum_k (B_k u(t-k) - A_k y(t-k))|^2 + ridge: the paper, eq. (7).
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def fit_arx(y: FloatArray, u: FloatArray, order: int, ridge: float = 1e-12, dire
 
     Raises
     ------
-    IdentificationError : the record is too short for the order, or does not determine the model.
+    IdentificationError : the record is too short for the order, is not finite, or does not determine the model.
     """
     samples, senses = y.shape
     drives = u.shape[1]

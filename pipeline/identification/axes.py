@@ -32,18 +32,18 @@ class Gains:
 
     @property
     def sense(self) -> FloatArray:
-        """Diagonal of K_S, mean 1."""
+        """Diagonal (2,) of K_S [1], mean 1."""
         return np.array([1.0 - self.sense_imbalance, 1.0 + self.sense_imbalance])
 
     @property
     def drive(self) -> FloatArray:
-        """Diagonal of K_D, mean 1."""
+        """Diagonal (2,) of K_D [1], mean 1."""
         return np.array([1.0 - self.drive_imbalance, 1.0 + self.drive_imbalance])
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Four estimates of theta in (-90, 90] deg; singular values and conditions of Mtilde_1, Mtilde_2."""
+    """Four estimates of theta [deg] in (-90, 90]; singular values [1/s] and conditions of Mtilde_1, Mtilde_2."""
 
     theta_u1_deg: float
     theta_v1_deg: float
@@ -64,7 +64,7 @@ class Axes:
 
     @property
     def mean_deg(self) -> float:
-        """Axial mean of the four: half the angle of sum exp(2 i theta), in (-90, 90] deg."""
+        """Axial mean of the four: half the angle of sum exp(2 i theta) [deg], in (-90, 90]."""
         return mean_axis(self.theta_deg)
 
 
@@ -81,7 +81,7 @@ def gains_from_updown(M3: FloatArray) -> Gains:
 
 
 def axes(M1: FloatArray, M2: FloatArray, gains: Gains) -> Axes:
-    """The four thetas from the rocking modes M_1 (lower), M_2 (upper), both (2, 2) [1/s]."""
+    """The four thetas from the rocking modes M_1 (lower), M_2 (upper), both (2, 2) [1/s]; Section 4.2 of the paper."""
     left = np.linalg.inv(gains.sense[:, None] * M_S)
     right = np.linalg.inv(M_D * gains.drive)
     u, size, vt = np.linalg.svd(left @ np.stack([M1, M2]) @ right)

@@ -25,7 +25,12 @@ _PIECE_S = 0.05
 
 @lru_cache(maxsize=32)
 def bandpass_sections(sample_rate_hz: float, low_hz: float, high_hz: float) -> FloatArray:
-    """G_bp as second-order sections (4, 6), read-only; raises as :func:`bandpass`."""
+    """G_bp, eq. (12), as second-order sections (4, 6), read-only; frequencies [Hz].
+
+    Raises
+    ------
+    IdentificationError : the band does not lie between 0 and f_s / 2.
+    """
     if not 0.0 < low_hz < high_hz < sample_rate_hz / 2.0:
         raise IdentificationError(
             "the identification band does not fit the sample rate",

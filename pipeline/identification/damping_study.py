@@ -25,7 +25,7 @@ TAU = 2.0 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class RockingMotion:
-    """Table 2, one row: epsilon (2,) [deg] and ratio of the axes of each mode's ellipse (2,)."""
+    """Table 2, one row: split [Hz], c12 [1/s], epsilon (2,) [deg] and ratio a/a' (2,) [1] of each mode's ellipse."""
 
     split_hz: float
     c12_per_s: float
@@ -34,7 +34,7 @@ class RockingMotion:
 
 
 def rocking_residues(f_hz: FloatArray, damping: FloatArray) -> ComplexArray:
-    """R (B, 2, 2, 2) of q'/F for C (B, 2, 2) [1/s] and stiffness axes on the coordinates, f (2,) [Hz]."""
+    """R (B, 2, 2, 2) [1] of q'/F for C (B, 2, 2) [1/s] and stiffness axes on the coordinates, f (2,) [Hz]."""
     batch = damping.shape[0]
     zero = np.zeros((batch, 2, 2))
     identity = np.broadcast_to(np.eye(2), zero.shape)
@@ -43,7 +43,7 @@ def rocking_residues(f_hz: FloatArray, damping: FloatArray) -> ComplexArray:
 
 
 def axis_errors_deg(f_hz: FloatArray, damping: FloatArray) -> FloatArray:
-    """|theta| (B, 4) from u1, v1, u2, v2 where the truth is zero, in [0, 90] deg."""
+    """|theta| (B, 4) [deg], in [0, 90], from u1, v1, u2, v2 where the truth is zero; f (2,) [Hz], C (B, 2, 2) [1/s]."""
     u, _, vt = np.linalg.svd(2.0 * rocking_residues(f_hz, damping).real)
     first, second = np.abs(u[..., 0]), np.abs(vt[..., 0, :])
     across = np.stack([first[:, 0, 1], second[:, 0, 1], first[:, 1, 0], second[:, 1, 0]], axis=1)
@@ -91,7 +91,7 @@ def largest_axis_error_deg(f_hz: FloatArray, bound_per_s: float) -> float:
 
 
 def rocking_motion(f1_hz: float, split_hz: float, zeta: FloatArray, c12_per_s: float) -> RockingMotion:
-    """Ellipses of both rocking modes: c_ii = 2 zeta_i omega_i, eq. (20), (22), (23).
+    """Ellipses of both rocking modes: c_ii = 2 zeta_i omega_i, eq. (20), (22), (23); zeta (2,), f1, split [Hz], c12 [1/s].
 
     The motion of mode i is Re(x e^{jwt}), x complex: the singular values of [Re x, Im x] are the half axes.
     """
@@ -106,5 +106,5 @@ def rocking_motion(f1_hz: float, split_hz: float, zeta: FloatArray, c12_per_s: f
 
 
 def largest_damping_eigenvalue(f_hz: FloatArray, zeta: FloatArray) -> float:
-    """delta of (21): the trace 2 zeta_1 omega_1 + 2 zeta_2 omega_2, reached at c12 = sqrt(c11 c22) [1/s]."""
+    """delta [1/s] of (21): the trace 2 zeta_1 omega_1 + 2 zeta_2 omega_2, reached at c12 = sqrt(c11 c22); f, zeta (2,)."""
     return float(np.sum(2.0 * zeta * TAU * f_hz))

@@ -25,7 +25,7 @@ from .modes import DiscreteModes
 
 @dataclass(frozen=True, eq=False)
 class DiscreteStateSpace:
-    """Discrete model: a (K, K), b (K, D), c (S, K), d (S, D)."""
+    """Discrete model: a (K, K), b (K, D), c (S, K), d (S, D); inputs and outputs in [V]."""
 
     a: FloatArray
     b: FloatArray
@@ -35,7 +35,7 @@ class DiscreteStateSpace:
 
 @dataclass(frozen=True, eq=False)
 class Balanced:
-    """A balanced realisation, states by descending Hankel singular value (K,)."""
+    """A balanced realisation, states by descending Hankel singular value (K,) [1]."""
 
     hankel: FloatArray
     system: DiscreteStateSpace
@@ -118,7 +118,7 @@ def modes_of_states(system: DiscreteStateSpace) -> DiscreteModes:
 def frequency_response(
     model: ArxModel | DiscreteStateSpace, frequency_hz: FloatArray, sample_rate_hz: float
 ) -> ComplexArray:
-    """H(e^{jwT}) (F, S, D) at the frequencies (F,) [Hz]."""
+    """H(e^{jwT}) (F, S, D) [1] at the frequencies (F,) [Hz]."""
     z = np.exp(2j * np.pi * frequency_hz / sample_rate_hz)
     if isinstance(model, ArxModel):
         powers = z[:, None] ** -np.arange(model.order + 1)

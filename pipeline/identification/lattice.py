@@ -299,6 +299,7 @@ def fit_arx_lattice(y: FloatArray, u: FloatArray, order: int, ridge: float = 1e-
     y, u : (N, S), (N, D) [V].
     order : n.
     ridge : relative to the energy of each channel.  Rounding errors appear below 1e-17 at order 80, 1e-19 at order 40.
+    Raises IdentificationError if a channel is silent, or there are too few samples for the order.
     """
     energy = np.sum(np.concatenate([y, u], axis=1) ** 2, axis=0)
     if not np.all(energy > 0.0):

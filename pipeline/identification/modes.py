@@ -3,7 +3,7 @@
     H(z) = A(z)^-1 B(z) = sum_k R_k / (z - z_k) + ..,     R_k = v (w^H B(z_k)) / (w^H A'(z_k) v)
     A(z_k) v = 0,  w^H A(z_k) = 0
 
-and, with the hold inverted, the continuous modes behind it (p_k in the upper half plane, conj added):
+and, with the hold inverted, the continuous modes (p_k in the upper half plane, conj added):
 
     H(s) = sum_k R_k / (s - p_k) + conj = sum_k (s R1_k + R0_k) / (s^2 + 2 zeta_k omega_k s + omega_k^2)
     R1 = 2 Re R,   R0 = -2 Re(conj(p) R),   omega = |p|,   zeta = -Re p / |p|
@@ -33,14 +33,14 @@ _SAME = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class DiscreteModes:
-    """z (M,) dimensionless, Im > 0, by ascending frequency; residues (M, S, D) of H(z)."""
+    """Poles z (M,) [1], Im > 0, by ascending frequency; residues (M, S, D) [1] of H(z)."""
 
     poles: ComplexArray
     residues: ComplexArray
 
     @property
     def peak(self) -> FloatArray:
-        """|R_k|_2 / (1 - |z_k|) (M,): the H-infinity norm of each mode alone, for light damping."""
+        """|R_k|_2 / (1 - |z_k|) (M,) [1]: the H-infinity norm of each mode alone, for light damping."""
         return np.asarray(np.linalg.norm(self.residues, ord=2, axis=(1, 2)) / np.abs(1.0 - np.abs(self.poles)))
 
 
@@ -58,7 +58,7 @@ class ContinuousModes:
 
     @property
     def zeta(self) -> FloatArray:
-        """-Re p / |p| (M,)."""
+        """Damping ratio -Re p / |p| (M,) [1]."""
         return np.asarray(-self.poles.real / np.abs(self.poles))
 
     @property
@@ -87,7 +87,7 @@ def modes_from_fractions(frequency_hz: FloatArray, zeta: FloatArray, R1: FloatAr
 
 
 def residues_at(model: ArxModel, poles: ComplexArray) -> ComplexArray:
-    """R_k (M, S, D) of A(z)^-1 B(z) at the given zeros of det A(z), by left and right null vectors."""
+    """R_k (M, S, D) [1] of A(z)^-1 B(z) at zeros z (M,) of det A(z), by left and right null vectors."""
     n = model.order
     pairs = [polynomial_at(model.A, z) for z in poles]
     left, _, right = np.linalg.svd(np.array([value for value, _ in pairs]))
@@ -104,7 +104,7 @@ def _companion_nearby(A: FloatArray, centre: complex) -> ComplexArray:
 
 
 def band_poles(model: ArxModel, sample_rate_hz: float, band_hz: tuple[float, float]) -> ComplexArray:
-    """The distinct stable poles z whose resonance lies in the band, by ascending frequency.
+    """The distinct stable poles z (M,) [1] whose resonance lies in ``band_hz`` [Hz], by ascending frequency.
 
     A resonance lies in the band when arg z -+ 3 half-widths does, with half-width = -ln|z|.  Poles at the edges of the band
     describe the filter's edge, where nothing was driven, so their residues are arbitrary.
@@ -157,7 +157,7 @@ def modes_of(
 
 
 def hold_gain(poles: ComplexArray, sample_rate_hz: float, hold: Hold) -> ComplexArray:
-    """g(p) such that R/(s - p) becomes g R/(z - e^{pT}) + const under the hold, T = 1/f_s.
+    """g(p) (M,) [s] such that R/(s - p) becomes g R/(z - e^{pT}) + const under the hold; p (M,) [rad/s], T = 1/f_s [s].
 
     zoh (e^{pT} - 1)/p;   foh (e^{pT} - 1)^2/(p^2 T);   bandlimited T e^{pT}
     """
@@ -170,7 +170,7 @@ def hold_gain(poles: ComplexArray, sample_rate_hz: float, hold: Hold) -> Complex
 
 
 def to_continuous(modes: DiscreteModes, sample_rate_hz: float, hold: Hold = "zoh") -> ContinuousModes:
-    """Invert the hold:  p = f_s ln z,  R_c = R_d / g(p)."""
+    """Invert the hold:  p = f_s ln z [rad/s],  R_c = R_d / g(p) [1/s]."""
     poles: ComplexArray = np.asarray(sample_rate_hz * np.log(modes.poles), dtype=np.complex128)
     gain = hold_gain(poles, sample_rate_hz, hold)
     return ContinuousModes(poles, modes.residues / gain[:, None, None])

@@ -1,4 +1,4 @@
-"""Phase correction: velocity modes behind a known anti-alias filter, eq. (16) and (17).
+"""Phase correction: velocity modes measured through a known anti-alias filter, eq. (16) and (17).
 
     beta = argmin over real beta of ||(s R1 + R0)/d(s) - G_aa(s) beta s/d(s)||     for each mode and channel
 

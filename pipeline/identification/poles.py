@@ -22,7 +22,7 @@ _ITERATIONS = 12
 
 
 def companion_poles(A: FloatArray) -> ComplexArray:
-    """All n S zeros of det A(z), unordered."""
+    """All zeros (n S,) [1] of det A(z), unordered; A (n, S, S) [1]."""
     order, senses, _ = A.shape
     companion = np.zeros((order * senses, order * senses))
     companion[:senses] = -A.transpose(1, 0, 2).reshape(senses, -1)
@@ -32,7 +32,7 @@ def companion_poles(A: FloatArray) -> ComplexArray:
 
 @njit(cache=True)
 def polynomial_at(A: FloatArray, z: complex) -> tuple[ComplexArray, ComplexArray]:
-    """P(z) = z^n A(z) and dP/dz by Horner; both (S, S).  Well scaled around and inside the unit circle."""
+    """P(z) = z^n A(z) and dP/dz by Horner; both (S, S) [1].  Well scaled around and inside the unit circle."""
     order, senses, _ = A.shape
     value = np.zeros((senses, senses), dtype=np.complex128)
     slope = np.zeros((senses, senses), dtype=np.complex128)
@@ -114,7 +114,7 @@ def _block_arnoldi(A: FloatArray, shift: complex, steps: int) -> ComplexArray:
 
 
 def nearby_poles(A: FloatArray, centre: complex) -> ComplexArray:
-    """Approximations of the zeros of det A(z) nearest to ``centre``, by distance from it.
+    """Approximate zeros (K,) [1] of det A(z) nearest to ``centre``, by distance from it; A (n, S, S) [1].
 
     The nearest are good to 1e-4 or better and ready for :func:`refine`; the farthest are not.
     """
@@ -127,7 +127,7 @@ def nearby_poles(A: FloatArray, centre: complex) -> ComplexArray:
 
 @njit(cache=True)
 def refine(A: FloatArray, seeds: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """Zeros of det A(z) next to the seeds, and the size of the last correction of each."""
+    """Zeros (K,) [1] of det A(z) next to ``seeds`` (K,), and the size (K,) of the last correction of each; Ruhe 1973."""
     senses = A.shape[1]
     poles = seeds.copy()
     last = np.empty(seeds.size)

@@ -32,7 +32,7 @@ _BAND_HZ = (400.0, 700.0)
 class Reduction:
     """Three modes by balanced and by modal truncation.
 
-    hankel : (K,) Hankel singular values of the ARX model.
+    hankel : (K,) Hankel singular values of the ARX model [1].
     error_bound : 2 sum of the values truncated, an upper bound of |H - H_6|_inf.
     """
 

@@ -66,7 +66,7 @@ class RouteResult:
 
     @property
     def residues_filtered(self) -> ComplexArray:
-        """R (3, S, D) as seen behind the anti-alias filter [1/s]."""
+        """R (3, S, D) with the anti-alias filter included [1/s]."""
         return self.filtered.residues
 
     @property
@@ -76,7 +76,7 @@ class RouteResult:
 
     @property
     def zeta(self) -> FloatArray:
-        """-Re p / |p| (3,)."""
+        """Damping ratio -Re p / |p| (3,) [1]."""
         return self.mechanical.zeta
 
     @property
@@ -94,7 +94,7 @@ def _isolated_mode(frequency_hz: FloatArray) -> int | None:
 
 
 def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
-    """Indices of (lower rocking, upper rocking, up-down) among three modes with matrices M (3, 2, 2).
+    """Indices of (lower rocking, upper rocking, up-down) among three modes with matrices M (3, 2, 2) [1/s].
 
     Raises
     ------
@@ -123,7 +123,7 @@ def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
 
 
 def route_from_modes(modes: ContinuousModes, antialias: AntiAlias | None) -> RouteResult:
-    """Phase correction, gains and axes of three modes as seen behind the filter.
+    """Phase correction, gains and axes of three modes with the filter included.
 
     Raises
     ------

@@ -32,7 +32,7 @@ _BIASES = ("quadrature_rate_dps", "quadrature_bias_dps", "inphase_bias_dps", "ra
 
 @dataclass(frozen=True)
 class RateSettings:
-    """Angular gain kappa = I_p / I_0p (``None``: unknown, no rate biases), demodulation phase error [deg], mode driven."""
+    """Angular gain kappa = I_p / I_0p [1] (``None``: unknown, no rate biases), demodulation phase error [deg], mode driven."""
 
     angular_gain: float | None = None
     phase_error_deg: float = 0.0
@@ -41,7 +41,7 @@ class RateSettings:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What the records of a device say about it.
+    """Quantities of a device, as its records determine them, in the units of ``pipeline.quantities``.
 
     Parameters
     ----------
@@ -79,12 +79,12 @@ def quantities(physical: FloatArray, rate: RateSettings, split_hz: FloatArray | 
 
 
 def cartesian_quantities(x: FloatArray, rate: RateSettings) -> dict[str, FloatArray]:
-    """All result quantities (...) of cartesian parameters (..., 12), the split free of cancellation; raises likewise."""
+    """As :func:`quantities`, of cartesian parameters (..., 12) [units of ``device.gyro``], the split free of cancellation."""
     return quantities(to_physical(x), rate, cartesian_split_hz(x))
 
 
 def intervals(draws: Mapping[str, FloatArray]) -> dict[str, float]:
-    """<q>, <q>_sd, <q>_q05, <q>_q95 of every quantity (n,); quantities that are nan in all draws are left out."""
+    """<q>, <q>_sd, <q>_q05, <q>_q95 [unit of q] of every quantity (n,); those that are nan in all draws are left out."""
     known = {name: values for name, values in draws.items() if not np.all(np.isnan(values))}
     lines = np.stack(list(known.values()))
     centre = np.zeros(len(known))
@@ -102,7 +102,7 @@ def intervals(draws: Mapping[str, FloatArray]) -> dict[str, float]:
 
 
 def normal_intervals(estimates: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """<q>, <q>_sd, <q>_q05, <q>_q95 of normal distributions, given as name -> (value, sd): value -+ 1.645 sd."""
+    """<q>, <q>_sd, <q>_q05, <q>_q95 [unit of q] of normal distributions, name -> (value, sd): value -+ 1.645 sd."""
     half = float(ndtri(0.95))
     out: dict[str, float] = {}
     for name, (value, sd) in estimates.items():
@@ -113,13 +113,13 @@ def normal_intervals(estimates: Mapping[str, tuple[float, float]]) -> dict[str, 
 def estimate_from(
     draws: dict[str, FloatArray], goodness: GoodnessOfFit, gate: Gate, not_converged: str | None = None
 ) -> Estimate:
-    """The estimate from draws of all quantities (n,).
+    """The estimate from draws of all quantities (n,) [units of ``pipeline.quantities``].
 
     Parameters
     ----------
     draws : of :func:`quantities` or :func:`cartesian_quantities`.
     goodness, gate : what decides on "misfit".
-    not_converged : why the draws are too few or not mixed, if so.
+    not_converged : why the draws are too few or not mixed; ``None`` where they suffice.
     """
     columns = intervals(draws)
     theta_sd_deg = columns["theta_deg_sd"]

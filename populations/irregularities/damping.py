@@ -22,7 +22,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_gas of rocking and up-down, ln_anchor."""
+    """ln_gas (2, B) [1] of rocking and up-down, ln_anchor (B,) [1]."""
     rho = p["correlation"]
 
     def pair(normals: FloatArray) -> FloatArray:

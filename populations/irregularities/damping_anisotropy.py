@@ -18,7 +18,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """damping_anisotropy; a larger modulus is reduced to the limit, on the same axis."""
+    """damping_anisotropy (B,) [1]; a larger modulus is reduced to the limit, on the same axis."""
     d = p["die"] * site.complex_normal("die")
     return Change(damping_anisotropy=d / np.maximum(np.hypot(d.real, d.imag) / p["limit"], 1.0))
 

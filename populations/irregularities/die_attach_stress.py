@@ -18,7 +18,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """anisotropy and ln_stiffness."""
+    """anisotropy and ln_stiffness, both (B,) [1]."""
     per_mpa = p["hz_per_mpa"] / site.device.rocking_hz
     mean = p["difference_mpa"] * (p["mean_ratio"] + p["mean_spread_ratio"] * site.normal("package", label="mean")[0])
     return Change(

@@ -15,7 +15,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_area and ln_arm of D1, D2, S1, S2."""
+    """ln_area and ln_arm of D1, D2, S1, S2, both (4, B) [1]."""
     return Change(
         ln_area=0.01 * p["die_pct"] * site.normal("die", 4),
         ln_arm=0.01 * p["arm_pct"] * site.normal("die", 4, "arm"),

@@ -14,7 +14,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_gap of D1, D2, S1, S2."""
+    """ln_gap (4, B) [1] of D1, D2, S1, S2."""
     common = p["lot_pct"] * site.normal("lot")[0] + p["wafer_pct"] * site.normal("wafer")[0]
     return Change(ln_gap=0.01 * (common + p["die_pct"] * site.normal("die", 4)))
 

@@ -16,7 +16,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_pressure of the leaking packages."""
+    """ln_pressure (B,) [1], zero where the package does not leak."""
     rise = np.maximum(p["ln_mean"] + p["ln_spread"] * site.normal("package")[0], 0.0)
     return Change(ln_pressure=np.where(site.uniform("package") < p["fraction"], rise, 0.0))
 

@@ -14,7 +14,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_pressure of each package."""
+    """ln_pressure (B,) [1] of each package."""
     return Change(ln_pressure=p["spread"] * site.normal("package")[0])
 
 

@@ -31,7 +31,7 @@ def ln_young(angle_rad: FloatArray) -> FloatArray:
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_spring from E, and azimuth_rad."""
+    """ln_spring [1] from E, and azimuth_rad [rad], both (J, B)."""
     springs = len(site.device.spring_azimuth_deg)
     rotation = p["lot_deg"] * site.normal("lot")[0] + p["wafer_deg"] * site.normal("wafer")[0]
     nominal = np.deg2rad(site.device.crystal_angle_deg) + np.broadcast_to(

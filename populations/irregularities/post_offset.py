@@ -14,7 +14,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """post_offset_mm, normal in x and in y."""
+    """post_offset_mm (B,) [mm], normal in x and in y."""
     offset_um = p["lot_um"] * site.complex_normal("lot") + p["die_um"] * site.complex_normal("die")
     return Change(post_offset_mm=1e-3 * offset_um)
 

@@ -14,7 +14,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """anisotropy: sum of lot, wafer and die, in a fixed ratio."""
+    """anisotropy (B,) [1]: sum of lot, wafer and die, in a fixed ratio."""
     levels = p["lot_ratio"] * site.complex_normal("lot") + p["wafer_ratio"] * site.complex_normal("wafer")
     return Change(anisotropy=0.01 * p["die_pct"] * (levels + site.complex_normal("die")))
 

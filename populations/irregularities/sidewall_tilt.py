@@ -18,7 +18,7 @@ from ..symmetric import as_complex
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """anisotropy = a T^2 exp(2 i phi), where rho^2 exp(2 i phi) = (x + i y)^2."""
+    """anisotropy (B,) [1] = a T^2 exp(2 i phi), where rho^2 exp(2 i phi) = (x + i y)^2."""
     radius = site.wafer.diameter_mm / 2.0
     x, y = p["edge_deg"] * site.places.x_mm / radius, p["edge_deg"] * site.places.y_mm / radius
     gain = 0.01 * p["anisotropy_pct_per_deg2"]

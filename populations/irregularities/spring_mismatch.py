@@ -17,7 +17,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_spring, independent for each spring."""
+    """ln_spring (J, B) [1], independent for each spring."""
     return Change(ln_spring=0.01 * p["die_pct"] * site.normal("die", len(site.device.spring_azimuth_deg)))
 
 

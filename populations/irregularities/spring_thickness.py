@@ -17,7 +17,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_spring = 3 ln(1 + dt/t)."""
+    """ln_spring (J, B) [1] = 3 ln(1 + dt/t)."""
     return Change(ln_spring=3.0 * np.log1p(0.01 * across_wafer(p, "pct", site)))
 
 

@@ -17,7 +17,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_spring = ln(1 + dw/w)."""
+    """ln_spring (J, B) [1] = ln(1 + dw/w)."""
     return Change(ln_spring=np.log1p(across_wafer(p, "um", site) / site.device.spring_width_um))
 
 

@@ -17,7 +17,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_stiffness of each package during its test."""
+    """ln_stiffness (B,) [1] of each package during its test."""
     above = site.operating.temperature_c - site.device.nominal_temperature_c
     kelvin = above + p["spread_k"] * site.normal("package")[0]
     return Change(ln_stiffness=2.0 * np.log1p(1e-6 * p["tcf_ppm_per_k"] * kelvin))

@@ -16,7 +16,7 @@ from ..site import Site
 
 
 def act(p: Mapping[str, float], site: Site) -> Change:
-    """ln_channel of D1, D2, S1, S2."""
+    """ln_channel (4, B) [1] of D1, D2, S1, S2."""
     channels = 0.01 * p["channel_pct"] * site.fixed(4)
     return Change(ln_channel=np.repeat(channels[:, None], len(site.index), axis=1))
 

@@ -10,6 +10,7 @@ from ..parameters import Parameter
 
 
 def adc(y: FloatArray, p: FloatArray, context: Context) -> FloatArray:
+    """Clip y (N, S) [V] at +-1/p[0] [V]."""
     return np.clip(y, -1.0 / p[0], 1.0 / p[0])
 
 

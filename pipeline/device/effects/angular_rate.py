@@ -13,6 +13,7 @@ from ..parameters import Parameter
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    """Add 2 Omega J to the psi block of G (B, n, n) [1/s], J = [[0, -1], [1, 0]]; p[0] = Omega [rad/s]."""
     gyroscopic = m.gyroscopic.copy()
     gyroscopic[:, :2, :2] += 2.0 * p[0] * np.array([[0.0, -1.0], [1.0, 0.0]])
     return replace(m, gyroscopic=gyroscopic)

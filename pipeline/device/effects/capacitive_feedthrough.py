@@ -13,6 +13,7 @@ _FAR_MODE = {f"parasitic_mode.{k}": v for k, v in {"f": 8e4, "zeta": 1e-2, "b_d1
 
 
 def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
+    """Add C (S, D) [s], in ``p`` row by row, to the capacitive feedthrough."""
     return replace(r, capacitive=r.capacitive + p.reshape(r.capacitive.shape))
 
 

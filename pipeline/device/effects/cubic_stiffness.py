@@ -10,6 +10,7 @@ from ..parameters import Parameter
 
 
 def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    """Add -k3 |psi|^2 psi [V/s] to ``out`` (n,); q (n,) [V s], p[0] = k3 [1/(V^2 s^4)]."""
     square = 0.0
     for i in range(laws.axes):
         square += q[i] * q[i]
@@ -18,6 +19,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 
 
 def potential(q: FloatArray, p: FloatArray, axes: int) -> FloatArray:
+    """k3 |psi|^4 / 4 (M,) [V^2] at q (M, n) [V s]."""
     return np.asarray(p[0] / 4.0 * np.sum(q[:, :axes] ** 2, axis=1) ** 2)
 
 

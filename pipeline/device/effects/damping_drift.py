@@ -8,6 +8,7 @@ from ..parameters import Parameter
 
 
 def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    """Add -gamma t C q' [V/s] to ``out`` (n,); t [s], qd (n,) [V], p[0] = gamma [1/s]."""
     for i in range(q.size):
         for j in range(q.size):
             out[i] -= p[0] * t * laws.damping[i, j] * qd[j]

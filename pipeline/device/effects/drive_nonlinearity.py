@@ -8,6 +8,7 @@ from ..parameters import Parameter
 
 
 def drive(v: FloatArray, p: FloatArray, context: Context) -> FloatArray:
+    """v + eps v^2 / (2 V_b) (N, D) [V] from v (N, D) [V]; p[0] = eps [1]."""
     return v + p[0] * v**2 / (2.0 * context.bias_v)
 
 

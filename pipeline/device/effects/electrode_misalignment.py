@@ -13,6 +13,7 @@ from ..parameters import Parameter
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    """Rotate the rocking rows of F (B, n, D) [1/s] by p[0] = phi [deg]."""
     c, s = np.cos(np.deg2rad(p[0])), np.sin(np.deg2rad(p[0]))
     drive = m.drive.copy()
     drive[:, :2, :] = np.array([[c, -s], [s, c]]) @ m.drive[:, :2, :]

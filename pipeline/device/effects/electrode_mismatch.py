@@ -15,6 +15,7 @@ _SIGN = np.array([-1.0, 1.0])
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    """Scale rocking gains: columns 1, 2 of F by 1 -+ m_D/(1 -+ d), rows 1, 2 of V by 1 -+ m_S/(1 -+ s); p = (m_D, m_S) [1]."""
     d, s = np.asarray(context.plant["drive_imbalance"]), np.asarray(context.plant["sense_imbalance"])
     drive, sense = m.drive.copy(), m.velocity_sense.copy()
     ratio_d = 1.0 + _SIGN * p[0] / (1.0 + _SIGN * d[..., None])
@@ -26,7 +27,7 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 
 EFFECT = Effect(
     name="electrode_mismatch",
-    law="imbalances are s, d for up-down and s + m_S, d + m_D for rocking motion; K_1, K_2 ~ 1 -+ imbalance",
+    law="imbalances: s, d up-down and s + m_S, d + m_D rocking; K_1 is scaled by 1 - imbalance, K_2 by 1 + imbalance",
     source="a displaced electrode has another lever arm, so its gain differs between torque and force",
     signature="channel gains of the rocking modes differ from those of the up-down mode; no new frequency, no level dependence",
     parameters=(

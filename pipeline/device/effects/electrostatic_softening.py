@@ -8,6 +8,7 @@ from ..parameters import Parameter
 
 
 def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    """Add F (force of each electrode - u) [V/s] to ``out`` (n,); q (n,) [V s], u (D,) [V], p[0] = 1/g [1/(V s)]."""
     for k in range(u.size):
         x = 0.0
         for j in range(q.size):

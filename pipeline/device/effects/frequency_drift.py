@@ -8,6 +8,7 @@ from ..parameters import Parameter
 
 
 def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    """Add -beta t K q [V/s] to ``out`` (n,); t [s], q (n,) [V s], p[0] = beta [1/s]."""
     for i in range(q.size):
         for j in range(q.size):
             out[i] -= p[0] * t * laws.stiffness[i, j] * q[j]

@@ -8,6 +8,7 @@ from ..parameters import Parameter
 
 
 def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
+    """s (1 + gamma t) (M, S) [V] at times t (M,) [s]; p[0] = gamma [1/s]."""
     return s * (1.0 + p[0] * t[:, None])
 
 

@@ -11,6 +11,7 @@ from ..readout import Readout
 
 
 def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
+    """Add tau to the delay [s] of G(s); p (1,) = tau [s]."""
     return replace(r, delay_s=r.delay_s + p[0])
 
 

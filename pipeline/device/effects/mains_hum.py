@@ -10,6 +10,7 @@ from ..parameters import Parameter
 
 
 def disturbance(t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
+    """cos, then sin, of 2 pi h f t (N, 2 H) [1] for the H harmonics below f_s/2; t (N,) [s], p = (f [Hz], top [1])."""
     rate = (t.size - 1) / (t[-1] - t[0])
     harmonics = np.arange(1, 1 + min(int(p[1]), int(np.ceil(rate / 2.0 / p[0] - 1e-9)) - 1))
     angle = 2.0 * np.pi * p[0] * t[:, None] * harmonics

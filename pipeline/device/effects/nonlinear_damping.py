@@ -10,6 +10,7 @@ from ..parameters import Parameter
 
 
 def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    """Add -d |psi'| psi' [V/s] to ``out`` (n,); qd (n,) [V], p[0] = d [1/(V s)]."""
     square = 0.0
     for i in range(laws.axes):
         square += qd[i] * qd[i]

@@ -14,6 +14,7 @@ from ..parameters import Parameter
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    """Add c12 [[-sin 2theta, cos 2theta], [cos 2theta, sin 2theta]] to C (B, n, n) [1/s]; p[0] = c12 [1/s]."""
     double = np.deg2rad(2.0 * np.asarray(context.plant["theta_deg"]))
     rotated = np.array([[-np.sin(double), np.cos(double)], [np.cos(double), np.sin(double)]])
     damping = m.damping.copy()

@@ -13,6 +13,7 @@ _GRID = tuple(300.0 * 1.02**k for k in range(141))
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    """Append w to q (n,) [V s]: f = p[0] [Hz], zeta = p[1] [1], b = p[2:2 + D] [1/s], a = p[-1] [deg] if S > 1."""
     n, senses, drives = m.stiffness.shape[1], m.velocity_sense.shape[1], m.drive.shape[2]
     omega, a = 2.0 * np.pi * p[0], np.deg2rad(p[-1])
     vector = np.ones(1) if senses == 1 else np.array([np.cos(a), np.sin(a)] + [0.0] * (senses - 2))

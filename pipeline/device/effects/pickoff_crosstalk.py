@@ -11,6 +11,7 @@ from ..readout import Readout
 
 
 def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
+    """G(s) [[1, a], [b, 1]]; p = (a, b) [1]."""
     return r.through(np.array([[1.0, p[0]], [p[1], 1.0]]))
 
 

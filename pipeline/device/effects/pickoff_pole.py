@@ -9,6 +9,7 @@ from ..readout import Readout
 
 
 def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
+    """G(s) / (1 + s T); p (1,) = T [s]."""
     return r.with_pole(-1.0 / p[0])
 
 

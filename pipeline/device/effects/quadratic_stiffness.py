@@ -10,11 +10,13 @@ from ..parameters import Parameter
 
 
 def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray) -> None:
+    """Add -k2_i q_i^2 [V/s] to ``out`` (n,) along each axis i; q (n,) [V s], p = k2 (axes,) [1/(V s^3)]."""
     for i in range(laws.axes):
         out[i] -= p[i] * q[i] * q[i]
 
 
 def potential(q: FloatArray, p: FloatArray, axes: int) -> FloatArray:
+    """sum_i k2_i q_i^3 / 3 (M,) [V^2] at q (M, n) [V s]."""
     return np.asarray(np.sum(p * q[:, :axes] ** 3, axis=1) / 3.0)
 
 

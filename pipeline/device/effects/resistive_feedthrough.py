@@ -11,6 +11,7 @@ from ..readout import Readout
 
 
 def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
+    """Add R (S, D) [1], in ``p`` row by row, to the resistive feedthrough."""
     return replace(r, resistive=r.resistive + p.reshape(r.resistive.shape))
 
 

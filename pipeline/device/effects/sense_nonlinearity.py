@@ -8,6 +8,7 @@ from ..parameters import Parameter
 
 
 def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
+    """s / (1 - x/g)^2 (M, S) [V] at motion x (M, S) [V s]; p[0] = 1/g [1/(V s)]."""
     return s / (1.0 - p[0] * x) ** 2
 
 

@@ -12,6 +12,7 @@ from ..parameters import Parameter
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
+    """Scale the up-down row of F and column of V by 1 - t_x (-1, 1), from the mode shape psi_x = -t_x z; p[0] = t_x [1]."""
     drive, sense = m.drive.copy(), m.velocity_sense.copy()
     drive[:, 2, :] *= 1.0 - p[0] * M_D[0]
     sense[:, :, 2] *= 1.0 - p[0] * M_S[:, 0]

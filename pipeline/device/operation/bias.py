@@ -26,7 +26,7 @@ from ...errors import ConfigError
 def rate_biases_dps(
     physical: FloatArray, angular_gain: float | FloatArray, phase_error_deg: float, drive: Literal["f1", "f2"]
 ) -> dict[str, FloatArray]:
-    """quadrature_rate_dps, quadrature_bias_dps, inphase_bias_dps and rate_bias_dps, each (...), by name.
+    """quadrature_rate_dps, quadrature_bias_dps, inphase_bias_dps, rate_bias_dps, each (...) [deg/s]; eq. (4) to (6).
 
     Parameters
     ----------

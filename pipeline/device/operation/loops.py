@@ -58,6 +58,10 @@ class Loops:
     direct_per_s : G, gain of the direct rebalance loop [1/s].
     demodulator_hz : bandwidth of the demodulators inside the loops [Hz].
     output_hz : bandwidth of the demodulator of the rebalance torque [Hz].
+
+    Raises
+    ------
+    ConfigError : a value is out of range, or a loop is faster than a quarter of ``demodulator_hz``.
     """
 
     amplitude_v: float = 1.0

@@ -37,7 +37,7 @@ def _multiplication(a: int, b: int) -> FloatArray:
 
 
 def propagators(damping: FloatArray, stiffness: FloatArray, carrier: FloatArray, step_s: float) -> FloatArray:
-    """(psi, psi') after a step = sum_m a^i b^j P_m (psi, psi', p, q): the coefficients P_m, (B, 6, 4, 8).
+    """(psi, psi') after a step = sum_m a^i b^j P_m (psi, psi', p, q): the coefficients P_m (B, 6, 4, 8) [units of the states].
 
     Parameters
     ----------

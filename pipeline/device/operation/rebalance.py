@@ -50,11 +50,11 @@ class Waveforms:
 class Operation:
     """Result of a run of the closed loops.
 
-    time_s : (M,) of the envelopes.
+    time_s : time of the envelopes (M,) [s].
     drive_velocity, sense_velocity : envelopes of psi_y' and psi_x' (B, M) [V].
     drive_torque, rebalance_torque : envelopes of tau_y and tau_x (B, M) [V/s].
-    frequency_hz : omega0 / 2 pi (B, M).
-    rate_dps : Omega (B, M), the input.
+    frequency_hz : omega0 / 2 pi (B, M) [Hz].
+    rate_dps : Omega (B, M) [deg/s], the input.
     waveforms : the last samples.
     """
 
@@ -73,7 +73,7 @@ class Rebalance:
     """Settled operation; each field is (B,).
 
     amplitude_v : |psi_y'| [V].
-    frequency_hz : omega0 / 2 pi.
+    frequency_hz : omega0 / 2 pi [Hz].
     inphase_per_s, quadrature_per_s : rebalance torque in phase with psi_y' and 90 deg ahead of it, over psi_y' [1/s]:
         C_xy - 2 kappa Omega and -K_xy / omega0.
     damping_per_s : drive torque in phase with psi_y', over psi_y': C_yy [1/s].
@@ -203,7 +203,7 @@ def _over(torque: ComplexArray, velocity: ComplexArray) -> ComplexArray:
 
 
 def settled(operation: Operation, last_s: float = 0.2) -> Rebalance:
-    """Mean over the last ``last_s`` seconds.
+    """Mean over the last ``last_s`` [s]; fields (B,).
 
     Raises
     ------
@@ -249,7 +249,7 @@ def indicated_rate_dps(
 def measured_biases_dps(
     at_rest: Rebalance, angular_gain: float | FloatArray, phase_error_deg: float | FloatArray
 ) -> dict[str, FloatArray]:
-    """The biases of ``pipeline.device.operation.bias``, each (B,) by the same names, from a run at Omega = 0."""
+    """The biases of ``operation.bias``, each (B,) [deg/s] by the same names, from a run at Omega = 0; phi [deg]."""
     none = np.zeros_like(at_rest.inphase_per_s)
     # tan(45 deg) = 1, so the whole quadrature torque is converted to a rate.
     quadrature = indicated_rate_dps(none, at_rest.quadrature_per_s, angular_gain, 45.0)

@@ -32,7 +32,7 @@ def scale_factor(
     drive: Drive | None = None,
     loops: Loops | None = None,
 ) -> ScaleFactor:
-    """Least-squares line through the settled indicated rates at constant ``rates_dps`` (R,), R >= 2.
+    """Least-squares line through the settled indicated rates at constant ``rates_dps`` (R,) [deg/s], R >= 2.
 
     Parameters
     ----------

@@ -20,7 +20,10 @@ from ..mechanics import Mechanics, state_matrix
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """Continuous A (2n, 2n), B (2n, D), C (S, 2n), D (S, D); discrete Ad, Bd for a zero-order hold at ``sample_rate_hz``."""
+    """A (2n, 2n), B (2n, D), C (S, 2n), D (S, D); discrete Ad (2n, 2n), Bd (2n, D) for a zero-order hold at f_s [Hz].
+
+    Units: states q [V s] and q' [V], inputs and outputs [V], B [1/s]; the blocks of A and C as in ``device.mechanics``.
+    """
 
     A: FloatArray
     B: FloatArray

@@ -45,6 +45,10 @@ class Target:
 
     With split_hz and theta_deg: this split, with the lower axis at theta.  With split_hz only: this split, with the axes
     unchanged.  With theta_deg only: one of the two axes at theta (at 0 or 90 deg the quadrature vanishes), with any split.
+
+    Raises
+    ------
+    ConfigError : neither is given, or the split [Hz] is negative or not finite.
     """
 
     split_hz: float | None = 0.0
@@ -61,7 +65,7 @@ class Target:
 class TrimResult:
     """Trim of one device.
 
-    voltages_v, at_limit : (E,).
+    voltages_v, at_limit : (E,) [V], and whether each is at V_max.
     before, after : physical draws (n, 12) at the measurement and after the trim, with the uncertainty of the gains.
     missing_hz : distance of the planned anisotropy from its target, as a split [Hz]: due to a voltage limit, or, without one,
         the fraction gain_sd^2 by which the plan stays short.
@@ -224,7 +228,7 @@ def trim(
 
 @dataclass(frozen=True, eq=False)
 class TrimmedBatch:
-    """Devices after the trim: physical (B, 12), voltages_v [V] and at_limit (B, E), split_hz (B,) without cancellation."""
+    """Devices after the trim: physical (B, 12), voltages_v [V] and at_limit (B, E), split_hz (B,) [Hz] without cancellation."""
 
     physical: FloatArray
     voltages_v: FloatArray
@@ -239,7 +243,7 @@ def trim_batch(
 
     Parameters
     ----------
-    physical : true parameters (B, 12).
+    physical : true parameters (B, 12) [units of ``PHYSICAL``].
     electrodes, target : as in :func:`trim`; the plan uses the nominal gains.
     gains : ratio of true to nominal gains (B, E), from ``electrodes.draw_gains``.
     rounds : number of measurements and trims, at least 1.

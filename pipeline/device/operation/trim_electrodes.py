@@ -24,6 +24,10 @@ class Electrodes:
     gain_per_v2 : k_e (E,) [(rad/s)^2 / V^2], see :func:`gain_per_v2`.
     gain_sd : relative sd of each k_e.
     most_v : V_max [V].
+
+    Raises
+    ------
+    ConfigError : lists of different lengths, no pair, or a value out of range.
     """
 
     azimuth_deg: tuple[float, ...]
@@ -48,13 +52,13 @@ class Electrodes:
             raise ConfigError("the limit of the trim voltages must be positive", value=self.most_v, allowed="> 0 V")
 
     def directions(self) -> ComplexArray:
-        """exp(2 i beta_e) (E,), exact if 2 beta is a multiple of 90 deg."""
+        """exp(2 i beta_e) (E,) [1], exact if 2 beta is a multiple of 90 deg."""
         turns = np.mod(np.array(self.azimuth_deg) / 45.0, 4.0)
         whole = np.array([1.0, 1j, -1.0, -1j])[np.round(turns).astype(int) % 4]
         return np.asarray(np.where(turns == np.round(turns), whole, np.exp(0.5j * np.pi * turns)))
 
     def draw_gains(self, random: np.random.Generator, count: int) -> FloatArray:
-        """Ratios of true to nominal gain (count, E): lognormal with mean 1 and relative sd ``gain_sd``."""
+        """Ratios of true to nominal gain (count, E) [1]: lognormal with mean 1 and relative sd ``gain_sd``."""
         spread = np.sqrt(np.log1p(self.gain_sd**2))
         return np.asarray(np.exp(spread * random.standard_normal((count, len(self.azimuth_deg))) - spread**2 / 2.0))
 
@@ -74,6 +78,11 @@ def standard_electrodes(
     gain_sd: float = 0.05,
     most_v: float = 15.0,
 ) -> Electrodes:
-    """Equal pairs at ``azimuth_deg`` [deg]; four pairs 45 deg apart can correct every anisotropy."""
+    """Equal pairs at ``azimuth_deg`` [deg]; four pairs 45 deg apart can correct every anisotropy.
+
+    Raises
+    ------
+    ConfigError : as in :class:`Electrodes`.
+    """
     gain = gain_per_v2(softening_hz_per_v2, rocking_hz)
     return Electrodes(azimuth_deg, (gain,) * len(azimuth_deg), gain_sd, most_v)

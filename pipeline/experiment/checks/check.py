@@ -1,4 +1,4 @@
-"""Test a campaign before any fit, and say what to write into campaign.toml.
+"""Test a campaign before any fit, and state what to write into campaign.toml.
 
 | kind | found from |
 |---|---|

@@ -26,7 +26,7 @@ References = dict[str, tuple[float, StandardDeviation]]
 
 
 class AntiAliasTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The analog filter before the converter."""
+    """The analog filter before the converter: ``order`` poles, -3 dB at ``corner_hz`` [Hz]."""
 
     order: FilterOrder
     corner_hz: Positive
@@ -38,7 +38,7 @@ class AntiAliasTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AdcTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The converter: ``bits`` over +- ``full_scale_v``."""
+    """The converter: ``bits`` over +- ``full_scale_v`` [V]."""
 
     bits: AdcBits
     full_scale_v: Positive
@@ -49,7 +49,7 @@ class AdcTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The instrument.  ``antialias`` and ``adc`` that are absent or ``false``: none."""
+    """The instrument [Hz, V].  ``antialias`` and ``adc`` that are absent or ``false``: none."""
 
     sample_rate_hz: Positive | None = None
     hold: Hold = "zoh"
@@ -58,7 +58,7 @@ class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
     adc: AdcTable | Literal[False] | None = None
 
     def built(self, sample_rate_hz: float) -> Instrument:
-        """The instrument that this table describes, at ``sample_rate_hz``."""
+        """The instrument that this table describes, at ``sample_rate_hz`` [Hz]."""
         return Instrument(
             sample_rate_hz,
             self.hold,
@@ -76,7 +76,7 @@ class DeviceTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DemodulationTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """Phase error of the demodulation, and the mode whose frequency is omega_0."""
+    """Phase error of the demodulation [deg], and the mode whose frequency is omega_0."""
 
     phase_error_deg: PhaseError = 0.0
     drive: Literal["f1", "f2"] = "f1"

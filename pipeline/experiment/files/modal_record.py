@@ -60,7 +60,7 @@ class ModalRecord:
 
 
 class ModeTable(msgspec.Struct, forbid_unknown_fields=True):
-    """One [[mode]] table; sd is [sd of R1, sd of R0 / w]."""
+    """One [[mode]] table: R1 (S, D) [1/s], R0 (S, D) [1/s^2]; sd is [sd of R1, sd of R0 / w] [1/s]."""
 
     frequency_hz: Positive
     zeta: Annotated[float, Meta(gt=0.0, lt=1.0)]
@@ -70,7 +70,7 @@ class ModeTable(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class ModalTable(msgspec.Struct, forbid_unknown_fields=True):
-    """The whole file."""
+    """The whole file; ``rate_dps`` is the angular rate [deg/s]."""
 
     kind: Literal["modal"]
     mode: Annotated[list[ModeTable], Meta(min_length=1)]

@@ -74,22 +74,22 @@ class Steps:
 
     @property
     def coordinates(self) -> int:
-        """n."""
+        """Number n of coordinates."""
         return self.factors.size // 2
 
     def padded(self, rows: FloatArray) -> FloatArray:
-        """Rows (r, 2n) in the padded layout (r, 2H), unscaled."""
+        """Rows (r, 2n) in the padded layout (r, 2H), units unchanged."""
         out = np.zeros((rows.shape[0], 2 * self.half_size))
         out[:, self.index] = rows
         return out
 
     def padded_start(self, start: FloatArray | None) -> FloatArray:
-        """A state (2n,), scaled and padded (2H,); ``None`` is rest."""
+        """A state (2n,) [V s, V], scaled and padded (2H,) [V]; ``None`` is rest."""
         return self.padded((np.zeros_like(self.factors) if start is None else start * self.factors)[None])[0]
 
 
 def steps_of(mechanics: Mechanics, step_s: float, hold: Hold, substeps: int) -> Steps:
-    """Exact propagators of ``mechanics`` (a batch of one) for drive samples ``step_s`` seconds apart."""
+    """Exact propagators of ``mechanics`` (a batch of one) for drive samples ``step_s`` [s] apart, per half substep."""
     a = state_matrix(mechanics)[0]
     n, drives = mechanics.drive.shape[1:]
     # In (scale q, q') the matrix is balanced, so its exponential loses no digits.
@@ -200,7 +200,7 @@ class Motion:
 def linear_motion(
     mechanics: Mechanics, drive: FloatArray, step_s: float, hold: Hold, start: FloatArray | None, substeps: int
 ) -> Motion:
-    """The linear trajectory, for ``perturbed_motion``; arguments as in ``trajectory``."""
+    """The linear trajectory under ``drive`` (N, D) [V] from ``start`` (2n,); arguments as in ``trajectory``."""
     steps = steps_of(mechanics, step_s, hold, substeps)
     u = np.ascontiguousarray(drive)
     states = np.empty((2 * (u.shape[0] - 1) * substeps + 1, 2 * steps.half_size))
@@ -220,7 +220,7 @@ def linear_motion(
 
 
 def perturbed_motion(motion: Motion, forces: Forces, laws: Laws, reads: FloatArray) -> FloatArray:
-    """Pick-off volts (M, S) of the deviation that ``forces`` cause along ``motion``, to first order in the forces.
+    """Volts (M, S) [V] at the pick-offs due to the deviation that ``forces`` cause along ``motion``, to first order.
 
     ``reads`` (S, 2n) gives pick-off volts from a state; ``forces`` and ``laws`` as in ``trajectory``.
 

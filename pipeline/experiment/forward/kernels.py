@@ -82,8 +82,8 @@ def deviation_from_linear(
     forces, count, p, laws : force functions (``MOST_FORCES``, the first ``count`` act), their parameters, and what they use.
     half, held, ramp : (2H, 2H), (D, 2H), (D, 2H) response over half a substep to a state, a drive and the slope of a drive.
     scale, step_s, substeps, n : factor of q in a state [rad/s], time between samples [s], substeps, coordinates.
-    drive, sloped : (N, D) volts; whether the drive is linear between samples (first-order hold).
-    start : (2H,) state at the first sample.
+    drive, sloped : (N, D) [V]; whether the drive is linear between samples (first-order hold).
+    start : (2H,) state at the first sample [V].
     taps : (T, 2H).
     linear : (M, T) taps of the linear motion, filled; (0, T) where it is not wanted.
     deviation : (M, T) taps of the deviation, filled.
@@ -191,7 +191,10 @@ def linear_states(
     start: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (2M - 1, 2H) with the linear motion at every half substep; arguments as in ``deviation_from_linear``."""
+    """Fill ``out`` (2M - 1, 2H) [V] with the linear motion at every half substep.
+
+    Arguments as in ``deviation_from_linear``.
+    """
     size = 2 * len(shape)
     drives = held.shape[0]
     half_s = 0.5 * step_s / substeps
@@ -233,7 +236,7 @@ def first_order_deviation(
     taps: FloatArray,
     deviation: FloatArray,
 ) -> None:
-    """Fill ``deviation`` (M, T) with the motion that forces cause, to first order in the forces.
+    """Fill ``deviation`` (M, T), the taps of the motion [V] that forces cause, to first order in the forces.
 
     The forces k1, k2, k3 act along the known linear ``states`` (2M - 1, 2H), at the start, middle and end of a substep
     (Simpson's rule):  d <- E^2 d + h/6 (E^2 k1 + 4 E k2 + k3).  ``whole`` is E^2; the other arguments are those of

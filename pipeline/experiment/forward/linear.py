@@ -4,7 +4,7 @@
 
 - G H in partial fractions has the residues G(p_k) R_k at the poles p_k of the mechanics and Q_j H(q_j) at the poles q_j of
   the read-out.
-- Feedthrough behind a filter has the residues Q_j (R + q_j C) at q_j, plus the direct part (sum_j Q_j) C.  Without a filter
+- Feedthrough followed by a filter has the residues Q_j (R + q_j C) at q_j, plus the direct part (sum_j Q_j) C.  Without a filter
   it is R v plus C times the slope of v just before the sample.
 - A delay tau reads each state before its sample: with m + 1 = ceil(tau f_s) and t = (m + 1)/f_s - tau,
 
@@ -65,7 +65,7 @@ def interpolated(drive_v: FloatArray, clock: SampleClock) -> FloatArray:
 
 
 def upper_poles(readout: Readout) -> tuple[ComplexArray, ComplexArray]:
-    """Poles with Im >= 0 [rad/s] and their residues; real poles with half their residue, because the conjugate is added."""
+    """Poles (J,) with Im >= 0 and residues (J, S, S) [rad/s]; a real pole has half its residue, because conj is added."""
     real = np.abs(readout.poles.imag) < 1e-9 * np.abs(readout.poles)
     keep = (readout.poles.imag > 0.0) | real
     weight = np.where(real, 0.5, 1.0)[keep]
@@ -205,7 +205,7 @@ def _direct_feedthrough(
 
 
 def shifted(y: FloatArray, steps: int) -> FloatArray:
-    """y (N, ..) delayed by whole steps, zero before."""
+    """y (N, ...) delayed by whole samples, zero before; unit unchanged."""
     if steps == 0:
         return y
     out = np.zeros_like(y)

@@ -51,7 +51,7 @@ def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
 
 
 def full_start(system: System, start: FloatArray) -> FloatArray:
-    """State (2n,) of all coordinates from that of the plant's coordinates; coordinates that effects append start at rest."""
+    """State (2n,) [V s, V] from that of the plant's own coordinates; coordinates that effects append start at rest."""
     n, own = system.mechanics.stiffness.shape[1], start.size // 2
     full = np.zeros(2 * n)
     full[:own], full[n : n + own] = start[:own], start[own:]
@@ -122,7 +122,7 @@ def linear_motions(system: System, group: DriveGroup, starts: Starts | None, sub
 
 
 def first_order_response(system: System, group: DriveGroup, motions: Sequence[Motion]) -> FloatArray:
-    """As ``nonlinear_response``, to first order in the force and sense effects.
+    """As ``nonlinear_response`` (R, N, S) [V], to first order in the force and sense effects.
 
     ``motions`` are the linear trajectories of the records (``linear_motions``).
     """

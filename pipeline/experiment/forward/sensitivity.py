@@ -82,7 +82,7 @@ def tuned_steps(
     angular_gain: float | None = None,
     start: FloatArray | None = None,
 ) -> FloatArray:
-    """Steps (P,) for ``jacobian``; those of force and sense effects change this record by about ``SHARE`` of its rms.
+    """Steps (P,) for ``jacobian``, in units of x; steps of force and sense effects change the record by ``SHARE`` of its rms.
 
     Arguments and errors as in ``forward``.
     """
@@ -166,7 +166,7 @@ def nonlinear_columns(
     places: Sequence[int],
     starts: Starts | None = None,
 ) -> NonlinearColumns:
-    """Derivatives of the nonlinear response with respect to the free parameters with index ``places``.
+    """Derivatives (R, N, S) [V per unit of x] of the nonlinear response with respect to the free parameters ``places``.
 
     The other arguments are those of ``group_jacobian``.
     """
@@ -203,7 +203,7 @@ def group_jacobian(
     exact: bool = False,
     nonlinear: NonlinearColumns | None = None,
 ) -> FloatArray:
-    """dy/dx (P, R, N, S) of the records of a drive group; arguments as in ``jacobian``, with one start per record.
+    """dy/dx (P, R, N, S) [V per unit of x] of a drive group; arguments as in ``jacobian``, with one start per record.
 
     ``nonlinear`` : derivatives of the nonlinear response, if they are known already (``nonlinear_columns``).
 

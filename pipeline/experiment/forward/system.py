@@ -54,7 +54,7 @@ class System:
     mechanics : a batch of one.
     readout : filter, delay, crosstalk and feedthrough.
     context : conditions and values that effects may use.
-    sense_motion, drive_motion : (S, n) and (D, n) as in ``device.plant``, zero for appended coordinates.
+    sense_motion, drive_motion : (S, n) and (D, n) [1] as in ``device.plant``, zero for appended coordinates.
     axes : nonlinear laws act on the first ``axes`` coordinates.
     drives, forces, senses, adcs : effects of these stages, with their parameters (k,).
     """
@@ -86,7 +86,7 @@ class System:
 
 
 def acting(model: Model, values: Mapping[str, float], conditions: Conditions) -> list[tuple[Effect, FloatArray]]:
-    """Effects that are not at their null, with their parameters (k,), sorted by name; ``values`` must be complete."""
+    """Effects not at their null, with parameters (k,) [declared units], sorted by name; ``values`` must be complete."""
     shape = model.built.shape
     found: dict[str, tuple[Effect, FloatArray]] = {}
     for effect in model.ordered_effects():

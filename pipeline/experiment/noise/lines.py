@@ -38,7 +38,7 @@ def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend
 
 
 def lines_removed(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:
-    """Degrees of freedom per channel that :func:`without_lines` removes."""
+    """Degrees of freedom per channel that :func:`without_lines` removes; ``sample_rate_hz``, ``line_hz`` [Hz]."""
     return 1 if line_hz is None else 1 + 2 * (math.ceil(sample_rate_hz / 2.0 / line_hz - 1e-9) - 1)
 
 
@@ -74,7 +74,7 @@ def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, ad
 
 
 def hum_line(y: FloatArray, sample_rate_hz: float) -> float | None:
-    """Mains frequency (50 or 60 Hz) with significant harmonics in a silent record (N, S), or ``None``.
+    """Mains frequency, 50 or 60 [Hz], with significant harmonics in a silent record (N, S) [V], or ``None``.
 
     F-test of the harmonics against the residual, at 0.1 % for each of the two frequencies.
     """

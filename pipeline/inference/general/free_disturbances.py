@@ -84,7 +84,7 @@ def free_shapes(
     effect : with a disturbance.
     shape : numbers of drives and senses of the plant.
     residuals : (N, S) in sigmas, of each fit record.
-    sample_rates_hz : of each fit record.
+    sample_rates_hz : of each fit record [Hz].
     """
     members = effect.members(shape)
     spectra = [np.abs(rfft(r, axis=0)) ** 2 * (2.0 / r.shape[0]) for r in residuals]

@@ -62,7 +62,7 @@ _NOTABLE = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class GaussNewtonResult:
-    """The end of a fit: its point, normal matrix (P, P), the columns of each record, and whether it converged."""
+    """The end of a fit: its point, normal matrix (P, P) [1/unit of x, squared], the columns of each record, convergence."""
 
     at: FitPoint
     normal: FloatArray

@@ -25,12 +25,12 @@ def _error(fit: CampaignFit) -> float:
 
 
 def full_band_goodness(fit: CampaignFit) -> GoodnessOfFit:
-    """Error and chi2 over all samples of the fit records."""
+    """Error [1] and chi2 over all samples of the fit records."""
     return GoodnessOfFit(_error(fit), fit.chi2, fit.dof)
 
 
 def band_goodness(fit: CampaignFit, campaign: Campaign, low_hz: float, high_hz: float) -> GoodnessOfFit:
-    """Full-band error of the fit records, and their chi2 in the band [low, high] Hz as in the in-band likelihood."""
+    """Full-band error [1] of the fit records, and their chi2 in the band low to high [Hz], as in the in-band likelihood."""
     chi2, rows = 0.0, 0
     residuals = {record.name: record.residual for record in fit.records}
     for record in campaign.with_role("fit"):

@@ -31,8 +31,8 @@ class FitPoint:
 
     Parameters
     ----------
-    x : smooth coordinates (P,).
-    starts : initial state (2n,) of each record, ``None`` where it starts at rest.
+    x : smooth coordinates (P,) [units of ``Model``].
+    starts : initial state (2n,) [V s, V] of each record, ``None`` where it starts at rest.
     predicted : (N, S) [V] of each record.
     residuals : (N, S) of each record, in sigmas.
     chi2 : of the residuals and the priors.
@@ -62,7 +62,7 @@ def point_at(
     starts: tuple[FloatArray | None, ...],
     chi2_max: float = np.inf,
 ) -> FitPoint | None:
-    """The point at ``x`` (P,), or ``None`` where no device can have these parameters or chi2 exceeds ``chi2_max``."""
+    """The point at ``x`` (P,) [units of ``Model``]; ``None`` where ``x`` is out of range or chi2 exceeds ``chi2_max``."""
     try:
         values = problem.model.to_values(x)
         if not problem.model.allowed(values):
@@ -81,7 +81,7 @@ def point_at(
 def sensitivities_at(
     problem: CampaignResiduals, at: FitPoint, tasks: Tasks, exact: bool, steps: FloatArray
 ) -> list[Sensitivity]:
-    """The columns of each record; ``exact`` and ``steps`` (P,) as in ``CampaignResiduals.columns``."""
+    """Columns (N S, P) of each record, sigmas per unit of x; ``exact``, ``steps`` (P,) as in ``CampaignResiduals.columns``."""
     values = problem.model.to_values(at.x)
     free = [
         None if start is None else problem.start_columns(values, task, start, exact)
@@ -93,7 +93,7 @@ def sensitivities_at(
 def normal_equations(
     model: Model, at: FitPoint, sensitivities: Sequence[Sensitivity]
 ) -> tuple[FloatArray, FloatArray, list[Elimination | None]]:
-    """Normal matrix (P, P) and slope (P,), initial states eliminated; what recovers those, record by record."""
+    """J^T J (P, P) and J^T r (P,) with priors [sigma^2 over units of x], initial states eliminated; what recovers those."""
     size = at.x.size
     normal, slope = np.zeros((size, size)), np.zeros(size)
     eliminated: list[Elimination | None] = []
@@ -120,7 +120,7 @@ def normal_equations(
 def starts_after(
     starts: Sequence[FloatArray | None], eliminated: Sequence[Elimination | None], dx: FloatArray
 ) -> tuple[FloatArray | None, ...]:
-    """The initial states (2n,) that belong to a step ``dx`` (P,)."""
+    """The initial states (2n,) [V s, V] that minimise chi2 after a step ``dx`` (P,) of x."""
     return tuple(
         start if e is None or start is None else start + e[0] @ (e[2] - e[1] @ dx)
         for start, e in zip(starts, eliminated)
@@ -128,14 +128,14 @@ def starts_after(
 
 
 def expected_decrease(slope: FloatArray, newton: FloatArray, eliminated: Sequence[Elimination | None]) -> float:
-    """Decrease of chi2 after the undamped step ``newton`` (P,), for linear residuals."""
+    """Decrease of chi2 [1] after the undamped step ``newton`` (P,), for linear residuals; ``slope`` (P,) = J^T r."""
     return float(newton @ slope) + sum(float(e[2] @ e[0] @ e[2]) for e in eliminated if e is not None)
 
 
 def damped_step(
     normal: FloatArray, slope: FloatArray, damping: float, moving: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Damped step (P,) of the ``moving`` parameters (P,), and the undamped one.
+    """Damped step (P,) [units of x] of the ``moving`` parameters (P,), and the undamped one, from J^T J (P, P), J^T r (P,).
 
     ``damping`` is added to the eigenvalues of the normal matrix in units of each parameter's own sensitivity (Levenberg,
     Quart. Appl. Math. 2 (1944) 164).
@@ -156,7 +156,7 @@ def damped_step(
 def broyden_update(
     sensitivities: Sequence[Sensitivity], before: FitPoint, after: FitPoint, weight: FloatArray
 ) -> list[Sensitivity]:
-    """The columns of x corrected along the step just made (Broyden, Math. Comp. 19 (1965) 577); weight (P,)."""
+    """Columns (N S, P) in sigmas corrected along the last step (Broyden, Math. Comp. 19 (1965) 577); ``weight`` (P,)."""
     step = after.x - before.x
     along = weight * step
     length = float(along @ step)
@@ -172,7 +172,7 @@ def broyden_update(
 
 
 def relative_change(before: Sequence[FloatArray], after: Sequence[FloatArray]) -> float:
-    """Norm of the change of all records (N, S) over their norm before."""
+    """Norm of the change of all records (N, S) over their norm before [1]."""
     change = sum(float(np.sum((b - a) ** 2)) for a, b in zip(before, after))
     return float(np.sqrt(change / max(sum(float(np.sum(a**2)) for a in before), 1e-300)))
 

@@ -49,9 +49,9 @@ class LinearizedResiduals(CampaignResiduals):
         return self._slopes[number]
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
-        """0: there is no nonlinear response to differentiate."""
+        """0 [1]: there is no nonlinear response to differentiate."""
         return 0.0
 
     def relative_size_change(self, before: FloatArray, after: FloatArray) -> float:
-        """0: the columns of the force and sense laws are constant."""
+        """0 [1] for all x (P,): the columns of the force and sense laws are constant."""
         return 0.0

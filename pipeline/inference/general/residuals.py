@@ -35,7 +35,7 @@ from ...threads import mapped
 
 
 def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, instrument: Instrument) -> FloatArray:
-    """Orthonormal basis (N, L) of the nuisances of ``record``: offset, lines, and the filter transient if it is not at rest."""
+    """Orthonormal basis (N, L) [1] of the nuisances of ``record``: offset, lines, filter transient if not at rest."""
     samples = record.drive_v.shape[0]
     t = np.arange(samples) / record.sample_rate_hz
     columns = [np.ones((samples, 1))]
@@ -61,7 +61,7 @@ def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A record in a fit: nuisance basis (N, L), number of coordinates with a free initial state (0: at rest), drive group."""
+    """A record in a fit: nuisance basis (N, L) [1], number of coordinates with free initial state (0: at rest), drive group."""
 
     record: Record
     basis: FloatArray
@@ -115,7 +115,7 @@ class CampaignResiduals:
         return assemble(self.model, values, self.instrument, group.conditions)
 
     def whiten(self, y: FloatArray, task: Task) -> FloatArray:
-        """P y / sigma of y (.., N, S) [V]."""
+        """P y / sigma (..., N, S) in sigmas, of y (..., N, S) [V]."""
         own = task.basis.T @ y
         rest = np.empty_like(y)
         # One channel at a time: contiguous samples are several times faster than interleaved channels.
@@ -125,7 +125,7 @@ class CampaignResiduals:
         return rest
 
     def predictions(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
-        """Predicted volts (N, S) of each record, without nuisances; initial states ``starts``, each (2n,) or ``None``."""
+        """Prediction (N, S) [V] of each record without nuisances; initial states ``starts``, each (2n,) [V s, V] or ``None``."""
         out: list[FloatArray] = [np.zeros(0)] * len(tasks.each)
         for number, (places, group) in enumerate(tasks.groups):
             system = self.system(values, group)
@@ -149,13 +149,13 @@ class CampaignResiduals:
         return [self.whiten(task.record.sense_v - y, task) for task, y in zip(tasks.each, predicted)]
 
     def residuals(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:
-        """Residuals (N, S) of each record, in sigmas, at complete ``values``."""
+        """P (y - f) / sigma (N, S) of each record, in sigmas, at complete ``values``."""
         return self.residuals_of(self.predictions(values, tasks, starts), tasks)
 
     def start_columns(
         self, values: Mapping[str, float], task: Task, start: FloatArray | None, exact: bool
     ) -> FloatArray:
-        """Derivatives (N S, 2 n) with respect to the initial state, in sigmas; ``exact`` includes nonlinear effects."""
+        """Derivatives (N S, 2n) by the initial state, in sigmas per [V s, V]; ``exact`` includes nonlinear effects."""
         group = task.group
         system = self.system(values, group)
         m, clock = system.mechanics, group.clock
@@ -175,14 +175,14 @@ class CampaignResiduals:
         return self.whiten(columns, task).reshape(2 * own, -1).T
 
     def steps(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:
-        """Steps (P,) of the difference quotients in smooth coordinates, tuned to the record of ``task``."""
+        """Steps (P,) of the difference quotients, in units of x, tuned to the record of ``task``."""
         gain = self.angular_gain
         return tuned_steps(self.model, values, task.record, self.instrument, angular_gain=gain, start=start)
 
     def columns(
         self, values: Mapping[str, float], tasks: Tasks, starts: Starts, exact: bool, steps: FloatArray
     ) -> list[FloatArray]:
-        """Derivatives (N S, P) of each record with respect to the smooth coordinates, in sigmas.
+        """Derivatives (N S, P) of each record with respect to the smooth coordinates, in sigmas per unit of x.
 
         Parameters
         ----------
@@ -205,7 +205,7 @@ class CampaignResiduals:
         return out
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
-        """Norm of the nonlinear response over that of the linear response of a record; 0 without force and sense laws."""
+        """Norm of the nonlinear response over that of the linear response [1]; 0 without force and sense laws."""
         system = self.system(values, task.group)
         if not (system.forces or system.senses):
             return 0.0
@@ -213,7 +213,7 @@ class CampaignResiduals:
         return float(np.linalg.norm(nonlinear)) / max(float(np.linalg.norm(linear)), 1e-300)
 
     def relative_size_change(self, before: FloatArray, after: FloatArray) -> float:
-        """Largest relative change of a parameter of a force or sense law between two points x (P,)."""
+        """Largest relative change [1] of a parameter of a force or sense law between two points x (P,)."""
         own = [i for i, name in enumerate(self.model.free) if is_integrated(self.model, name)]
         change, size = np.abs(after - before)[own], np.maximum(np.abs(before), np.abs(after))[own]
         return float(np.max(change / np.maximum(size, 1e-300), initial=0.0))

@@ -137,7 +137,7 @@ def residues_of(
 def gyro_start(
     records: Sequence[Record], instrument: Instrument, sigma_v: FloatArray, low_hz: float, high_hz: float
 ) -> FloatArray:
-    """Cartesian parameters (12,) of plant "gyro" from the spectra of ``records`` in the band; needs hold "zoh" or "foh"."""
+    """Cartesian parameters (12,) [units of ``device.gyro``] from spectra in the band [Hz]; needs hold "zoh" or "foh"."""
     poles = modes_from_spectra(records, 3, low_hz, high_hz, sigma_v)
     residues = residues_of(records, poles, instrument, low_hz, high_hz)
     # The residues of up-down motion have equal signs; those of rocking motion cancel in the sum.

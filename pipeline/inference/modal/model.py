@@ -66,7 +66,7 @@ def conditions(record: ModalRecord) -> Conditions:
 
 
 def linear_modes(system: System) -> tuple[ComplexArray, ComplexArray]:
-    """Poles (n,) [rad/s] of the mechanics, and residues (n, S, D) [1/s] behind the read-out; equal poles are merged."""
+    """Poles (n,) [rad/s] of the mechanics, and residues (n, S, D) [1/s] after the read-out; equal poles are merged."""
     modes = modes_of(system.mechanics)
     poles, own = modes.poles[0], modes.residues[0]
     first = np.array([int(np.argmax(np.abs(poles - p) < _SAME * np.abs(p))) for p in poles])

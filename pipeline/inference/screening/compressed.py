@@ -71,7 +71,7 @@ def _stacked(spectrum: ComplexArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class BandData:
-    """One record in its band: ``spectrum`` (S, W) of the senses, and an orthonormal ``nuisance`` basis (2 W, L)."""
+    """One record in its band: ``spectrum`` (S, W) [V] of the senses, and an orthonormal ``nuisance`` basis (2 W, L) [1]."""
 
     band: Band
     spectrum: ComplexArray
@@ -79,7 +79,7 @@ class BandData:
 
 
 def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
-    """Orthonormal basis (2 W, L) of hum lines (harmonics of ``line_hz``) in the band; L = 0 without hum."""
+    """Orthonormal basis (2 W, L) [1] of hum lines (harmonics of ``line_hz`` [Hz]) in the band; L = 0 without hum."""
     if line_hz is None:
         return np.zeros((2 * band.bins.size, 0))
     frequency = band.frequency_hz
@@ -158,7 +158,7 @@ def _triangle_times(triangle: FloatArray, c: FloatArray, out: FloatArray) -> Non
 
 @njit(cache=True)
 def allowed(x: FloatArray) -> bool:
-    """The support of the prior at x (12,): damping positive semidefinite, up-down mode damped, imbalances below 1."""
+    """Support of the prior at x (12,) [rad/s, 1/s, 1]: C positive semidefinite, up-down mode damped, imbalances below 1."""
     return bool(
         x[3] > 0.0
         and x[4] * x[4] + x[5] * x[5] <= x[3] * x[3]
@@ -190,7 +190,7 @@ def residual_rows(
 
 @njit(cache=True)
 def jacobian_rows(x: FloatArray, expansion: ComplexArray, triangle: FloatArray, sigma: FloatArray) -> FloatArray:
-    """d model / d x (2 r, 12) in sigmas, by central differences of c(x), which is smooth and cheap to evaluate."""
+    """d model / d x (2 r, 12), in sigmas per unit of x (12,), by central differences of c(x)."""
     rows = triangle.shape[0]
     size = x.size
     c_plus = np.empty((2, _FEATURES))
@@ -215,7 +215,7 @@ def jacobian_rows(x: FloatArray, expansion: ComplexArray, triangle: FloatArray, 
 def log_likelihood(
     points: FloatArray, expansion: ComplexArray, triangle: FloatArray, data: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """-chi2/2 of the compressed part at ``points`` (n, 12), -inf outside the prior's support; (n,)."""
+    """-chi2/2 (n,) [1] of the compressed part at ``points`` (n, 12), -inf outside the support of the prior."""
     count = points.shape[0]
     rows = triangle.shape[0]
     c = np.zeros((count, 2, _FEATURES))

@@ -45,7 +45,7 @@ class IdentificationSettings:
 
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
-    """Columns of the devices table, the estimate behind them, and the fit; ``None`` where the fit failed."""
+    """Columns of the devices table, the estimate from which they come, and the fit; ``None`` where the fit failed."""
 
     columns: dict[str, Value]
     estimate: Estimate
@@ -54,7 +54,7 @@ class DeviceResult:
 
 @dataclass(frozen=True, eq=False)
 class FitRecord:
-    """A fit record with its band and nuisance basis (2 W, L), which all devices with the same drive can share."""
+    """A fit record with its band and nuisance basis (2 W, L) [1], shared by all devices with the same drive."""
 
     record: Record
     band: Band
@@ -62,7 +62,7 @@ class FitRecord:
 
 
 def prepare(record: Record, instrument: Instrument, settings: IdentificationSettings) -> FitRecord:
-    """``record`` with its band and nuisance basis."""
+    """``record`` with its band and nuisance basis (2 W, L) [1]; ConfigError as in ``make_band``."""
     band = make_band(record.drive_v, instrument, settings.low_hz, settings.high_hz)
     return FitRecord(record, band, nuisance_basis(band, settings.line_hz))
 
@@ -128,7 +128,7 @@ def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[
 
 
 def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> FloatArray:
-    """Pick-off volts (N, 2) behind the anti-alias filter, of cartesian parameters x (12,) under a drive (N, 2) [V]."""
+    """Pick-off volts (N, 2) [V] after the anti-alias filter, of cartesian parameters x (12,) under a drive (N, 2) [V]."""
     bank = behind_filter(gyro_modes(to_physical(x[None])), instrument.antialias)
     return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
 

@@ -4,7 +4,7 @@ A pole p driven by held samples v from rest, x[n+1] = z x[n] + g v[n], has the d
 
     X(w) = (g(p) V(w) - e^{iw} x_N(p)) / (e^{iw} - z(p)),      x_N = g sum_n z^{N-1-n} v[n]
 
-The end state x_N depends on the pole; a constant x_N would make the sd of the split 39 times larger.  Behind the filter
+The end state x_N depends on the pole; a constant x_N would make the sd of the split 39 times larger.  After the filter
 G = sum_j r_j/(s - q_j)
 
     Phi(w; p) = G(p) X(w; p) + sum_j r_j / (q_j - p) X(w; q_j)
@@ -37,10 +37,10 @@ class Band:
 
     Parameters
     ----------
-    sample_rate_hz, samples : of the record.
+    sample_rate_hz, samples : of the record [Hz, 1].
     bins, e_iw : (W,) indices of the bins, and e^{iw}.
     drive_v : (N, D) [V].
-    now, following : (D, W) transforms of v[n] and v[n+1].
+    now, following : (D, W) transforms of v[n] and v[n+1] [V].
     antialias, first_order_hold : of the instrument.
     q, filter_part : poles of the filter (order,) [rad/s], and r_j X(w; q_j), (order, D, W).
     """
@@ -59,11 +59,11 @@ class Band:
 
     @property
     def frequency_hz(self) -> FloatArray:
-        """(W,) [Hz]."""
+        """Frequencies of the bins (W,) [Hz]."""
         return self.bins * self.sample_rate_hz / self.samples
 
     def transform(self, y: FloatArray) -> ComplexArray:
-        """Fourier transform (C, W) of a record (N, C) at the bins of the band."""
+        """sum_n y[n] exp(-i w n) (C, W) [V] of a record y (N, C) [V] at the bins of the band."""
         return np.ascontiguousarray(rfft(y.T, axis=-1)[:, self.bins])
 
 

@@ -55,7 +55,7 @@ class Posterior:
     move: str
 
     def flat(self) -> FloatArray:
-        """All draws, (E n L, 12)."""
+        """All draws (E n L, 12) [units of ``device.gyro``]."""
         return self.draws.reshape(-1, self.draws.shape[-1])
 
 
@@ -71,7 +71,7 @@ def _t_draws(count: int, size: int, random: Any) -> FloatArray:
 
 
 def diagnose(draws: FloatArray) -> tuple[float, float]:
-    """Largest split R-hat across ensembles and smallest ESS of the mean, over the parameters of draws (E, n, P)."""
+    """Largest split R-hat [1] across ensembles and smallest ESS [draws] of the mean, over parameters of draws (E, n, P)."""
     series = np.moveaxis(draws, -1, 0)
     rhat = array_stats.rhat(series, chain_axis=-2, draw_axis=-1, method="split")
     ess = array_stats.ess(series, chain_axis=-2, draw_axis=-1, method="mean")

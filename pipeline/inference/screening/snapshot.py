@@ -37,7 +37,7 @@ _LEAST_ESS = 200.0
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The estimate from the first ``duration_s`` seconds of a record.
+    """The estimate from the first ``duration_s`` [s] of a record.
 
     ``x`` (12,) is the cartesian point from which the next snapshot may start its fit; ``None`` where nothing was found.
     """
@@ -48,7 +48,7 @@ class Snapshot:
 
 
 def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray, bool]:
-    """Cartesian posterior draws (n, 12), and whether their effective number suffices.
+    """Cartesian posterior draws (n, 12) [units of ``device.gyro``], and whether their effective number suffices.
 
     Parameters
     ----------

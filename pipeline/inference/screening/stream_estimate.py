@@ -75,7 +75,7 @@ def route_of(model: ArxModel, instrument: Instrument, settings: StreamSettings) 
 def starts_of(
     routes: Sequence[RouteResult], record: Record, instrument: Instrument, settings: StreamSettings, sigma_v: FloatArray
 ) -> list[FloatArray]:
-    """Start values (12,): the modes of each route with and without damping anisotropy, and those of the record's spectrum."""
+    """Cartesian starts (12,): modes of each route with and without damping anisotropy, and of the spectrum; sigma (S,) [V]."""
     found: list[FloatArray] = []
     for route in routes:
         start = start_from_modes(route.poles, route.residues)
@@ -88,7 +88,7 @@ def starts_of(
 
 
 def lattice_route(stream: Stream, order: int | None = None) -> RouteResult | None:
-    """The paper's route from the present lattice, at any order up to its own; ``None`` as long as it has no three modes."""
+    """The paper's route from the present lattice, at any order up to its own; ``None`` where its three modes are not found."""
     if stream.lattice is None:
         return None
     try:
@@ -115,7 +115,7 @@ def estimate(
     Parameters
     ----------
     stream : the state; the drive has started.
-    noise : of :func:`noise_of`; constant once the drive has started.
+    noise : sigma (S,) [V] and mains frequency [Hz], of :func:`noise_of`; constant once the drive has started.
     previous : cartesian point (12,) of an earlier snapshot of this stream, if any.
     rate, gate : as for ``identify_device``.
     seed : stream of the posterior draws.

@@ -32,7 +32,12 @@ def _dialect(path: Path) -> tuple[str, str]:
 
 
 def read(path: Path) -> Columns:
-    """All columns (N,); columns of text are kept, so that a message can name them."""
+    """All columns (N,); columns of text are kept, so that a message can name them.
+
+    Raises
+    ------
+    MeasurementError : no header, a column name that occurs twice, or more values than the file can hold.
+    """
     size = path.stat().st_size
     allow(size // _MAX_BYTES_PER_VALUE, 2**62)
     delimiter, decimal = _dialect(path)

@@ -123,7 +123,12 @@ def _variables(data: bytes, order: str) -> dict[str, Value]:
 
 
 def read(path: Path) -> Columns:
-    """All real vectors (N,), as variables or inside the only struct of the file."""
+    """All real vectors (N,), as variables or inside the only struct of the file.
+
+    Raises
+    ------
+    MeasurementError : the file is damaged, of an unknown version, or states more values than it can hold.
+    """
     size = path.stat().st_size
     with path.open("rb") as file:
         start = file.read(1024)

@@ -47,7 +47,7 @@ def allow(values: int, file_bytes: int) -> None:
 
 
 def vector(values: NDArray[Any]) -> NDArray[Any] | None:
-    """A row or column vector as (N,); ``None`` if ``values`` is not a vector of real numbers."""
+    """A row or column vector as (N,), unit unchanged; ``None`` if ``values`` is not a vector of real numbers."""
     if values.dtype.kind not in "fiub" or values.ndim == 0 or values.size != max(values.shape, default=0):
         return None
     return np.ravel(values)

@@ -47,7 +47,12 @@ def _log_entries_raise(library: Any) -> Iterator[None]:
 
 
 def read(path: Path) -> Columns:
-    """Channels (N,) of the only group of the file; without a channel ``time_s``, time follows from the waveform increment."""
+    """Channels (N,) of the only group of the file; without a channel ``time_s``, time follows from the waveform increment [s].
+
+    Raises
+    ------
+    MeasurementError : not exactly one group with channels, or more values than the file can hold.
+    """
     # The file is opened here, because the library does not close it when it fails.
     library = _library()
     with path.open("rb") as stream, _log_entries_raise(library), library.TdmsFile.open(stream) as file:
