@@ -80,12 +80,12 @@ class Site:
         return np.take(drawn, back)
 
     def complex_normal(self, level: Level, label: str = "") -> ComplexArray:
-        """A 2-theta quantity (B,) without preferred axis: a complex normal with unit sd in each component."""
+        """A 2-theta quantity (B,) [1] without preferred axis: a complex normal with unit sd in each component."""
         real, imaginary = self.normal(level, 2, label)
         return as_complex(real, imaginary)
 
     def field(self, length_mm: float) -> FloatArray:
-        """Gaussian process (B,) on each wafer: unit variance, correlation exp(-d / length)."""
+        """Gaussian process (B,) [1] on each wafer: unit variance, correlation exp(-d / length), lengths [mm]."""
         factor = field_factor(self.wafer, length_mm)
         keys, back = np.unique(self.places.wafer, return_inverse=True)
         # One product per wafer: the rounding of BLAS depends on the shape of the matrices.
@@ -97,7 +97,7 @@ class Site:
         return np.deg2rad(np.array(self.device.spring_azimuth_deg))[:, None]
 
     def spring_places(self) -> tuple[FloatArray, FloatArray]:
-        """x and y (J, B) of the springs on the wafer, in units of the wafer's radius."""
+        """x and y (J, B) of the springs on the wafer [wafer radius]."""
         azimuth, radius = self.spring_azimuth(), self.wafer.diameter_mm / 2.0
         r = self.device.spring_radius * self.device.arm_mm
         return (self.places.x_mm + r * np.cos(azimuth)) / radius, (self.places.y_mm + r * np.sin(azimuth)) / radius

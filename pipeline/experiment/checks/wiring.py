@@ -64,7 +64,7 @@ class Wiring:
 
 
 def hold_factor(pole: complex, sample_rate_hz: float, hold: Hold) -> complex:
-    """Residue with held drive samples over the residue of the continuous system, (g0 + g1 z) / (z T); pole in rad/s."""
+    """Residue with held drive samples over the residue of the continuous system, (g0 + g1 z) / (z T) [1]; pole [rad/s]."""
     if hold == "bandlimited":
         return 1.0 + 0.0j
     z, g0, g1 = hold_gains(np.array([pole]), 1.0 / sample_rate_hz, hold)

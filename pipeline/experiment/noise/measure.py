@@ -44,7 +44,7 @@ def hum_volts(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random
 
 
 def convert(volts: FloatArray, adc: Adc | None) -> FloatArray:
-    """Q(v): the nearest code of a mid-tread ADC, in volts, for any shape; unchanged without an ADC."""
+    """Q(v): the nearest code of a mid-tread ADC [V], for ``volts`` of any shape; unchanged without an ADC."""
     if adc is None:
         return volts
     half = 2.0 ** (adc.bits - 1)
