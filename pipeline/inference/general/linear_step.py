@@ -178,7 +178,7 @@ def relative_change(before: Sequence[FloatArray], after: Sequence[FloatArray]) -
 
 
 def covariance_of(normal: FloatArray) -> tuple[FloatArray, bool]:
-    """Inverse (P, P) [unit of x, squared] of the normal matrix scaled to unit diagonal; whether all x are determined."""
+    """Covariance (P, P) [unit of x, squared]: pseudoinverse of the normal matrix; whether all parameters are determined."""
     scale = np.sqrt(np.diagonal(normal))
     determined = bool(np.all(scale > 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
