@@ -63,13 +63,22 @@ def with_quantisation(variance: FloatArray, adc: Adc | None) -> FloatArray:
     return np.where(quiet, variance + adc.lsb_v**2 / 12.0, variance)
 
 
-def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, adc: Adc | None) -> FloatArray:
-    """sigma (S,) [V] of a silent record y (N, S); LSB^2/12 is added where silence does not exercise the ADC."""
+def silent_residual(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, FloatArray]:
+    """A silent record y (N, S) [V] without offset, trend and lines, (N, S), and its variance (S,) [V^2]."""
     samples = y.shape[0]
     trend = line_basis(samples, sample_rate_hz, None, True)
     residual = without_lines(y - trend @ (trend.T @ y), sample_rate_hz, line_hz)
-    removed = 1 + lines_removed(samples, sample_rate_hz, line_hz)
-    variance = np.sum(residual**2, axis=0) / max(samples - removed, 1)
+    return residual, np.sum(residual**2, axis=0) / silent_dof(samples, sample_rate_hz, line_hz)
+
+
+def silent_dof(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:
+    """Degrees of freedom per channel of :func:`silent_residual`; ``sample_rate_hz``, ``line_hz`` [Hz]."""
+    return max(samples - 1 - lines_removed(samples, sample_rate_hz, line_hz), 1)
+
+
+def silent_sigma(y: FloatArray, sample_rate_hz: float, line_hz: float | None, adc: Adc | None) -> FloatArray:
+    """sigma (S,) [V] of a silent record y (N, S); LSB^2/12 is added where silence does not exercise the ADC."""
+    _, variance = silent_residual(y, sample_rate_hz, line_hz)
     return np.sqrt(with_quantisation(variance, adc))
 
 
