@@ -25,6 +25,7 @@ from pipeline.experiment.files.common_tables import (
     Positive,
 )
 from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.noise.source import Kind, NoiseKind
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.sample import SamplerSettings
 from pipeline.toml_files import MAY_BE_INFINITE
@@ -106,10 +107,21 @@ class RunInstrumentTable(InstrumentTable, frozen=True, forbid_unknown_fields=Tru
 
 
 class NoiseTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """White noise: sigma [V], or the SNR [dB] of each device (rms of the signal in the window over sigma)."""
+    """Noise level: sigma [V], or the SNR [dB] of each device (rms of the signal in the window over sigma); and its kind.
+
+    ``coefficient`` belongs to "ar", ``corner_hz`` to "1/f", ``jitter_s`` to "jitter"; sigma of "1/f" is that of its white part.
+    """
 
     sigma_v: Positive | None = None
     snr_db: Annotated[float, Meta(ge=-400.0, extra=MAY_BE_INFINITE)] | None = None
+    kind: Kind = "white"
+    coefficient: Annotated[float, Meta(gt=-1.0, lt=1.0)] = 0.7
+    corner_hz: NotNegative = 1000.0
+    jitter_s: NotNegative = 3e-7
+
+    def noise_kind(self) -> NoiseKind:
+        """The kind of noise that the table describes."""
+        return NoiseKind(self.kind, self.coefficient, self.corner_hz, self.jitter_s)
 
 
 class HumTable(Struct, frozen=True, forbid_unknown_fields=True):

@@ -249,7 +249,8 @@ def _measure(
         quiet = isinstance(excitation, Silence)
         volts: FloatArray = empty.sense_v if quiet else forward(model, parameters, empty, instrument, angular_gain=gain)
         random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM_NOISE, i)))
-        records.append(replace(empty, sense_v=measured(volts, rate, sigma_v, hum, instrument.adc, random)))
+        y = measured(volts, rate, sigma_v, hum, instrument.adc, random, config.noise.noise_kind())
+        records.append(replace(empty, sense_v=y))
     return Campaign(
         f"virtual-{seed}",
         tuple(records),

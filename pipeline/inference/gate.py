@@ -1,7 +1,9 @@
 """The gate and the status of an estimate: does the model explain the records well enough for its sd to be believed?
 
-    error            = rms((measured - model) / sigma), full band, offset and hum lines removed and counted
-    theta_bias_bound = sd(theta) sqrt(excess) sqrt(1 - s^2) / s,    excess = max(chi2 - dof - 3 sqrt(2 dof), 0)
+    error            = rms((measured - model) / noise), full band, offset and hum lines removed and counted
+    theta_bias_bound = sd(theta) sqrt(excess) sqrt(1 - s^2) / s,    excess = max(chi2 - dof - 3 sd(chi2), 0)
+
+sd(chi2) is sqrt(2 dof) for white noise; it is larger where the level of coloured noise in the band is less well known.
 
 The free parameters of a fit absorb most of the signature of a missing effect; at least the share s = 0.16 remains in the
 residual (the smallest share of the library, that of damping drift).  The excess measures the part that remains.  The part
@@ -14,11 +16,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from typing import Literal
-
-import numpy as np
-
-from ..arrays import FloatArray
-from ..experiment.noise.lines import lines_removed, without_lines
 
 SURVIVING_SHARE = 0.16
 
@@ -35,11 +32,15 @@ class Gate:
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """How well a model explains the records: full-band error, and chi2 with its degrees of freedom for the bias bound."""
+    """How well a model explains the records: full-band error, and chi2 with its degrees of freedom for the bias bound.
+
+    ``chi2_sd`` is the sd of chi2 where the model is right; ``None`` is sqrt(2 dof).
+    """
 
     error: float
     chi2: float
     dof: int
+    chi2_sd: float | None = None
 
     @property
     def chi2_per_dof(self) -> float:
@@ -48,19 +49,8 @@ class GoodnessOfFit:
 
     def theta_bias_bound_deg(self, theta_sd_deg: float) -> float:
         """Bound on the bias of theta [deg] from the sd of theta [deg]; 0 without significant excess."""
-        excess = max(self.chi2 - self.dof - 3.0 * math.sqrt(2.0 * self.dof), 0.0)
+        excess = max(self.chi2 - self.dof - 3.0 * (self.chi2_sd or math.sqrt(2.0 * self.dof)), 0.0)
         return theta_sd_deg * math.sqrt(excess * (1.0 - SURVIVING_SHARE**2)) / SURVIVING_SHARE
-
-
-def full_band_error(
-    measured_v: FloatArray, model_v: FloatArray, sigma_v: FloatArray, sample_rate_hz: float, line_hz: float | None
-) -> tuple[float, float]:
-    """error and relative error of one record; measured and model (N, S) [V], sigma (S,) [V]."""
-    rest = without_lines(measured_v - model_v, sample_rate_hz, line_hz)
-    samples, senses = measured_v.shape
-    dof = senses * (samples - lines_removed(samples, sample_rate_hz, line_hz))
-    error = np.sqrt(np.sum((rest / sigma_v) ** 2) / dof)
-    return float(error), float(np.linalg.norm(rest) / max(float(np.linalg.norm(measured_v)), 1e-300))
 
 
 def misfit_reason(goodness: GoodnessOfFit, theta_sd_deg: float | None, gate: Gate) -> str | None:

@@ -87,6 +87,15 @@ _ROUTE = (
 
 _QUALITY = (
     _number("error", "1", "rms of (measured - model)/sigma, full band; 1 = explained down to the noise"),
+    _number(
+        "error_all_noise",
+        "1",
+        "rms of (measured - model)/noise, full band, with the noise that depends on the signal; judged by the gate",
+    ),
+    _text("noise_colour", "white or coloured, as silence shows the noise"),
+    _number(
+        "jitter_s", "s", "sd of the sampling instants, from the residual above the band; null where not significant"
+    ),
     _number("relative_error", "1", "rms(measured - model)/rms(measured)"),
     _number("chi2_per_dof", "1", "chi2 of the in-band fit per degree of freedom"),
     _number(

@@ -18,9 +18,9 @@ from ..screening.virtual_device import identify_virtual
 from ..studies.coverage import Share, figures, run_study
 
 
-def coverage(devices: int, splits: str, seed: int, workers: int, json: bool) -> None:
+def coverage(devices: int, splits: str, noise: str, seed: int, workers: int, json: bool) -> None:
     """See ``gyroscreen benchmark coverage --help``."""
-    show(figures(run_study(devices, splits, seed, workers)), json)
+    show(figures(run_study(devices, splits, seed, workers, noise)), json)
 
 
 def show(found: dict[str, Any], json: bool) -> None:

@@ -20,8 +20,8 @@ from pipeline.experiment.antialias import behind_filter
 from pipeline.experiment.excitation import drive_samples
 from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.forward.record import forward
-from pipeline.experiment.noise.lines import silent_sigma
 from pipeline.experiment.noise.measure import measured
+from pipeline.experiment.noise.spectrum import noise_spectrum
 from pipeline.experiment.record import Record
 from pipeline.identification.bandpass import window_slice
 from pipeline.inference.screening.device import DeviceResult, FitRecord, identify_device, prepare
@@ -132,20 +132,21 @@ def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray,
     random = np.random.default_rng(device_seed(config, NOISE_STREAM, int(drawn.index[i])))
     hum, rate = config.hum_source(), instrument.sample_rate_hz
     quiet = np.zeros((round(config.experiment.silence_s * rate), 2))
-    silent = measured(quiet, rate, sigma, hum, instrument.adc, random)
-    return silent, measured(volts, rate, sigma, hum, instrument.adc, random), sigma
+    kind = config.noise.noise_kind()
+    silent = measured(quiet, rate, sigma, hum, instrument.adc, random, kind)
+    return silent, measured(volts, rate, sigma, hum, instrument.adc, random, kind), sigma
 
 
 def identify_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> DeviceResult:
-    """Simulate the records of device ``i`` of a draw, measure sigma on the silent one, and identify the device."""
+    """Simulate the records of device ``i`` of a draw, measure the noise on the silent one, and identify the device."""
     instrument = config.instrument.instrument()
     shared = shared_record(config)
     silent, fit, _ = virtual_records(config, drawn, i)
-    sigma = silent_sigma(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
+    noise = noise_spectrum(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
     record = Record("chirp", instrument.sample_rate_hz, shared.record.drive_v, fit, role="fit")
     return identify_device(
         [FitRecord(record, shared.band, shared.nuisance)],
-        sigma,
+        noise,
         instrument,
         settings_of(config),
         config.posterior.settings(),

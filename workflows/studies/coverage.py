@@ -1,8 +1,8 @@
 """Study of the efficiency of the estimates and the coverage of the intervals.
 
-On virtual devices at a signal-to-noise ratio of 60 dB (rms of the 2 s window over white sigma):
+On virtual devices at a signal-to-noise ratio of 60 dB (rms of the 2 s window over sigma), or with noise of another kind:
 
-    z = (estimate - truth) / sd_CRLB,    sd_CRLB from the Fisher information at the true parameters
+    z = (estimate - truth) / sd_CRLB,    sd_CRLB from the Fisher information at the true parameters, white noise only
     coverage = share of devices whose truth lies inside the 90 % interval
 
 ``splits = "small"`` replaces the split of each drawn device by one log-uniform in 0.02 to 0.5 Hz.
@@ -10,9 +10,9 @@ On virtual devices at a signal-to-noise ratio of 60 dB (rms of the 2 s window ov
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
@@ -22,8 +22,11 @@ from pipeline.arrays import FloatArray
 from pipeline.axial import difference
 from pipeline.device.gyro import split_hz, to_cartesian, to_physical
 from pipeline.errors import UsageError
+from pipeline.experiment.noise.source import Kind
+from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.compressed import BandData
 from pipeline.inference.screening.fit import information_covariance
+from pipeline.quantities import AXES
 from populations.draw import Draw, draw
 from reports.yields import clopper_pearson
 
@@ -31,25 +34,29 @@ from ..config import RunConfig, load_config
 from ..config_tables import NoiseTable
 from ..machine import worker_count
 from ..screening.cluster import cluster, in_parallel
-from ..screening.settings import population
+from ..screening.settings import population, rate_of
 from ..screening.virtual_device import identify_virtual, physical_of, shared_record, virtual_records
 
 Splits = Literal["population", "small"]
 _SPLIT_STREAM = 104
 _BLOCK = 10
+#: Quantities whose intervals are checked, and what the figures call them.
+COVERED = {"theta_deg": "theta", "split_hz": "split", "zeta1": "zeta1", "rate_bias_dps": "rate bias"}
 _STEP = 1e-6
 
 
 @dataclass(frozen=True)
 class Row:
-    """One device: true split [Hz], status, errors in units of the Cramer-Rao sd, coverage, size of the posterior."""
+    """One device: true split [Hz], status, errors in units of the Cramer-Rao sd, size of the posterior.
+
+    ``inside`` names the quantities of ``COVERED`` whose truth lies inside the 90 % interval.
+    """
 
     split_hz: float
     status: str
     z_theta: float
     z_split: float
-    theta_inside: bool
-    split_inside: bool
+    inside: frozenset[str]
     ess: float
 
 
@@ -73,11 +80,12 @@ class Share:
         return f"{100 * self.count / self.total:.1f} % ({self.count}/{self.total}, {100 * low:.1f} to {100 * high:.1f})"
 
 
-def study_config(seed: int, devices: int) -> RunConfig:
-    """The default run at 60 dB, no draws stored."""
+def study_config(seed: int, devices: int, noise: Kind = "white") -> RunConfig:
+    """The default run, no draws stored: white noise at 60 dB, or the default level with another kind of ``noise``."""
     config = load_config(None, {"seed": seed, "devices": devices})
     posterior = msgspec.structs.replace(config.posterior, stored_draws=0)
-    return msgspec.structs.replace(config, noise=NoiseTable(snr_db=60.0), posterior=posterior)
+    level = NoiseTable(snr_db=60.0) if noise == "white" else msgspec.structs.replace(config.noise, kind=noise)
+    return msgspec.structs.replace(config, noise=level, posterior=posterior)
 
 
 def with_small_splits(drawn: Draw, seed: int) -> Draw:
@@ -126,40 +134,47 @@ def study_block(job: tuple[RunConfig, Splits], span: tuple[int, int]) -> list[Ro
 
 def _row(config: RunConfig, drawn: Draw, i: int, gain: float) -> Row:
     result = identify_virtual(config, drawn, i, gain)
-    theta, split = float(drawn.true["theta_deg"][i]), float(drawn.true["split_hz"][i])
+    split = float(drawn.true["split_hz"][i])
     if result.fit is None:
-        return Row(split, result.estimate.status, np.nan, np.nan, False, False, 0.0)
-    _, _, sigma = virtual_records(config, drawn, i)
-    adc = config.instrument.instrument().adc
-    total = np.sqrt(sigma**2 + (adc.lsb_v**2 / 12.0 if adc else 0.0))
-    sd_theta, sd_split = bound_sd(config, physical_of(drawn.true)[i], np.full(2, total))
+        return Row(split, result.estimate.status, np.nan, np.nan, frozenset(), 0.0)
+    physical = physical_of(drawn.true)[i]
+    truth = quantities(physical, rate_of(config, gain), drawn.true["split_hz"][i])
     c: dict[str, Any] = result.columns
-    off = float(difference(c["theta_deg"], theta))
-    low = float(difference(c["theta_deg_q05"], theta))
-    high = float(difference(c["theta_deg_q95"], theta))
-    return Row(
-        split,
-        result.estimate.status,
-        off / sd_theta,
-        (c["split_hz"] - split) / sd_split,
-        low <= 0.0 <= high,
-        c["split_hz_q05"] <= split <= c["split_hz_q95"],
-        c["ess"],
-    )
+    z_theta = z_split = np.nan
+    if config.noise.kind == "white":
+        _, _, sigma = virtual_records(config, drawn, i)
+        adc = config.instrument.instrument().adc
+        total = np.sqrt(sigma**2 + (adc.lsb_v**2 / 12.0 if adc else 0.0))
+        sd_theta, sd_split = bound_sd(config, physical, np.full(2, total))
+        z_theta = float(difference(c["theta_deg"], truth["theta_deg"])) / sd_theta
+        z_split = (c["split_hz"] - split) / sd_split
+    inside = frozenset(name for name in COVERED if _inside(c, name, float(truth[name])))
+    return Row(split, result.estimate.status, z_theta, z_split, inside, c["ess"])
 
 
-def run_study(devices: int, splits: str, seed: int, workers: int) -> list[Row]:
-    """Rows of all devices, in their order; ``splits`` is "population" or "small".
+def _inside(columns: Mapping[str, Any], name: str, truth: float) -> bool:
+    """Whether the 90 % interval of a quantity contains the ``truth``, in its unit."""
+    low, high = columns[f"{name}_q05"], columns[f"{name}_q95"]
+    if name in AXES:
+        return float(difference(low, truth)) <= 0.0 <= float(difference(high, truth))
+    return bool(low <= truth <= high)
+
+
+def run_study(devices: int, splits: str, seed: int, workers: int, noise: str = "white") -> list[Row]:
+    """Rows of all devices, in their order; ``splits`` is "population" or "small", ``noise`` a kind of the [noise] table.
 
     Raises
     ------
-    UsageError : unknown kind of splits, or no devices.
+    UsageError : unknown kind of splits or of noise, or no devices.
     """
+    kinds: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
+    if noise not in kinds:
+        raise UsageError("unknown kind of noise", value=noise, allowed=", ".join(kinds))
     if splits not in ("population", "small"):
         raise UsageError("unknown splits", value=splits, allowed="population, small")
     if devices < 1:
         raise UsageError("no devices to study", value=devices, allowed="1 or more")
-    config = study_config(seed, devices)
+    config = study_config(seed, devices, kinds[noise])
     spans = [(first, min(_BLOCK, devices - first)) for first in range(0, devices, _BLOCK)]
     found: list[Row] = []
     with cluster(min(worker_count(workers), len(spans)), None) as client:
@@ -174,14 +189,19 @@ def _rms(values: Sequence[float]) -> float:
 
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
     """The figures of the study by name; shares as :class:`Share`."""
-    resolved = [r for r in rows if r.split_hz >= 0.05 and np.isfinite(r.z_theta)]
+    resolved = [r for r in rows if r.split_hz >= 0.05 and r.status != "fit_failed"]
     wide = [r for r in rows if r.split_hz >= 0.2 and np.isfinite(r.z_theta)]
     tenth = [r for r in rows if r.split_hz >= 0.1]
+    inside = {
+        f"{label} inside its 90 % interval, split >= 0.05 Hz": Share(
+            sum(name in r.inside for r in resolved), len(resolved)
+        )
+        for name, label in COVERED.items()
+    }
     return {
         "devices": len(rows),
         "without a row": sum(not r.status for r in rows),
-        "theta inside its 90 % interval, split >= 0.05 Hz": Share(sum(r.theta_inside for r in resolved), len(resolved)),
-        "split inside its 90 % interval, split >= 0.05 Hz": Share(sum(r.split_inside for r in resolved), len(resolved)),
+        **inside,
         "rms (theta - truth)/CRLB, split >= 0.2 Hz": _rms([r.z_theta for r in wide]),
         "rms (split - truth)/CRLB, split >= 0.2 Hz": _rms([r.z_split for r in wide]),
         "status ok, split >= 0.1 Hz": Share(sum(r.status == "ok" for r in tenth), len(tenth)),

@@ -1,8 +1,8 @@
 """Simulated measurement of pick-off volts: hum, noise, ADC.
 
-    y = Q(S + sum_h a_h cos(2 pi h f t + phi_h) + sigma n),   Q rounds to the LSB and clips at full scale
+    y = Q(S + sum_h a_h cos(2 pi h f t + phi_h) + n),   Q rounds to the LSB and clips at full scale
 
-Noise is white and Gaussian.  Hum phases are random, one for each channel and harmonic.
+The noise n is that of ``source``, white by default.  Hum phases are random, one for each channel and harmonic.
 Shapes: S (N, senses) with N samples.  Units: volts, hertz.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ..instrument import Adc
+from .source import WHITE, NoiseKind, noise_volts
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,11 @@ def measured(
     hum: Hum,
     adc: Adc | None,
     random: np.random.Generator,
+    kind: NoiseKind = WHITE,
 ) -> FloatArray:
-    """Pick-off ``volts`` (N, senses) with hum and noise of sd ``sigma_v`` [V], after the ADC, (N, senses) [V]."""
+    """Pick-off ``volts`` (N, senses) with hum and noise of level ``sigma_v`` [V], after the ADC, (N, senses) [V]."""
     samples, senses = volts.shape
-    total = volts + sigma_v * random.standard_normal(volts.shape)
+    total = volts + noise_volts(kind, sigma_v, volts, sample_rate_hz, random)
     if hum.amplitude_v:
         total = total + hum_volts(hum, samples, sample_rate_hz, senses, random)
     return convert(total, adc)

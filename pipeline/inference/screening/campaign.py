@@ -13,6 +13,7 @@ import numpy as np
 from ...errors import MeasurementError
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.noise.lines import hum_line
+from ...experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
 from ...experiment.record import Campaign
 from ..estimate import RateSettings
 from ..gate import Gate
@@ -33,6 +34,17 @@ def campaign_noise(campaign: Campaign) -> tuple[NoiseLevel, float | None]:
     silent = campaign.with_role("noise")
     line_hz = hum_line(silent[0].sense_v, campaign.instrument.sample_rate_hz) if silent else None
     return noise_level(campaign, line_hz), line_hz
+
+
+def campaign_spectrum(campaign: Campaign, noise: NoiseLevel, line_hz: float | None) -> NoiseSpectrum:
+    """The spectrum of the noise: that of the longest silent record where it has a colour, else white at the level ``noise``."""
+    silent = max(campaign.with_role("noise"), key=lambda record: record.sense_v.shape[0], default=None)
+    rate = campaign.instrument.sample_rate_hz
+    if silent is not None and noise.source == "silent":
+        found = noise_spectrum(silent.sense_v, silent.sample_rate_hz, line_hz, campaign.instrument.adc)
+        if not found.white:
+            return found
+    return white_spectrum(noise.sigma_v, rate, noise.dof)
 
 
 def identify_campaign(
@@ -58,19 +70,19 @@ def identify_campaign(
     if not fit:
         raise MeasurementError("no record to fit", value=campaign.device_id, allowed='a record with role = "fit"')
     noise, line_hz = campaign_noise(campaign)
-    sigma_v = noise.sigma_v
-    if not np.all(sigma_v > 0.0):
+    if not np.all(noise.sigma_v > 0.0):
         raise MeasurementError(
             "a sense channel shows no noise",
-            value=[float(s) for s in sigma_v],
+            value=[float(s) for s in noise.sigma_v],
             allowed="noise above zero in every channel",
             next_step="check the silent record, or declare the converter in [instrument] adc",
         )
     with_hum = replace(settings, line_hz=line_hz)
     rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
     prepared = [prepare(record, campaign.instrument, with_hum) for record in fit]
-    result = identify_device(prepared, sigma_v, campaign.instrument, with_hum, sampler, gate, rate, seed)
+    spectrum = campaign_spectrum(campaign, noise, line_hz)
+    result = identify_device(prepared, spectrum, campaign.instrument, with_hum, sampler, gate, rate, seed)
     if noise.source != "local":
         return result
     # An error in units of a noise level that is estimated from the same driven records would not be independent.
-    return replace(result, columns={**result.columns, "error": None, "chi2_per_dof": None})
+    return replace(result, columns={**result.columns, "error": None, "error_all_noise": None, "chi2_per_dof": None})

@@ -8,7 +8,9 @@ so with the features in the columns of A (hum lines projected out) and A = Q T,
 
     chi2 = sum_a (|T c_a - Q^T y_a|^2 + |y_a - Q Q^T y_a|^2) 2 / (N sigma_a^2)
 
-costs a product with one small triangle per call instead of all bins.  Third order in h is exact to 2e-8 for |h| < 0.03 rad/s;
+costs a product with one small triangle per call instead of all bins.  Noise that is not white has a covariance D of Q^T y
+(``whitening``), whose factor divides triangle and data once, so that it costs nothing per call either.
+Third order in h is exact to 2e-8 for |h| < 0.03 rad/s;
 a new expansion is made when the poles leave that disc.
 
 Shapes: S = 2 senses, D = 2 drives, 3 modes, M = 4 orders, J = 48 real features (mode, drive, order, re/im), W bins.
@@ -28,6 +30,7 @@ from scipy.linalg import qr
 from ...arrays import ComplexArray, FloatArray
 from ...device.gyro import cartesian_modes
 from .inband import Band, features
+from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
 
 ORDER = 3
 _ORDERS = ORDER + 1
@@ -40,15 +43,19 @@ _STEPS: FloatArray = np.array([1e-4] * 8 + [1e-5] * 4)
 class Compressed:
     """The likelihood of one device around the poles ``expansion`` (3,) [rad/s].
 
-    triangle (r, J) is T; data (S, r) is Q^T y and rest_chi2 (S,) is |y - Q Q^T y|^2, both in sigmas; ``rows`` is the number
-    of real data.
+    triangle (S, r, J) is T and data (S, r) is Q^T y of each channel, in sigmas.  cross (r, J) is what the second channel's
+    coefficients add to the first channel's residual where the noise of both is correlated; (0, J) otherwise.  rest_chi2 (S,) is
+    |y - Q Q^T y|^2; ``rows`` is the number of real data, and ``chi2_sd`` the sd of chi2 at the
+    truth, ``None`` for white noise.
     """
 
     expansion: ComplexArray
     triangle: FloatArray
+    cross: FloatArray
     data: FloatArray
     rest_chi2: FloatArray
     rows: int
+    chi2_sd: float | None
 
 
 def _columns(band: Band, expansion: ComplexArray) -> FloatArray:
@@ -71,11 +78,15 @@ def _stacked(spectrum: ComplexArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class BandData:
-    """One record in its band: ``spectrum`` (S, W) [V] of the senses, and an orthonormal ``nuisance`` basis (2 W, L) [1]."""
+    """One record in its band: ``spectrum`` (S, W) [V] of the senses, and an orthonormal ``nuisance`` basis (2 W, L) [1].
+
+    ``noise`` is its noise where that is not white.
+    """
 
     band: Band
     spectrum: ComplexArray
     nuisance: FloatArray
+    noise: BandNoise | None = None
 
 
 def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
@@ -98,12 +109,15 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
     Parameters
     ----------
     records : one or more, of the same device.
-    sigma_v : noise (S,) [V] of a sample.
+    sigma_v : sd (S,) [V] of a sample, of the records whose noise is white.
     expansion : centre p0 of the Taylor series.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
     blocks: list[FloatArray] = []
     targets: list[FloatArray] = []
-    rows = 0
     for record in records:
         scale = math.sqrt(2.0 / record.band.samples)
         a = _columns(record.band, expansion) * scale
@@ -113,13 +127,40 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
             a, y = a - n @ (n.T @ a), y - n @ (n.T @ y)
         blocks.append(a)
         targets.append(y)
-        rows += a.shape[0] - n.shape[1]
-    stacked_y = np.concatenate(targets) / sigma_v
-    q, triangle = qr(np.concatenate(blocks), mode="economic", overwrite_a=True, check_finite=False)
-    data = q.T @ stacked_y
-    rest = np.maximum(np.sum(stacked_y**2, axis=0) - np.sum(data**2, axis=0), 0.0)
-    # The kernels divide the common triangle by the sigma of each channel.
-    return Compressed(expansion, np.ascontiguousarray(triangle), np.ascontiguousarray(data.T), rest, 2 * rows)
+    rows = sum(a.shape[0] - record.nuisance.shape[1] for a, record in zip(blocks, records))
+    if all(record.noise is None for record in records):
+        y = np.concatenate(targets) / sigma_v
+        q, triangle = qr(np.concatenate(blocks), mode="economic", overwrite_a=True, check_finite=False)
+        data = q.T @ y
+        rest = np.maximum(np.sum(y**2, axis=0) - np.sum(data**2, axis=0), 0.0)
+        scaled = np.ascontiguousarray(triangle / sigma_v[:, None, None])
+        none = np.zeros((0, triangle.shape[1]))
+        return Compressed(expansion, scaled, none, np.ascontiguousarray(data.T), rest, 2 * rows, math.sqrt(4.0 * rows))
+    noises = [record.noise or white_noise(sigma_v, record.band) for record in records]
+    y = np.concatenate(targets)
+    q, triangle = (
+        np.asarray(part, dtype=np.float64)
+        for part in qr(np.concatenate(blocks), mode="economic", overwrite_a=True, check_finite=False)
+    )
+    data = q.T @ y
+    left = y - q @ data
+    pairs = np.zeros((3, q.shape[1], q.shape[1]))
+    rest, variance, first = np.zeros(y.shape[1]), 0.0, 0
+    for record, noise, block in zip(records, noises, blocks):
+        own = slice(first, first + block.shape[0])
+        pairs += covariance(q[own], record.band, noise)
+        chi2, spread = rest_chi2(left[own], noise, record.nuisance.shape[1])
+        rest, variance, first = rest + chi2, variance + spread, own.stop
+    whitened, cross, target = whiten(pairs, triangle, data)
+    return Compressed(
+        expansion,
+        np.ascontiguousarray(whitened),
+        np.ascontiguousarray(cross),
+        np.ascontiguousarray(target),
+        rest,
+        2 * rows,
+        math.sqrt(variance),
+    )
 
 
 @njit(cache=True)
@@ -172,52 +213,61 @@ def allowed(x: FloatArray) -> bool:
 
 
 @njit(cache=True)
+def _model_rows(c: FloatArray, triangle: FloatArray, cross: FloatArray, out: FloatArray) -> None:
+    """T c (2 r,) in sigmas from coefficients c (2, J)."""
+    rows = triangle.shape[1]
+    for a in range(2):
+        _triangle_times(triangle[a], c[a], out[a * rows : (a + 1) * rows])
+    for i in range(cross.shape[0]):
+        for j in range(cross.shape[1]):
+            out[i] += cross[i, j] * c[1, j]
+
+
+@njit(cache=True)
 def residual_rows(
-    x: FloatArray, expansion: ComplexArray, triangle: FloatArray, data: FloatArray, sigma: FloatArray
+    x: FloatArray, expansion: ComplexArray, triangle: FloatArray, cross: FloatArray, data: FloatArray
 ) -> tuple[FloatArray, float]:
     """Residuals data - model (2 r,) in sigmas at x (12,), and the largest |h| [rad/s]."""
-    rows = triangle.shape[0]
+    rows = triangle.shape[1]
     c = np.empty((2, _FEATURES))
     shift = np.empty(3)
     _coefficients(x, expansion, c, shift)
     out = np.empty(2 * rows)
+    _model_rows(c, triangle, cross, out)
     for a in range(2):
-        _triangle_times(triangle, c[a], out[a * rows : (a + 1) * rows])
         for i in range(rows):
-            out[a * rows + i] = data[a, i] - out[a * rows + i] / sigma[a]
+            out[a * rows + i] = data[a, i] - out[a * rows + i]
     return out, float(shift.max())
 
 
 @njit(cache=True)
-def jacobian_rows(x: FloatArray, expansion: ComplexArray, triangle: FloatArray, sigma: FloatArray) -> FloatArray:
+def jacobian_rows(x: FloatArray, expansion: ComplexArray, triangle: FloatArray, cross: FloatArray) -> FloatArray:
     """d model / d x (2 r, 12), in sigmas per unit of x (12,), by central differences of c(x)."""
-    rows = triangle.shape[0]
+    rows = triangle.shape[1]
     size = x.size
     c_plus = np.empty((2, _FEATURES))
     c_minus = np.empty((2, _FEATURES))
     shift = np.empty(3)
     out = np.empty((2 * rows, size))
-    column = np.empty(rows)
+    column = np.empty(2 * rows)
     for i in range(size):
         moved = x.copy()
         moved[i] = x[i] + _STEPS[i]
         _coefficients(moved, expansion, c_plus, shift)
         moved[i] = x[i] - _STEPS[i]
         _coefficients(moved, expansion, c_minus, shift)
-        for a in range(2):
-            _triangle_times(triangle, (c_plus[a] - c_minus[a]) / (2.0 * _STEPS[i]), column)
-            for j in range(rows):
-                out[a * rows + j, i] = column[j] / sigma[a]
+        _model_rows((c_plus - c_minus) / (2.0 * _STEPS[i]), triangle, cross, column)
+        out[:, i] = column
     return out
 
 
 @njit(cache=True)
 def log_likelihood(
-    points: FloatArray, expansion: ComplexArray, triangle: FloatArray, data: FloatArray, sigma: FloatArray
+    points: FloatArray, expansion: ComplexArray, triangle: FloatArray, cross: FloatArray, data: FloatArray
 ) -> FloatArray:
     """-chi2/2 (n,) [1] of the compressed part at ``points`` (n, 12), -inf outside the support of the prior."""
     count = points.shape[0]
-    rows = triangle.shape[0]
+    rows = triangle.shape[1]
     c = np.zeros((count, 2, _FEATURES))
     shift = np.empty(3)
     inside = np.empty(count, dtype=np.bool_)
@@ -225,14 +275,18 @@ def log_likelihood(
         inside[n] = allowed(points[n])
         if inside[n]:
             _coefficients(points[n], expansion, c[n], shift)
-    model = np.dot(c.reshape(2 * count, _FEATURES), triangle.T)
+    first, second = np.ascontiguousarray(c[:, 0]), np.ascontiguousarray(c[:, 1])
+    model = np.empty((2, count, rows))
+    model[0] = np.dot(first, triangle[0].T)
+    model[1] = np.dot(second, triangle[1].T)
+    if cross.shape[0]:
+        model[0] += np.dot(second, cross.T)
     out = np.empty(count)
     for n in range(count):
         total = 0.0
         for a in range(2):
-            scale = 1.0 / sigma[a]
             for i in range(rows):
-                r = data[a, i] - model[2 * n + a, i] * scale
+                r = data[a, i] - model[a, n, i]
                 total += r * r
         out[n] = -0.5 * total if inside[n] else -np.inf
     return out

@@ -18,16 +18,19 @@ from ...device.gyro import gyro_modes, to_physical
 from ...experiment.antialias import behind_filter
 from ...experiment.forward.modal_bank import respond
 from ...experiment.instrument import Instrument
+from ...experiment.noise.spectrum import NoiseSpectrum
 from ...experiment.record import Record
 from ...identification.failure import IdentificationError
 from ...identification.route import RouteResult, identify_record
 from ..estimate import Estimate, RateSettings, cartesian_quantities, estimate_from
-from ..gate import Gate, GoodnessOfFit, full_band_error
+from ..gate import Gate, GoodnessOfFit
 from ..general.starts import gyro_start
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
 from .inband import Band, make_band
+from .quality import FullBandQuality, full_band_quality, with_dependent_noise
 from .sample import Posterior, SamplerSettings, not_converged_reason, sample
+from .whitening import band_noise
 
 Value = float | str | None
 
@@ -107,7 +110,8 @@ def _rank(fit: Fit) -> tuple[bool, float]:
 
 def explains(fit: Fit) -> bool:
     """Whether the fit converged to a chi2 that is at most 6 sd above its degrees of freedom."""
-    return fit.converged and fit.chi2 < fit.dof + 6.0 * math.sqrt(2.0 * fit.dof)
+    sd = fit.likelihood.chi2_sd or math.sqrt(2.0 * fit.dof)
+    return fit.converged and fit.chi2 < fit.dof + 6.0 * sd
 
 
 def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
@@ -142,7 +146,7 @@ def failed_result(reason: str, columns: dict[str, Value] | None = None) -> Devic
 
 def identify_device(
     fit_records: Sequence[FitRecord],
-    sigma_v: FloatArray,
+    noise: NoiseSpectrum,
     instrument: Instrument,
     settings: IdentificationSettings,
     sampler: SamplerSettings,
@@ -155,7 +159,7 @@ def identify_device(
     Parameters
     ----------
     fit_records : at least one; at rest before the first sample, two drives and two senses.
-    sigma_v : noise (2,) [V].
+    noise : spectrum of the noise of the silence, two channels.
     instrument, settings, sampler, gate, rate : see their classes.
     seed : random stream of this device.
 
@@ -179,7 +183,10 @@ def identify_device(
             reason = error.what
     if found:
         columns |= _route_columns(found[0])
-    data = [BandData(i.band, i.band.transform(i.record.sense_v), i.nuisance) for i in fit_records]
+    sigma_v = noise.sigma_v
+    data = [
+        BandData(i.band, i.band.transform(i.record.sense_v), i.nuisance, band_noise(noise, i.band)) for i in fit_records
+    ]
     fit = best_fit(data, sigma_v, _starts(found))
     if fit is None or not explains(fit):
         # The spectra still show the modes of a device with a Q too low for the ARX model.
@@ -188,48 +195,39 @@ def identify_device(
     if fit is None or not fit.converged:
         why = "the likelihood has no maximum near any start; check hold and antialias in campaign.toml"
         return failed_result(why if found else f"{why}; the paper's route: {reason}", columns)
+    models = [model_volts(fit.x, i.record.drive_v, instrument) for i in fit_records]
+    records = [i.record for i in fit_records]
+    quality = full_band_quality(records, models, noise, settings.line_hz)
+    if quality.louder:
+        quality, data = with_dependent_noise(quality, data, records, models, noise, settings.line_hz)
+        if quality.jitter is not None:
+            fit = best_fit(data, sigma_v, [fit.x]) or fit
     try:
         posterior = sample(fit, sampler, seed)
     except np.linalg.LinAlgError:
         return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
-    return _result(columns, fit_records, sigma_v, instrument, settings, sampler, gate, rate, fit, posterior)
+    return _result(columns, sampler, gate, rate, fit, posterior, quality)
 
 
 def _result(
     columns: dict[str, Value],
-    fit_records: Sequence[FitRecord],
-    sigma_v: FloatArray,
-    instrument: Instrument,
-    settings: IdentificationSettings,
     sampler: SamplerSettings,
     gate: Gate,
     rate: RateSettings,
     fit: Fit,
     posterior: Posterior,
+    quality: FullBandQuality,
 ) -> DeviceResult:
-    errors = [
-        full_band_error(
-            i.record.sense_v,
-            model_volts(fit.x, i.record.drive_v, instrument),
-            sigma_v,
-            instrument.sample_rate_hz,
-            settings.line_hz,
-        )
-        for i in fit_records
-    ]
-    weight = np.array([i.record.sense_v.shape[0] for i in fit_records], dtype=float)
-    error, relative_error = (math.sqrt(float(np.average([e[k] ** 2 for e in errors], weights=weight))) for k in (0, 1))
     estimate = estimate_from(
         cartesian_quantities(posterior.flat(), rate),
-        GoodnessOfFit(error, fit.chi2, fit.dof),
+        GoodnessOfFit(quality.error_all_noise, fit.chi2, fit.dof, fit.likelihood.chi2_sd),
         gate,
         not_converged_reason(posterior, sampler),
     )
     columns = {
         **columns,
         **estimate.columns,
-        "error": error,
-        "relative_error": relative_error,
+        **quality.columns(),
         "rhat": posterior.rhat,
         "ess": posterior.ess,
         "acceptance": posterior.acceptance,

@@ -35,7 +35,6 @@ class Fit:
     x, covariance : cartesian parameters (12,) and their covariance (12, 12).
     chi2, dof : in the band.
     likelihood : the compressed likelihood around the poles of ``x``.
-    sigma_v : noise (S,) [V].
     converged : false if the poles or the parameters did not converge.
     """
 
@@ -44,7 +43,6 @@ class Fit:
     chi2: float
     dof: int
     likelihood: Compressed
-    sigma_v: FloatArray
     converged: bool
 
 
@@ -99,19 +97,17 @@ def _poles(x: FloatArray) -> ComplexArray:
     return poles
 
 
-def _descend(
-    start: FloatArray, likelihood: Compressed, sigma: FloatArray, reach: float
-) -> tuple[FloatArray, bool, float]:
+def _descend(start: FloatArray, likelihood: Compressed, reach: float) -> tuple[FloatArray, bool, float]:
     """Levenberg-Marquardt from ``start`` (12,) within ``reach`` [rad/s] of the expansion.
 
     Returns x (12,), whether it converged, and the largest shift |h| of a pole [rad/s].
     """
     x = start
-    p0, triangle, data = likelihood.expansion, likelihood.triangle, likelihood.data
-    r, shift = residual_rows(x, p0, triangle, data, sigma)
+    p0, triangle, cross, data = likelihood.expansion, likelihood.triangle, likelihood.cross, likelihood.data
+    r, shift = residual_rows(x, p0, triangle, cross, data)
     chi2, damping = float(r @ r), 1e-6
     for _ in range(_ITERATIONS):
-        j = jacobian_rows(x, p0, triangle, sigma)
+        j = jacobian_rows(x, p0, triangle, cross)
         gram, slope = j.T @ j, j.T @ r
         scale = np.sqrt(np.diag(gram)) + 1e-300
         improved = False
@@ -119,7 +115,7 @@ def _descend(
             step = np.linalg.solve(gram / np.outer(scale, scale) + damping * np.eye(x.size), slope / scale) / scale
             trial = x + step
             if allowed(trial):
-                moved, shift_trial = residual_rows(trial, p0, triangle, data, sigma)
+                moved, shift_trial = residual_rows(trial, p0, triangle, cross, data)
                 if shift_trial <= max(reach, shift) and float(moved @ moved) <= chi2:
                     improved = True
                     break
@@ -146,7 +142,7 @@ def _covariance(j: FloatArray) -> FloatArray:
 def information_covariance(records: Sequence[BandData], sigma_v: FloatArray, x: FloatArray) -> FloatArray:
     """Cramer-Rao bound (12, 12): the inverse Fisher information of ``records`` at cartesian ``x`` (12,); sigma (S,) [V]."""
     likelihood = compress(records, sigma_v, _poles(x))
-    return _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
+    return _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, likelihood.cross))
 
 
 def maximise(records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray) -> Fit:
@@ -161,11 +157,11 @@ def maximise(records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray
     x, converged = start, False
     for _ in range(_EXPANSIONS):
         likelihood = compress(records, sigma_v, _poles(x))
-        x, minimum, shift = _descend(x, likelihood, sigma_v, 10.0 * _DISC)
+        x, minimum, shift = _descend(x, likelihood, 10.0 * _DISC)
         if minimum and shift < _DISC:
             converged = True
             break
-    r, _ = residual_rows(x, likelihood.expansion, likelihood.triangle, likelihood.data, sigma_v)
-    covariance = _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, sigma_v))
+    r, _ = residual_rows(x, likelihood.expansion, likelihood.triangle, likelihood.cross, likelihood.data)
+    covariance = _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, likelihood.cross))
     chi2 = float(r @ r + likelihood.rest_chi2.sum())
-    return Fit(x, covariance, chi2, likelihood.rows - x.size, likelihood, sigma_v, converged)
+    return Fit(x, covariance, chi2, likelihood.rows - x.size, likelihood, converged)

@@ -99,7 +99,7 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
     def log_posterior(unit: FloatArray) -> FloatArray:
         # Walkers move in whitened coordinates, because the scales of the parameters span twelve decades.
         points = fit.x + unit @ factor.T
-        return log_likelihood(points, likelihood.expansion, likelihood.triangle, likelihood.data, fit.sigma_v)
+        return log_likelihood(points, likelihood.expansion, likelihood.triangle, likelihood.cross, likelihood.data)
 
     streams = [np.random.RandomState(np.random.MT19937(child)) for child in seed.spawn(settings.ensembles + 1)]
     probe = _t_draws(_PROBE, size, streams[-1])

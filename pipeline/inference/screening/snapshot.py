@@ -67,7 +67,7 @@ def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray,
     unit *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, size=(_PROPOSALS, 1)))
     points = fit.x + unit @ factor.T
     p = fit.likelihood
-    log_weight = log_likelihood(points, p.expansion, p.triangle, p.data, fit.sigma_v)
+    log_weight = log_likelihood(points, p.expansion, p.triangle, p.cross, p.data)
     log_weight += 0.5 * (_FREEDOM + size) * np.log1p(np.sum(unit**2, axis=1) / _FREEDOM)
     weight = np.exp(log_weight - np.max(log_weight))
     weight /= weight.sum()

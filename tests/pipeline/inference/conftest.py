@@ -11,6 +11,7 @@ from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.noise.measure import Hum, measured
+from pipeline.experiment.noise.spectrum import white_spectrum
 from pipeline.experiment.record import Record
 from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
@@ -53,7 +54,7 @@ class Bench:
         fit = FitRecord(Record("chirp", RATE, self.drive, y), self.shared.band, self.shared.nuisance)
         return identify_device(
             [fit],
-            sigma,
+            white_spectrum(sigma, RATE, 10_000),
             self.instrument,
             self.settings,
             SamplerSettings(),

@@ -18,17 +18,18 @@ def coverage(
     splits: Annotated[
         str, typer.Option(help="'population', or 'small': log-uniform from 0.02 to 0.5 Hz.")
     ] = "population",
+    noise: Annotated[str, typer.Option(help="'white' at 60 dB, or 'ar', '1/f', 'jitter' as in [noise].")] = "white",
     seed: Seed = 2026,
     workers: Workers = 0,
     json: Json = False,
 ) -> None:
     """Coverage of 90 % intervals, and error over the CRLB.
 
-    The virtual devices are measured at 60 dB.
+    The virtual devices are those of the default run.
     """
     from ..benchmark import coverage as command
 
-    command(devices, splits, seed, workers, json)
+    command(devices, splits, noise, seed, workers, json)
 
 
 @app.command()

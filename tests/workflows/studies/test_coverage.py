@@ -1,0 +1,21 @@
+"""Intervals of the nightly run cover the truth whatever the kind of the noise: a small sample of `benchmark coverage`."""
+
+from __future__ import annotations
+
+import pytest
+
+from pipeline.errors import UsageError
+from workflows.studies.coverage import COVERED, run_study, study_block, study_config
+
+
+@pytest.mark.parametrize("noise", ["ar", "1/f", "jitter"])
+def test_intervals_cover_the_truth_with_noise_of_every_kind(noise):
+    rows = study_block((study_config(5, 24, noise), "population"), (0, 24))
+    assert all(row.status == "ok" for row in rows)
+    # Of 96 intervals 86 are expected; taken as white noise, AR(0.7) leaves 56.
+    assert sum(len(row.inside & set(COVERED)) for row in rows) > 76
+
+
+def test_an_unknown_kind_of_noise_is_refused():
+    with pytest.raises(UsageError, match="kind of noise"):
+        run_study(10, "population", 1, 1, "pink")
