@@ -20,7 +20,12 @@ class Quantity:
 
 
 MODEL: tuple[Quantity, ...] = (
-    Quantity("theta_deg", "deg", "angle of the lower-frequency principal stiffness axis from the x axis", True),
+    Quantity(
+        "theta_deg",
+        "deg",
+        "angle of the lower-frequency principal stiffness axis from the x axis of the sense electrodes, the frame of its sd",
+        True,
+    ),
     Quantity("split_hz", "Hz", "(omega2 - omega1)/2pi, omega_i^2 the eigenvalues of M^-1 K"),
     Quantity("f1_hz", "Hz", "undamped frequency of the lower rocking axis"),
     Quantity("f2_hz", "Hz", "undamped frequency of the upper rocking axis"),

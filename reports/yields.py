@@ -8,10 +8,7 @@ Three separate uncertainties:
 - measurement: which of these devices conform.  The number is a sum of independent Bernoulli(p_pass), a
   Poisson-binomial variable: mean sum p, variance sum p (1 - p).
 - sampling: how well these devices, as independent draws, represent the process: binomial.
-- clustering: devices of a wafer (or lot) are not independent draws of the process.  With G groups of n_g
-  devices and passed x_g,  var(y) = G/(G-1) sum_g (x_g - y n_g)^2 / n^2  (between-group linearisation), and
-  the interval is Clopper-Pearson at the effective number  n* = y (1 - y)/var(y) (t_{n-1}/t_{G-1})^2  (Korn
-  and Graubard 1998, Survey Methodology 24:193).
+- clustering: devices of a wafer (or lot) are not independent draws of the process; see ``clusters``.
 
 Yields and probabilities are shares of one, not percent.
 """
@@ -59,29 +56,6 @@ class Measurement:
     sd: float
     low: int
     high: int
-
-
-@dataclass(frozen=True)
-class Clustering:
-    """Spread of the yield between groups of devices.
-
-    Parameters
-    ----------
-    by : "wafer" or "lot".
-    groups : number of groups G.
-    between_sd : sd of the groups' true yields, after removal of their binomial scatter.
-    design_effect : var(yield) over its binomial value; 1 for independent devices.
-    effective : n*, the number of independent devices that would carry the same information.
-    interval : of the process yield, groups drawn at random; ``None`` with one group, which contains no
-        information about it.
-    """
-
-    by: str
-    groups: int
-    between_sd: float | None
-    design_effect: float | None
-    effective: float | None
-    interval: Interval | None
 
 
 @dataclass(frozen=True)
@@ -214,56 +188,6 @@ def measurement_uncertainty(p_pass: FloatArray, level: float = LEVEL) -> Measure
         low=certain + low,
         high=certain + min(high, uncertain.size),
     )
-
-
-def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: float = LEVEL) -> Clustering:
-    """The yield of the process, with whole groups as independent draws (Korn and Graubard 1998).
-
-    Parameters
-    ----------
-    verdicts : B verdicts; undecided counts as not passed.
-    groups : B names of the group of each device.
-    by : kind of group, "wafer" or "lot".
-    """
-    names = sorted(set(groups))
-    passed = np.array([verdict == "pass" for verdict in verdicts], dtype=np.float64)
-    index = np.searchsorted(names, groups) if names else np.zeros(0, np.int64)
-    size = np.bincount(index, minlength=len(names)).astype(np.float64)
-    count = np.bincount(index, weights=passed, minlength=len(names)).astype(np.float64)
-    n, g = float(passed.size), len(names)
-    if g < 2:
-        return Clustering(by, g, None, None, None, None)
-    share = float(passed.mean())
-    binomial = share * (1.0 - share) / n
-    variance = g / (g - 1.0) * float(np.sum((count - share * size) ** 2)) / n**2
-    if binomial == 0.0:
-        # Without scatter between groups only the number of devices determines the interval.
-        return Clustering(by, g, 0.0, None, n, clopper_pearson(share * n, n, level))
-    tail = 0.5 * (1.0 + level)
-    student = float(stats.t.ppf(tail, n - 1.0)) / float(stats.t.ppf(tail, g - 1.0))
-    # With few groups the variance can fall below the binomial one by chance; the binomial variance is the minimum.
-    effective = n * min(1.0, binomial / variance if variance > 0.0 else 1.0) * student**2
-    interval = clopper_pearson(share * effective, effective, level)
-    return Clustering(
-        by,
-        g,
-        _between_sd(share, size, count),
-        variance / binomial,
-        effective,
-        Interval(interval.low, interval.high, f"Korn-Graubard, {by}s as draws", level),
-    )
-
-
-def _between_sd(share: float, size: FloatArray, count: FloatArray) -> float:
-    """Sd of the groups' true yields by analysis of variance; 0 if their scatter is binomial."""
-    n, g = float(size.sum()), size.size
-    group_share = count / size
-    between = float(np.sum(size * (group_share - share) ** 2)) / (g - 1.0)
-    if n == g:
-        return 0.0
-    within = float(np.sum(count * (1.0 - group_share))) / (n - g)
-    mean_size = (n - float(np.sum(size**2)) / n) / (g - 1.0)
-    return float(np.sqrt(max(0.0, (between - within) / mean_size)))
 
 
 def by_group(

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Struct
 
 from pipeline.errors import ConfigError
+from pipeline.experiment.files.common_tables import SystematicTable, check_phase
 from pipeline.experiment.noise.measure import Hum
 from pipeline.toml_files import converted, decode, load
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
@@ -34,6 +35,8 @@ from .config_tables import (
     TrimTable,
 )
 
+#: The 2.5 % tail of a yield interval then consists of two values or more of the common errors.
+LEAST_STORED_DRAWS = 100
 DEFAULT_CONFIG = Path(__file__).parent / "configs" / "default.toml"
 
 
@@ -47,6 +50,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     noise: NoiseTable = NoiseTable()
     hum: HumTable = HumTable()
     demodulation: RunDemodulationTable = RunDemodulationTable()
+    systematic: SystematicTable = SystematicTable()
     identification: IdentificationTable = IdentificationTable()
     posterior: PosteriorTable = PosteriorTable()
     gate: GateTable = GateTable()
@@ -137,6 +141,14 @@ def _check(config: RunConfig, where: str) -> None:
             next_step='write path = ".." in [source]',
         )
     config.judged_by(where)
+    check_phase(config.demodulation, config.systematic, where)
+    if not config.systematic.built().exact and config.posterior.stored_draws < LEAST_STORED_DRAWS:
+        raise ConfigError(
+            f"{where}: posterior.stored_draws is too small for [systematic]",
+            value=config.posterior.stored_draws,
+            allowed=f"at least {LEAST_STORED_DRAWS}: each stored draw is one value of the common errors in the yield interval",
+            next_step="raise posterior.stored_draws or leave it out",
+        )
     if config.trim is not None:
         config.trim.electrodes()
         config.trim.target()

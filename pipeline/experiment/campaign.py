@@ -4,6 +4,8 @@
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
     [[record]]       file, role, rate_dps, bias_v, at_rest; name; start, stop (start <= n < stop of the file)
+    [systematic]     sds of errors that the devices of a tester share: phase_error_sd_deg, angular_gain_sd, gain_sd (relative),
+                     clock_sd_ppm, temperature_sd_c with tcf_ppm_per_c
     [reference]      quantity = [value, sd]
     [columns]        drive1_V = "V1"      name in the files of a column that is named differently there
     [channels]       corrections of the files (``check`` prints these lines), applied in this order:
@@ -33,7 +35,15 @@ from ..arrays import FloatArray
 from ..errors import MeasurementError, UsageError
 from .files.channels import correct
 from .files.columns import MIN_SAMPLES, assemble
-from .files.common_tables import DemodulationTable, DeviceTable, InstrumentTable, References, references
+from .files.common_tables import (
+    DemodulationTable,
+    DeviceTable,
+    InstrumentTable,
+    References,
+    SystematicTable,
+    check_phase,
+    references,
+)
 from .files.modal_record import ModalRecord, decode_modal_record
 from .files.readers import existing, read_columns, read_record, write_columns
 from .instrument import Instrument
@@ -74,6 +84,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     device: DeviceTable = DeviceTable()
     demodulation: DemodulationTable = DemodulationTable()
     instrument: InstrumentTable = InstrumentTable()
+    systematic: SystematicTable = SystematicTable()
     reference: References = {}
     columns: dict[str, str] = {}
     channels: ChannelsTable = ChannelsTable()
@@ -152,6 +163,7 @@ def read_campaign(path: Path) -> Campaign:
     """
     file = existing(existing(path) / "campaign.toml") if path.is_dir() else existing(path)
     document = toml.decode(toml.read_bytes(file), CampaignTable, file.name)
+    check_phase(document.demodulation, document.systematic, file.name)
     rate = document.instrument.sample_rate_hz
     records: list[Record] = []
     for entry, role in zip(document.record, _roles([entry.role for entry in document.record])):
@@ -174,6 +186,7 @@ def read_campaign(path: Path) -> Campaign:
         drive=document.demodulation.drive,
         reference=references(document.reference, file.name),
         channels=_channels(document.channels),
+        systematic=document.systematic.built(),
     )
 
 
@@ -244,6 +257,7 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
                     "adc": None if instrument.adc is None else dataclasses.asdict(instrument.adc),
                 },
             ),
+            "" if campaign.systematic.exact else toml.table("[systematic]", dataclasses.asdict(campaign.systematic)),
             *entries,
             toml.table("[reference]", {name: list(pair) for name, pair in campaign.reference.items()}),
         ]

@@ -10,6 +10,7 @@ from typing import Literal
 
 from ..arrays import FloatArray
 from .instrument import Instrument
+from .systematic import EXACT, Systematic
 
 Role = Literal["noise", "fit", "validate"]
 
@@ -94,6 +95,7 @@ class Campaign:
     drive : the mode whose frequency is omega_0 of the drive loop.
     reference : quantity -> (value, sd) from another instrument, in the units of the results columns.
     channels : corrections that were applied when the files were read.
+    systematic : standard deviations of the errors of the tester, which its devices share.
     """
 
     device_id: str
@@ -104,6 +106,7 @@ class Campaign:
     drive: Literal["f1", "f2"] = "f1"
     reference: dict[str, tuple[float, float]] = field(default_factory=dict)
     channels: Channels = field(default_factory=Channels)
+    systematic: Systematic = EXACT
 
     def with_role(self, role: Role) -> tuple[Record, ...]:
         """The records with this role, in order."""

@@ -24,6 +24,7 @@ from ..axial import wrap
 from ..device.gyro import PHYSICAL, to_physical
 from ..device.gyro import split_hz as cartesian_split_hz
 from ..device.operation.bias import rate_biases_dps
+from ..experiment.systematic import EXACT, Systematic
 from ..quantities import AXES
 from .gate import Gate, GoodnessOfFit, Status, status_of
 
@@ -32,11 +33,15 @@ _BIASES = ("quadrature_rate_dps", "quadrature_bias_dps", "inphase_bias_dps", "ra
 
 @dataclass(frozen=True)
 class RateSettings:
-    """Angular gain kappa = I_p / I_0p [1] (``None``: unknown, no rate biases), demodulation phase error [deg], mode driven."""
+    """Angular gain kappa = I_p / I_0p [1] (``None``: unknown, no rate biases), demodulation phase error [deg], mode driven.
 
-    angular_gain: float | None = None
-    phase_error_deg: float = 0.0
+    ``systematic`` are the standard deviations of both, and of what else all devices of the tester share.
+    """
+
+    angular_gain: float | FloatArray | None = None
+    phase_error_deg: float | FloatArray = 0.0
     drive: Literal["f1", "f2"] = "f1"
+    systematic: Systematic = EXACT
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ from .general.starts import driven_band
 from .screening.campaign import identify_campaign, is_inband
 from .screening.device import IdentificationSettings
 from .screening.sample import SamplerSettings
+from .systematic import with_common_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ def _general_columns(
     return {
         "status": status,
         "status_reason": reason,
-        **normal_intervals(estimates),
+        **normal_intervals(with_common_errors(estimates, campaign.systematic)),
         "model": fit.model.to_toml().splitlines()[0],
         "noise_from": noise.source,
         "error": fit.error["fit"] if noise.source != "local" else None,

@@ -159,6 +159,14 @@ POSTERIOR: tuple[Column, ...] = (
     Column("posterior", "device_id", "string", "", "name of the device"),
     Column("posterior", "draw", "int32", "1", "number of the draw, from 0, after thinning"),
     *(Column("posterior", quantity.name, "float64", quantity.unit, quantity.meaning) for quantity in MODEL),
+    Column(
+        "posterior",
+        "p_pass_given_common",
+        "float64",
+        "1",
+        "probability of conformity if the errors of the tester were those with the number of this draw; the same number means"
+        " the same errors for all devices; null without [systematic]",
+    ),
 )
 
 COLUMNS: tuple[Column, ...] = DEVICES + POSTERIOR

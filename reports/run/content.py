@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,16 +17,23 @@ import pyarrow as pa
 from pipeline.errors import ConfigError
 from pipeline.quantities import QUANTITIES, Quantity
 
+from ..clusters import Clustering, clustering
+from ..common_errors import (
+    GivenCommon,
+    clustering_with_common,
+    given_common,
+    groups_with_common,
+    measurement_given_common,
+    with_common,
+)
 from ..devices import Devices
 from ..limits import Limits
 from ..words.quantities import cause_sentence, main_cause, process_sentence, stage_sentence, undecided_sentence
 from ..yields import (
-    Clustering,
     GroupYield,
     Measurement,
     Yield,
     by_group,
-    clustering,
     measurement_uncertainty,
     yield_of_verdicts,
 )
@@ -93,6 +100,7 @@ class RunContent:
     run_id: str
     headline: Headline
     total: Yield
+    common: bool
     measurement: Measurement
     clusters: tuple[Clustering, ...]
     lots: tuple[GroupYield, ...]
@@ -139,13 +147,16 @@ def run_content(
     devices = Devices(run.devices)
     _check_limits(devices, limits)
     verdicts = devices.text("verdict")
-    total = yield_of_verdicts(verdicts)
+    given = given_common(devices, run.posterior, limits.rule)
+    total = with_common(yield_of_verdicts(verdicts), given)
     bars = pareto(devices, limits)
     stages = stage_losses(devices, limits)
     statuses = status_counts(devices)
     lots, wafers = devices.text("lot"), devices.wafers()
     clusters = tuple(
-        clustering(verdicts, names, by) for by, names in (("wafer", wafers), ("lot", lots)) if names and all(names)
+        clustering_with_common(clustering(verdicts, names, by), names, given)
+        for by, names in (("wafer", wafers), ("lot", lots))
+        if names and all(names)
     )
     manifest = _mapping(run.manifest)
     return RunContent(
@@ -158,10 +169,11 @@ def run_content(
             process_sentence(clusters),
         ),
         total=total,
-        measurement=measurement_uncertainty(devices.number("p_pass")),
+        common=given is not None,
+        measurement=_measurement(devices, given),
         clusters=clusters,
-        lots=by_group(verdicts, lots) if any(lots) else (),
-        wafers=by_group(verdicts, lots, devices.text("wafer")) if any(wafers) else (),
+        lots=groups_with_common(by_group(verdicts, lots), lots, None, given) if any(lots) else (),
+        wafers=_wafer_yields(devices, verdicts, given) if any(wafers) else (),
         causes=tuple(sorted(Counter(filter(None, devices.text("cause"))).items(), key=lambda row: (-row[1], row[0]))),
         pareto=bars,
         stages=stages,
@@ -180,6 +192,17 @@ def run_content(
         config_toml=run.config_toml,
         glossary=QUANTITIES,
     )
+
+
+def _measurement(devices: Devices, given: GivenCommon | None) -> Measurement:
+    if given is None:
+        return measurement_uncertainty(devices.number("p_pass"))
+    return measurement_given_common(given)
+
+
+def _wafer_yields(devices: Devices, verdicts: Sequence[str], given: GivenCommon | None) -> tuple[GroupYield, ...]:
+    lots, wafers = devices.text("lot"), devices.text("wafer")
+    return groups_with_common(by_group(verdicts, lots, wafers), lots, wafers, given)
 
 
 def facts(table: Mapping[str, Any], prefix: str = "") -> tuple[Fact, ...]:

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from pipeline.device.effect import Effect
     from pipeline.learning.answers import Place
 
+    from ..clusters import Clustering
     from ..limits import Limit
     from ..run.causes import FailedLimit, Pareto, StageLoss
     from ..run.health import StatusCount
-    from ..yields import Clustering, Yield
+    from ..yields import Yield
 
 UNITS = {quantity.name: "" if quantity.unit == "1" else quantity.unit for quantity in QUANTITIES}
 

@@ -136,3 +136,17 @@ def test_a_written_table_reads_back_to_the_same_values() -> None:
     values = {"inner": {"count": 3, "share": 0.1}, "pair": [1e-300, -2.5], "hold": "foh"}
     read = decode(table("", values).encode(), Outer, "f.toml")
     assert (read.inner, read.pair, read.hold) == (Inner(3, 0.1), (1e-300, -2.5), "foh")
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[systematic]\nphase_error_sd_deg = 0.5\n[posterior]\nstored_draws = 20\n", "stored_draws"),
+        ("[systematic]\nphase_error_sd_deg = 5.0\n[demodulation]\nphase_error_deg = 45.0\n", "may reach 90 deg"),
+        ("[systematic]\nclock_sd_ppm = -1.0\n", "clock_sd_ppm"),
+    ],
+)
+def test_common_errors_that_cannot_be_integrated_are_refused(tmp_path, text, named):
+    (tmp_path / "run.toml").write_text(text)
+    with pytest.raises(ConfigError, match=named):
+        load_config(tmp_path / "run.toml")

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from pipeline.errors import UsageError
+from reports.clusters import clustering
 from reports.risk import counted_risk, expected_risk, normal_risk
 from reports.yields import (
     by_group,
     clopper_pearson,
-    clustering,
     measurement_uncertainty,
     poisson_binomial,
     wilson,

@@ -14,10 +14,10 @@ from msgspec.structs import replace
 
 from pipeline.device.gyro import PHYSICAL
 from pipeline.experiment.record import Campaign
-from pipeline.inference.estimate import RateSettings, quantities
 from pipeline.inference.gate import Gate
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.inference.general.goodness import fit_status, full_band_goodness
+from pipeline.inference.systematic import Identified, rate_settings
 from pipeline.learning.answers import RungAnswer
 from reports.decision import decide
 from reports.limits import DEFAULT_LIMITS, Limits
@@ -59,8 +59,7 @@ def verdict_of(
     for column, i in zip(values.T, free):
         draws[fit.names[i]] = draws[fit.names[i]] + column
     physical = np.stack([draws[name] for name in PHYSICAL], axis=-1)
-    rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
-    found = quantities(physical, rate)
+    found = Identified.of_physical(physical, rate_settings(campaign)).draws
     ungated = decide(limits, {name: found[name][None] for name in limits.quantities}, ["ok"])
     goodness = None if fit.noise.source == "local" else full_band_goodness(fit)
     status, reason = fit_status(fit, goodness, gate or Gate())

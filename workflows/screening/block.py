@@ -18,6 +18,7 @@ from pipeline.arrays import FloatArray
 from pipeline.errors import GyroscreenError
 from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.device import DeviceResult, failed_result
+from pipeline.inference.systematic import Identified, common_nodes
 from pipeline.quantities import MODEL, NAMES
 from pipeline.store.schema import devices_table, posterior_table
 from populations.draw import Draw, draw
@@ -28,6 +29,9 @@ from ..config import RunConfig
 from .settings import TRIM_STREAM, device_seed, population, rate_of
 from .trimming import trimmed_columns
 from .virtual_device import identify_virtual, physical_of
+
+#: Posterior draws at each common error: P(conform) in steps of 1/200, a tenth of the rule's 0.05.
+_DRAWS_GIVEN_COMMON = 200
 
 
 @dataclass(frozen=True)
@@ -116,13 +120,25 @@ def tables_of(
     for result in results:
         status = result.estimate.status
         statuses[status] = statuses.get(status, 0) + 1
-    posterior = _posterior(device_id, results, stored_draws) if stored_draws else None
+    posterior = _posterior(device_id, results, limits, stored_draws) if stored_draws else None
     return BlockTables(index, devices, posterior, statuses)
 
 
-def _posterior(device_id: Sequence[str], results: Sequence[DeviceResult], stored_draws: int) -> pa.Table:
-    """At most ``stored_draws`` draws of each device, evenly spaced along its chains."""
+def p_pass_given_common(limits: Limits, identified: Identified, nodes: FloatArray) -> FloatArray:
+    """P(conform) (K,) of a device at each of K common errors, ``nodes`` (K, 5) [sd]; nan where it is unknown."""
+    count = identified.split_hz.size
+    kept = np.linspace(0, count - 1, min(_DRAWS_GIVEN_COMMON, count)).round().astype(np.int64)
+    thinned = replace(identified, physical=identified.physical[kept], split_hz=identified.split_hz[kept])
+    draws = thinned.given(np.broadcast_to(nodes[:, None], (nodes.shape[0], kept.size, nodes.shape[1])))
+    return decide(limits, {q: draws[q] for q in limits.quantities}, ["ok"] * nodes.shape[0]).p_pass
+
+
+def _posterior(
+    device_id: Sequence[str], results: Sequence[DeviceResult], limits: Limits, stored_draws: int
+) -> pa.Table:
+    """At most ``stored_draws`` draws of each device, evenly spaced along its chains; P(conform) at that many common errors."""
     parts: dict[str, list[Any]] = {"device_id": [], "draw": [], **{q.name: [] for q in MODEL}}
+    parts["p_pass_given_common"] = []
     for identity, result in zip(device_id, results):
         draws = result.estimate.draws
         if not draws:
@@ -133,6 +149,10 @@ def _posterior(device_id: Sequence[str], results: Sequence[DeviceResult], stored
         parts["draw"].append(np.arange(kept.size, dtype=np.int32))
         for q in MODEL:
             parts[q.name].append(draws[q.name][kept])
+        given = np.full(kept.size, np.nan)
+        if result.identified is not None and result.estimate.status == "ok":
+            given = p_pass_given_common(limits, result.identified, common_nodes(kept.size))
+        parts["p_pass_given_common"].append(given)
     return posterior_table({k: (v if k == "device_id" else np.concatenate(v) if v else []) for k, v in parts.items()})
 
 

@@ -13,14 +13,15 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.common_tables import DeviceTable
-from pipeline.inference.estimate import RateSettings, reference_comparison
+from pipeline.inference.estimate import reference_comparison
 from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.device import DeviceResult, failed_result
+from pipeline.inference.systematic import rate_settings
 from pipeline.toml_files import decode, read_bytes
 
 from ..config import RunConfig
 from .block import BlockTables, DeviceBlock, tables_of
-from .settings import CAMPAIGN_STREAM, device_seed, settings_of
+from .settings import CAMPAIGN_STREAM, device_seed, settings_of, with_systematic
 from .trimming import trimmed_columns
 
 FILE = "campaign.toml"
@@ -48,7 +49,7 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
     device_id = folder.name
     seed = device_seed(config, CAMPAIGN_STREAM, n)
     try:
-        campaign = read_campaign(folder)
+        campaign = with_systematic(config, read_campaign(folder))
         device_id = campaign.device_id
         result = identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed)
         compared = reference_comparison(campaign.reference, result.columns)
@@ -56,7 +57,7 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
             text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())
             result = replace(result, columns={**result.columns, "reference": text})
         if config.trim is not None:
-            rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
+            rate = rate_settings(campaign)
             more = trimmed_columns(config.trim, config.judged_by(), result, None, rate, seed.spawn(1)[0])
             result = replace(result, columns={**result.columns, **more})
     except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:

@@ -11,6 +11,8 @@ from typing import Any
 from pipeline.errors import GateError
 from pipeline.store.read import read_run
 from pipeline.store.run import RunStore, open_run
+from reports.common_errors import given_common, with_common
+from reports.devices import Devices
 from reports.run import lot_effects as lot_report
 from reports.run.page import render_run_report
 from reports.yields import yield_of_verdicts
@@ -77,7 +79,9 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
     devices = tables.devices
     verdicts = _counts(devices.column("verdict").to_pylist(), ("pass", "fail", "undecided"))
     statuses = _counts(devices.column("status").to_pylist(), ("ok", "not_converged", "misfit", "fit_failed"))
-    found = yield_of_verdicts([str(v) for v in devices.column("verdict").to_pylist()])
+    rule = config_of_run(tables.config_toml, f"run.toml of {store.run_id}").judged_by().rule
+    given = given_common(Devices(devices), tables.posterior, rule)
+    found = with_common(yield_of_verdicts([str(v) for v in devices.column("verdict").to_pylist()]), given)
     causes = _counts(c for cell in devices.column("failed_limits").to_pylist() if cell for c in str(cell).split(","))
     main = max(causes, key=lambda name: causes[name]) if causes else None
     interval = (found.clopper_pearson.low, found.clopper_pearson.high)

@@ -6,12 +6,15 @@ the block.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 import populations
+from pipeline.experiment.record import Campaign
+from pipeline.experiment.systematic import Systematic
 from pipeline.inference.estimate import RateSettings
 from pipeline.inference.screening.device import IdentificationSettings
 from populations.spec import PopulationSpec, load_spec
@@ -52,5 +55,20 @@ def settings_of(config: RunConfig) -> IdentificationSettings:
 
 
 def rate_of(config: RunConfig, angular_gain: float | None) -> RateSettings:
-    """Settings of the rate biases [deg/s]; ``angular_gain`` is I_p / I_0p."""
-    return RateSettings(angular_gain, config.demodulation.phase_error_deg, config.demodulation.drive)
+    """Settings of the rate biases [deg/s] and common errors of the tester; ``angular_gain`` is I_p / I_0p."""
+    demodulation = config.demodulation
+    return RateSettings(angular_gain, demodulation.phase_error_deg, demodulation.drive, _systematic(config))
+
+
+def _systematic(config: RunConfig) -> Systematic:
+    """Common errors of the run; the temperature coefficient is that of the population if the run states none."""
+    if config.source.kind == "population" and config.systematic.temperature_sd_c > 0.0:
+        temperature = population(config).irregularity.get("temperature", {})
+        if "tcf_ppm_per_k" in temperature:
+            return config.systematic.built(temperature["tcf_ppm_per_k"])
+    return config.systematic.built()
+
+
+def with_systematic(config: RunConfig, campaign: Campaign) -> Campaign:
+    """``campaign`` with the common errors of the run, unless it declares its own."""
+    return replace(campaign, systematic=_systematic(config)) if campaign.systematic.exact else campaign

@@ -18,6 +18,7 @@ from pipeline.device.operation.trim import trim, trimmed_physical
 from pipeline.errors import ConfigError
 from pipeline.inference.estimate import RateSettings, intervals, quantities
 from pipeline.inference.screening.device import DeviceResult
+from pipeline.inference.systematic import common_nodes, demodulated
 from reports.decision import conforms, decide
 from reports.limits import Limits
 
@@ -55,7 +56,9 @@ def trimmed_columns(
         done = trim(draws[kept], electrodes, table.target(), random)
     except ConfigError:
         return {}
-    after = quantities(done.after, rate, split_hz(to_cartesian(done.after)))
+    # The draws contain the other common errors already.
+    judged_at = rate if rate.systematic.exact else demodulated(rate, common_nodes(draws.shape[0])[kept])
+    after = quantities(done.after, judged_at, split_hz(to_cartesian(done.after)))
     decision = decide(limits, {q: after[q][None] for q in limits.quantities}, ["ok"])
     summary = intervals({name: after[name] for name in ("theta_deg", "split_hz")})
     columns: dict[str, Any] = {

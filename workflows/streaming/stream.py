@@ -22,6 +22,7 @@ from pipeline.inference.screening.campaign import campaign_noise
 from pipeline.inference.screening.snapshot import Snapshot
 from pipeline.inference.screening.stream import StreamSettings, start_stream, steps
 from pipeline.inference.screening.stream_estimate import estimate, noise_of
+from pipeline.inference.systematic import rate_settings
 from reports.decision import Verdict, decide
 from reports.limits import Limits
 
@@ -70,8 +71,7 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
     if settings.sigma_v is None and campaign.with_role("noise"):
         noise, line_hz = campaign_noise(campaign)
         settings = replace(settings, sigma_v=tuple(noise.sigma_v.tolist()), line_hz=settings.line_hz or line_hz)
-    rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
-    return Bench(settings, campaign.instrument, campaign.channels, rate, Gate())
+    return Bench(settings, campaign.instrument, campaign.channels, rate_settings(campaign), Gate())
 
 
 def verdict_of(snapshot: Snapshot, limits: Limits) -> tuple[float, Verdict]:

@@ -24,15 +24,17 @@ from ...errors import ConfigError
 
 
 def rate_biases_dps(
-    physical: FloatArray, angular_gain: float | FloatArray, phase_error_deg: float, drive: Literal["f1", "f2"]
+    physical: FloatArray,
+    angular_gain: float | FloatArray,
+    phase_error_deg: float | FloatArray,
+    drive: Literal["f1", "f2"],
 ) -> dict[str, FloatArray]:
     """quadrature_rate_dps, quadrature_bias_dps, inphase_bias_dps, rate_bias_dps, each (...) [deg/s]; eq. (4) to (6).
 
     Parameters
     ----------
     physical : (..., 12), the columns of ``pipeline.device.gyro.PHYSICAL``.
-    angular_gain : kappa, broadcast against (...).
-    phase_error_deg : demodulation phase error phi [deg].
+    angular_gain, phase_error_deg : kappa and demodulation phase error phi [deg], broadcast against (...).
     drive : the mode that sets omega0.
 
     Raises
@@ -41,7 +43,7 @@ def rate_biases_dps(
     """
     if np.any(np.asarray(angular_gain) <= 0.0):
         raise ConfigError("angular gain must be positive", value=angular_gain, allowed="I_p / I_0p in (0, 1]")
-    if abs(phase_error_deg) >= 90.0:
+    if np.any(np.abs(phase_error_deg) >= 90.0):
         raise ConfigError("demodulation phase error too large", value=phase_error_deg, allowed="(-90, 90) deg")
     f1, f2, _, zeta1, zeta2, _, theta_deg, c12 = np.moveaxis(physical, -1, 0)[:8]
     omega1, omega2 = 2.0 * np.pi * f1, 2.0 * np.pi * f2

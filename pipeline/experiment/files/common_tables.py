@@ -10,10 +10,13 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
+from msgspec.structs import asdict
 
+from ...errors import ConfigError
 from ...quantities import NAMES
 from ...toml_files import check_known
 from ..instrument import Adc, AntiAlias, Hold, Instrument
+from ..systematic import SILICON_TCF_PPM_PER_C, Systematic
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
@@ -80,6 +83,37 @@ class DemodulationTable(Struct, frozen=True, forbid_unknown_fields=True):
 
     phase_error_deg: PhaseError = 0.0
     drive: Literal["f1", "f2"] = "f1"
+
+
+class SystematicTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Standard deviations of the errors that all devices of a tester or a session share; see :class:`Systematic`.
+
+    At most 5 deg, 0.2, 0.2, 1000 ppm and 100 K: an error above that is a fault of the tester, not an uncertainty.
+    """
+
+    phase_error_sd_deg: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
+    angular_gain_sd: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.0
+    gain_sd: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.0
+    clock_sd_ppm: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
+    temperature_sd_c: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+    tcf_ppm_per_c: Annotated[float, Meta(ge=-1000.0, le=1000.0)] | None = None
+
+    def built(self, tcf_ppm_per_c: float = SILICON_TCF_PPM_PER_C) -> Systematic:
+        """The standard deviations; ``tcf_ppm_per_c`` [ppm/K] where the table states no temperature coefficient."""
+        tcf = tcf_ppm_per_c if self.tcf_ppm_per_c is None else self.tcf_ppm_per_c
+        return Systematic(**(asdict(self) | {"tcf_ppm_per_c": tcf}))
+
+
+def check_phase(demodulation: DemodulationTable, systematic: SystematicTable, where: str) -> None:
+    """Raise ConfigError unless the tangent of the phase error is finite for every error within 10 sd."""
+    phase, sd = demodulation.phase_error_deg, systematic.phase_error_sd_deg
+    if not abs(phase) + 10.0 * sd < 90.0:
+        raise ConfigError(
+            f"{where}: the demodulation phase error may reach 90 deg",
+            value={"phase_error_deg": phase, "phase_error_sd_deg": sd},
+            allowed="|phase_error_deg| + 10 phase_error_sd_deg below 90 deg",
+            next_step="correct one of them",
+        )
 
 
 def references(table: References, where: str) -> dict[str, tuple[float, float]]:

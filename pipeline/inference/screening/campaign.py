@@ -15,8 +15,8 @@ from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.noise.lines import hum_line
 from ...experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
 from ...experiment.record import Campaign
-from ..estimate import RateSettings
 from ..gate import Gate
+from ..systematic import rate_settings
 from .device import DeviceResult, IdentificationSettings, identify_device, prepare
 from .sample import SamplerSettings
 
@@ -78,10 +78,11 @@ def identify_campaign(
             next_step="check the silent record, or declare the converter in [instrument] adc",
         )
     with_hum = replace(settings, line_hz=line_hz)
-    rate = RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive)
     prepared = [prepare(record, campaign.instrument, with_hum) for record in fit]
     spectrum = campaign_spectrum(campaign, noise, line_hz)
-    result = identify_device(prepared, spectrum, campaign.instrument, with_hum, sampler, gate, rate, seed)
+    result = identify_device(
+        prepared, spectrum, campaign.instrument, with_hum, sampler, gate, rate_settings(campaign), seed
+    )
     if noise.source != "local":
         return result
     # An error in units of a noise level that is estimated from the same driven records would not be independent.

@@ -22,9 +22,10 @@ from ...experiment.noise.spectrum import NoiseSpectrum
 from ...experiment.record import Record
 from ...identification.failure import IdentificationError
 from ...identification.route import RouteResult, identify_record
-from ..estimate import Estimate, RateSettings, cartesian_quantities, estimate_from
+from ..estimate import Estimate, RateSettings, estimate_from
 from ..gate import Gate, GoodnessOfFit
 from ..general.starts import gyro_start
+from ..systematic import Identified
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
 from .inband import Band, make_band
@@ -48,11 +49,15 @@ class IdentificationSettings:
 
 @dataclass(frozen=True, eq=False)
 class DeviceResult:
-    """Columns of the devices table, the estimate from which they come, and the fit; ``None`` where the fit failed."""
+    """Columns of the devices table, the estimate from which they come, the fit, and its draws without common errors.
+
+    The fit is ``None`` where it failed, the draws also where the tester has no common errors.
+    """
 
     columns: dict[str, Value]
     estimate: Estimate
     fit: Fit | None
+    identified: Identified | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +223,9 @@ def _result(
     posterior: Posterior,
     quality: FullBandQuality,
 ) -> DeviceResult:
+    identified = Identified.of_cartesian(posterior.flat(), rate)
     estimate = estimate_from(
-        cartesian_quantities(posterior.flat(), rate),
+        identified.draws,
         GoodnessOfFit(quality.error_all_noise, fit.chi2, fit.dof, fit.likelihood.chi2_sd),
         gate,
         not_converged_reason(posterior, sampler),
@@ -234,4 +240,4 @@ def _result(
         "status": estimate.status,
         "status_reason": estimate.reason,
     }
-    return DeviceResult(columns, estimate, fit)
+    return DeviceResult(columns, estimate, fit, None if rate.systematic.exact else identified)

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray
-from ..estimate import Estimate, RateSettings, cartesian_quantities, estimate_from
+from ..estimate import Estimate, RateSettings, estimate_from
 from ..gate import Gate, GoodnessOfFit, status_of
+from ..systematic import Identified
 from .compressed import BandData, log_likelihood
 from .device import best_fit, explains
 from .fit import Fit
@@ -159,4 +160,4 @@ def _estimate(fit: Fit, rate: RateSettings, gate: Gate, seed: np.random.SeedSequ
         return Estimate("fit_failed", "the data do not determine the parameters yet")
     if not known:
         return Estimate("not_converged", "the posterior is still too broad for importance sampling", columns)
-    return estimate_from(cartesian_quantities(cartesian, rate), goodness, gate)
+    return estimate_from(Identified.of_cartesian(cartesian, rate).draws, goodness, gate)

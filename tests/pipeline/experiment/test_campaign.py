@@ -17,6 +17,7 @@ from pipeline.experiment.files.channels import correct
 from pipeline.experiment.files.readers import WRITTEN, write_columns
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Channels, Record
+from pipeline.experiment.systematic import Systematic
 
 FS = 10_000.0
 SILVERBOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "silverbox" / "SNLS80mV.mat"
@@ -42,6 +43,7 @@ def full_campaign():
         phase_error_deg=1.0 / 3.0,
         drive="f2",
         reference={"f1_hz": (534.6, 0.1), "theta_deg": (-33.0, 2.0)},
+        systematic=Systematic(0.5, 0.01, 0.02, 10.0, 0.3, -31.0),
     )
 
 
@@ -52,7 +54,16 @@ def test_round_trip_keeps_every_number_and_condition(tmp_path, form):
     written = full_campaign()
     write_campaign(written, tmp_path, format=form)
     read = read_campaign(tmp_path)
-    for name in ("device_id", "instrument", "angular_gain", "phase_error_deg", "drive", "reference", "channels"):
+    for name in (
+        "device_id",
+        "instrument",
+        "angular_gain",
+        "phase_error_deg",
+        "drive",
+        "reference",
+        "channels",
+        "systematic",
+    ):
         assert getattr(read, name) == getattr(written, name)
     for ours, theirs in zip(written.records, read.records, strict=True):
         assert np.array_equal(ours.drive_v, theirs.drive_v)

@@ -28,10 +28,11 @@ from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
 from pipeline.experiment.noise.lines import hum_line, silent_sigma
 from pipeline.experiment.record import Campaign, Record
-from pipeline.inference.estimate import RateSettings, quantities
+from pipeline.inference.estimate import RateSettings
 from pipeline.inference.general.fit import CampaignFit, fit_campaign
 from pipeline.inference.general.goodness import band_goodness, fit_status
 from pipeline.inference.general.residuals import CampaignResiduals
+from pipeline.inference.systematic import Identified
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.campaign.signatures import signature_of, tangent_of
 from populations.draw import draw
@@ -229,7 +230,7 @@ def _judged(
     x = fitted.x + random.standard_normal((_DRAWS, size.size)) @ root.T
     values = [fitted.model.to_values(one) for one in x]
     physical = np.array([[one.get(name, 0.0) for name in PHYSICAL] for one in values])
-    draws = quantities(physical, rate)
+    draws = Identified.of_physical(physical, rate).draws
     limits = config.judged_by()
     decision = decide(limits, {q: draws[q][None] for q in limits.quantities}, [status])
     return status, float(decision.p_pass[0]), decision.verdict[0]

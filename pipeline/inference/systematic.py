@@ -1,0 +1,129 @@
+"""What the common errors of a tester do to the quantities of its devices.
+
+An error moves the parameters that were identified to those that the device has, with the z of ``experiment.systematic``:
+
+    clock        rates scale:          f, c12, gains times r,   r = 1 + 1e-6 s_clock z
+    temperature  stiffness scales:     f times k, zeta / k (damping rates stay),   k = 1 + 1e-6 TCF s_T z
+    gain         volts scale:          gains times exp(s_g z)
+    phase, angular gain                rate biases by their own formula, at phi + s_phi z and kappa exp(s_kappa z / kappa)
+
+theta, imbalances and the ratio of the split to f1 are ratios of what one tester measured; no common error moves them.  Posterior
+draw i takes node z_i of a Latin hypercube that is the same for all devices, so that draws of different devices are correlated.
+
+Shapes: n draws or nodes, five errors, 12 physical parameters.  Units of ``pipeline.quantities``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import ndtri
+
+from ..arrays import FloatArray
+from ..device.gyro import PHYSICAL, to_physical
+from ..device.gyro import split_hz as cartesian_split_hz
+from ..experiment.record import Campaign
+from ..experiment.systematic import Systematic
+from .estimate import RateSettings, quantities
+
+_RATES = [PHYSICAL.index(name) for name in ("f1_hz", "f2_hz", "f3_hz", "c12_per_s", "rocking_gain", "updown_gain")]
+_FREQUENCIES = [PHYSICAL.index(name) for name in ("f1_hz", "f2_hz", "f3_hz")]
+_DAMPINGS = [PHYSICAL.index(name) for name in ("zeta1", "zeta2", "zeta3")]
+_GAINS = [PHYSICAL.index(name) for name in ("rocking_gain", "updown_gain")]
+_ERRORS = 5
+#: Seed of the nodes: quadrature points of an integral, not realisations, so every device and every run has the same.
+_SEED = 13
+
+
+@lru_cache(maxsize=8)
+def common_nodes(count: int) -> FloatArray:
+    """Latin hypercube of standard normals (count, 5), the same for all devices; columns: ndtri((k + 1/2)/count), permuted."""
+    random = np.random.default_rng(np.random.SeedSequence(_SEED, spawn_key=(count,)))
+    column = ndtri((np.arange(count) + 0.5) / count)
+    nodes = np.stack([random.permutation(column) for _ in range(_ERRORS)], axis=1)
+    nodes.setflags(write=False)
+    return nodes
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """Posterior draws of a device as its tester measured them: physical (n, 12), split (n,) [Hz], and what is declared."""
+
+    physical: FloatArray
+    split_hz: FloatArray
+    rate: RateSettings
+
+    @classmethod
+    def of_cartesian(cls, x: FloatArray, rate: RateSettings) -> Identified:
+        """From cartesian draws (n, 12), the split free of cancellation."""
+        return cls(to_physical(x), cartesian_split_hz(x), rate)
+
+    @classmethod
+    def of_physical(cls, physical: FloatArray, rate: RateSettings) -> Identified:
+        """From physical draws (n, 12); the split is f2 - f1."""
+        return cls(physical, physical[:, PHYSICAL.index("f2_hz")] - physical[:, PHYSICAL.index("f1_hz")], rate)
+
+    @property
+    def draws(self) -> dict[str, FloatArray]:
+        """Quantities (n,) by name, with common errors drawn where their sd is not 0."""
+        if self.rate.systematic.exact:
+            return quantities(self.physical, self.rate, self.split_hz)
+        return self.given(common_nodes(self.physical.shape[0]))
+
+    def given(self, z: FloatArray) -> dict[str, FloatArray]:
+        """Quantities (..., n) if the common errors were z (..., n, 5) in standard deviations.
+
+        Raises
+        ------
+        ConfigError : a phase error of 90 deg or more.
+        """
+        s = self.rate.systematic
+        _, _, gain, clock, temperature = np.moveaxis(z, -1, 0) * np.array(s.sds).reshape(-1, *[1] * (z.ndim - 1))
+        rates, stiffness = 1.0 + 1e-6 * clock, 1.0 + 1e-6 * s.tcf_ppm_per_c * temperature
+        shape = np.broadcast_shapes(rates.shape, self.split_hz.shape)
+        physical = np.broadcast_to(self.physical, (*shape, len(PHYSICAL))).copy()
+        physical[..., _RATES] *= rates[..., None]
+        physical[..., _FREQUENCIES] *= stiffness[..., None]
+        physical[..., _DAMPINGS] /= stiffness[..., None]
+        physical[..., _GAINS] *= np.exp(gain)[..., None]
+        return quantities(physical, demodulated(self.rate, z), self.split_hz * rates * stiffness)
+
+
+def demodulated(rate: RateSettings, z: FloatArray) -> RateSettings:
+    """The settings with phase error and angular gain (...) at the common errors z (..., 5) [sd]; raises as ``quantities``."""
+    s = rate.systematic
+    kappa = rate.angular_gain
+    moved = None if kappa is None else kappa * np.exp(s.angular_gain_sd / kappa * z[..., 1])
+    return replace(rate, angular_gain=moved, phase_error_deg=rate.phase_error_deg + s.phase_error_sd_deg * z[..., 0])
+
+
+def rate_settings(campaign: Campaign) -> RateSettings:
+    """Angular gain, demodulation and common errors that a campaign declares."""
+    return RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive, campaign.systematic)
+
+
+def with_common_errors(
+    estimates: Mapping[str, tuple[float, float]], systematic: Systematic
+) -> dict[str, tuple[float, float]]:
+    """name -> (value, sd), the sd combined with that of the common errors, to first order.
+
+    Parameters
+    ----------
+    estimates : parameters of plant "gyro" and split_hz, in their units; other names keep their sd.
+    systematic : standard deviations of the common errors.
+    """
+    if systematic.exact:
+        return dict(estimates)
+    physical = np.array([[estimates.get(name, (1.0, 0.0))[0] for name in PHYSICAL]])
+    split = np.array([estimates.get("split_hz", (1.0, 0.0))[0]])
+    plus, minus = (
+        Identified(physical, split, RateSettings(systematic=systematic)).given(sign * np.eye(_ERRORS))
+        for sign in (1.0, -1.0)
+    )
+    return {
+        name: (value, float(np.sqrt(sd**2 + np.sum((plus[name] - minus[name]) ** 2) / 4.0)) if name in plus else sd)
+        for name, (value, sd) in estimates.items()
+    }

@@ -1,0 +1,166 @@
+"""Yield and its uncertainty when errors that all devices share are known to a standard deviation only.
+
+Each of K values e_k of the common errors gives every device a verdict, P(conform | e_k) against the rule, hence x_k passed of n.
+The sampling interval of the yield is then that of the mixture over k:
+
+    low   1/K sum_k F(low;  x_k, n - x_k + 1) = a        F Beta cdf, a the tail probability (Clopper-Pearson at equal x_k)
+    high  1/K sum_k F(high; x_k + 1, n - x_k) = 1 - a
+
+and it contains the interval that the verdicts themselves give.  A wrong clock or phase moves all devices at once, so the
+interval does not shrink to a point as n grows.  With groups as draws, x_k and n are the effective numbers of Korn and Graubard.
+
+Shapes: K common errors, B devices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+from scipy import optimize, special
+
+from pipeline.arrays import BoolArray, FloatArray
+
+from .clusters import Clustering, effective_number
+from .devices import Devices
+from .limits import Rule
+from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, poisson_binomial
+
+
+@dataclass(frozen=True, eq=False)
+class GivenCommon:
+    """P(conform) (K, B) of each device at each value of the common errors, nan where unknown, and the rule."""
+
+    p_pass: FloatArray
+    rule: Rule
+
+    @property
+    def passed(self) -> BoolArray:
+        """(K, B) whether the rule passes the device."""
+        return np.asarray(self.p_pass >= self.rule.pass_at)
+
+    @property
+    def possible(self) -> BoolArray:
+        """(K, B) whether the rule does not fail the device: passed or undecided."""
+        return ~np.asarray(self.p_pass <= self.rule.fail_at)
+
+    def of(self, members: BoolArray) -> GivenCommon:
+        """The devices ``members`` (B,) alone."""
+        return GivenCommon(self.p_pass[:, members], self.rule)
+
+
+def given_common(devices: Devices, posterior: pa.Table | None, rule: Rule) -> GivenCommon | None:
+    """P(conform) at each common error from the posterior table; ``None`` where the run declares no common errors."""
+    if posterior is None or "p_pass_given_common" not in posterior.column_names:
+        return None
+    column = posterior["p_pass_given_common"]
+    if column.null_count == len(column):
+        return None
+    place = {name: i for i, name in enumerate(devices.text("device_id"))}
+    encoded = posterior["device_id"].combine_chunks().dictionary_encode()
+    places = np.array([place[name] for name in encoded.dictionary.to_pylist()], dtype=np.int64)
+    draw = posterior["draw"].to_numpy()
+    p_pass = np.full((int(draw.max()) + 1, len(devices)), np.nan)
+    p_pass[draw, places[encoded.indices.to_numpy()]] = column.to_numpy()
+    return GivenCommon(p_pass, rule)
+
+
+def mixed_clopper_pearson(count: FloatArray, n: FloatArray, method: str, level: float = LEVEL) -> Interval:
+    """The interval of the mixture of Clopper-Pearson distributions of counts (K,) of n (K,), which may be effective numbers."""
+    tail = 0.5 * (1.0 - level)
+
+    def low(p: float) -> float:
+        return (
+            float(np.mean(np.where(count > 0, special.betainc(np.maximum(count, 1e-9), n - count + 1.0, p), 1.0)))
+            - tail
+        )
+
+    def high(p: float) -> float:
+        inside = special.betainc(count + 1.0, np.maximum(n - count, 1e-9), p)
+        return float(np.mean(np.where(count < n, inside, 0.0))) - (1.0 - tail)
+
+    # A share of at least the tail without any pass (or without any loss) takes the interval to its end.
+    return Interval(
+        0.0 if low(0.0) >= 0.0 else float(optimize.brentq(low, 0.0, 1.0, xtol=1e-14)),
+        1.0 if high(1.0 - 1e-15) <= 0.0 else float(optimize.brentq(high, 0.0, 1.0, xtol=1e-14)),
+        method,
+        level,
+    )
+
+
+def mixed_wilson(count: FloatArray, n: float, level: float = LEVEL) -> Interval:
+    """The p at which the score test, averaged over counts (K,) of n, does not reject: Wilson's interval at equal counts."""
+    tail = 0.5 * (1.0 - level)
+
+    def above(p: float) -> float:
+        score = (count / n - p) / np.sqrt(p * (1.0 - p) / n)
+        return float(np.mean(special.ndtr(score)))
+
+    edge = 1e-12
+    low = 0.0 if above(edge) <= 1.0 - tail else optimize.brentq(lambda p: above(p) - (1.0 - tail), edge, 1.0 - edge)
+    high = 1.0 if above(1.0 - edge) >= tail else optimize.brentq(lambda p: above(p) - tail, edge, 1.0 - edge)
+    return Interval(float(low), float(high), "Wilson, common errors included", level)
+
+
+def _hull(one: Interval, other: Interval) -> Interval:
+    """The least interval that contains both, by the method of ``other``."""
+    return replace(other, low=min(one.low, other.low), high=max(one.high, other.high))
+
+
+def with_common(found: Yield, given: GivenCommon | None) -> Yield:
+    """``found`` with intervals that contain the common errors; unchanged without them."""
+    if given is None or not found.devices:
+        return found
+    n = np.full(given.p_pass.shape[0], float(found.devices))
+    passed, possible = (part.sum(axis=1).astype(np.float64) for part in (given.passed, given.possible))
+    mixed = mixed_clopper_pearson(passed, n, "Clopper-Pearson, common errors included")
+    most = mixed_clopper_pearson(possible, n, f"{mixed.method}, undecided either way")
+    return replace(
+        found,
+        clopper_pearson=_hull(found.clopper_pearson, mixed),
+        wilson=_hull(found.wilson, mixed_wilson(passed, float(found.devices))),
+        envelope=_hull(found.envelope, replace(most, low=mixed.low)),
+    )
+
+
+def clustering_with_common(found: Clustering, groups: Sequence[str], given: GivenCommon | None) -> Clustering:
+    """``found`` with an interval that contains the common errors; ``groups``: B names."""
+    if given is None or found.interval is None:
+        return found
+    names, index = np.unique(np.asarray(groups), return_inverse=True)
+    parts = [effective_number(passed.astype(np.float64), index, names.size) for passed in given.passed]
+    share, n = np.array([part.share for part in parts]), np.array([part.effective for part in parts])
+    mixed = mixed_clopper_pearson(share * n, n, f"{found.interval.method}, common errors included")
+    return replace(found, interval=_hull(found.interval, mixed))
+
+
+def groups_with_common(
+    found: Sequence[GroupYield], lots: Sequence[str], wafers: Sequence[str] | None, given: GivenCommon | None
+) -> tuple[GroupYield, ...]:
+    """The yield of each lot or wafer with intervals that contain the common errors; names as for ``by_group``."""
+    if given is None:
+        return tuple(found)
+    keys = np.array(list(zip(lots, wafers if wafers is not None else [""] * len(lots), strict=True)))
+    return tuple(
+        replace(row, result=with_common(row.result, given.of(np.all(keys == (row.lot, row.wafer), axis=1))))
+        for row in found
+    )
+
+
+def measurement_given_common(given: GivenCommon, level: float = LEVEL) -> Measurement:
+    """The number of conforming devices: a mixture over the common errors of Poisson-binomial distributions."""
+    known = np.all(np.isfinite(given.p_pass), axis=0)
+    p = given.p_pass[:, known]
+    pmf = np.zeros(p.shape[1] + 1)
+    for row in p:
+        certain = int(np.sum(row == 1.0))
+        part = poisson_binomial(row[(row > 0.0) & (row < 1.0)])
+        pmf[certain : certain + part.size] += part / p.shape[0]
+    counts = np.arange(pmf.size)
+    mean = float(np.sum(p)) / p.shape[0]
+    spread = float(np.sum(pmf * (counts - mean) ** 2))
+    tail = 0.5 * (1.0 - level)
+    low, high = (min(int(np.searchsorted(np.cumsum(pmf), at)), pmf.size - 1) for at in (tail, 1.0 - tail))
+    return Measurement(p.shape[1], given.p_pass.shape[1] - p.shape[1], mean, float(np.sqrt(spread)), low, high)
