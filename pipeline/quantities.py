@@ -23,7 +23,7 @@ MODEL: tuple[Quantity, ...] = (
     Quantity(
         "theta_deg",
         "deg",
-        "angle of the lower-frequency principal stiffness axis from the x axis of the sense electrodes, the frame of its sd",
+        "angle of the lower-frequency principal stiffness axis from the x axis, in the frame of the electrodes, as is its sd",
         True,
     ),
     Quantity("split_hz", "Hz", "(omega2 - omega1)/2pi, omega_i^2 the eigenvalues of M^-1 K"),
