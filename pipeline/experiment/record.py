@@ -8,11 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ..arrays import FloatArray
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
 from .instrument import Instrument
 from .systematic import EXACT, Systematic
 
 Role = Literal["noise", "fit", "validate"]
+BadReason = Literal["spike", "stuck", "dropout", "full_scale"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,16 @@ class Channels:
     lag_samples: int = 0
 
 
+@dataclass(frozen=True)
+class BadStretch:
+    """Bad samples ``first`` .. ``stop`` - 1 of a sense channel (counted from 0), and why they are bad."""
+
+    channel: int
+    first: int
+    stop: int
+    reason: BadReason
+
+
 @dataclass(frozen=True, eq=False)
 class Record:
     """One uniformly sampled run of an experiment.
@@ -62,6 +75,7 @@ class Record:
     bias_v : bias during this record [V]; ``None`` means the bias of the instrument.
     clock : sample rate and jitter of its time column; ``None`` where there was no time column.
     file : file of its [[record]] in campaign.toml; ``None`` where it was not read from a campaign.
+    bad : bad samples, which every fit leaves out; ``None`` where they were not sought (see ``experiment.bad_samples``).
     """
 
     name: str
@@ -74,6 +88,17 @@ class Record:
     bias_v: float | None = None
     clock: Clock | None = None
     file: str | None = None
+    bad: tuple[BadStretch, ...] | None = None
+
+    @property
+    def good(self) -> BoolArray | None:
+        """(N, S) whether each sense sample is good; ``None`` where all are."""
+        if not self.bad:
+            return None
+        good = np.ones(self.sense_v.shape, dtype=bool)
+        for one in self.bad:
+            good[one.first : one.stop, one.channel] = False
+        return good
 
     @property
     def duration_s(self) -> float:

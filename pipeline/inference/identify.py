@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..device.model import SCREENING_MODEL, Model, PlantSpec, mains_effects
+from ..experiment.bad_samples import without_bad_samples
 from ..experiment.noise.level import noise_level
 from ..experiment.noise.lines import hum_line
 from ..experiment.record import Campaign
@@ -61,12 +62,13 @@ def identify(
 
     Raises
     ------
-    MeasurementError : nothing to fit, or no noise.
+    MeasurementError : nothing to fit, no noise, or too many bad samples.
     ConfigError : a model that does not apply to the records.
     """
     settings, gate = settings or IdentificationSettings(), gate or Gate()
     if not campaign.with_role("fit"):
         campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
+    campaign = without_bad_samples(campaign)
     if model is None and is_inband(campaign):
         stream = np.random.SeedSequence(seed)
         columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.errors import ConfigError
+from pipeline.experiment.bad_samples import without_bad_samples
 from pipeline.experiment.files.channels import correct
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Channels, Record
@@ -69,7 +70,7 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
             next_step="identify the whole record instead, without --stream",
         )
     if settings.sigma_v is None and campaign.with_role("noise"):
-        noise, line_hz = campaign_noise(campaign)
+        noise, line_hz = campaign_noise(without_bad_samples(campaign))
         settings = replace(settings, sigma_v=tuple(noise.sigma_v.tolist()), line_hz=settings.line_hz or line_hz)
     return Bench(settings, campaign.instrument, campaign.channels, rate_settings(campaign), Gate())
 

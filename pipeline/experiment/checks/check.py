@@ -3,6 +3,7 @@
 | kind | found from |
 |---|---|
 | polarity, swap, lag, hold | residues of the modes (2 x 2), phase of the response (one drive) |
+| bad_samples | the prediction of each sample from its neighbours and the drives |
 | offset, drive_offset, clipping, dead, drive, converter, silence | the samples |
 | hum | lines at multiples of 50 or 60 Hz |
 | clock | the time column |
@@ -20,7 +21,9 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from ..bad_samples import marked
 from ..record import Campaign, Record
+from .bad import bad_samples
 from .clock import clocks
 from .drives import drive_offsets, is_driven, roles, unused_drives, without_bias
 from .finding import Correction, Finding, Severity
@@ -151,9 +154,13 @@ def check(campaign: Campaign) -> CheckReport:
             findings += clipping(record, row, campaign.instrument.adc)
     findings += dead_channels
     findings += converter(campaign, found)
+    marked_records = [marked(record, campaign.instrument.adc) for record in campaign.records]
+    for record in marked_records:
+        findings += bad_samples(record)
     findings += clocks(campaign)
     findings += hum(campaign)
-    driven = [record for record in campaign.records if is_driven(record)]
+    # The response is that of the good samples; levels, clipping and dead channels are those of the samples as they are.
+    driven = [record for record in marked_records if is_driven(record)]
     if driven and not dead_channels:
         # The matrices are small: more BLAS threads would only wait for each other.
         with threadpool_limits(limits=1, user_api="blas"):

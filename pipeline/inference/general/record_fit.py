@@ -1,6 +1,6 @@
 """One record against a fitted model: residual, chi2, error and misfit; fitted and held-out records alike.
 
-    chi2 = sum |r|^2,    dof = N S - nuisances,    error = sqrt(chi2 / dof),    misfit = sqrt(max(error^2 - 1, 0))
+    chi2 = sum |r|^2,    dof = good samples - nuisances,    error = sqrt(chi2 / dof),    misfit = sqrt(max(error^2 - 1, 0))
     relative_error = rms of the residual volts / rms of the measured volts
 
 Shapes: N samples, S senses, n coordinates of an initial state.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import BoolArray, FloatArray
 from ...experiment.record import Campaign, Role
 from .gauss_newton import CLOSE, FAINT
 from .residuals import CampaignResiduals, Task, Tasks
@@ -32,6 +32,7 @@ class RecordFit:
     residual : (N, S) in sigmas, nuisances removed.
     chi2, dof, error, relative_error, misfit : of this record alone.
     start : fitted initial state (2n,), ``None`` where the record starts at rest.
+    good : (N, S) whether a sample counts; bad ones have residual 0.  ``None``: all count.
     """
 
     name: str
@@ -44,6 +45,7 @@ class RecordFit:
     relative_error: float
     misfit: float
     start: FloatArray | None
+    good: BoolArray | None = None
 
 
 def misfit_of(error: float) -> float:
@@ -56,12 +58,14 @@ def record_fit(problem: CampaignResiduals, task: Task, start: FloatArray | None,
     record = task.record
     nuisances = task.basis.shape[1] * record.sense_v.shape[1] + 2 * task.coordinates
     residual = problem.whiten(record.sense_v - predicted_v, task)
-    chi2, dof = float(np.vdot(residual, residual)), residual.size - nuisances
+    good = record.good
+    samples = residual.size if good is None else int(np.count_nonzero(good))
+    chi2, dof = float(np.vdot(residual, residual)), samples - nuisances
     error = float(np.sqrt(chi2 / dof))
     level = float(np.sqrt(np.mean(record.sense_v**2)))
-    relative = float(np.sqrt(np.mean((residual * problem.sigma_v) ** 2))) / max(level, 1e-300)
+    relative = float(np.sqrt(np.sum((residual * problem.sigma_v) ** 2) / samples)) / max(level, 1e-300)
     return RecordFit(
-        record.name, record.role, predicted_v, residual, chi2, dof, error, relative, misfit_of(error), start
+        record.name, record.role, predicted_v, residual, chi2, dof, error, relative, misfit_of(error), start, good
     )
 
 

@@ -32,6 +32,7 @@ from ...experiment.forward.system import System, assemble, conditions_of
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign, Record
 from ...threads import mapped
+from .masking import MaskedBasis, masked_basis
 
 
 def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, instrument: Instrument) -> FloatArray:
@@ -61,12 +62,16 @@ def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A record in a fit: nuisance basis (N, L) [1], number of coordinates with free initial state (0: at rest), drive group."""
+    """A record in a fit: nuisance basis (N, L) [1], number of coordinates with free initial state (0: at rest), drive group.
+
+    ``masked`` is the basis without bad samples; ``None`` where all samples are good.
+    """
 
     record: Record
     basis: FloatArray
     coordinates: int
     group: DriveGroup
+    masked: MaskedBasis | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +108,8 @@ class CampaignResiduals:
         channels_checked(self.model, record)
         coordinates = 0 if record.at_rest else self.model.built.sense_motion().shape[1]
         basis = nuisance_columns(self.model, values, record, self.instrument)
-        return Task(record, basis, coordinates, drive_group_of([record], self.instrument, self.angular_gain))
+        group = drive_group_of([record], self.instrument, self.angular_gain)
+        return Task(record, basis, coordinates, group, masked=masked_basis(basis, record.good))
 
     def tasks(self, records: Sequence[Record], values: Mapping[str, float]) -> Tasks:
         """The records with their nuisance bases, in drive groups; raises as ``task``."""
@@ -120,7 +126,10 @@ class CampaignResiduals:
         rest = np.empty_like(y)
         # One channel at a time: contiguous samples are several times faster than interleaved channels.
         for s, sigma in enumerate(self.sigma_v):
-            np.subtract(y[..., s], own[..., s] @ task.basis.T, out=rest[..., s])
+            if task.masked is None:
+                np.subtract(y[..., s], own[..., s] @ task.basis.T, out=rest[..., s])
+            else:
+                rest[..., s] = task.masked.rest(y[..., s], s)
             rest[..., s] /= sigma
         return rest
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import MeasurementError
+from ...experiment.bad_samples import without_bad_samples
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.noise.lines import hum_line
 from ...experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
@@ -64,8 +65,9 @@ def identify_campaign(
 
     Raises
     ------
-    MeasurementError : no record to fit, or a channel without noise.
+    MeasurementError : no record to fit, a channel without noise, or too many bad samples.
     """
+    campaign = without_bad_samples(campaign)
     fit = campaign.with_role("fit")
     if not fit:
         raise MeasurementError("no record to fit", value=campaign.device_id, allowed='a record with role = "fit"')

@@ -30,6 +30,7 @@ from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
 from .inband import Band, make_band
 from .quality import FullBandQuality, full_band_quality, with_dependent_noise
+from .refill import refilled_fit
 from .sample import Posterior, SamplerSettings, not_converged_reason, sample
 from .whitening import band_noise
 
@@ -200,8 +201,10 @@ def identify_device(
     if fit is None or not fit.converged:
         why = "the likelihood has no maximum near any start; check hold and antialias in campaign.toml"
         return failed_result(why if found else f"{why}; the paper's route: {reason}", columns)
-    models = [model_volts(fit.x, i.record.drive_v, instrument) for i in fit_records]
     records = [i.record for i in fit_records]
+    if any(record.good is not None for record in records):
+        fit, records, data = refilled_fit(fit, records, data, sigma_v, lambda x, v: model_volts(x, v, instrument))
+    models = [model_volts(fit.x, record.drive_v, instrument) for record in records]
     quality = full_band_quality(records, models, noise, settings.line_hz)
     if quality.louder:
         quality, data = with_dependent_noise(quality, data, records, models, noise, settings.line_hz)

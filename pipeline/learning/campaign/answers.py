@@ -15,6 +15,7 @@ from ...criticism.problem import Region
 from ...criticism.verdict import TermClass
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...errors import MeasurementError
+from ...experiment.bad_samples import without_bad_samples
 from ...experiment.noise.level import noise_level
 from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit
@@ -48,12 +49,13 @@ def campaign_answers(
 
     Raises
     ------
-    MeasurementError : no record to fit.
+    MeasurementError : no record to fit, or too many bad samples.
     """
     if not campaign.with_role("fit"):
         raise MeasurementError(
             "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
         )
+    campaign = without_bad_samples(campaign)
     return CampaignAnswers(CampaignProblem(campaign, model, noise_level(campaign), threads or usable_cores()))
 
 

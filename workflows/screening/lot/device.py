@@ -24,6 +24,7 @@ from pipeline.criticism.shared import SharedTerm
 from pipeline.device.gyro import PHYSICAL
 from pipeline.device.model import SCREENING_MODEL, Model, mains_effects
 from pipeline.errors import GyroscreenError
+from pipeline.experiment.bad_samples import without_bad_samples
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
 from pipeline.experiment.noise.lines import hum_line, silent_sigma
@@ -134,7 +135,7 @@ def measurement_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, f
     """Records of a device, their noise level, and the mains frequency in its model [Hz], if any."""
     config, folders = source
     if config.source.kind == "campaigns":
-        campaign = read_campaign(folders[number])
+        campaign = without_bad_samples(read_campaign(folders[number]))
         silent = campaign.with_role("noise")
         line = hum_line(silent[0].sense_v, campaign.instrument.sample_rate_hz) if silent else None
         return campaign, noise_level(campaign, line), line
