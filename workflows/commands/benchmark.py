@@ -16,6 +16,7 @@ from ..screening.block import DeviceBlock, virtual_block
 from ..screening.settings import population
 from ..screening.virtual_device import identify_virtual
 from ..studies.coverage import Share, figures, run_study
+from ..studies.near_limits import DeviceShare
 
 
 def coverage(devices: int, splits: str, noise: str, seed: int, workers: int, json: bool) -> None:
@@ -26,11 +27,16 @@ def coverage(devices: int, splits: str, noise: str, seed: int, workers: int, jso
 def show(found: dict[str, Any], json: bool) -> None:
     """Print figures by name, as lines or as one JSON object."""
     if json:
-        plain = {k: {"count": v.count, "total": v.total} if isinstance(v, Share) else v for k, v in found.items()}
-        print(json_.dumps(plain))
+        print(json_.dumps({name: _plain(value) for name, value in found.items()}))
         return
     for name, value in found.items():
         print(f"{name:58s} {value:.3f}" if isinstance(value, float) else f"{name:58s} {value}")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Share | DeviceShare):
+        return {"count": value.count, "total": value.total, "interval": list(value.interval)}
+    return value
 
 
 def throughput(devices: int, json: bool) -> None:

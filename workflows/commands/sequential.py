@@ -8,7 +8,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.identification.lattice import advance, arx_of, start_lattice
-from reports.limits import DEFAULT_LIMITS
 
 from ..studies.sequential import figures, run_sequential_study
 from .benchmark import show
@@ -17,9 +16,9 @@ _RATE_HZ = 10_000.0
 _BLOCK = 500
 
 
-def sequential(devices: int, seed: int, workers: int, json: bool) -> None:
+def sequential(devices: int, near: int, seed: int, workers: int, json: bool) -> None:
     """See ``gyroscreen benchmark sequential --help``."""
-    show(figures(run_sequential_study(devices, seed, workers), DEFAULT_LIMITS.rule.fail_at), json)
+    show(figures(run_sequential_study(devices, near, seed, workers)), json)
 
 
 def lattice(order: int, seconds: float, json: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,8 @@ def stream(
             allowed="a record in which both drives act",
             next_step="check that the file is being written, or raise --patience",
         )
+    if decided is None and last.verdict_at_end != "undecided":
+        decided = replace(last, verdict=last.verdict_at_end)
     verdict = {
         "verdict": "undecided" if decided is None else decided.verdict,
         "decided_after_s": None if decided is None else decided.snapshot.duration_s,

@@ -1,6 +1,6 @@
 """Streaming identification of a growing record, with a sequential decision.
 
-pass / fail at the first estimate whose posterior probability of conformity crosses the rule's thresholds
+pass / fail at the first estimate that is beyond the boundaries of ``reports.sequential``
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pipeline.inference.screening.stream_estimate import estimate, noise_of
 from pipeline.inference.systematic import rate_settings
 from reports.decision import Verdict, decide
 from reports.limits import Limits
+from reports.sequential import checked, decide_at, margin
 
 _SEED = 1
 #: Share of an interval below which the remaining samples at the end give no estimate of their own.
@@ -45,11 +46,15 @@ class Bench:
 
 @dataclass(frozen=True, eq=False)
 class StreamStep:
-    """One estimate from the data so far, P(conform) and its verdict, and theta and split of the lattice."""
+    """One estimate from the data so far, P(conform), its verdicts, and theta and split of the lattice.
+
+    ``verdict`` is that of the sequential rule while the record may grow, ``verdict_at_end`` if it ends here.
+    """
 
     snapshot: Snapshot
     p_pass: float
     verdict: Verdict
+    verdict_at_end: Verdict
     route: RouteResult | None
 
 
@@ -75,12 +80,23 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
     return Bench(settings, campaign.instrument, campaign.channels, rate_settings(campaign), Gate())
 
 
-def verdict_of(snapshot: Snapshot, limits: Limits) -> tuple[float, Verdict]:
-    """P(conform) = share of the draws that meet all limits, nan if unknown, and the verdict of the rule."""
-    estimate = snapshot.estimate
-    draws = {name: estimate.draws.get(name, np.full(1, np.nan))[None] for name in limits.quantities}
-    decision = decide(limits, draws, [estimate.status])
-    return float(decision.p_pass[0]), decision.verdict[0]
+def verdicts_of(snapshot: Snapshot, limits: Limits, analysis: int, last: bool) -> tuple[Verdict, Verdict]:
+    """The verdict of P(conform) alone, and that of the sequential rule at ``analysis`` 1, 2, ..; see ``reports.sequential``."""
+    draws = _draws(snapshot, limits)
+    decision = decide(limits, {name: values[None] for name, values in draws.items()}, [snapshot.estimate.status])
+    return decision.verdict[0], checked(limits, decision.verdict[0], margin(limits, draws), analysis, last)
+
+
+def _draws(snapshot: Snapshot, limits: Limits) -> dict[str, FloatArray]:
+    draws = snapshot.estimate.draws
+    return {name: draws.get(name, np.full(1, np.nan)) for name in limits.quantities}
+
+
+def _step(found: Snapshot, route: RouteResult | None, limits: Limits, analysis: int) -> StreamStep:
+    draws, status = _draws(found, limits), found.estimate.status
+    p_pass, verdict = decide_at(limits, draws, status, analysis)
+    _, at_end = decide_at(limits, draws, status, analysis, last=True)
+    return StreamStep(found, p_pass, verdict, at_end, route)
 
 
 def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[StreamStep]:
@@ -93,7 +109,7 @@ def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[S
     stream = None
     noise = None
     previous: FloatArray | None = None
-    done = 0
+    done = analyses = 0
     for block in blocks:
         corrected = correct(block, bench.channels)
         if stream is None:
@@ -105,9 +121,9 @@ def follow(blocks: Iterable[Record], bench: Bench, limits: Limits) -> Iterator[S
                 done = stream.driven
                 noise = noise or noise_of(stream)
                 found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
-                previous = found.x
-                yield StreamStep(found, *verdict_of(found, limits), route)
+                previous, analyses = found.x, analyses + 1
+                yield _step(found, route, limits, analyses)
     if stream is not None and stream.driven - done > _REST * (stream.due - done):
         noise = noise or noise_of(stream)
         found, route = estimate(stream, noise, previous, bench.rate, bench.gate, np.random.SeedSequence(_SEED))
-        yield StreamStep(found, *verdict_of(found, limits), route)
+        yield _step(found, route, limits, analyses + 1)

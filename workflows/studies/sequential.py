@@ -2,12 +2,13 @@
 
 Virtual devices of the default population are chirped as in a run, with an interim analysis every tenth of a second:
 
-    sequential   stops at the first interim analysis with P(conform) >= 1 - a (pass) or <= a (fail); else undecided
-    fixed T      decides once, after T seconds, by the same rule
+    sequential         the rule of ``reports.sequential``, which bounds the error of every device beyond 2 final sd of a limit
+    P(conform) alone   stops at the first analysis with P(conform) >= pass_at or <= fail_at: a bound on average only
+    fixed T            decides once, after T seconds, by P(conform)
 
     wrong pass   passed although the truth does not conform (consumer's risk);   wrong fail likewise (producer's risk)
 
-P(conform) is a posterior probability, so repeated analyses do not by themselves raise the average error rate above a.
+Few devices of the population are near a limit.  ``near_limits`` therefore puts limits near the first devices.
 ``fit_arx`` on the same samples gives the model of the lattice and is faster for complete records.
 """
 
@@ -45,29 +46,33 @@ from ..machine import worker_count
 from ..screening.cluster import cluster, in_parallel
 from ..screening.settings import population, rate_of
 from ..screening.virtual_device import physical_of, shared_record, virtual_records
-from ..streaming.stream import verdict_of
+from ..streaming.stream import verdicts_of
 from .coverage import Share
+from .near_limits import ALONE, SEQUENTIAL, NearVerdicts, near_figures, near_verdicts
 
 #: Times of the interim analyses [s]; the last is the end of the record.
 ANALYSIS_TIMES_S: tuple[float, ...] = tuple(round(0.1 * k, 1) for k in range(3, 31))
 FIXED: tuple[float, ...] = (2.0, 3.0)
-#: A device is followed until P(conform) is this close to 0 or 1, so that stricter rules can use the same analyses.
-_SURE = 0.001
-_STRICTER: tuple[float, ...] = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+_SEQUENTIAL = (SEQUENTIAL, ALONE)
 _BLOCK = 10
 _STREAM_ANALYSIS = 107
 
 
 @dataclass(frozen=True)
-class InterimResults:
-    """One device: whether it conforms, P(conform) at ``ANALYSIS_TIMES_S``, and time [s] -> P(conform) of fixed tests.
+class Decided:
+    """A verdict and the time [s] at which it was given; undecided at the end of the record."""
 
-    nan where P(conform) is unknown; the analyses stop where it is close to 0 or 1.
-    """
+    verdict: Verdict
+    time_s: float
+
+
+@dataclass(frozen=True)
+class InterimResults:
+    """One device: whether it conforms, what each rule decided and when, and verdicts against limits near its truth."""
 
     conforms: bool
-    p_pass: tuple[float, ...]
-    fixed: dict[float, float]
+    decided: dict[str, Decided]
+    near: tuple[NearVerdicts, ...] = ()
 
 
 @lru_cache(maxsize=64)
@@ -101,8 +106,10 @@ def _analyse(
     return snapshot(data, sigma_v, previous, starts, rate_of(config, gain), config.gate.gate(), seed)
 
 
-def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, limits: Limits) -> InterimResults:
-    """P(conform) of device i of a draw at all interim analyses until it is close to 0 or 1, and at the fixed times."""
+def examine_device(
+    config: RunConfig, drawn: Draw, i: int, angular_gain: float, limits: Limits, near: bool
+) -> InterimResults:
+    """What each rule decides about device i of a draw; with ``near``, about limits near its true values too."""
     instrument = config.instrument.instrument()
     silent, fit_v, _ = virtual_records(config, drawn, i)
     sigma_v = silent_sigma(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
@@ -110,37 +117,41 @@ def examine_device(config: RunConfig, drawn: Draw, i: int, angular_gain: float, 
     b = config.identification
     filtered = bandpass(np.concatenate([fit_v, drive], axis=1), instrument.sample_rate_hz, b.low_hz, b.high_hz)
     seeds = np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM_ANALYSIS, int(drawn.index[i])))
-    p_pass: list[float] = []
-    fixed: dict[float, float] = {}
+    end_s = ANALYSIS_TIMES_S[-1]
+    decided: dict[str, Decided] = {}
+    analyses: list[dict[str, FloatArray] | None] = []
     previous: FloatArray | None = None
-    for time_s, seed in zip(ANALYSIS_TIMES_S, seeds.spawn(len(ANALYSIS_TIMES_S))):
-        sure = bool(p_pass) and min(p_pass[-1], 1.0 - p_pass[-1]) <= _SURE
-        if sure and time_s not in FIXED:
+    for k, (time_s, seed) in enumerate(zip(ANALYSIS_TIMES_S, seeds.spawn(len(ANALYSIS_TIMES_S))), start=1):
+        if len(decided) >= len(_SEQUENTIAL) and time_s not in FIXED and not near:
             continue
         samples = round(time_s * instrument.sample_rate_hz)
         found = _analyse(config, fit_v, filtered, sigma_v, samples, angular_gain, previous, seed)
         previous = found.x
-        p, _ = verdict_of(found, limits)
-        if not sure:
-            p_pass.append(p)
+        by_posterior, verdict = verdicts_of(found, limits, k, time_s == end_s)
+        for rule, now in ((SEQUENTIAL, verdict), (ALONE, by_posterior)):
+            if rule not in decided and (now != "undecided" or time_s == end_s):
+                decided[rule] = Decided(now, time_s)
         if time_s in FIXED:
-            fixed[time_s] = p
+            decided[f"fixed {time_s:g} s"] = Decided(by_posterior, time_s)
+        analyses.append(found.estimate.draws if found.estimate.status == "ok" else None)
     physical = physical_of(drawn.true)[i]
     truth = quantities(physical, rate_of(config, angular_gain), np.asarray(drawn.true["split_hz"][i]))
-    return InterimResults(bool(conforms(limits, truth)), tuple(p_pass), fixed)
+    against = near_verdicts(limits, truth, analyses, ANALYSIS_TIMES_S) if near else ()
+    return InterimResults(bool(conforms(limits, truth)), decided, against)
 
 
-def study_block(config: RunConfig, span: tuple[int, int]) -> list[InterimResults]:
-    """The devices first .. first + count - 1, where span = (first, count)."""
-    first, count = span
+def study_block(config: RunConfig, span: tuple[int, int, int]) -> list[InterimResults]:
+    """The devices first .. first + count - 1, where span = (first, count, near); limits are put near devices below ``near``."""
+    first, count, near = span
     with threadpool_limits(limits=1):
         spec = population(config)
         drawn = draw(spec, config.run.seed, first, count)
-        return [examine_device(config, drawn, i, float(spec.angular_gain), config.judged_by()) for i in range(count)]
+        gain, limits = float(spec.angular_gain), config.judged_by()
+        return [examine_device(config, drawn, i, gain, limits, first + i < near) for i in range(count)]
 
 
-def run_sequential_study(devices: int, seed: int, workers: int) -> list[InterimResults]:
-    """The interim analyses of all devices, in the order in which their blocks finished.
+def run_sequential_study(devices: int, near: int, seed: int, workers: int) -> list[InterimResults]:
+    """What the rules decide about all devices, and about limits near the first ``near``; in the order of finished blocks.
 
     Raises
     ------
@@ -149,7 +160,7 @@ def run_sequential_study(devices: int, seed: int, workers: int) -> list[InterimR
     if devices < 1:
         raise UsageError("no devices to study", value=devices, allowed="1 or more")
     config = load_config(None, {"seed": seed, "devices": devices})
-    spans = [(first, min(_BLOCK, devices - first)) for first in range(0, devices, _BLOCK)]
+    spans = [(first, min(_BLOCK, devices - first), near) for first in range(0, devices, _BLOCK)]
     found: list[InterimResults] = []
     with cluster(min(worker_count(workers), len(spans)), None) as client:
         for rows in in_parallel(client, study_block, config, spans):
@@ -157,69 +168,17 @@ def run_sequential_study(devices: int, seed: int, workers: int) -> list[InterimR
     return found
 
 
-@dataclass(frozen=True)
-class Test:
-    """Result of a test: mean duration [s], and shares of all devices."""
-
-    mean_s: float
-    wrong_pass: Share
-    wrong_fail: Share
-    undecided: Share
-
-
-def _verdict(p: float, a: float) -> Verdict:
-    if p >= 1.0 - a:
-        return "pass"
-    return "fail" if p <= a else "undecided"
-
-
-def _tested(rows: Sequence[InterimResults], verdicts: Sequence[Verdict], seconds: Sequence[float]) -> Test:
+def figures(rows: Sequence[InterimResults]) -> dict[str, Any]:
+    """The figures of the study by name: duration and errors of each rule, then errors near a limit."""
     n = len(rows)
-    wrong_pass = sum(v == "pass" and not row.conforms for v, row in zip(verdicts, rows))
-    wrong_fail = sum(v == "fail" and row.conforms for v, row in zip(verdicts, rows))
-    undecided = sum(v == "undecided" for v in verdicts)
-    return Test(float(np.mean(seconds)), Share(wrong_pass, n), Share(wrong_fail, n), Share(undecided, n))
-
-
-def fixed_test(rows: Sequence[InterimResults], time_s: float, a: float) -> Test:
-    """pass or fail by P(conform) >= 1 - a or <= a after ``time_s`` [s], one of ``FIXED``; undecided between."""
-    return _tested(rows, [_verdict(row.fixed[time_s], a) for row in rows], [time_s] * len(rows))
-
-
-def sequential_test(rows: Sequence[InterimResults], a: float) -> Test:
-    """pass or fail at the first analysis with P(conform) >= 1 - a or <= a; undecided at the end of the record."""
-    verdicts: list[Verdict] = []
-    seconds = []
-    for row in rows:
-        decided = [(_verdict(p, a), t) for p, t in zip(row.p_pass, ANALYSIS_TIMES_S) if _verdict(p, a) != "undecided"]
-        verdict, time_s = decided[0] if decided else ("undecided", ANALYSIS_TIMES_S[-1])
-        verdicts.append(verdict)
-        seconds.append(time_s)
-    return _tested(rows, verdicts, seconds)
-
-
-def as_good_as(rows: Sequence[InterimResults], fixed: Test) -> tuple[float, Test] | None:
-    """The loosest threshold a at which the sequential test has no more wrong passes and wrong fails than ``fixed``.
-
-    Returns a and that test; ``None`` if no threshold of ``_STRICTER`` is strict enough.
-    """
-    for a in _STRICTER:
-        test = sequential_test(rows, a)
-        if test.wrong_pass.count <= fixed.wrong_pass.count and test.wrong_fail.count <= fixed.wrong_fail.count:
-            return a, test
-    return None
-
-
-def figures(rows: Sequence[InterimResults], a: float) -> dict[str, Any]:
-    """The figures of the study by name, for the thresholds a and 1 - a."""
-    two = fixed_test(rows, 2.0, a)
-    out: dict[str, Any] = {"devices": len(rows), "conforming": Share(sum(r.conforms for r in rows), len(rows))}
-    tests = {"sequential": sequential_test(rows, a), "fixed 2 s": two, "fixed 3 s": fixed_test(rows, 3.0, a)}
-    if (same := as_good_as(rows, two)) is not None:
-        tests[f"sequential at {same[0]:g}, no more errors than fixed 2 s"] = same[1]
-    for name, test in tests.items():
-        out[f"{name}: mean duration, s"] = test.mean_s
-        out[f"{name}: wrong pass"] = test.wrong_pass
-        out[f"{name}: wrong fail"] = test.wrong_fail
-        out[f"{name}: undecided"] = test.undecided
-    return out
+    out: dict[str, Any] = {"devices": n, "conforming": Share(sum(r.conforms for r in rows), n)}
+    for rule in (*_SEQUENTIAL, *(f"fixed {time_s:g} s" for time_s in FIXED)):
+        found = [(row.decided[rule], row.conforms) for row in rows]
+        times = [one.time_s for one, _ in found]
+        out[f"{rule}: mean duration, s"] = float(np.mean(times))
+        out[f"{rule}: median duration, s"] = float(np.median(times))
+        out[f"{rule}: wrong pass"] = Share(sum(one.verdict == "pass" and not good for one, good in found), n)
+        out[f"{rule}: wrong fail"] = Share(sum(one.verdict == "fail" and good for one, good in found), n)
+        out[f"{rule}: undecided"] = Share(sum(one.verdict == "undecided" for one, _ in found), n)
+    near = [row.near for row in rows if row.near]
+    return out | near_figures(near) if near else out

@@ -78,6 +78,12 @@ def test_stream_reports_theta_and_split_with_sd_and_the_time_of_the_verdict(
     assert abs(found["theta_deg"] - THETA) < 4.0 * found["theta_deg_sd"] < 1.0
     assert abs(found["split_hz"] - 1.9) < 4.0 * found["split_hz_sd"] < 0.05
     assert (found["verdict"], found["decided_after_s"]) == ("pass", 0.3)
+    # 1.8 sd inside the limit is too little while more may follow, and enough at the end of the record.
+    limits.write_text(f"[limits.split_hz]\nmax = {found['split_hz'] + 1.8 * found['split_hz_sd']}\n")
+    stream(file, True, limits=limits, patience_s=0.05, every_s=0.3)
+    at_end = json.loads(capsys.readouterr().out)
+    assert (at_end["steps"][-1]["verdict"], at_end["verdict"]) == ("undecided", "pass")
+    assert at_end["decided_after_s"] == pytest.approx(0.8, abs=1e-3)
     limits.write_text("[limits.split_hz]\nmax = 1.5\n")
     stream(file, False, limits=limits, patience_s=0.05, decide=True)
     assert capsys.readouterr().out.splitlines()[-1] == "fail after 0.3 s of drive"

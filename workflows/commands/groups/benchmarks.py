@@ -44,14 +44,21 @@ def throughput(devices: Devices = 100, json: Json = False) -> None:
 
 
 @app.command()
-def sequential(devices: Devices = 500, seed: Seed = 2026, workers: Workers = 0, json: Json = False) -> None:
+def sequential(
+    devices: Devices = 500,
+    near: Annotated[int, typer.Option(help="Devices near whose true values limits are put; the first ones.")] = 150,
+    seed: Seed = 2026,
+    workers: Workers = 0,
+    json: Json = False,
+) -> None:
     """Test duration and error rates of the sequential test.
 
-    The sequential test is compared with tests of fixed duration.
+    The sequential test is compared with P(conform) alone and with tests of fixed duration, over the population and against
+    the distance from a limit.
     """
     from ..sequential import sequential as command
 
-    command(devices, seed, workers, json)
+    command(devices, near, seed, workers, json)
 
 
 @app.command()
