@@ -15,6 +15,7 @@ Shapes: n draws or nodes, five errors, 12 physical parameters.  Units of ``pipel
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -34,6 +35,8 @@ _FREQUENCIES = [PHYSICAL.index(name) for name in ("f1_hz", "f2_hz", "f3_hz")]
 _DAMPINGS = [PHYSICAL.index(name) for name in ("zeta1", "zeta2", "zeta3")]
 _GAINS = [PHYSICAL.index(name) for name in ("rocking_gain", "updown_gain")]
 _ERRORS = 5
+#: Gains of plant "modal"; a clock error, in ppm, is small beside a gain error.
+_MODAL_GAIN = re.compile(r"gain\d+_s\d+d\d+")
 #: Seed of the nodes: quadrature points of an integral, not realisations, so every device and every run has the same.
 _SEED = 13
 
@@ -112,7 +115,7 @@ def with_common_errors(
 
     Parameters
     ----------
-    estimates : parameters of plant "gyro" and split_hz, in their units; other names keep their sd.
+    estimates : parameters of plant "gyro" or "modal" and split_hz, in their units; those of effects keep their sd.
     systematic : standard deviations of the common errors.
     """
     if systematic.exact:
@@ -123,7 +126,12 @@ def with_common_errors(
         Identified(physical, split, RateSettings(systematic=systematic)).given(sign * np.eye(_ERRORS))
         for sign in (1.0, -1.0)
     )
-    return {
-        name: (value, float(np.sqrt(sd**2 + np.sum((plus[name] - minus[name]) ** 2) / 4.0)) if name in plus else sd)
-        for name, (value, sd) in estimates.items()
-    }
+    out: dict[str, tuple[float, float]] = {}
+    for name, (value, sd) in estimates.items():
+        common = 0.0
+        if name in plus:
+            common = float(np.linalg.norm(plus[name] - minus[name])) / 2.0
+        elif _MODAL_GAIN.fullmatch(name):
+            common = abs(value) * systematic.gain_sd
+        out[name] = value, float(np.hypot(sd, common))
+    return out

@@ -11,6 +11,7 @@ from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Record
+from pipeline.experiment.systematic import Systematic
 from pipeline.inference.gate import Gate
 from pipeline.inference.identify import identify
 
@@ -70,3 +71,23 @@ def test_a_record_without_a_role_is_fitted_and_without_silence_its_error_is_null
         assert columns["status"] == "ok"
         assert columns["error"] is None
         assert abs(columns["theta_deg"] - PAPER["theta_deg"]) < 4.5 * columns["theta_deg_sd"]
+
+
+def test_both_paths_add_the_common_errors_that_the_campaign_declares():
+    bare = campaign_of(SCREENING_MODEL, PAPER, drive_samples(Chirp(), RATE))
+    tester = Systematic(phase_error_sd_deg=0.5, gain_sd=0.01, clock_sd_ppm=10.0, temperature_sd_c=1.0)
+    with_tester = replace(bare, systematic=tester)
+    before, in_band, general = (
+        identify(bare).columns,
+        identify(with_tester).columns,
+        identify(with_tester, SCREENING_MODEL).columns,
+    )
+    frequency = PAPER["f1_hz"] * 1e-6 * np.hypot(10.0, 28.0)
+    assert before["f1_hz_sd"] < 0.1 * frequency
+    for after in (in_band, general):
+        assert after["f1_hz_sd"] == pytest.approx(frequency, rel=0.03)
+        assert after["rocking_gain_sd"] == pytest.approx(0.01 * PAPER["rocking_gain"], rel=0.03)
+    assert in_band["theta_deg_sd"] == pytest.approx(before["theta_deg_sd"], rel=1e-9)
+    assert (in_band["status"], in_band["error"]) == (before["status"], before["error"])
+    leaked = abs(in_band["quadrature_rate_dps"]) * np.deg2rad(0.5)
+    assert in_band["rate_bias_dps_sd"] == pytest.approx(leaked, rel=0.03)
