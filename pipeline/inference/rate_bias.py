@@ -18,7 +18,9 @@ from ..arrays import FloatArray
 from ..device.operation.bias import rate_biases_dps
 from ..device.operation.rebalance import self_oscillation_hz
 from ..errors import ConfigError
-from .estimate import intervals
+from ..experiment.systematic import Systematic
+from .estimate import RateSettings, intervals
+from .systematic import demodulated
 
 
 def bias_draws(
@@ -84,7 +86,7 @@ def bias_from_posterior(
         raise ConfigError(
             "demodulation phase error too large", value=phase_error_deg, allowed="|phi| + 10 sd below 90 deg"
         )
-    count = draws.shape[0]
-    kappas = kappa * np.exp(kappa_sd / kappa * random.standard_normal(count))
-    phis = phi + phi_sd * random.standard_normal(count)
-    return intervals(bias_draws(draws, kappas, phis, drive))
+    known = RateSettings(kappa, phi, "f1", Systematic(phase_error_sd_deg=phi_sd, angular_gain_sd=kappa_sd))
+    drawn = demodulated(known, random.standard_normal((draws.shape[0], len(known.systematic.sds))))
+    assert drawn.angular_gain is not None
+    return intervals(bias_draws(draws, drawn.angular_gain, drawn.phase_error_deg, drive))
