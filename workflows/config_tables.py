@@ -57,8 +57,9 @@ class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ExperimentTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The excitation, the silent record before it, and effects that virtual devices have in addition to the model's.
+    """The excitation, the silent record before it, and the effects with sizes drawn by the population that virtual devices have.
 
+    The default has all linear ones.  The nightly model fits electrode mismatches if one of these two effects is named.
     One start, stop [Hz] and amplitude [V] for each drive; ``period_s`` [s] is that of the multisine.
     """
 
@@ -69,7 +70,7 @@ class ExperimentTable(Struct, frozen=True, forbid_unknown_fields=True):
     duration_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 3.0
     period_s: Positive = 3.0
     silence_s: Positive = 1.0
-    effects: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ("electrode_mismatch", "updown_tilt")
 
     def excitation(self) -> Excitation:
         """The excitation that the table describes."""

@@ -190,6 +190,8 @@ def _pole_near(
 def cartesian_modes(x: FloatArray, poles: ComplexArray, residues: ComplexArray) -> None:
     """Modes of one device with cartesian parameters x (12,): writes poles (3,) [rad/s] and residues (3, 2, 2) [rad/s].
 
+    x (14,) ends with the electrode mismatches m_D, m_S [1]: the imbalances of rocking are then d + m_D and s + m_S.
+
     The rocking poles solve det P(s) = 0 with P(s) = s^2 I + s C + K, and their residues are s adj P / (det P)'.  The result is
     that of :func:`gyro_modes`, a thousand times faster.  Coinciding poles (an exceptional point) are moved 1e-6 rad/s apart,
     which changes the response by less than 1e-9.
@@ -210,6 +212,10 @@ def cartesian_modes(x: FloatArray, poles: ComplexArray, residues: ComplexArray) 
         p1, p2 = p2, p1
     g_r, g_z = math.exp(x[8]), math.exp(x[9])
     s, d = x[10], x[11]
+    s_rocking, d_rocking = s, d
+    if x.size == 14:
+        d_rocking += x[12]
+        s_rocking += x[13]
     for k in range(2):
         p, q = (p1, p2) if k == 0 else (p2, p1)
         a, b, c = p * p + p * cxx + kxx, p * cxy + kxy, p * p + p * cyy + kyy
@@ -220,9 +226,9 @@ def cartesian_modes(x: FloatArray, poles: ComplexArray, residues: ComplexArray) 
         # M_S adj(P) M_D, with adj(P) = [[c, -b], [-b, a]].
         for i in range(2):
             row_x, row_y = M_S[i, 0] * c - M_S[i, 1] * b, M_S[i, 1] * a - M_S[i, 0] * b
-            k_s = 1.0 - s if i == 0 else 1.0 + s
+            k_s = 1.0 - s_rocking if i == 0 else 1.0 + s_rocking
             for j in range(2):
-                k_d = 1.0 - d if j == 0 else 1.0 + d
+                k_d = 1.0 - d_rocking if j == 0 else 1.0 + d_rocking
                 residues[k, i, j] = gain * k_s * (row_x * M_D[0, j] + row_y * M_D[1, j]) * k_d
     omega3, c33 = x[6], x[7]
     p3 = complex(-0.5 * c33, math.sqrt(omega3 * omega3 - 0.25 * c33 * c33))

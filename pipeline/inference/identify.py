@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..device.model import SCREENING_MODEL, Model, PlantSpec, mains_effects
+from ..device.model import Model, PlantSpec, mains_effects
 from ..experiment.bad_samples import without_bad_samples
 from ..experiment.noise.level import noise_level
 from ..experiment.noise.lines import hum_line
@@ -25,6 +25,7 @@ from .general.goodness import band_goodness, fit_status, full_band_goodness
 from .general.starts import driven_band
 from .screening.campaign import identify_campaign, is_inband
 from .screening.device import IdentificationSettings
+from .screening.mismatch import BROAD, NIGHTLY_MODEL
 from .screening.sample import SamplerSettings
 from .systematic import with_common_errors
 
@@ -65,7 +66,7 @@ def identify(
     MeasurementError : nothing to fit, no noise, or too many bad samples.
     ConfigError : a model that does not apply to the records.
     """
-    settings, gate = settings or IdentificationSettings(), gate or Gate()
+    settings, gate = settings or IdentificationSettings(mismatch=BROAD), gate or Gate()
     if not campaign.with_role("fit"):
         campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
     campaign = without_bad_samples(campaign)
@@ -80,12 +81,12 @@ def identify(
 
 
 def default_models(campaign: Campaign) -> tuple[Model, ...]:
-    """Models to try without a model file: the screening gyro for 2 x 2, else one mode, sensed as velocity or displacement."""
+    """Models to try without a model file: the nightly gyro for 2 x 2, else one mode, sensed as velocity or displacement."""
     record = campaign.with_role("fit")[0]
     silent = campaign.with_role("noise")
     hum = tuple(mains_effects()) if silent and hum_line(silent[0].sense_v, record.sample_rate_hz) else ()
     if record.drive_v.shape[1] == record.sense_v.shape[1] == 2:
-        return (replace(SCREENING_MODEL, effects=SCREENING_MODEL.effects + hum),)
+        return (replace(NIGHTLY_MODEL, effects=NIGHTLY_MODEL.effects + hum),)
     return (Model(PlantSpec("modal", 1, "velocity"), hum), Model(PlantSpec("modal", 1, "displacement"), hum))
 
 

@@ -77,6 +77,17 @@ _ORIGIN = (
     _text("package", "package into which it was mounted"),
 )
 
+_MISMATCH = (
+    _number(
+        "drive_mismatch", "1", "drive imbalance of rocking minus that of the up-down mode, including the up-down tilt"
+    ),
+    _number("drive_mismatch_sd", "1", "posterior sd of drive_mismatch"),
+    _number(
+        "sense_mismatch", "1", "sense imbalance of rocking minus that of the up-down mode, including the up-down tilt"
+    ),
+    _number("sense_mismatch_sd", "1", "posterior sd of sense_mismatch"),
+)
+
 _ROUTE = (
     _number("theta_u1_deg", "deg", "theta from the sense direction u1 of rocking mode 1 (the paper's route)"),
     _number("theta_v1_deg", "deg", "theta from the drive direction v1 of rocking mode 1 (the paper's route)"),
@@ -147,6 +158,7 @@ _MISSING = (
 DEVICES: tuple[Column, ...] = (
     *_ORIGIN,
     *(column for quantity in QUANTITIES for column in _estimate(quantity)),
+    *_MISMATCH,
     *_ROUTE,
     *_QUALITY,
     *_DECISION,

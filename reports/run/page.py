@@ -15,6 +15,7 @@ from pipeline.quantities import QUANTITIES
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
+from ..words.physics import RunPhysics, physics_sentences
 from .content import RunContent, StoredRun, run_content
 from .figures import corner_plots, run_figures
 from .lot_effects import LotEffects, counted, probability, with_sd
@@ -48,6 +49,7 @@ def render_run_report(
     *,
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,
+    physics: RunPhysics | None = None,
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -57,6 +59,7 @@ def render_run_report(
     limits : the limits and rule by which the run was judged.
     population_summary : description of the population; nested tables become dotted names.
     lot_effects : findings about its misfits.
+    physics : what its devices and its model contain, stated at the head of the page.
 
     Raises
     ------
@@ -71,6 +74,7 @@ def render_run_report(
         figures=run_figures(devices, content),
         corners=corner_plots(content.worst, run.posterior),
         sections=_sections(content),
+        physics=() if physics is None else physics_sentences(physics),
         diagnostics=_DIAGNOSTICS,
         route_names=_ROUTE,
         meanings={quantity.name: quantity.meaning for quantity in QUANTITIES},

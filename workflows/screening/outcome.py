@@ -11,15 +11,18 @@ from typing import Any
 from pipeline.errors import GateError
 from pipeline.store.read import read_run
 from pipeline.store.run import RunStore, open_run
+from populations.draw import draw
 from reports.common_errors import given_common, with_common
 from reports.devices import Devices
 from reports.run import lot_effects as lot_report
 from reports.run.page import render_run_report
+from reports.words.physics import RunPhysics
 from reports.yields import yield_of_verdicts
 
-from ..config import config_of_run
+from ..config import RunConfig, config_of_run
 from ..config_tables import TargetsTable
-from .settings import population
+from .settings import mismatch_prior, population
+from .virtual_device import virtual_model
 
 
 @dataclass(frozen=True)
@@ -62,9 +65,21 @@ def write_report(results: Path, run_id: str) -> tuple[str, Path]:
     summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
     store = open_run(results, run_id)
     found = lot_effects(store)
-    page = render_run_report(tables, config.judged_by(), population_summary=summary, lot_effects=found)
+    page = render_run_report(
+        tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)
+    )
     store.write_file("report.html", page.encode("utf-8"))
     return page, store.folder / "report.html"
+
+
+def physics_of(config: RunConfig) -> RunPhysics:
+    """What the devices of a run carry, what its model contains, and what the population draws in vain."""
+    mismatch = mismatch_prior(config) is not None
+    if config.source.kind != "population":
+        return RunPhysics(mismatch=mismatch)
+    carried = virtual_model(config).effects
+    drawn = draw(population(config), config.run.seed, 0, 1).effects
+    return RunPhysics(carried, tuple(sorted(set(drawn) - set(carried))), config.noise.kind, mismatch)
 
 
 def lot_effects(store: RunStore) -> lot_report.LotEffects | None:

@@ -17,10 +17,16 @@ from pipeline.experiment.record import Campaign
 from pipeline.experiment.systematic import Systematic
 from pipeline.inference.estimate import RateSettings
 from pipeline.inference.screening.device import IdentificationSettings
+from pipeline.inference.screening.mismatch import BROAD, MismatchPrior, prior_from
+from populations.draw import draw
 from populations.spec import PopulationSpec, load_spec
 
 from ..config import RunConfig
 
+#: The effects that the mismatches of the nightly model describe.
+MISMATCHES = ("electrode_mismatch", "updown_tilt")
+#: Devices from which the prior is taken: its sd is then known to 4 %, and the records are a hundred times as precise as it.
+_PRIOR_DEVICES, _PRIOR_SEED = 300, 20260101
 NOISE_STREAM, POSTERIOR_STREAM, CAMPAIGN_STREAM, TRIM_STREAM, EFFECT_STREAM = 101, 102, 103, 107, 108
 
 
@@ -48,10 +54,35 @@ def population(config: RunConfig) -> PopulationSpec:
     return _population(config.source.spec, tuple(sorted(config.source.values.items())))
 
 
+@lru_cache(maxsize=4)
+def _mismatch_prior(spec: str, values: tuple[tuple[str, float], ...], effects: frozenset[str]) -> MismatchPrior:
+    drawn = draw(_population(spec, values), _PRIOR_SEED, 0, _PRIOR_DEVICES).effects
+    nothing = np.zeros(_PRIOR_DEVICES)
+    mismatch = drawn.get("electrode_mismatch", {}) if "electrode_mismatch" in effects else {}
+    tilt = drawn.get("updown_tilt", {}) if "updown_tilt" in effects else {}
+    pair = np.stack([mismatch.get("m_D", nothing), mismatch.get("m_S", nothing)], axis=1)
+    return prior_from(pair, tilt.get("t_x", nothing))
+
+
+def mismatch_prior(config: RunConfig) -> MismatchPrior | None:
+    """Prior of the electrode mismatches: broad for measured campaigns, the population's for virtual devices.
+
+    ``None`` where the virtual devices of the run have neither a mismatch nor a tilt.
+    """
+    if config.source.kind == "campaigns":
+        return BROAD
+    effects = frozenset(MISMATCHES) & frozenset((*config.experiment.effects, *config.effects))
+    if not effects:
+        return None
+    if not effects <= set(config.experiment.effects):
+        return BROAD
+    return _mismatch_prior(config.source.spec, tuple(sorted(config.source.values.items())), effects)
+
+
 def settings_of(config: RunConfig) -> IdentificationSettings:
-    """Identification settings of a configuration: ARX order, window [s], band [Hz] and hum line [Hz]."""
+    """Identification settings of a configuration: ARX order, window [s], band [Hz], hum line [Hz], prior of mismatches."""
     i = config.identification
-    return IdentificationSettings(i.order, i.window_s, i.low_hz, i.high_hz, config.line_hz())
+    return IdentificationSettings(i.order, i.window_s, i.low_hz, i.high_hz, config.line_hz(), mismatch_prior(config))
 
 
 def rate_of(config: RunConfig, angular_gain: float | None) -> RateSettings:

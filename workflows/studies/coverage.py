@@ -26,6 +26,7 @@ from pipeline.experiment.noise.source import Kind
 from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.compressed import BandData
 from pipeline.inference.screening.fit import information_covariance
+from pipeline.inference.screening.mismatch import with_mismatch
 from pipeline.quantities import AXES
 from populations.draw import Draw, draw
 from reports.yields import clopper_pearson
@@ -34,7 +35,7 @@ from ..config import RunConfig, load_config
 from ..config_tables import NoiseTable
 from ..machine import worker_count
 from ..screening.cluster import cluster, in_parallel
-from ..screening.settings import population, rate_of
+from ..screening.settings import population, rate_of, settings_of
 from ..screening.virtual_device import identify_virtual, physical_of, shared_record, virtual_records
 
 Splits = Literal["population", "small"]
@@ -105,8 +106,11 @@ def bound_sd(config: RunConfig, physical: FloatArray, sigma_v: FloatArray) -> tu
     """Cramer-Rao sd of theta [deg] and split [Hz] of one device: ``physical`` (12,), ``sigma_v`` (2,) [V]."""
     shared = shared_record(config)
     data = BandData(shared.band, np.zeros((2, shared.band.bins.size), dtype=np.complex128), shared.nuisance)
+    prior = settings_of(config).mismatch
     x = to_cartesian(physical[None])[0]
-    covariance = information_covariance([data], sigma_v, x)
+    # The bound depends on the mismatches only in second order, so it is taken at the mean of their prior.
+    at = x if prior is None else with_mismatch(x, prior)
+    covariance = information_covariance([data], sigma_v, at, prior)[: x.size, : x.size]
     slope = np.zeros((2, x.size))
     for i in (0, 1, 2):
         ahead, behind = x.copy(), x.copy()

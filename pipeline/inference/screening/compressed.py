@@ -14,7 +14,8 @@ Third order in h is exact to 2e-8 for |h| < 0.03 rad/s;
 a new expansion is made when the poles leave that disc.
 
 Shapes: S = 2 senses, D = 2 drives, 3 modes, M = 4 orders, J = 48 real features (mode, drive, order, re/im), W bins.
-x: cartesian parameters (12,) of ``pipeline.device.gyro``.
+x: cartesian parameters (12,) of ``pipeline.device.gyro``, or (14,) with the electrode mismatches (``mismatch``), P in all.
+A prior of the mismatches is two more rows of residuals, root m' against offset.
 """
 
 from __future__ import annotations
@@ -24,19 +25,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.linalg import qr
 
 from ...arrays import ComplexArray, FloatArray
-from ...device.gyro import cartesian_modes
 from .inband import Band, features
+from .likelihood import FEATURES, ORDER
+from .mismatch import MismatchPrior
 from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
-
-ORDER = 3
-_ORDERS = ORDER + 1
-_FEATURES = 3 * 2 * _ORDERS * 2
-#: Steps of the central differences of c(x): rad/s and 1/s, then logarithms and imbalances.
-_STEPS: FloatArray = np.array([1e-4] * 8 + [1e-5] * 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +40,8 @@ class Compressed:
 
     triangle (S, r, J) is T and data (S, r) is Q^T y of each channel, in sigmas.  cross (r, J) is what the second channel's
     coefficients add to the first channel's residual where the noise of both is correlated; (0, J) otherwise.  rest_chi2 (S,) is
-    |y - Q Q^T y|^2; ``rows`` is the number of real data, and ``chi2_sd`` the sd of chi2 at the
-    truth, ``None`` for white noise.
+    |y - Q Q^T y|^2; ``rows`` is the number of real data, and ``chi2_sd`` the sd of chi2 at the truth, ``None`` for white noise.
+    prior_root (2, 2) and prior_offset (2,) [1] are those of the mismatches; (0, 2) and (0,) without.
     """
 
     expansion: ComplexArray
@@ -56,19 +51,26 @@ class Compressed:
     rest_chi2: FloatArray
     rows: int
     chi2_sd: float | None
+    prior_root: FloatArray
+    prior_offset: FloatArray
+
+    @property
+    def arrays(self) -> tuple[ComplexArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What the kernels take after x: expansion, triangle, cross, data, prior_root, prior_offset."""
+        return self.expansion, self.triangle, self.cross, self.data, self.prior_root, self.prior_offset
 
 
 def _columns(band: Band, expansion: ComplexArray) -> FloatArray:
     """Features as real columns (2 W, J)."""
     width = band.bins.size
-    out = np.empty((3, 2, _ORDERS, 2, 2, width))
+    out = np.empty((3, 2, ORDER + 1, 2, 2, width))
     for k in range(3):
         plus = np.swapaxes(features(band, complex(expansion[k]), ORDER), 0, 1)
         minus = np.swapaxes(features(band, complex(np.conj(expansion[k])), ORDER), 0, 1)
         real, imag = plus + minus, 1j * (plus - minus)
         out[k, :, :, 0, 0], out[k, :, :, 0, 1] = real.real, real.imag
         out[k, :, :, 1, 0], out[k, :, :, 1, 1] = imag.real, imag.imag
-    return out.reshape(_FEATURES, 2 * width).T
+    return out.reshape(FEATURES, 2 * width).T
 
 
 def _stacked(spectrum: ComplexArray) -> FloatArray:
@@ -103,7 +105,9 @@ def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
     return np.ascontiguousarray(left[:, size > 1e-6 * np.sqrt(band.samples)])
 
 
-def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: ComplexArray) -> Compressed:
+def compress(
+    records: Sequence[BandData], sigma_v: FloatArray, expansion: ComplexArray, prior: MismatchPrior | None = None
+) -> Compressed:
     """Compress all ``records`` of a device around the poles ``expansion`` (3,) [rad/s].
 
     Parameters
@@ -111,6 +115,7 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
     records : one or more, of the same device.
     sigma_v : sd (S,) [V] of a sample, of the records whose noise is white.
     expansion : centre p0 of the Taylor series.
+    prior : of the mismatches; ``None`` where they are no parameters.
 
     Raises
     ------
@@ -128,6 +133,8 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
         blocks.append(a)
         targets.append(y)
     rows = sum(a.shape[0] - record.nuisance.shape[1] for a, record in zip(blocks, records))
+    root, offset = (np.zeros((0, 2)), np.zeros(0)) if prior is None else prior.rows()
+    real = 2 * rows + offset.size
     if all(record.noise is None for record in records):
         y = np.concatenate(targets) / sigma_v
         q, triangle = qr(np.concatenate(blocks), mode="economic", overwrite_a=True, check_finite=False)
@@ -135,7 +142,7 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
         rest = np.maximum(np.sum(y**2, axis=0) - np.sum(data**2, axis=0), 0.0)
         scaled = np.ascontiguousarray(triangle / sigma_v[:, None, None])
         none = np.zeros((0, triangle.shape[1]))
-        return Compressed(expansion, scaled, none, np.ascontiguousarray(data.T), rest, 2 * rows, math.sqrt(4.0 * rows))
+        return Compressed(expansion, scaled, none, np.ascontiguousarray(data.T), rest, real, None, root, offset)
     noises = [record.noise or white_noise(sigma_v, record.band) for record in records]
     y = np.concatenate(targets)
     q, triangle = (
@@ -158,135 +165,8 @@ def compress(records: Sequence[BandData], sigma_v: FloatArray, expansion: Comple
         np.ascontiguousarray(cross),
         np.ascontiguousarray(target),
         rest,
-        2 * rows,
+        real,
         math.sqrt(variance),
+        root,
+        offset,
     )
-
-
-@njit(cache=True)
-def _coefficients(x: FloatArray, expansion: ComplexArray, out: FloatArray, shift: FloatArray) -> None:
-    """c(x) as (S, J) real numbers, and |h_k| in ``shift`` (3,)."""
-    poles = np.empty(3, dtype=np.complex128)
-    residues = np.empty((3, 2, 2), dtype=np.complex128)
-    cartesian_modes(x, poles, residues)
-    crossed = abs(poles[0] - expansion[1]) + abs(poles[1] - expansion[0])
-    straight = abs(poles[0] - expansion[0]) + abs(poles[1] - expansion[1])
-    for k in range(3):
-        source = k
-        if crossed < straight and k < 2:
-            source = 1 - k
-        h = poles[source] - expansion[k]
-        shift[k] = abs(h)
-        for a in range(2):
-            for d in range(2):
-                c = residues[source, a, d]
-                for m in range(_ORDERS):
-                    j = ((k * 2 + d) * _ORDERS + m) * 2
-                    out[a, j] = c.real
-                    out[a, j + 1] = c.imag
-                    c = c * h
-
-
-@njit(cache=True)
-def _triangle_times(triangle: FloatArray, c: FloatArray, out: FloatArray) -> None:
-    rows, columns = triangle.shape
-    for i in range(rows):
-        total = 0.0
-        for j in range(i, columns):
-            total += triangle[i, j] * c[j]
-        out[i] = total
-
-
-@njit(cache=True)
-def allowed(x: FloatArray) -> bool:
-    """Support of the prior at x (12,) [rad/s, 1/s, 1]: C positive semidefinite, up-down mode damped, imbalances below 1."""
-    return bool(
-        x[3] > 0.0
-        and x[4] * x[4] + x[5] * x[5] <= x[3] * x[3]
-        and x[7] > 0.0
-        and 4.0 * x[6] * x[6] > x[7] * x[7]
-        and abs(x[10]) < 1.0
-        and abs(x[11]) < 1.0
-        and x[0] * x[0] > x[1] * x[1] + x[2] * x[2]
-        and x[6] > 0.0
-    )
-
-
-@njit(cache=True)
-def _model_rows(c: FloatArray, triangle: FloatArray, cross: FloatArray, out: FloatArray) -> None:
-    """T c (2 r,) in sigmas from coefficients c (2, J)."""
-    rows = triangle.shape[1]
-    for a in range(2):
-        _triangle_times(triangle[a], c[a], out[a * rows : (a + 1) * rows])
-    for i in range(cross.shape[0]):
-        for j in range(cross.shape[1]):
-            out[i] += cross[i, j] * c[1, j]
-
-
-@njit(cache=True)
-def residual_rows(
-    x: FloatArray, expansion: ComplexArray, triangle: FloatArray, cross: FloatArray, data: FloatArray
-) -> tuple[FloatArray, float]:
-    """Residuals data - model (2 r,) in sigmas at x (12,), and the largest |h| [rad/s]."""
-    rows = triangle.shape[1]
-    c = np.empty((2, _FEATURES))
-    shift = np.empty(3)
-    _coefficients(x, expansion, c, shift)
-    out = np.empty(2 * rows)
-    _model_rows(c, triangle, cross, out)
-    for a in range(2):
-        for i in range(rows):
-            out[a * rows + i] = data[a, i] - out[a * rows + i]
-    return out, float(shift.max())
-
-
-@njit(cache=True)
-def jacobian_rows(x: FloatArray, expansion: ComplexArray, triangle: FloatArray, cross: FloatArray) -> FloatArray:
-    """d model / d x (2 r, 12), in sigmas per unit of x (12,), by central differences of c(x)."""
-    rows = triangle.shape[1]
-    size = x.size
-    c_plus = np.empty((2, _FEATURES))
-    c_minus = np.empty((2, _FEATURES))
-    shift = np.empty(3)
-    out = np.empty((2 * rows, size))
-    column = np.empty(2 * rows)
-    for i in range(size):
-        moved = x.copy()
-        moved[i] = x[i] + _STEPS[i]
-        _coefficients(moved, expansion, c_plus, shift)
-        moved[i] = x[i] - _STEPS[i]
-        _coefficients(moved, expansion, c_minus, shift)
-        _model_rows((c_plus - c_minus) / (2.0 * _STEPS[i]), triangle, cross, column)
-        out[:, i] = column
-    return out
-
-
-@njit(cache=True)
-def log_likelihood(
-    points: FloatArray, expansion: ComplexArray, triangle: FloatArray, cross: FloatArray, data: FloatArray
-) -> FloatArray:
-    """-chi2/2 (n,) [1] of the compressed part at ``points`` (n, 12), -inf outside the support of the prior."""
-    count = points.shape[0]
-    rows = triangle.shape[1]
-    c = np.zeros((count, 2, _FEATURES))
-    shift = np.empty(3)
-    inside = np.empty(count, dtype=np.bool_)
-    for n in range(count):
-        inside[n] = allowed(points[n])
-        if inside[n]:
-            _coefficients(points[n], expansion, c[n], shift)
-    first, second = np.ascontiguousarray(c[:, 0]), np.ascontiguousarray(c[:, 1])
-    model = np.empty((2, count, rows))
-    model[0] = np.dot(first, triangle[0].T)
-    model[1] = np.dot(second, triangle[1].T)
-    if cross.shape[0]:
-        model[0] += np.dot(second, cross.T)
-    out = np.empty(count)
-    for n in range(count):
-        total = 0.0
-        for a in range(2):
-            for i in range(rows):
-                r = data[a, i] - model[a, n, i]
-                total += r * r
-        out[n] = -0.5 * total if inside[n] else -np.inf
-    return out

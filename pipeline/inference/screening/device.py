@@ -14,7 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray
-from ...device.gyro import gyro_modes, to_physical
+from ...device.effect import Context
+from ...device.effects.electrode_mismatch import mechanics as mismatched
+from ...device.gyro import gyro_mechanics, to_physical
+from ...device.mechanics import modes_of
 from ...experiment.antialias import behind_filter
 from ...experiment.forward.modal_bank import respond
 from ...experiment.instrument import Instrument
@@ -29,6 +32,7 @@ from ..systematic import Identified
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
 from .inband import Band, make_band
+from .mismatch import MismatchPrior, without_tilt
 from .quality import FullBandQuality, full_band_quality, with_dependent_noise
 from .refill import refilled_fit
 from .sample import Posterior, SamplerSettings, not_converged_reason, sample
@@ -39,13 +43,17 @@ Value = float | str | None
 
 @dataclass(frozen=True)
 class IdentificationSettings:
-    """Order and window [s] of the paper's route, band [Hz] of the likelihood, mains frequency [Hz] in the model if any."""
+    """Order and window [s] of the paper's route, band [Hz] of the likelihood, mains frequency [Hz] in the model if any.
+
+    ``mismatch`` is the prior of the electrode mismatches; ``None`` where they are not in the model.
+    """
 
     order: int = 40
     window_s: float = 2.0
     low_hz: float = 400.0
     high_hz: float = 700.0
     line_hz: float | None = None
+    mismatch: MismatchPrior | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +128,14 @@ def explains(fit: Fit) -> bool:
     return fit.converged and fit.chi2 < fit.dof + 6.0 * sd
 
 
-def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray]) -> Fit | None:
-    """The best fit from the ``starts`` (12,), tried in order until one explains the band; sigma (S,) [V]."""
+def best_fit(
+    records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[FloatArray], prior: MismatchPrior | None = None
+) -> Fit | None:
+    """The best fit from the ``starts`` (12,), tried in order until one explains the band; sigma (S,) [V], ``maximise``."""
     best: Fit | None = None
     for start in starts:
         try:
-            fit = maximise(records, sigma_v, start)
+            fit = maximise(records, sigma_v, start, prior)
         except (np.linalg.LinAlgError, ArithmeticError, ValueError):
             continue
         if not np.all(np.isfinite(fit.x)) or not np.all(np.isfinite(fit.covariance)):
@@ -138,8 +148,12 @@ def best_fit(records: Sequence[BandData], sigma_v: FloatArray, starts: Sequence[
 
 
 def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> FloatArray:
-    """Pick-off volts (N, 2) [V] after the anti-alias filter, of cartesian parameters x (12,) under a drive (N, 2) [V]."""
-    bank = behind_filter(gyro_modes(to_physical(x[None])), instrument.antialias)
+    """Pick-off volts (N, 2) [V] after the anti-alias filter, of parameters x (12,) or (14,) under a drive (N, 2) [V]."""
+    mechanics = gyro_mechanics(to_physical(x[None, :12]))
+    if x.size == 14:
+        plant = {"sense_imbalance": x[10], "drive_imbalance": x[11]}
+        mechanics = mismatched(mechanics, x[12:], Context(instrument.bias_v, instrument.bias_v, plant))
+    bank = behind_filter(modes_of(mechanics), instrument.antialias)
     return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
 
 
@@ -193,28 +207,44 @@ def identify_device(
     data = [
         BandData(i.band, i.band.transform(i.record.sense_v), i.nuisance, band_noise(noise, i.band)) for i in fit_records
     ]
-    fit = best_fit(data, sigma_v, _starts(found))
+    prior = settings.mismatch
+    fit = best_fit(data, sigma_v, _starts(found), prior)
     if fit is None or not explains(fit):
         # The spectra still show the modes of a device with a Q too low for the ARX model.
-        second = best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings))
+        second = best_fit(data, sigma_v, _spectral_starts(fit_records, sigma_v, instrument, settings), prior)
         fit = second if second is not None and (fit is None or _rank(second) > _rank(fit)) else fit
     if fit is None or not fit.converged:
         why = "the likelihood has no maximum near any start; check hold and antialias in campaign.toml"
         return failed_result(why if found else f"{why}; the paper's route: {reason}", columns)
     records = [i.record for i in fit_records]
     if any(record.good is not None for record in records):
-        fit, records, data = refilled_fit(fit, records, data, sigma_v, lambda x, v: model_volts(x, v, instrument))
+        fit, records, data = refilled_fit(
+            fit, records, data, sigma_v, lambda x, v: model_volts(x, v, instrument), prior
+        )
     models = [model_volts(fit.x, record.drive_v, instrument) for record in records]
     quality = full_band_quality(records, models, noise, settings.line_hz)
     if quality.louder:
         quality, data = with_dependent_noise(quality, data, records, models, noise, settings.line_hz)
         if quality.jitter is not None:
-            fit = best_fit(data, sigma_v, [fit.x]) or fit
+            fit = best_fit(data, sigma_v, [fit.x], prior) or fit
     try:
         posterior = sample(fit, sampler, seed)
     except np.linalg.LinAlgError:
         return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
-    return _result(columns, sampler, gate, rate, fit, posterior, quality)
+    plant, mismatch = _plant_draws(posterior.flat(), prior, seed)
+    return _result({**columns, **mismatch}, sampler, gate, rate, fit, posterior, plant, quality)
+
+
+def _plant_draws(
+    draws: FloatArray, prior: MismatchPrior | None, seed: np.random.SeedSequence
+) -> tuple[FloatArray, dict[str, Value]]:
+    """Cartesian draws (n, 12) of the plant from those of the fit (n, P), and the columns of the mismatches."""
+    if prior is None:
+        return draws, {}
+    columns: dict[str, Value] = {}
+    for i, name in ((12, "drive_mismatch"), (13, "sense_mismatch")):
+        columns |= {name: float(np.median(draws[:, i])), f"{name}_sd": float(np.std(draws[:, i]))}
+    return without_tilt(draws, prior, np.random.default_rng(seed.spawn(1)[0])), columns
 
 
 def _result(
@@ -224,9 +254,10 @@ def _result(
     rate: RateSettings,
     fit: Fit,
     posterior: Posterior,
+    plant: FloatArray,
     quality: FullBandQuality,
 ) -> DeviceResult:
-    identified = Identified.of_cartesian(posterior.flat(), rate)
+    identified = Identified.of_cartesian(plant, rate)
     estimate = estimate_from(
         identified.draws,
         GoodnessOfFit(quality.error_all_noise, fit.chi2, fit.dof, fit.likelihood.chi2_sd),

@@ -6,7 +6,7 @@
 The step is limited by the radius of the expansion, and the compiled Jacobian is as cheap as a residual; the loop of the general
 fit (``general.gauss_newton``) avoids computing Jacobians instead, so the two share no damping rule.
 
-x: cartesian parameters (12,) of ``pipeline.device.gyro``; sigma (S,) [V].
+x: cartesian parameters (12,) of ``pipeline.device.gyro``, or (14,) with the mismatches of ``mismatch``; sigma (S,) [V].
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ...device.gyro import M_D, M_S, cartesian_modes
-from .compressed import BandData, Compressed, allowed, compress, jacobian_rows, residual_rows
+from .compressed import BandData, Compressed, compress
+from .likelihood import allowed, jacobian_rows, residual_rows
+from .mismatch import MismatchPrior, with_mismatch
 
 #: |h| up to which the third-order expansion is exact to 2e-8 of the response [rad/s].
 _DISC = 0.03
@@ -32,7 +34,7 @@ class Fit:
 
     Parameters
     ----------
-    x, covariance : cartesian parameters (12,) and their covariance (12, 12).
+    x, covariance : parameters (P,), P = 12 or 14, and their covariance (P, P).
     chi2, dof : in the band.
     likelihood : the compressed likelihood around the poles of ``x``.
     converged : false if the poles or the parameters did not converge.
@@ -103,11 +105,11 @@ def _descend(start: FloatArray, likelihood: Compressed, reach: float) -> tuple[F
     Returns x (12,), whether it converged, and the largest shift |h| of a pole [rad/s].
     """
     x = start
-    p0, triangle, cross, data = likelihood.expansion, likelihood.triangle, likelihood.cross, likelihood.data
-    r, shift = residual_rows(x, p0, triangle, cross, data)
+    arrays = likelihood.arrays
+    r, shift = residual_rows(x, *arrays)
     chi2, damping = float(r @ r), 1e-6
     for _ in range(_ITERATIONS):
-        j = jacobian_rows(x, p0, triangle, cross)
+        j = jacobian_rows(x, *arrays)
         gram, slope = j.T @ j, j.T @ r
         scale = np.sqrt(np.diag(gram)) + 1e-300
         improved = False
@@ -115,7 +117,7 @@ def _descend(start: FloatArray, likelihood: Compressed, reach: float) -> tuple[F
             step = np.linalg.solve(gram / np.outer(scale, scale) + damping * np.eye(x.size), slope / scale) / scale
             trial = x + step
             if allowed(trial):
-                moved, shift_trial = residual_rows(trial, p0, triangle, cross, data)
+                moved, shift_trial = residual_rows(trial, *arrays)
                 if shift_trial <= max(reach, shift) and float(moved @ moved) <= chi2:
                     improved = True
                     break
@@ -139,29 +141,34 @@ def _covariance(j: FloatArray) -> FloatArray:
     return np.asarray((inverse @ inverse.T) / np.outer(scale, scale))
 
 
-def information_covariance(records: Sequence[BandData], sigma_v: FloatArray, x: FloatArray) -> FloatArray:
-    """Cramer-Rao bound (12, 12): the inverse Fisher information of ``records`` at cartesian ``x`` (12,); sigma (S,) [V]."""
-    likelihood = compress(records, sigma_v, _poles(x))
-    return _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, likelihood.cross))
+def information_covariance(
+    records: Sequence[BandData], sigma_v: FloatArray, x: FloatArray, prior: MismatchPrior | None = None
+) -> FloatArray:
+    """Cramer-Rao bound (P, P): inverse Fisher information of ``records`` and ``prior`` at ``x`` (P,); sigma (S,) [V]."""
+    likelihood = compress(records, sigma_v, _poles(x), prior)
+    return _covariance(jacobian_rows(x, *likelihood.arrays))
 
 
-def maximise(records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray) -> Fit:
-    """The maximum of the likelihood from ``start`` (12,).
+def maximise(
+    records: Sequence[BandData], sigma_v: FloatArray, start: FloatArray, prior: MismatchPrior | None = None
+) -> Fit:
+    """The maximum of the likelihood from ``start`` (12,) or (14,).
 
     Parameters
     ----------
     records : fit records of one device in their band.
     sigma_v : (S,) noise [V].
-    start : cartesian parameters.
+    start : cartesian parameters, with mismatches or without.
+    prior : of the mismatches, which are then fitted too; ``None``: there are none.
     """
-    x, converged = start, False
+    x, converged = start[:12] if prior is None else with_mismatch(start, prior), False
     for _ in range(_EXPANSIONS):
-        likelihood = compress(records, sigma_v, _poles(x))
+        likelihood = compress(records, sigma_v, _poles(x), prior)
         x, minimum, shift = _descend(x, likelihood, 10.0 * _DISC)
         if minimum and shift < _DISC:
             converged = True
             break
-    r, _ = residual_rows(x, likelihood.expansion, likelihood.triangle, likelihood.cross, likelihood.data)
-    covariance = _covariance(jacobian_rows(x, likelihood.expansion, likelihood.triangle, likelihood.cross))
+    r, _ = residual_rows(x, *likelihood.arrays)
+    covariance = _covariance(jacobian_rows(x, *likelihood.arrays))
     chi2 = float(r @ r + likelihood.rest_chi2.sum())
     return Fit(x, covariance, chi2, likelihood.rows - x.size, likelihood, converged)

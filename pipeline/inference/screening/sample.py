@@ -20,8 +20,9 @@ import numpy as np
 from arviz_stats.base.array import array_stats
 
 from ...arrays import FloatArray
-from .compressed import Compressed, log_likelihood
+from .compressed import Compressed
 from .fit import Fit
+from .likelihood import log_likelihood
 
 _FREEDOM = 20.0
 _PROBE = 256
@@ -99,7 +100,7 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
     def log_posterior(unit: FloatArray) -> FloatArray:
         # Walkers move in whitened coordinates, because the scales of the parameters span twelve decades.
         points = fit.x + unit @ factor.T
-        return log_likelihood(points, likelihood.expansion, likelihood.triangle, likelihood.cross, likelihood.data)
+        return log_likelihood(points, *likelihood.arrays)
 
     streams = [np.random.RandomState(np.random.MT19937(child)) for child in seed.spawn(settings.ensembles + 1)]
     probe = _t_draws(_PROBE, size, streams[-1])

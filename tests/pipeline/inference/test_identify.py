@@ -14,6 +14,7 @@ from pipeline.experiment.record import Campaign, Record
 from pipeline.experiment.systematic import Systematic
 from pipeline.inference.gate import Gate
 from pipeline.inference.identify import identify
+from pipeline.inference.screening.mismatch import NIGHTLY_MODEL
 
 RATE, SIGMA_V = 10_000.0, 1e-3
 INSTRUMENT = Instrument(antialias=AntiAlias())
@@ -33,19 +34,34 @@ def campaign_of(model, values, drive, silent=True):
 
 
 @pytest.mark.parametrize(
-    ("split_hz", "tilt", "status", "refused_for"),
-    [(0.05, 0.0, "ok", None), (0.05, 2e-3, "misfit", "bias theta"), (1.9, 2e-2, "misfit", "error")],
+    ("split_hz", "delay_s", "status", "refused_for"),
+    [(0.05, 0.0, "ok", None), (0.05, 1e-7, "misfit", "bias theta"), (1.9, 2e-6, "misfit", "error")],
 )
-def test_both_paths_give_the_same_status_for_the_same_reason(split_hz, tilt, status, refused_for):
-    values = {**PAPER, "f2_hz": PAPER["f1_hz"] + split_hz, "updown_tilt.t_x": tilt}
-    campaign = campaign_of(SCREENING_MODEL.with_effect("updown_tilt"), values, drive_samples(Chirp(), RATE))
-    in_band, general = identify(campaign).columns, identify(campaign, SCREENING_MODEL).columns
+def test_both_paths_give_the_same_status_for_the_same_reason(split_hz, delay_s, status, refused_for):
+    values = {**PAPER, "f2_hz": PAPER["f1_hz"] + split_hz, "loop_delay.tau": delay_s}
+    campaign = campaign_of(SCREENING_MODEL.with_effect("loop_delay"), values, drive_samples(Chirp(), RATE))
+    in_band, general = identify(campaign).columns, identify(campaign, NIGHTLY_MODEL).columns
     assert "theta_u1_deg" in in_band
     assert "theta_u1_deg" not in general
     for columns in (in_band, general):
         assert columns["status"] == status
         assert (columns["error"] > Gate().error_max) == (refused_for == "error")
         assert refused_for is None or refused_for in columns["status_reason"]
+
+
+def test_a_tilt_of_the_up_down_mode_leaves_theta_right_on_both_paths():
+    values = {**PAPER, "updown_tilt.t_x": 2e-2, "electrode_mismatch.m_S": 3e-3}
+    model = SCREENING_MODEL.with_effect("updown_tilt").with_effect("electrode_mismatch")
+    campaign = campaign_of(model, values, drive_samples(Chirp(), RATE))
+    in_band, general = identify(campaign).columns, identify(campaign, NIGHTLY_MODEL).columns
+    for columns in (in_band, general):
+        assert columns["status"] == "ok"
+        assert abs(columns["theta_deg"] - PAPER["theta_deg"]) < 4.5 * columns["theta_deg_sd"]
+    # Both effects act as one mismatch: m_S + t and m_D + t.
+    assert abs(in_band["sense_mismatch"] - 2.3e-2) < 1e-4
+    assert abs(in_band["drive_mismatch"] - 2.0e-2) < 1e-4
+    # Without the mismatches the same campaign is a misfit, and theta is wrong by 150 sd.
+    assert identify(campaign, SCREENING_MODEL).columns["status"] == "misfit"
 
 
 def test_a_campaign_of_one_drive_and_one_sense_is_identified_as_one_mode():

@@ -33,7 +33,7 @@ def test_a_trim_with_almost_no_voltage_changes_neither_split_nor_verdict(tmp_pat
 
 
 def test_an_effect_outside_the_model_is_flagged_as_misfit(tmp_path):
-    found = rows(tmp_path, '[experiment]\neffects = ["updown_tilt"]\n')
+    found = rows(tmp_path, '[experiment]\neffects = ["updown_tilt", "sense_nonlinearity"]\n')
     assert sum(r["status"] == "misfit" for r in found) >= 3
     for r in found:
         if r["status"] == "misfit":

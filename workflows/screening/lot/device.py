@@ -22,7 +22,7 @@ from pipeline.criticism.problem import Candidate, FitResult
 from pipeline.criticism.scores import baseline, project
 from pipeline.criticism.shared import SharedTerm
 from pipeline.device.gyro import PHYSICAL
-from pipeline.device.model import SCREENING_MODEL, Model, mains_effects
+from pipeline.device.model import mains_effects
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.bad_samples import without_bad_samples
 from pipeline.experiment.campaign import read_campaign
@@ -33,6 +33,7 @@ from pipeline.inference.estimate import RateSettings
 from pipeline.inference.general.fit import CampaignFit, fit_campaign
 from pipeline.inference.general.goodness import band_goodness, fit_status
 from pipeline.inference.general.residuals import CampaignResiduals
+from pipeline.inference.screening.mismatch import NIGHTLY_MODEL
 from pipeline.inference.systematic import Identified
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.campaign.signatures import signature_of, tangent_of
@@ -102,12 +103,15 @@ class DeviceExamination:
 def columns_of(terms: tuple[str, ...]) -> tuple[SharedTerm, ...]:
     """The candidate effects and their columns, if ``terms`` are in the model.
 
-    Effects with a parameter that is scanned on a grid are left out: it does not exist at the null.
+    Effects with a parameter that is scanned on a grid are left out: it does not exist at the null.  So are those that lie inside
+    an effect of the model (the up-down tilt inside the mismatch).
     """
-    model = Model(effects=(*SCREENING_MODEL.effects, *terms))
+    model = replace(NIGHTLY_MODEL, effects=(*NIGHTLY_MODEL.effects, *terms))
     found, place = [], 0
     for name in model.candidates():
         effect = model.effect(name)
+        if any(other.always and set(other.effects) <= set(model.effects) for other in effect.look_alikes):
+            continue
         members = effect.members(model.built.shape)
         if effect.disturbance is not None or any(m.grid for m in members):
             continue
@@ -157,7 +161,7 @@ def _examined(source: Source, request: Request) -> DeviceExamination:
     config, _ = source
     campaign, noise, line = measurement_of(source, request.number)
     hum = mains_effects() if line else {}
-    model = Model(effects=(*SCREENING_MODEL.effects, *hum))
+    model = replace(NIGHTLY_MODEL, effects=(*NIGHTLY_MODEL.effects, *hum))
     start = dict(request.start) | (dict.fromkeys(hum.values(), line) if line else {})
     score, information, covariance = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
     effects = sizes = reason = ""
