@@ -180,7 +180,7 @@ def run_content(
         needed=needed_effects(devices, lot_effects),
         trim=trim_yield(devices, true_conformity(devices, limits)),
         coverages=coverages(devices),
-        verdict_check=check_verdicts(devices, limits),
+        verdict_check=_verdict_check(devices, limits, given),
         statuses=statuses,
         spreads=spreads(devices),
         routes=route_differences(devices),
@@ -192,6 +192,13 @@ def run_content(
         config_toml=run.config_toml,
         glossary=QUANTITIES,
     )
+
+
+def _verdict_check(devices: Devices, limits: Limits, given: GivenCommon | None) -> VerdictCheck | None:
+    found = check_verdicts(devices, limits)
+    if found is None or given is None:
+        return found
+    return dataclasses.replace(found, expected_sd=measurement_given_common(given).sd)
 
 
 def _measurement(devices: Devices, given: GivenCommon | None) -> Measurement:

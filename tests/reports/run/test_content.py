@@ -233,3 +233,28 @@ def test_limits_on_absent_columns_are_refused(synthetic_run: Callable[..., Any])
     bare = dataclasses.replace(run, devices=pa.table({"device_id": ["D0"], "verdict": ["pass"]}))
     with pytest.raises(ConfigError, match="not in the results"):
         run_content(bare, DEFAULT_LIMITS)
+
+
+def test_common_errors_widen_every_interval_of_the_yield(
+    synthetic_run: Callable[..., Any],
+) -> None:
+    run = synthetic_run(n=60, draws=100)
+    before = run_content(run, DEFAULT_LIMITS)
+    # In one half of the values of the common errors every device conforms, in the other none.
+    p_pass = pa.array((run.posterior["draw"].to_numpy() % 2).astype(np.float64))
+    place = run.posterior.schema.names.index("p_pass_given_common")
+    posterior = run.posterior.set_column(place, run.posterior.schema.field(place), p_pass)
+    moved = dataclasses.replace(run, posterior=posterior)
+    after = run_content(moved, DEFAULT_LIMITS)
+    assert (before.common, after.common) == (False, True)
+    assert after.total.value == before.total.value
+    for wide, plain in (
+        *((getattr(after.total, k), getattr(before.total, k)) for k in ("clopper_pearson", "wilson", "envelope")),
+        *((a.interval, b.interval) for a, b in zip(after.clusters, before.clusters)),
+        *((a.result.wilson, b.result.wilson) for a, b in zip(after.wafers, before.wafers)),
+    ):
+        assert wide.low < plain.low
+        assert wide.high > plain.high
+    assert after.measurement.sd == pytest.approx(30.0)
+    assert after.verdict_check is not None
+    assert after.verdict_check.expected_sd == pytest.approx(30.0)
