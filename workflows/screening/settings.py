@@ -25,8 +25,8 @@ from ..config import RunConfig
 
 #: The effects that the mismatches of the nightly model describe.
 MISMATCHES = ("electrode_mismatch", "updown_tilt")
-#: Devices from which the prior is taken: its sd is then known to 4 %, and the records are a hundred times as precise as it.
-_PRIOR_DEVICES, _PRIOR_SEED = 300, 20260101
+#: Devices from which the prior is taken: its sd is then known to 7 %, and the records are a hundred times as precise as it.
+_PRIOR_DEVICES, _PRIOR_SEED = 100, 20260101
 NOISE_STREAM, POSTERIOR_STREAM, CAMPAIGN_STREAM, TRIM_STREAM, EFFECT_STREAM = 101, 102, 103, 107, 108
 
 
