@@ -19,7 +19,7 @@ from pipeline.experiment.record import Campaign, Channels, Record
 from pipeline.identification.route import RouteResult
 from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
-from pipeline.inference.screening.campaign import campaign_noise
+from pipeline.inference.screening.campaign import campaign_noise, campaign_spectrum
 from pipeline.inference.screening.snapshot import Snapshot
 from pipeline.inference.screening.stream import StreamSettings, start_stream, steps
 from pipeline.inference.screening.stream_estimate import estimate, noise_of
@@ -75,8 +75,10 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
             next_step="identify the whole record instead, without --stream",
         )
     if settings.sigma_v is None and campaign.with_role("noise"):
-        noise, line_hz = campaign_noise(without_bad_samples(campaign))
-        settings = replace(settings, sigma_v=tuple(noise.sigma_v.tolist()), line_hz=settings.line_hz or line_hz)
+        good = without_bad_samples(campaign)
+        noise, line_hz = campaign_noise(good)
+        spectrum = campaign_spectrum(good, noise, line_hz)
+        settings = replace(settings, noise=spectrum, line_hz=settings.line_hz or line_hz)
     return Bench(settings, campaign.instrument, campaign.channels, rate_settings(campaign), Gate())
 
 

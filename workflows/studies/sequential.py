@@ -44,7 +44,7 @@ from reports.limits import Limits
 from ..config import RunConfig, load_config
 from ..machine import worker_count
 from ..screening.cluster import cluster, in_parallel
-from ..screening.settings import population, rate_of
+from ..screening.settings import mismatch_prior, population, rate_of
 from ..screening.virtual_device import physical_of, shared_record, virtual_records
 from ..streaming.stream import verdicts_of
 from .coverage import Share
@@ -103,7 +103,9 @@ def _analyse(
         return starts_of(routes, record, instrument, settings, sigma_v)
 
     data = BandData(band, band.transform(sense), nuisance)
-    return snapshot(data, sigma_v, previous, starts, rate_of(config, gain), config.gate.gate(), seed)
+    return snapshot(
+        data, sigma_v, previous, starts, rate_of(config, gain), config.gate.gate(), seed, mismatch_prior(config)
+    )
 
 
 def examine_device(

@@ -25,6 +25,7 @@ from .compressed import BandData
 from .device import best_fit, explains
 from .fit import Fit
 from .likelihood import log_likelihood
+from .mismatch import MismatchPrior, without_tilt
 
 _FREEDOM = 20.0
 _PROPOSALS = 4000
@@ -50,7 +51,7 @@ class Snapshot:
 
 
 def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray, bool]:
-    """Cartesian posterior draws (n, 12) [units of ``device.gyro``], and whether their effective number suffices.
+    """Posterior draws (n, P) [units of ``device.gyro``, mismatches 1], and whether their effective number suffices.
 
     Parameters
     ----------
@@ -82,12 +83,12 @@ def _rank(fit: Fit) -> tuple[bool, float]:
     return fit.converged, -fit.chi2
 
 
-def _continued(data: BandData, sigma_v: FloatArray, fit: Fit) -> Fit:
+def _continued(data: BandData, sigma_v: FloatArray, fit: Fit, prior: MismatchPrior | None) -> Fit:
     """The fit continued while it has not converged but chi2 still decreases: starts from few samples are far away."""
     for _ in range(_CONTINUED):
         if fit.converged:
             break
-        further = best_fit([data], sigma_v, [fit.x])
+        further = best_fit([data], sigma_v, [fit.x], prior)
         if further is None or not (further.converged or further.chi2 < _LEAST_DECREASE * fit.chi2):
             break
         fit = further
@@ -95,22 +96,26 @@ def _continued(data: BandData, sigma_v: FloatArray, fit: Fit) -> Fit:
 
 
 def _found(
-    data: BandData, sigma_v: FloatArray, previous: FloatArray | None, starts: Callable[[], Sequence[FloatArray]]
+    data: BandData,
+    sigma_v: FloatArray,
+    previous: FloatArray | None,
+    starts: Callable[[], Sequence[FloatArray]],
+    prior: MismatchPrior | None,
 ) -> Fit | None:
     """The best fit from ``previous`` and, if that does not explain the data, from ``starts``; the best are continued."""
     fits: list[Fit] = []
     for start in [] if previous is None else [previous]:
-        first = best_fit([data], sigma_v, [start])
-        fits += [] if first is None else [_continued(data, sigma_v, first)]
+        first = best_fit([data], sigma_v, [start], prior)
+        fits += [] if first is None else [_continued(data, sigma_v, first, prior)]
     if not any(explains(fit) for fit in fits):
         for start in starts():
-            other = best_fit([data], sigma_v, [start])
+            other = best_fit([data], sigma_v, [start], prior)
             fits += [] if other is None else [other]
             if other is not None and explains(other):
                 break
         else:
             unfinished = sorted((fit for fit in fits if not fit.converged), key=lambda fit: fit.chi2)[:_BEST]
-            fits += [_continued(data, sigma_v, fit) for fit in unfinished]
+            fits += [_continued(data, sigma_v, fit, prior) for fit in unfinished]
     return max(fits, key=_rank, default=None)
 
 
@@ -122,42 +127,48 @@ def snapshot(
     rate: RateSettings,
     gate: Gate,
     seed: np.random.SeedSequence,
+    prior: MismatchPrior | None = None,
 ) -> Snapshot:
     """Fit and posterior of the data so far.
 
     Parameters
     ----------
     data : band, spectrum and nuisance basis of the first N samples, from rest.
-    sigma_v : noise (2,) [V].
-    previous : cartesian point (12,) of an earlier snapshot, tried first.
+    sigma_v : noise (2,) [V], unless ``data`` has its own.
+    previous : point (P,) of an earlier snapshot, tried first.
     starts : gives further start values (12,); called only if the fit from ``previous`` does not explain the data.
     rate, gate : as for ``identify_device``; the gate judges the error in the band.
     seed : stream of the draws.
+    prior : of the electrode mismatches; ``None``: they are not in the model.
 
     Returns
     -------
     A snapshot in every case; a failure is reported as its status.
     """
     duration = data.band.samples / data.band.sample_rate_hz
-    fit = _found(data, sigma_v, previous, starts)
+    fit = _found(data, sigma_v, previous, starts, prior)
     if fit is None or not fit.converged or fit.dof <= 0:
         failed = Estimate("fit_failed", "the likelihood has no maximum near any start yet")
         return Snapshot(duration, failed, None if fit is None else fit.x)
-    return Snapshot(duration, _estimate(fit, rate, gate, seed), fit.x)
+    return Snapshot(duration, _estimate(fit, rate, gate, seed, prior), fit.x)
 
 
-def _estimate(fit: Fit, rate: RateSettings, gate: Gate, seed: np.random.SeedSequence) -> Estimate:
+def _estimate(
+    fit: Fit, rate: RateSettings, gate: Gate, seed: np.random.SeedSequence, prior: MismatchPrior | None
+) -> Estimate:
     # The error of a few bins scatters more than that of a whole record, so 3 sd of chi2 are subtracted.
-    error = math.sqrt(max(fit.chi2 / fit.dof - 3.0 * math.sqrt(2.0 / fit.dof), 0.0))
-    goodness = GoodnessOfFit(error, fit.chi2, fit.dof)
+    sd = fit.likelihood.chi2_sd or math.sqrt(2.0 * fit.dof)
+    error = math.sqrt(max((fit.chi2 - 3.0 * sd) / fit.dof, 0.0))
+    goodness = GoodnessOfFit(error, fit.chi2, fit.dof, fit.likelihood.chi2_sd)
     columns = {"chi2_per_dof": goodness.chi2_per_dof}
     status, reason = status_of(goodness, None, gate)
     if status != "ok":
         return Estimate(status, reason, columns)
     try:
-        cartesian, known = posterior_draws(fit, seed)
+        draws, known = posterior_draws(fit, seed)
     except (np.linalg.LinAlgError, ValueError):
         return Estimate("fit_failed", "the data do not determine the parameters yet")
     if not known:
         return Estimate("not_converged", "the posterior is still too broad for importance sampling", columns)
-    return estimate_from(Identified.of_cartesian(cartesian, rate).draws, goodness, gate)
+    plant = draws if prior is None else without_tilt(draws, prior, np.random.default_rng(seed.spawn(1)[0]))
+    return estimate_from(Identified.of_cartesian(plant, rate).draws, goodness, gate)

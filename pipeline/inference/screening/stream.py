@@ -19,8 +19,10 @@ from scipy.signal import sosfilt
 from ...arrays import FloatArray
 from ...errors import MeasurementError
 from ...experiment.instrument import Instrument
+from ...experiment.noise.spectrum import NoiseSpectrum
 from ...identification.bandpass import bandpass_sections
 from ...identification.lattice import Lattice, advance, start_lattice
+from .mismatch import BROAD, MismatchPrior
 
 #: The ridge relative to the energy of this number of samples: the paper's two seconds at 10 kHz.
 _RIDGE, _RIDGE_SAMPLES = 1e-12, 20_000
@@ -40,6 +42,8 @@ class StreamSettings:
         multiple of 0.1 s contains whole cycles of 50 and 60 Hz, so that hum stays on its bins.
     sigma_v : noise (2,) [V]; ``None`` where it is measured in the silence before the drive.
     line_hz : mains frequency [Hz]; ``None`` where it is unknown.
+    noise : spectrum of the noise where it was measured before; it replaces ``sigma_v``.
+    mismatch : prior of the electrode mismatches; ``None``: they are not in the model.
     """
 
     order: int = 40
@@ -49,6 +53,8 @@ class StreamSettings:
     every_s: float = 0.1
     sigma_v: tuple[float, ...] | None = None
     line_hz: float | None = None
+    noise: NoiseSpectrum | None = None
+    mismatch: MismatchPrior | None = BROAD
 
 
 @dataclass(frozen=True, eq=False)

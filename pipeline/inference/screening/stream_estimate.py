@@ -15,7 +15,8 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import MeasurementError
 from ...experiment.instrument import Instrument
-from ...experiment.noise.lines import hum_line, silent_sigma
+from ...experiment.noise.lines import hum_line
+from ...experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
 from ...experiment.record import Record
 from ...identification.arx import ArxModel
 from ...identification.failure import IdentificationError
@@ -30,28 +31,34 @@ from .fit import start_from_modes
 from .inband import make_band
 from .snapshot import Snapshot, snapshot
 from .stream import Stream, StreamSettings
+from .whitening import band_noise
 
 #: Shortest silence from which a noise level is taken [s].
 _LEAST_SILENCE_S = 0.1
+#: Degrees of freedom of a noise level that is given, not measured.
+_GIVEN = 10**9
 
 
-def noise_of(stream: Stream) -> tuple[FloatArray, float | None]:
-    """sigma (2,) [V] and mains frequency [Hz]: those of the settings, else from the samples before the drive.
+def noise_of(stream: Stream) -> tuple[NoiseSpectrum, float | None]:
+    """Spectrum of the noise and mains frequency [Hz]: those of the settings, else from the samples before the drive.
 
     Raises
     ------
     MeasurementError : the settings give no noise, and the silence is too short.
     """
     settings, instrument = stream.settings, stream.instrument
+    if settings.noise is not None:
+        return settings.noise, settings.line_hz
     if settings.sigma_v is not None:
-        return np.array(settings.sigma_v, dtype=np.float64), settings.line_hz
+        sigma_v = np.array(settings.sigma_v, dtype=np.float64)
+        return white_spectrum(sigma_v, instrument.sample_rate_hz, _GIVEN), settings.line_hz
     count = sum(block.shape[0] for block in stream.silent_v)
     if count >= _LEAST_SILENCE_S * instrument.sample_rate_hz:
         silent = np.concatenate(stream.silent_v)
         line_hz = settings.line_hz or hum_line(silent, instrument.sample_rate_hz)
-        sigma = silent_sigma(silent, instrument.sample_rate_hz, line_hz, instrument.adc)
-        if np.all(sigma > 0.0):
-            return sigma, line_hz
+        noise = noise_spectrum(silent, instrument.sample_rate_hz, line_hz, instrument.adc)
+        if np.all(noise.sigma_v > 0.0):
+            return noise, line_hz
     raise MeasurementError(
         "the noise is unknown: the silence before the drive is too short",
         value=f"{count / instrument.sample_rate_hz:.3f} s",
@@ -104,7 +111,7 @@ def start_orders(order: int) -> tuple[int, ...]:
 
 def estimate(
     stream: Stream,
-    noise: tuple[FloatArray, float | None],
+    noise: tuple[NoiseSpectrum, float | None],
     previous: FloatArray | None,
     rate: RateSettings,
     gate: Gate,
@@ -115,7 +122,7 @@ def estimate(
     Parameters
     ----------
     stream : the state; the drive has started.
-    noise : sigma (S,) [V] and mains frequency [Hz], of :func:`noise_of`; constant once the drive has started.
+    noise : spectrum and mains frequency [Hz], of :func:`noise_of`; constant once the drive has started.
     previous : cartesian point (12,) of an earlier snapshot of this stream, if any.
     rate, gate : as for ``identify_device``.
     seed : stream of the posterior draws.
@@ -131,11 +138,12 @@ def estimate(
             allowed="a record in which both drives act",
             next_step="feed more of the record",
         )
-    sigma_v, line_hz = noise
+    spectrum, line_hz = noise
+    sigma_v = spectrum.sigma_v
     drive, sense = np.concatenate(stream.drive_v), np.concatenate(stream.sense_v)
     instrument, settings = stream.instrument, stream.settings
     band = make_band(drive, instrument, settings.low_hz, settings.high_hz)
-    data = BandData(band, band.transform(sense), nuisance_basis(band, line_hz))
+    data = BandData(band, band.transform(sense), nuisance_basis(band, line_hz), band_noise(spectrum, band))
     route = lattice_route(stream)
     record = Record("so far", instrument.sample_rate_hz, drive, sense)
 
@@ -144,4 +152,4 @@ def estimate(
         routes = [one for one in (route, *lower) if one is not None]
         return starts_of(routes, record, instrument, settings, sigma_v)
 
-    return snapshot(data, sigma_v, previous, starts, rate, gate, seed), route
+    return snapshot(data, sigma_v, previous, starts, rate, gate, seed, settings.mismatch), route

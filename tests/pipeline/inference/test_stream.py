@@ -11,6 +11,7 @@ from pipeline.inference.estimate import RateSettings
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.compressed import BandData
 from pipeline.inference.screening.fit import maximise
+from pipeline.inference.screening.mismatch import BROAD
 from pipeline.inference.screening.stream import StreamSettings, feed, start_stream, steps
 from pipeline.inference.screening.stream_estimate import estimate, noise_of
 
@@ -58,11 +59,11 @@ def test_theta_and_split_converge_to_the_truth_within_their_sd(bench, grown):
 def test_the_last_snapshot_is_the_batch_fit_of_the_same_samples(bench, grown):
     drive, sense, _, _ = grown
     stream, found = snapshots_of(bench, drive, sense, StreamSettings(first_s=3.0, every_s=1.0, line_hz=60.0))
-    sigma_v, _ = noise_of(stream)
+    noise, _ = noise_of(stream)
     # One sample before the drive starts belongs to the stream's data; the batch band starts with the drive.
     snapshot, route = found[-1]
     data = BandData(bench.shared.band, bench.shared.band.transform(sense[QUIET:]), bench.shared.nuisance)
-    fit = maximise([data], sigma_v, snapshot.x)
+    fit = maximise([data], noise.sigma_v, snapshot.x, BROAD)
     assert fit.converged
     assert np.all(np.abs(fit.x - snapshot.x) < 0.1 * np.sqrt(np.diag(fit.covariance)))
     assert abs(route.axes.mean_deg - snapshot.estimate.columns["theta_deg"]) < 0.2
