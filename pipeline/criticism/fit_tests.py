@@ -264,7 +264,8 @@ def refit_test(tests: FitTests, score: Score, fit: FitResult, rules: Rules) -> R
     """
     delta_chi2, held, name = tests.fit.chi2 - fit.chi2, PairedDifference(0.0, 0.0), score.name
     if not fit.ok or fit.chi2 > tests.fit.chi2 * (1.0 + 1e-9):
-        return RefitTest(delta_chi2, held, "failed", "its fit failed or raised chi2")
+        why = "its fit raised chi2" if fit.ok else f"its fit failed: {fit.why or 'it did not converge'}"
+        return RefitTest(delta_chi2, held, "failed", why)
     if name in fit.at_limit:
         return RefitTest(delta_chi2, held, "at limit", AT_LIMIT)
     reason = ""

@@ -20,7 +20,7 @@ from .problem import FitResult, Problem
 from .regions import RegionShare, explained_by_region
 from .scores import Score
 from .selection import Fits, ForwardSelection, SelectionStep, forward_selection
-from .verdict import TermClass, Verdict, judge
+from .verdict import TermClass, Verdict, judge, why_failed
 
 Status = Literal["confirmed", "partial"]
 
@@ -138,7 +138,7 @@ def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None
     significant = start.fit.noise_known and excess > 2.0 * np.sqrt(2.0 * start.fit.dof)
     rungs = [_rung(start.fit, 0.0 if significant else None)]
     for step in selection.steps:
-        supported = judgement.verdict != "unknown" and step.term not in judgement.wrong_form
+        supported = judgement.verdict not in ("unknown", "fit_failed") and step.term not in judgement.wrong_form
         share = min((start.fit.chi2 - step.fit.chi2) / excess, 1.0) if significant else None
         rungs.append(_rung(step.fit, share, step, supported))
     return Ladder(
@@ -152,7 +152,7 @@ def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None
         explained_by_region(start.regions, last.regions),
         last.goodness.p_value,
         _left(last.goodness),
-        selection.failed,
+        why_failed(selection, judgement.verdict),
     )
 
 
@@ -212,7 +212,7 @@ def as_diagnosis(problem: Problem, selection: ForwardSelection, rules: Rules | N
         first.fit,
         last.fit,
         judgement.wrong_form,
-        selection.failed,
+        why_failed(selection, judgement.verdict),
     )
 
 

@@ -88,6 +88,7 @@ class ForwardSelection:
     steps : terms added, in order.
     refused : term -> why it was not added although its score was significant.
     failed : why the first fit, or every fit with a term that was wanted first, failed.
+    unfinished : term -> why its fit failed, although its score promises more than the misfit that is left at the end.
     fits : every fit made, by its terms; the first entry is the first fit.
     """
 
@@ -95,6 +96,7 @@ class ForwardSelection:
     steps: tuple[SelectionStep, ...]
     refused: Mapping[str, str] = field(default_factory=dict)
     failed: str = ""
+    unfinished: Mapping[str, str] = field(default_factory=dict)
     fits: Fits = field(default_factory=dict)
 
     @property
@@ -125,10 +127,11 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
     cache = FitCache(problem)
     start = cache.fit(terms)
     if not start.ok:
-        return ForwardSelection((), (), {}, start.why or "the baseline could not be fitted", cache.fits)
+        return ForwardSelection((), (), {}, start.why or "the baseline could not be fitted", fits=cache.fits)
     tests, failed = [fit_tests(problem, start, rules)], ""
     steps: list[SelectionStep] = []
     refused: dict[str, str] = {}
+    unfinished: dict[str, str] = {}
     at_limit: dict[str, Score] = {}
     while len(steps) < rules.rungs:
         found = _next(cache, tests[-1], at_limit, rules)
@@ -137,14 +140,18 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
         if not found.steps:
             # After the first step a failure is no longer the outcome: the misfit that is left decides the verdict.
             if found.failed and not found.refused and not steps:
-                failed = f"no fit with {', '.join(found.failed)} succeeded"
+                failed = f"no fit with {', '.join(found.failed)} succeeded ({next(iter(found.failed.values()))})"
+            promised = {score.name: score.delta_chi2 for score in tests[-1].scores}
+            # chi2 of the noise scatters by sqrt(2 dof), and a score that expects the whole misfit by as much.
+            left = tests[-1].fit.chi2 - tests[-1].fit.dof - 2.0 * np.sqrt(2.0 * tests[-1].fit.dof)
+            unfinished = {name: why for name, why in found.failed.items() if promised[name] > left}
             break
         current, dropped = _prune(cache, found.steps[-1].fit, rules)
         steps += [*found.steps[:-1], replace(found.steps[-1], fit=current, dropped=dropped)]
         if any(frozenset(current.terms) == frozenset(old.fit.terms) for old in tests):
             break
         tests.append(fit_tests(problem, current, rules))
-    return ForwardSelection(tuple(tests), tuple(steps), refused, failed, cache.fits)
+    return ForwardSelection(tuple(tests), tuple(steps), refused, failed, unfinished, cache.fits)
 
 
 def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules: Rules) -> _Pass:

@@ -1,6 +1,7 @@
 """The verdict on a selected model, and the terms that these data cannot tell from the selected ones.
 
-    fit_failed  the given model, or every term that its misfit calls for, could not be fitted; never evidence
+    fit_failed  the given model, or every term that its misfit calls for, could not be fitted; or a misfit is left that a term
+                whose fit failed promises to explain; never evidence
     unknown     a significant misfit is left that nothing explains, or only several terms with little support each
     adequate    nothing is missing
     effect      the added terms explain everything, and no other term could replace one of them
@@ -106,6 +107,20 @@ def verdict_of(selection: ForwardSelection, classes: tuple[TermClass, ...], rule
     """The verdict on the last model of a selection, given the classes of the added terms."""
     if selection.failed or not selection.tests:
         return "fit_failed"
+    found = _judged(selection, classes, rules)
+    return "fit_failed" if found == "unknown" and selection.unfinished else found
+
+
+def why_failed(selection: ForwardSelection, verdict: Verdict) -> str:
+    """The reason of the verdict "fit_failed"; empty for others."""
+    if verdict != "fit_failed" or selection.failed:
+        return selection.failed
+    reasons = "; ".join(f"{name}: {why}" for name, why in selection.unfinished.items())
+    return f"a misfit is left that may be due to an effect whose fit did not succeed ({reasons})"
+
+
+def _judged(selection: ForwardSelection, classes: tuple[TermClass, ...], rules: Rules) -> Verdict:
+    """The verdict where fits that failed do not matter."""
     last = selection.last
     # With an unknown noise level an F-test takes every misfit for white noise.  A term that its refit or the held-out data
     # refused is then no evidence; a residual above the bound of the noise is.

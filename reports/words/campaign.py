@@ -110,6 +110,8 @@ def missing_sentence(
     data : "records" or "residues".
     """
     is_ = "was" if added else "is"
+    if verdict == "fit_failed" and (effects or tried):
+        return "A misfit remains, and the fit of an effect that may explain it did not succeed."
     if verdict == "fit_failed":
         return "The model could not be fitted, so nothing can be said about missing effects."
     if verdict == "unknown":

@@ -16,7 +16,7 @@ pytestmark = [
     pytest.mark.silverbox,
     pytest.mark.skipif(not (DATA / FILE).exists(), reason="the Silverbox record is not beside the project"),
 ]
-FIT, HELD = 4096, 6000
+FIT, HELD, LOUD = 4096, 6000, 2048
 
 
 def shortened(hold):
@@ -74,3 +74,24 @@ def test_a_wrongly_declared_hold_gives_a_hint_that_names_the_better_hold(hold, t
     else:
         assert {"quadratic_stiffness", "resistive_feedthrough"} <= set(answer["effects"])
         assert last["error_v"]["test"] < 0.4e-3 < 5e-3 < given["error_v"]["test"]
+
+
+def test_a_loud_record_gives_the_ladder_and_compare_reproduces_each_of_its_rungs():
+    """The end of the arrow is fitted, its middle and start are held out: 150, 90 and 23 mV of drive."""
+    whole = campaign_of(DATA, "bandlimited").records[2]
+
+    def part(name, role, first):
+        rows = slice(first - PARTS[2][2], first - PARTS[2][2] + LOUD)
+        return replace(whole, name=name, role=role, drive_v=whole.drive_v[rows], sense_v=whole.sense_v[rows])
+
+    records = (part("loud", "fit", 40_000 - LOUD), part("medium", "validate", 20_000), part("faint", "validate", 1_500))
+    campaign = replace(campaign_of(DATA, "bandlimited"), records=records)
+    ladder = learning.refine(campaign, MODEL).answer.ladder
+    assert [rung.effect for rung in ladder[:3]] == [None, "cubic_stiffness", "quadratic_stiffness"]
+    assert [rung.status for rung in ladder[1:3]] == ["confirmed", "confirmed"]
+    model = MODEL.with_channels(1, 1)
+    for rung in ladder:
+        model = model if rung.effect is None else model.with_effect(rung.effect)
+        alone = learning.compare(campaign, model).answer
+        assert alone.fit_ok
+        assert alone.relative_error["fit"] == pytest.approx(rung.relative_error, rel=1e-3)

@@ -23,6 +23,7 @@ from ...errors import ConfigError, MeasurementError
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign, Record, Role
 from ...threads import mapped
+from .continuation import continued, restarted
 from .effect_starts import with_effect_starts
 from .gauss_newton import GaussNewtonResult, minimise
 from .linear_step import FitPoint, Sensitivity, covariance_of, point_at
@@ -139,6 +140,8 @@ def fit_with_columns(
     at = _first_point(problem, tasks, known)
     dof = sum(r.size for r in at.residuals) - at.x.size
     result = minimise(problem, at, tasks, dof)
+    result = continued(problem, at, result, tasks, dof, noise.source != "local")
+    result = restarted(problem, result, tasks, dof)
     return _campaign_fit(problem, campaign, noise, tasks, result), result.sensitivities
 
 

@@ -99,8 +99,9 @@ def fit_result(
     if fitted.theta_deg is not None and fitted.split_hz is not None:
         derived = {"theta_deg": fitted.theta_deg, "split_hz": fitted.split_hz}
     blocks = tuple(_block(record, fitted, campaign) for record in campaign.with_role("fit"))
+    ok = fitted.converged and bool(np.isfinite(fitted.chi2))
     return FitResult(
-        fitted.converged and bool(np.isfinite(fitted.chi2)),
+        ok,
         terms,
         fitted.parameters,
         blocks,
@@ -114,6 +115,7 @@ def fit_result(
         nuisances=sum(block.nuisances for block in blocks),
         error={k: v for k, v in fitted.error.items() if v is not None and noise_known},
         relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
+        why="" if ok else f"it stopped before it converged, at {100 * (fitted.relative_error['fit'] or 0):.3g} % error",
         noise_bounded=not noise_known,
         at_limit=tuple(
             term

@@ -145,12 +145,22 @@ def test_a_failed_fit_is_not_evidence_for_its_term(toy: Any) -> None:
     assert "cube" in found.why
 
 
-def test_a_fit_that_fails_after_the_first_rung_leaves_unknown_with_its_reason(toy: Any) -> None:
+def test_a_failed_fit_that_promises_the_remaining_misfit_is_named_instead_of_unknown(toy: Any) -> None:
     hidden = {"bump": 200.0, "cube": 50.0}
     found = refine(toy.problem(7, hidden, fails=("cube",), library=("bump", "cube")), rules=RULES)
     assert found.terms == ("bump",)
-    assert (found.verdict, found.rungs[-1].status) == ("unknown", "partial")
+    assert (found.verdict, found.rungs[-1].status) == ("fit_failed", "partial")
+    assert "cube: its fit failed" in found.why
     assert "failed" in found.refused["cube"]
+
+
+def test_a_failed_fit_that_promises_less_than_the_remaining_misfit_leaves_unknown(toy: Any) -> None:
+    hidden = {"bump": 200.0, "cube": 50.0}
+    found = refine(toy.problem(7, hidden, fails=("bump",), library=("bump", "cube")), rules=RULES)
+    assert found.verdict == "fit_failed"
+    assert "bump" in found.why
+    weak = refine(toy.problem(7, hidden, fails=("square",), library=("square", "cube")), rules=RULES)
+    assert weak.verdict == "unknown"
 
 
 def test_judging_a_selection_does_not_change_it(toy: Any) -> None:
