@@ -28,7 +28,7 @@ _FALLING = 1e-2
 #: Nonlinear over linear response above which phases can be wrong by more than half a turn; below it one minimum was always found.
 _STRONG = 0.3
 #: Rms of the residual over that of the records below which the phases are right, so the minimum is not a wrong one.
-_IN_PHASE = 0.005
+_IN_PHASE = 0.01
 #: Lengths of the first fits over that of the records, and the fewest samples that determine a mode.
 _SHARES, _SHORTEST = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2), 128
 
