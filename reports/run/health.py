@@ -69,7 +69,16 @@ def status_counts(devices: Devices) -> tuple[StatusCount, ...]:
 
 def spreads(devices: Devices) -> tuple[Spread, ...]:
     """Spread of the diagnostics over the devices, without those that have no value."""
-    names = ("error", "chi2_per_dof", "relative_error", "theta_bias_bound_deg", "rhat", "ess", "acceptance")
+    names = (
+        "error",
+        "error_all_noise",
+        "chi2_per_dof",
+        "relative_error",
+        "theta_bias_bound_deg",
+        "rhat",
+        "ess",
+        "acceptance",
+    )
     rows = []
     for name in names:
         values = devices.number(name)

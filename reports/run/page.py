@@ -15,6 +15,7 @@ from pipeline.quantities import QUANTITIES
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
+from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
 from .content import RunContent, StoredRun, run_content
 from .figures import corner_plots, run_figures
@@ -25,6 +26,7 @@ MOST_GROUPS = 60
 
 _DIAGNOSTICS = {
     "error": "error (rms residual / sigma)",
+    "error_all_noise": "error, noise that depends on the signal included",
     "chi2_per_dof": "chi2 per degree of freedom",
     "relative_error": "relative error",
     "theta_bias_bound_deg": "bound on the bias of theta, deg",
@@ -74,7 +76,7 @@ def render_run_report(
         figures=run_figures(devices, content),
         corners=corner_plots(content.worst, run.posterior),
         sections=_sections(content),
-        physics=() if physics is None else physics_sentences(physics),
+        physics=(*(() if physics is None else physics_sentences(physics)), *_noise(devices)),
         diagnostics=_DIAGNOSTICS,
         route_names=_ROUTE,
         meanings={quantity.name: quantity.meaning for quantity in QUANTITIES},
@@ -88,6 +90,12 @@ def render_run_report(
         counted=counted,
         with_sd=with_sd,
     )
+
+
+def _noise(devices: Devices) -> tuple[str, ...]:
+    jitter = devices.number("jitter_s")
+    found = lot_noise_sentence(devices.text("noise_colour"), jitter[np.isfinite(jitter)].tolist())
+    return (found,) if found else ()
 
 
 def _truth(estimate: WorstEstimate) -> str:

@@ -20,6 +20,7 @@ from pipeline.inference.identify import identify as identify_device
 from pipeline.inference.modal.fit import ModalFit, fit_modal
 from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
+from reports.words.noise import noise_words
 
 
 def identify(measurement: Path, model: Path | None, json: bool) -> None:
@@ -106,6 +107,8 @@ def _text(result: Identification) -> list[str]:
     error = "unknown (no silent record and no repeats)" if columns.get("error") is None else f"{columns['error']:.4f}"
     if columns.get("relative_error") is not None:
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")
+    if noise := noise_words(columns):
+        lines.append(f"  noise: {noise}")
     for name, r in result.reference.items():
         lines.append(f"  reference {name}: {r['reference']:g} +- {r['reference_sd']:g}, z = {r['z']:+.2f}")
     return lines

@@ -232,7 +232,7 @@ def identify_device(
     except np.linalg.LinAlgError:
         return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
     plant, mismatch = _plant_draws(posterior.flat(), prior, seed)
-    return _result({**columns, **mismatch}, sampler, gate, rate, fit, posterior, plant, quality)
+    return _result(columns, mismatch, sampler, gate, rate, fit, posterior, plant, quality)
 
 
 def _plant_draws(
@@ -249,6 +249,7 @@ def _plant_draws(
 
 def _result(
     columns: dict[str, Value],
+    mismatch: dict[str, Value],
     sampler: SamplerSettings,
     gate: Gate,
     rate: RateSettings,
@@ -267,6 +268,7 @@ def _result(
     columns = {
         **columns,
         **estimate.columns,
+        **mismatch,
         **quality.columns(),
         "rhat": posterior.rhat,
         "ess": posterior.ess,
