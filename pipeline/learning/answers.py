@@ -30,11 +30,34 @@ class Answer(Struct, frozen=True, eq=False):
 
 
 class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
-    """Noise level ``sigma`` [V] by channel, where it comes from, and its unit where that is not volts."""
+    """Noise level ``sigma`` [V] by channel, where it comes from, and its unit where that is not volts.
+
+    coloured : whether the silence showed a spectrum that is not white.
+    jitter_s : rms timing jitter [s], where the residual above the signal band shows it.
+    """
 
     sigma: tuple[float, ...]
     from_: str
     unit: str | UnsetType = UNSET
+    coloured: bool | UnsetType = UNSET
+    jitter_s: float | UnsetType = UNSET
+
+
+class Deviation(Answer, frozen=True, eq=False):
+    """Estimated deviations of one record: relative frequency [1], start [s], gain of each channel [1], ramp [V]."""
+
+    frequency: Measured
+    start_s: Measured
+    gain: tuple[Measured, ...]
+    ramp_v: tuple[Measured, ...]
+
+
+class RecordsDiffer(Answer, frozen=True, eq=False):
+    """How the records of a campaign differ: the spread of each kind (0: not needed), the deviations, and sentences."""
+
+    spread: Mapping[str, float]
+    records: Mapping[str, Deviation]
+    text: tuple[str, ...]
 
 
 class Place(Answer, frozen=True, eq=False):
@@ -107,6 +130,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     where_rest: Mapping[str, float] | UnsetType = UNSET
     where_families: Mapping[str, tuple[str, ...]] | UnsetType = UNSET
     records: Mapping[str, RecordErrors] | UnsetType = UNSET
+    records_differ: RecordsDiffer | UnsetType = UNSET
     dof: int | UnsetType = UNSET
     theta_deg: Measured | UnsetType = UNSET
     split_hz: Measured | UnsetType = UNSET
@@ -197,6 +221,8 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     why: str
     separating_record: str | None = None
     hints: tuple[str, ...] | UnsetType = UNSET
+    noise: Noise | UnsetType = UNSET
+    records_differ: RecordsDiffer | UnsetType = UNSET
     pairs: tuple[PairAnswer, ...] | UnsetType = UNSET
     relative_error: ByRole | UnsetType = UNSET
     dof: int | UnsetType = UNSET
@@ -278,6 +304,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     separating_record: str | UnsetType | None = UNSET
     regions_by_kind: tuple[Place, ...] | UnsetType = UNSET
     noise: Noise | UnsetType = UNSET
+    records_differ: RecordsDiffer | UnsetType = UNSET
     theta_before_deg: Measured | UnsetType = UNSET
     split_before_hz: Measured | UnsetType = UNSET
     theta_deg: Measured | UnsetType = UNSET

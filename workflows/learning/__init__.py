@@ -18,9 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 from msgspec import structs
 from threadpoolctl import threadpool_limits
 
-from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis
-from pipeline.criticism.ladder import diagnose as find_missing
-from pipeline.criticism.ladder import refine as select_effects
+from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.experiment.files.modal_record import ModalRecord
@@ -61,14 +59,17 @@ def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MOD
 def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> DiagnosisResult:
     """Find what ``model`` lacks; raises as :func:`compare`."""
     answers = _answers(campaign, model)
-    return DiagnosisResult(answers, find_missing(answers.problem, rules=answers.rules))
+    rules = replace(answers.rules, rungs=min(answers.rules.rungs, answers.rules.max_named))
+    answers, selection = answers.selected(rules)
+    return DiagnosisResult(answers, as_diagnosis(answers.problem, selection, answers.rules))
 
 
 @threadpool_limits.wrap(limits=1)
 def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> RefinementResult:
     """Add effects to ``model`` until no further one is significant; raises as :func:`compare`."""
     answers = _answers(campaign, model)
-    return RefinementResult(answers, select_effects(answers.problem, rules=answers.rules))
+    answers, selection = answers.selected(answers.rules)
+    return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules))
 
 
 def _answers(measured: Campaign | ModalRecord, model: Model) -> CampaignAnswers | ModalAnswers:

@@ -18,7 +18,8 @@ Shapes: N samples, S senses, D drives.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Literal
 
@@ -31,6 +32,7 @@ from ...errors import MeasurementError
 from ..instrument import Adc
 from ..record import Campaign, Record
 from .lines import line_basis, with_quantisation
+from .spectrum import NoiseSpectrum, noise_spectrum
 
 Source = Literal["silent", "repeats", "local"]
 
@@ -52,11 +54,19 @@ class NoiseLevel:
     sigma_v : (S,) standard deviation per sample and channel [V].
     source : how it was measured: "silent", "repeats" or "local" (see the head of this module).
     dof : degrees of freedom per channel; the relative sd of sigma^2 is sqrt(2 / dof).
+    common_v : record name -> (m, N, S) [V], signals of independent unit-normal size that the noise of a record contains,
+        such as the effect of a random start time; the covariance of the record is sigma^2 I + sum_i c_i c_i'.
+    spectrum : of the silence; ``None`` counts as white.
+    mixing : record name -> L_n^-1 (N, S, S) with L_n L_n' the covariance of sample n in units of sigma, for noise that depends
+        on the signal.
     """
 
     sigma_v: FloatArray
     source: Source
     dof: int
+    common_v: Mapping[str, FloatArray] = field(default_factory=dict)
+    spectrum: NoiseSpectrum | None = None
+    mixing: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, int]:
@@ -97,7 +107,7 @@ def _silent(records: tuple[Record, ...], line_hz: float | None, adc: Adc | None)
     return NoiseLevel(np.sqrt(with_quantisation(variance, adc)), "silent", dof)
 
 
-def _repeated(campaign: Campaign) -> list[tuple[Record, Record]]:
+def repeats_of(campaign: Campaign) -> list[tuple[Record, Record]]:
     """Pairs of driven records with the same drive samples and conditions that start at rest."""
     driven = [r for r in campaign.records if r.role != "noise" and np.any(r.drive_v)]
     return [
@@ -170,9 +180,14 @@ def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
         short for a local fit.
     """
     silent = campaign.with_role("noise")
-    repeats = _from_repeats(_repeated(campaign), line_hz)
+    repeats = _from_repeats(repeats_of(campaign), line_hz)
     if silent:
-        level = _pooled(_silent(silent, line_hz, campaign.instrument.adc), repeats)
+        longest = max(silent, key=lambda record: record.sense_v.shape[0])
+        spectrum = noise_spectrum(longest.sense_v, longest.sample_rate_hz, line_hz, campaign.instrument.adc)
+        if spectrum.white:
+            level = _pooled(_silent(silent, line_hz, campaign.instrument.adc), repeats)
+        else:
+            level = NoiseLevel(spectrum.sigma_v, "silent", spectrum.dof, spectrum=spectrum)
     elif repeats is not None:
         level = repeats
     else:

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-from ...arrays import FloatArray
 from ...device.model import Model
+from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
 from .free_disturbances import free_shapes
 from .residuals import CampaignResiduals
@@ -21,7 +21,7 @@ from .scan import scan
 def with_effect_starts(
     model: Model,
     campaign: Campaign,
-    sigma_v: FloatArray,
+    noise: NoiseLevel,
     start: Mapping[str, float],
     likely: Mapping[str, tuple[float, ...]],
     threads: int,
@@ -30,7 +30,7 @@ def with_effect_starts(
 
     Parameters
     ----------
-    model, campaign, sigma_v : what will be fitted; sigma_v (S,) [V].
+    model, campaign, noise : what will be fitted.
     start : values of all plant parameters, and of the effects' parameters that are known.
     likely : parameter -> values that a scan tries instead of its grid.
     threads : how many records are integrated at once.
@@ -39,11 +39,11 @@ def with_effect_starts(
     for effect in model.ordered_effects():
         members = [m for m in effect.members(model.built.shape) if m.fitted]
         if any(m.grid for m in members) and not any(effect.full_name(m) in values for m in members):
-            values |= _scanned(model, effect.name, campaign, sigma_v, values, likely, threads)
+            values |= _scanned(model, effect.name, campaign, noise, values, likely, threads)
     for effect in model.ordered_effects():
         shape = {effect.full_name(m) for m in effect.members(model.built.shape) if not m.fitted}
         if effect.disturbance is not None and not shape <= values.keys():
-            values = _shaped(model, effect.name, campaign, sigma_v, values) | values
+            values = _shaped(model, effect.name, campaign, noise, values) | values
         model = replace(model, fixed={**model.fixed, **{name: values[name] for name in shape if name in values}})
     return model, values
 
@@ -52,14 +52,14 @@ def _scanned(
     model: Model,
     effect: str,
     campaign: Campaign,
-    sigma_v: FloatArray,
+    noise: NoiseLevel,
     start: Mapping[str, float],
     likely: Mapping[str, tuple[float, ...]],
     threads: int,
 ) -> dict[str, float]:
     """Start values of an effect with scanned parameters, from the model without it at its start values."""
     smaller = model.without_effect(effect)
-    problem = CampaignResiduals(smaller, campaign, sigma_v, threads)
+    problem = CampaignResiduals(smaller, campaign, noise, threads)
     values = smaller.complete({name: value for name, value in start.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
     at_rest, shape = (None,) * len(tasks.each), model.built.shape
@@ -78,11 +78,11 @@ def _scanned(
 
 
 def _shaped(
-    model: Model, effect: str, campaign: Campaign, sigma_v: FloatArray, start: Mapping[str, float]
+    model: Model, effect: str, campaign: Campaign, noise: NoiseLevel, start: Mapping[str, float]
 ) -> dict[str, float]:
     """The shape of a disturbance that the residuals without it support best."""
     smaller = model.without_effect(effect)
-    problem = CampaignResiduals(smaller, campaign, sigma_v)
+    problem = CampaignResiduals(smaller, campaign, noise)
     values = smaller.complete({name: value for name, value in start.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
     residuals = problem.residuals(values, tasks, (None,) * len(tasks.each))

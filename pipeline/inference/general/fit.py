@@ -79,7 +79,7 @@ class CampaignFit:
     @property
     def error_v(self) -> dict[str, float]:
         """rms of (measured - model) [V] of every record, over its samples and channels."""
-        return {r.name: float(np.sqrt(np.mean((r.residual * self.noise.sigma_v) ** 2))) for r in self.records}
+        return {r.name: float(np.sqrt(np.mean(r.rms_v**2))) for r in self.records}
 
     def of_role(self, role: Role) -> tuple[RecordFit, ...]:
         """The records of one role."""
@@ -134,8 +134,8 @@ def fit_with_columns(
     known = {name: float(value) for name, value in (start or {}).items() if name in model.by_name}
     if any(p.name not in known and p.name not in model.fixed for p in model.built.parameters):
         known = {**find_start(model, fitted, campaign.instrument, sigma_v), **known}
-    model, known = with_effect_starts(model, campaign, sigma_v, {**known, **model.fixed}, likely or {}, threads)
-    problem = CampaignResiduals(model, campaign, sigma_v, threads)
+    model, known = with_effect_starts(model, campaign, noise, {**known, **model.fixed}, likely or {}, threads)
+    problem = CampaignResiduals(model, campaign, noise, threads)
     tasks = problem.tasks(fitted, model.complete(known))
     at = _first_point(problem, tasks, known)
     dof = sum(r.size for r in at.residuals) - at.x.size
@@ -164,7 +164,7 @@ def _first_point(problem: CampaignResiduals, tasks: Tasks, known: Mapping[str, f
 def _campaign_fit(
     problem: CampaignResiduals, campaign: Campaign, noise: NoiseLevel, tasks: Tasks, result: GaussNewtonResult
 ) -> CampaignFit:
-    model, at, sigma_v = problem.model, result.at, noise.sigma_v
+    model, at = problem.model, result.at
     x_covariance, determined = covariance_of(result.normal)
     values = model.to_values(at.x)
     covariance = model.covariance_of_values(at.x, x_covariance)
@@ -175,7 +175,7 @@ def _campaign_fit(
         id(task.record): record_fit(problem, task, s, predicted_v)
         for task, s, predicted_v in zip(tasks.each, at.starts, at.predicted)
     }
-    alone = CampaignResiduals(model, campaign, sigma_v)
+    alone = CampaignResiduals(model, campaign, noise)
 
     def record_of(record: Record) -> RecordFit:
         return compared.get(id(record)) or held_out_fit(alone, values, alone.task(record, values))
@@ -188,7 +188,7 @@ def _campaign_fit(
     for role, parameters in (("fit", at.x.size), ("validate", 0)):
         chosen = tuple(record for record in records if record.role == role)
         if chosen:
-            e, relative[role] = pooled_errors(chosen, campaign, sigma_v, parameters)
+            e, relative[role] = pooled_errors(chosen, campaign, parameters)
             error[role], misfit[role] = e, misfit_of(e)
         else:
             error[role] = relative[role] = misfit[role] = None

@@ -25,7 +25,7 @@ class LinearizedResiduals(CampaignResiduals):
     def __init__(
         self, exact: CampaignResiduals, values: Mapping[str, float], tasks: Tasks, starts: Starts, steps: FloatArray
     ) -> None:
-        self.threads, self.model, self.sigma_v = exact.threads, exact.model, exact.sigma_v
+        self.threads, self.model, self.noise = exact.threads, exact.model, exact.noise
         self.instrument, self.angular_gain = exact.instrument, exact.angular_gain
         self._x0 = self.model.to_internal(values)
         own = [i for i, name in enumerate(self.model.free) if is_integrated(self.model, name)]

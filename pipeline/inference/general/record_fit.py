@@ -33,6 +33,7 @@ class RecordFit:
     chi2, dof, error, relative_error, misfit : of this record alone.
     start : fitted initial state (2n,), ``None`` where the record starts at rest.
     good : (N, S) whether a sample counts; bad ones have residual 0.  ``None``: all count.
+    rms_v : (S,) of measured - predicted [V], nuisances removed.
     """
 
     name: str
@@ -45,6 +46,7 @@ class RecordFit:
     relative_error: float
     misfit: float
     start: FloatArray | None
+    rms_v: FloatArray
     good: BoolArray | None = None
 
 
@@ -63,9 +65,23 @@ def record_fit(problem: CampaignResiduals, task: Task, start: FloatArray | None,
     chi2, dof = float(np.vdot(residual, residual)), samples - nuisances
     error = float(np.sqrt(chi2 / dof))
     level = float(np.sqrt(np.mean(record.sense_v**2)))
-    relative = float(np.sqrt(np.sum((residual * problem.sigma_v) ** 2) / samples)) / max(level, 1e-300)
+    # Bad samples have a rest of zero.
+    rest_v = problem.without_nuisances(record.sense_v - predicted_v, task)
+    rms_v = np.sqrt(np.sum(rest_v**2, axis=0) * residual.shape[1] / samples)
+    relative = float(np.sqrt(np.mean(rms_v**2))) / max(level, 1e-300)
     return RecordFit(
-        record.name, record.role, predicted_v, residual, chi2, dof, error, relative, misfit_of(error), start, good
+        record.name,
+        record.role,
+        predicted_v,
+        residual,
+        chi2,
+        dof,
+        error,
+        relative,
+        misfit_of(error),
+        start,
+        rms_v,
+        good,
     )
 
 
@@ -85,13 +101,11 @@ def held_out_fit(problem: CampaignResiduals, values: Mapping[str, float], task: 
     return record_fit(problem, task, start, predicted_v)
 
 
-def pooled_errors(
-    records: Sequence[RecordFit], campaign: Campaign, sigma_v: FloatArray, parameters: int
-) -> tuple[float, float]:
-    """error and relative_error of several records together, ``parameters`` of which were fitted; sigma_v (S,) [V]."""
+def pooled_errors(records: Sequence[RecordFit], campaign: Campaign, parameters: int) -> tuple[float, float]:
+    """error and relative_error of several records together, ``parameters`` of which were fitted."""
     chi2 = sum(record.chi2 for record in records)
     dof = sum(record.dof for record in records) - parameters
-    rest = sum(float(np.sum((record.residual * sigma_v) ** 2)) for record in records)
+    rest = sum(record.residual.shape[0] * float(np.sum(record.rms_v**2)) for record in records)
     names = {record.name for record in records}
     total = sum(float(np.sum(record.sense_v**2)) for record in campaign.records if record.name in names)
     return float(np.sqrt(chi2 / dof)), float(np.sqrt(rest / max(total, 1e-300)))

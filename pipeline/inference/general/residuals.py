@@ -2,7 +2,8 @@
 
     residual = P (y - f(x)) / sigma
 
-P projects out the nuisances, which are free in every record and channel (``nuisance_columns``).
+P projects out the nuisances, which are free in every record and channel (``nuisance_columns``).  Noise that is not white is
+made white after that (``whitening``).
 
 Shapes: R records of a drive group, N samples, S senses, P free parameters, L nuisances per channel, n coordinates of the
 mechanics.  Records in volts; residuals and columns in sigmas.
@@ -11,7 +12,7 @@ mechanics.  Records in volts; residuals and columns in sigmas.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,9 +31,11 @@ from ...experiment.forward.sensitivity import (
 )
 from ...experiment.forward.system import System, assemble, conditions_of
 from ...experiment.instrument import Instrument
+from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign, Record
 from ...threads import mapped
 from .masking import MaskedBasis, masked_basis
+from .whitening import Whitening, common_signals, whitening_of
 
 
 def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, instrument: Instrument) -> FloatArray:
@@ -62,9 +65,16 @@ def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A record in a fit: nuisance basis (N, L) [1], number of coordinates with free initial state (0: at rest), drive group.
+    """A record in a fit.
 
-    ``masked`` is the basis without bad samples; ``None`` where all samples are good.
+    Parameters
+    ----------
+    record : the record.
+    basis : nuisance basis (N, L) [1].
+    coordinates : number of coordinates with a free initial state; 0: at rest.
+    group : its drive group.
+    masked : the basis without bad samples; ``None`` where all samples are good.
+    whitening : of noise that is not white.
     """
 
     record: Record
@@ -72,6 +82,7 @@ class Task:
     coordinates: int
     group: DriveGroup
     masked: MaskedBasis | None = None
+    whitening: Whitening = field(default_factory=Whitening)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +100,19 @@ class CampaignResiduals:
     ----------
     model : plant, effects, free parameters.
     campaign : instrument and angular gain.
-    sigma_v : noise (S,) [V].
+    noise : sigma (S,) [V], and common signals in the noise of the records.
     threads : how many records are integrated at once.
     """
 
-    def __init__(self, model: Model, campaign: Campaign, sigma_v: FloatArray, threads: int = 1) -> None:
+    def __init__(self, model: Model, campaign: Campaign, noise: NoiseLevel, threads: int = 1) -> None:
         self.threads = threads
         self.model, self.instrument, self.angular_gain = model, campaign.instrument, campaign.angular_gain
-        self.sigma_v = sigma_v
+        self.noise = noise
+
+    @property
+    def sigma_v(self) -> FloatArray:
+        """Noise (S,) [V] per sample."""
+        return self.noise.sigma_v
 
     def task(self, record: Record, values: Mapping[str, float]) -> Task:
         """The record with its nuisance basis at complete ``values``.
@@ -109,7 +125,12 @@ class CampaignResiduals:
         coordinates = 0 if record.at_rest else self.model.built.sense_motion().shape[1]
         basis = nuisance_columns(self.model, values, record, self.instrument)
         group = drive_group_of([record], self.instrument, self.angular_gain)
-        return Task(record, basis, coordinates, group, masked=masked_basis(basis, record.good))
+        white = whitening_of(self.noise, record)
+        task = Task(record, basis, coordinates, group, masked_basis(basis, record.good), white)
+        found = self.noise.common_v.get(record.name)
+        if found is None:
+            return task
+        return replace(task, whitening=replace(white, common=common_signals(self.whiten(found, task))))
 
     def tasks(self, records: Sequence[Record], values: Mapping[str, float]) -> Tasks:
         """The records with their nuisance bases, in drive groups; raises as ``task``."""
@@ -122,15 +143,20 @@ class CampaignResiduals:
 
     def whiten(self, y: FloatArray, task: Task) -> FloatArray:
         """P y / sigma (..., N, S) in sigmas, of y (..., N, S) [V]."""
+        rest = self.without_nuisances(y, task)
+        rest /= self.sigma_v
+        return rest if task.whitening.is_white else task.whitening(rest)
+
+    def without_nuisances(self, y: FloatArray, task: Task) -> FloatArray:
+        """P y (..., N, S) [V]."""
         own = task.basis.T @ y
         rest = np.empty_like(y)
         # One channel at a time: contiguous samples are several times faster than interleaved channels.
-        for s, sigma in enumerate(self.sigma_v):
+        for s in range(y.shape[-1]):
             if task.masked is None:
                 np.subtract(y[..., s], own[..., s] @ task.basis.T, out=rest[..., s])
             else:
                 rest[..., s] = task.masked.rest(y[..., s], s)
-            rest[..., s] /= sigma
         return rest
 
     def predictions(self, values: Mapping[str, float], tasks: Tasks, starts: Starts) -> list[FloatArray]:

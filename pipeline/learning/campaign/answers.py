@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from msgspec import structs
+from msgspec import UNSET, UnsetType, structs
 
 from ...criticism.fit_tests import Rules
 from ...criticism.ladder import Diagnosis, Ladder, Rung
-from ...criticism.problem import Region
+from ...criticism.problem import Problem, Region
+from ...criticism.selection import ForwardSelection
 from ...criticism.verdict import TermClass
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...errors import MeasurementError
@@ -20,7 +21,15 @@ from ...experiment.noise.level import noise_level
 from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit
 from ...threads import usable_cores
-from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RefinementAnswer, RungAnswer
+from ..answers import (
+    ComparisonAnswer,
+    DiagnosisAnswer,
+    Noise,
+    RecordErrors,
+    RecordsDiffer,
+    RefinementAnswer,
+    RungAnswer,
+)
 from ..common import diagnosis_answer, refinement_answer
 from ..modal.terms import GAUGES
 from ..next_experiment.separating import Proposal, separating_record
@@ -34,12 +43,14 @@ from ..where.regions import (
 )
 from .hold import hold_hint, hold_look_alikes
 from .problem import CampaignProblem
+from .records_differ import prepared, selected
+from .variation_text import records_differ_answer
 
 
 def campaign_answers(
     campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int | None = None
 ) -> CampaignAnswers:
-    """Prepare the answers for a campaign; the fits are made when they are needed.
+    """Prepare the answers for a campaign: where repeats differ, the variation between the records; other fits come later.
 
     Parameters
     ----------
@@ -56,7 +67,8 @@ def campaign_answers(
             "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
         )
     campaign = without_bad_samples(campaign)
-    return CampaignAnswers(CampaignProblem(campaign, model, noise_level(campaign), threads or usable_cores()))
+    problem = CampaignProblem(campaign, model, noise_level(campaign), threads or usable_cores())
+    return CampaignAnswers(prepared(problem))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +82,13 @@ class CampaignAnswers:
         """Where the noise level is unknown, held-out records test every effect: a diagnosis may name as many as a ladder."""
         rules = Rules()
         return rules if self._noise_known else replace(rules, max_named=rules.rungs)
+
+    def selected(
+        self, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = lambda problem: problem
+    ) -> tuple[CampaignAnswers, ForwardSelection]:
+        """The selection of effects, and the answers on whose problem it was made; arguments as in ``records_differ.selected``."""
+        problem, selection = selected(self.problem, rules, restricted)
+        return (self if problem is self.problem else CampaignAnswers(problem)), selection
 
     def fitted(self, terms: Sequence[str] = ()) -> CampaignFit:
         """The fit of the given model with ``terms``, made where it has not been made before."""
@@ -104,6 +123,7 @@ class CampaignAnswers:
             relative_error=dict(fit.relative_error),
             misfit={role: value if known else None for role, value in fit.misfit.items()},
             noise=self.noise,
+            records_differ=self.records_differ,
             where=where,
             where_by_kind=significant_places(by_kind(self._first_regions), fit.noise.dof),
             where_rest=remaining_shares(where),
@@ -120,7 +140,12 @@ class CampaignAnswers:
         """A diagnosis without hints and without a separating record, which take long to compute."""
         answer = diagnosis_answer(found)
         gauges = GAUGES if self.problem.model.plant.kind == "gyro" else ()
-        return structs.replace(answer, invisible=(*answer.invisible, *gauges))
+        return structs.replace(
+            answer,
+            invisible=(*answer.invisible, *gauges),
+            noise=self.noise,
+            records_differ=self.records_differ,
+        )
 
     def diagnosis(self, found: Diagnosis, proposals: Sequence[Proposal], drive_files: bool) -> DiagnosisAnswer:
         """What the given model lacks.
@@ -153,13 +178,24 @@ class CampaignAnswers:
             regions=significant_places(first, noise_dof, last),
             regions_by_kind=significant_places(by_kind(first), noise_dof, by_kind(last)),
             noise=self.noise,
+            records_differ=self.records_differ,
         )
+
+    @property
+    def records_differ(self) -> RecordsDiffer | UnsetType:
+        """How the records differ, where that was found."""
+        return UNSET if self.problem.variation is None else records_differ_answer(self.problem.variation)
 
     @property
     def noise(self) -> Noise:
         """sigma [V] of each channel, and where it comes from: "residual" without a silent record and repeats."""
         noise = self.problem.noise
-        return Noise(sigma=tuple(noise.sigma_v.tolist()), from_=noise.source if self._noise_known else "residual")
+        return Noise(
+            sigma=tuple(noise.sigma_v.tolist()),
+            from_=noise.source if self._noise_known else "residual",
+            coloured=True if noise.spectrum is not None and not noise.spectrum.white else UNSET,
+            jitter_s=UNSET if self.problem.jitter_s is None else self.problem.jitter_s,
+        )
 
     def _rung(self, answer: RungAnswer, rung: Rung) -> RungAnswer:
         fit = self.fitted(rung.terms)

@@ -27,7 +27,9 @@ from ...experiment.antialias import filter_poles
 from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of
 from ...experiment.forward.modal_bank import hold_gains
 from ...experiment.instrument import Instrument
+from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
+from ...inference.general.whitening import colour_of
 
 #: Wide and narrow modes: zeta, relative step of the grid, margin around the driven band (as a share of its edges).
 _WIDE = (1e-2, 0.02, 1e9)
@@ -69,7 +71,9 @@ class Scan:
         return np.asarray(self.gains.transpose(2, 1, 0).reshape(self.gains.shape[2], -1))
 
 
-def mode_scans(campaign: Campaign, bins: Sequence[int], top_hz: float, displacement: bool) -> tuple[Scan, ...]:
+def mode_scans(
+    campaign: Campaign, bins: Sequence[int], top_hz: float, displacement: bool, noise: NoiseLevel
+) -> tuple[Scan, ...]:
     """The scan of each drive group of the fit records.
 
     Parameters
@@ -78,13 +82,15 @@ def mode_scans(campaign: Campaign, bins: Sequence[int], top_hz: float, displacem
     bins : number F of bins above zero of each fit record.
     top_hz : highest frequency of a mode [Hz].
     displacement : whether the pick-off senses displacement rather than velocity.
+    noise : its colour, averaged over the channels, weights the bins.
     """
     records = campaign.with_role("fit")
     groups = drive_groups_of(records, campaign.instrument, campaign.angular_gain)
     top_hz = min(top_hz, _BELOW_NYQUIST * 0.5 * records[0].sample_rate_hz)
     grid = _grid([group for _, group in groups], top_hz)
     return tuple(
-        _scan(places, group, campaign.instrument, bins[places[0]], grid, displacement) for places, group in groups
+        _scan(places, group, campaign.instrument, bins[places[0]], grid, displacement, noise)
+        for places, group in groups
     )
 
 
@@ -112,6 +118,7 @@ def _scan(
     bins: int,
     grid: Sequence[tuple[float, float]],
     displacement: bool,
+    noise: NoiseLevel,
 ) -> Scan:
     """The response of every mode of ``grid`` in the first ``bins`` bins above zero of a drive group."""
     samples = group.drives[0].shape[0]
@@ -120,6 +127,9 @@ def _scan(
     if instrument.antialias is not None:
         transfer = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
     transfer = transfer * np.sqrt(2.0 / samples)
+    colour = colour_of(noise, samples, group.sample_rate_hz)
+    if colour is not None:
+        transfer = transfer * colour[1 : bins + 1].mean(axis=1)
     points: list[ScanPoint] = []
     w, zeta = 2.0 * np.pi * np.array([f for f, _ in grid]), np.array([z for _, z in grid])
     poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))

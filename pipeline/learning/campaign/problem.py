@@ -17,6 +17,7 @@ from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit, fit_with_columns
 from ...inference.general.residuals import CampaignResiduals
+from ...inference.general.variation import RecordVariation
 from ..where.partition import (
     CampaignPartition,
     RecordPartition,
@@ -44,10 +45,23 @@ class CampaignProblem:
     model : the model to start from.
     noise : level of each channel, (S,) [V].
     threads : signatures that are computed, and records that are integrated, in parallel.
+    corrected : where the records differ: the measured campaign and the variation for which ``campaign`` was corrected.
+    jitter_s : timing jitter [s] that ``noise`` contains, if any.
     """
 
-    def __init__(self, campaign: Campaign, model: Model, noise: NoiseLevel, threads: int = 1) -> None:
+    def __init__(
+        self,
+        campaign: Campaign,
+        model: Model,
+        noise: NoiseLevel,
+        threads: int = 1,
+        corrected: tuple[Campaign, RecordVariation] | None = None,
+        jitter_s: float | None = None,
+    ) -> None:
+        self.jitter_s = jitter_s
         self.campaign = campaign
+        self.measured = campaign if corrected is None else corrected[0]
+        self.variation = None if corrected is None else corrected[1]
         self.threads = threads
         self.noise = noise
         self.records = campaign.with_role("fit")
@@ -84,7 +98,7 @@ class CampaignProblem:
     def scans(self) -> tuple[Scan, ...]:
         """The scan for an additional mode, one per drive group."""
         bins = [spectra.bins.size for spectra in self.spectra]
-        return mode_scans(self.campaign, bins, TOP_HZ, self.model.plant.sense == "displacement")
+        return mode_scans(self.campaign, bins, TOP_HZ, self.model.plant.sense == "displacement", self.noise)
 
     def campaign_fit(self, terms: Sequence[str]) -> CampaignFit:
         """The fit with these terms, which ``fit`` made before."""
@@ -160,4 +174,4 @@ class CampaignProblem:
         return pooled_spectra(residual_spectra(self.campaign_fit(fit.terms), self.partitions))
 
     def _residuals(self, fitted: CampaignFit) -> CampaignResiduals:
-        return CampaignResiduals(fitted.model, self.campaign, self.noise.sigma_v, self.threads)
+        return CampaignResiduals(fitted.model, self.campaign, self.noise, self.threads)

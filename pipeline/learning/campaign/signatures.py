@@ -100,8 +100,9 @@ def known_signatures(
 
     def rows(index: int, y: FloatArray) -> FloatArray:
         # A free offset is the bin at zero, which is not among the rows.
-        free = tasks.each[index].basis.shape[1] > 1
-        white = problem.whiten(y, tasks.each[index]) if free else y / problem.sigma_v
+        task = tasks.each[index]
+        plain = task.basis.shape[1] == 1 and task.whitening.is_white
+        white = y / problem.sigma_v if plain else problem.whiten(y, task)
         return spectra[index](white).reshape(y.shape[0], -1)
 
     tangent = tangent_of(fitted, tasks, problem.instrument, records, rows)

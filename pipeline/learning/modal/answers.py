@@ -21,6 +21,7 @@ from ...criticism.ladder import Diagnosis, Ladder
 from ...criticism.pairs import best_pairs
 from ...criticism.problem import FitResult
 from ...criticism.scores import Score
+from ...criticism.selection import ForwardSelection, forward_selection
 from ...criticism.verdict import TermClass
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...experiment.files.modal_record import ModalRecord
@@ -56,6 +57,10 @@ class ModalAnswers:
     def rules(self) -> Rules:
         """With an unknown noise level no test says when a misfit is explained, so a diagnosis may name as many as a ladder."""
         return Rules() if self.problem.noise_known else Rules(alpha=ALPHA_UNKNOWN_NOISE, max_named=Rules().rungs)
+
+    def selected(self, rules: Rules) -> tuple[ModalAnswers, ForwardSelection]:
+        """The selection of effects, and these answers."""
+        return self, forward_selection(self.problem, (), rules)
 
     def fitted(self, terms: Sequence[str] = ()) -> FitResult:
         """The fit of the given model with ``terms``."""

@@ -201,7 +201,7 @@ def _scores(
     view: CampaignProblem, fitted: CampaignFit, fit: FitResult, terms: Sequence[SharedTerm]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Score (K,), information and covariance (K, K) of the columns of ``terms``, in the units of their parameters."""
-    problem = CampaignResiduals(fitted.model, view.campaign, view.noise.sigma_v)
+    problem = CampaignResiduals(fitted.model, view.campaign, view.noise)
     tasks = problem.tasks(view.records, fitted.values)
 
     def rows(place: int, y: FloatArray) -> FloatArray:

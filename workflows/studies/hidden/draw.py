@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 from zlib import crc32
 
@@ -23,6 +24,7 @@ from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Record
 
 from ...simulate import device_parameters, standard_excitations
+from .bench import BenchRecords
 from .effects import Drawn, draw_effect, peak_of
 from .own_law import modelled_response, own_disturbance, without_law
 from .strengths import FittedBaseline, baseline, modelled, sized
@@ -39,12 +41,13 @@ _OFFSET_V = 2e-3
 
 @dataclass(frozen=True)
 class HiddenKind:
-    """A kind of campaign: the number of campaigns in the whole study, the range of the SNR, and the noise."""
+    """A kind of campaign: number of campaigns in the whole study, range of the SNR, noise, records as on a bench."""
 
     campaigns: int
     meaning: str
     snr: tuple[float, float] = (10.0, 1000.0)
     noise: Noise = "white"
+    bench: bool = False
 
 
 KINDS: dict[str, HiddenKind] = {
@@ -57,6 +60,9 @@ KINDS: dict[str, HiddenKind] = {
     "coloured": HiddenKind(60, "nothing hidden, coloured noise", noise="coloured"),
     "heavy-tailed": HiddenKind(60, "nothing hidden, Student's t noise with 4 degrees of freedom", noise="heavy-tailed"),
     "louder": HiddenKind(60, "nothing hidden, noise 20 % stronger in the driven records", noise="louder"),
+    "bench-none": HiddenKind(300, "nothing hidden, records that differ as on a bench", bench=True),
+    "bench-one": HiddenKind(220, "one library effect, records that differ as on a bench", bench=True),
+    "bench-foreign": HiddenKind(120, "one effect outside the library or left out, records that differ", bench=True),
 }
 
 
@@ -105,8 +111,11 @@ def effects_of(
 ) -> tuple[str, ...]:
     """Names of the effects in campaign ``number`` of ``kind``: the candidates of ``model`` in turn, or a random pair of them."""
     library = model.candidates()
-    if kind in ("one", "weak", "left-out"):
+    if kind in ("one", "weak", "left-out", "bench-one"):
         return (library[number % len(library)],)
+    if kind == "bench-foreign":
+        foreign = (*OUTSIDE, *library)
+        return (foreign[number % len(foreign)],)
     if kind == "outside":
         return (tuple(OUTSIDE)[number % len(OUTSIDE)],)
     if kind != "two":
@@ -160,7 +169,7 @@ def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL
         fitted = [r for r in empty if r.role == "fit"]
         # The quantisation of the ADC adds to the noise.
         sigma = float(np.hypot(SIGMA_V, Adc().lsb_v / np.sqrt(12.0)))
-        base = baseline(values, fitted, INSTRUMENT, sigma)
+        base = baseline(values, fitted, INSTRUMENT, sigma, KINDS[kind].bench)
         before = modelled(values, (), fitted, INSTRUMENT)
         changed = dict(values)
         for i, effect in enumerate(effects):
@@ -172,15 +181,19 @@ def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL
             snr.append(reached)
             sizes += drawn.direction
         values = changed
-    clean = _clean(model, effects, values, empty)
-    measured = tuple(
-        _measured(
-            r, clean.get(r.name), model, effects, values, KINDS[kind].noise, stream(seed, kind, number, f"record{i}")
+    streams = [stream(seed, kind, number, f"record{i}") for i in range(len(empty))]
+    if KINDS[kind].bench:
+        bench = BenchRecords(stream(seed, kind, number, "bench"))
+        disturbed = [_disturbed(model, effects, values, r.drive_v.shape[0], s) for r, s in zip(empty, streams)]
+        measured = bench.measured(empty, values, partial(_clean_record, model, effects), disturbed, streams)
+    else:
+        clean = _clean(model, effects, values, empty)
+        measured = tuple(
+            _measured(r, clean.get(r.name), model, effects, values, KINDS[kind].noise, own)
+            for r, own in zip(empty, streams)
         )
-        for i, r in enumerate(empty)
-    )
     campaign = Campaign(f"{kind}-{number}", measured, INSTRUMENT, _ANGULAR_GAIN, 1.0)
-    left_out = effects if kind == "left-out" else ()
+    left_out = effects if kind == "left-out" or (kind == "bench-foreign" and effects[0] not in OUTSIDE) else ()
     return Hidden(kind, number, seed, effects, values, tuple(sizes), tuple(snr), left_out, campaign, model)
 
 

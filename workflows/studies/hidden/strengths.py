@@ -48,18 +48,44 @@ class FittedBaseline:
 
 
 def baseline(
-    values: Mapping[str, float], records: Sequence[Record], instrument: Instrument, sigma_v: float
+    values: Mapping[str, float],
+    records: Sequence[Record],
+    instrument: Instrument,
+    sigma_v: float,
+    records_differ: bool = False,
 ) -> FittedBaseline:
     """The baseline at plant ``values`` by name, with noise ``sigma_v`` [V].
 
-    Of the fitted ``records`` only the drive samples (N, 2) [V] are used.
+    Of the fitted ``records`` only the drive samples (N, 2) [V] are used.  With ``records_differ`` the basis also holds a
+    frequency shift, a time shift, gains and a ramp of every record.
     """
     model = DEFAULT_COMPARE_MODEL
     plant = {name: values[name] for name in PHYSICAL if name in model.by_name}
     columns = [jacobian(model, plant, record, instrument) for record in records]
     rows = np.stack([row([block[:, :, i] for block in columns]) for i in range(columns[0].shape[2])], axis=1)
+    if records_differ:
+        rows = np.concatenate([rows, _of_records(model.complete(plant), records, instrument)], axis=1)
     basis, _ = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))
     return FittedBaseline(basis, sigma_v)
+
+
+def _of_records(values: Mapping[str, float], records: Sequence[Record], instrument: Instrument) -> FloatArray:
+    """Changes (M, 7 R) of single records: frequency, start, gain and ramp of both channels."""
+
+    def at(scale: float) -> list[FloatArray]:
+        return modelled(
+            {**values, **{f"f{i}_hz": values[f"f{i}_hz"] * scale for i in (1, 2, 3)}}, (), records, instrument
+        )
+
+    here, above, below = at(1.0), at(1.0 + 1e-6), at(1.0 - 1e-6)
+    columns = []
+    for k, y in enumerate(here):
+        ramp = np.linspace(-1.0, 1.0, y.shape[0])[:, None]
+        own = [above[k] - below[k], np.gradient(y, axis=0)]
+        own += [shape * np.eye(2)[s] for s in range(2) for shape in (y, np.broadcast_to(ramp, y.shape))]
+        for shape in own:
+            columns.append(row([shape if i == k else np.zeros_like(z) for i, z in enumerate(here)]))
+    return np.stack(columns, axis=1)
 
 
 def modelled(

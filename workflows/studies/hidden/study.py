@@ -23,6 +23,7 @@ from pipeline.criticism.problem import Problem
 from pipeline.criticism.selection import forward_selection
 from pipeline.errors import GyroscreenError, UsageError
 from pipeline.learning.campaign.answers import campaign_answers
+from pipeline.learning.campaign.problem import CampaignProblem
 
 from ...learning import DiagnosisResult, RefinementResult
 from ...machine import worker_count
@@ -31,7 +32,7 @@ from .draw import KINDS, Hidden, hide
 from .restricted import RestrictedProblem
 
 #: Kinds of campaigns that are also refined.
-_REFINED = ("one", "two", "outside", "left-out")
+_REFINED = ("one", "two", "outside", "left-out", "bench-one", "bench-foreign")
 _CANDIDATES = 5
 _Found = TypeVar("_Found")
 #: A campaign with the signatures of all candidates is larger than a screening block; dask must not kill a worker for that.
@@ -53,13 +54,13 @@ def study_plan(kind: str, campaigns: int | None, seed: int, only: int | None = N
     ------
     UsageError : an unknown kind, or an invalid number of campaigns.
     """
-    if kind != "all" and kind not in KINDS:
-        raise UsageError("no such kind of hidden campaigns", value=kind, allowed=f"all, {', '.join(KINDS)}")
+    kinds = tuple(name for name, one in KINDS.items() if kind in ("all", name, "bench" if one.bench else name))
+    if not kinds:
+        raise UsageError("no such kind of hidden campaigns", value=kind, allowed=f"all, bench, {', '.join(KINDS)}")
     if campaigns is not None and campaigns < 1:
         raise UsageError("no campaigns to study", value=campaigns, allowed="1 or more")
-    if only is not None and (kind == "all" or only < 0):
+    if only is not None and (kind not in KINDS or only < 0):
         raise UsageError("one campaign needs its kind and its number", value=only, next_step="--kind one --only 3")
-    kinds = tuple(KINDS) if kind == "all" else (kind,)
     if only is not None:
         return StudyPlan(seed, {kind: (only,)})
     return StudyPlan(seed, {k: tuple(range(campaigns or KINDS[k].campaigns)) for k in kinds})
@@ -101,9 +102,12 @@ def run_loop(hidden: Hidden) -> dict[str, Any]:
     Both include the time of the selection, so the time of a diagnosis, whose selection is shorter, is an upper bound.
     """
     answers = campaign_answers(hidden.campaign, hidden.model, threads=1)
-    problem: Problem = RestrictedProblem(answers.problem, hidden.left_out) if hidden.left_out else answers.problem
-    selection, shared = _timed(lambda: forward_selection(problem))
-    short = selection
+
+    def restricted(problem: CampaignProblem) -> Problem:
+        return RestrictedProblem(problem, hidden.left_out) if hidden.left_out else problem
+
+    (answers, selection), shared = _timed(lambda: answers.selected(Rules(), restricted))
+    problem, short = restricted(answers.problem), selection
     if len(selection.steps) > Rules.max_named:
         short = forward_selection(problem, rules=Rules(rungs=Rules.max_named))
     diagnosis, own = _timed(lambda: as_diagnosis(problem, short))

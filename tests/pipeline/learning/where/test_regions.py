@@ -71,7 +71,9 @@ def _fit(missing=None, seed: int = 1, scale: float = 1.0) -> CampaignFit:
             residual = residual + missing(name, motion, t) / SIGMA
         residual -= residual.mean(axis=0)
         chi2, dof = float(np.sum(residual**2)), residual.size - 2
-        fitted.append(RecordFit(name, "fit", motion, residual, chi2, dof, np.sqrt(chi2 / dof), 0.0, 0.0, None))
+        fitted.append(
+            RecordFit(name, "fit", motion, residual, chi2, dof, np.sqrt(chi2 / dof), 0.0, 0.0, None, np.zeros(2))
+        )
     return CampaignFit(
         model=MODEL,
         parameters={name: (value, 0.0) for name, value in VALUES.items()},

@@ -1,0 +1,241 @@
+"""Variation between records, estimated from the fit of a campaign.
+
+    y_k = f(x) + C_k d_k + e,     d_k ~ N(0, D),     D = diag(s_phi^2, s_tau^2, s_g^2 .., s_b^2 ..)
+    C_k = d f_k / d (phi, tau, g_1 .., b_1 ..)
+
+The spreads s maximise the restricted likelihood of the fit records (``variance_components``).
+
+Shapes: K fit records, N samples, S senses, P parameters, m deviations of a record; whitened columns in sigmas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...device.model import Model
+from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of, highest_drive_energy
+from ...experiment.forward.response import Starts, linear_volts, volts
+from ...experiment.forward.sensitivity import STRONG
+from ...experiment.forward.system import assemble
+from ...experiment.instrument import Instrument
+from ...experiment.noise.level import NoiseLevel, noise_level
+from ...experiment.noise.source import slope_v_per_s
+from ...experiment.record import Campaign, Record
+from ...experiment.variation import KINDS, Deviations, RecordSpread, advanced, kind_of_deviation
+from .fit import CampaignFit, fit_campaign
+from .linear_step import Sensitivity
+from .residuals import CampaignResiduals
+from .variance_components import grams_of, solved, spread_of
+
+#: Relative step of the frequency derivative: an eighth of a line width at a quality factor of 60,000.
+_STEP = 1e-6
+#: Largest spreads: frequency [1], start [samples], gain [1], ramp [V].  Three times the variation of a stable bench (10 ppm is
+#: 1 K at a typical temperature coefficient); larger differences are another device or set-up, which must remain a misfit.
+_LARGEST = (3e-5, 3.0, 3e-3, 0.1)
+#: Largest number of corrections of the records; they end when all deviations move by less than this part of their sd or value.
+_ITERATIONS, _SETTLED, _SETTLED_SHARE = 8, 0.3, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class RecordVariation:
+    """The spreads, and the deviations of every driven record, fitted and held out."""
+
+    spread: RecordSpread
+    deviations: tuple[Deviations, ...]
+
+    def of(self, record: str) -> Deviations | None:
+        """The deviations of a record by name."""
+        return next((one for one in self.deviations if one.record == record), None)
+
+
+def at_frequency(model: Model, values: Mapping[str, float], phi: float) -> dict[str, float]:
+    """Complete parameter ``values`` with every natural frequency of the plant times 1 + phi."""
+    own = {p.name for p in model.built.parameters if p.unit == "Hz"}
+    return {name: value * (1.0 + phi) if name in own else value for name, value in values.items()}
+
+
+def _deviation_columns(
+    model: Model, values: Mapping[str, float], group: DriveGroup, instrument: Instrument, starts: Starts
+) -> FloatArray:
+    """C (R, m, N, S) [V per unit] of the records of a drive group at complete ``values``."""
+    systems = [
+        assemble(model, at_frequency(model, values, phi), instrument, group.conditions) for phi in (_STEP, -_STEP)
+    ]
+    up, down = (linear_volts(system, group, starts) for system in systems)
+    y = volts(assemble(model, values, instrument, group.conditions), group, starts)
+    records, samples, senses = y.shape
+    out = np.zeros((records, 2 + 2 * senses, samples, senses))
+    out[:, 0] = (up - down) / (2.0 * _STEP)
+    for k in range(records):
+        out[k, 1] = -slope_v_per_s(y[k], group.sample_rate_hz)
+        for s in range(senses):
+            out[k, 2 + s, :, s] = y[k, :, s]
+            out[k, 2 + senses + s, :, s] = np.linspace(-1.0, 1.0, samples)
+    return out
+
+
+def deviation_columns(fit: CampaignFit, records: Sequence[Record], campaign: Campaign) -> dict[str, FloatArray]:
+    """C (m, N, S) [V per unit of the deviation] of each of ``records`` at the fitted parameters, by name."""
+    known = {record.name: record.start for record in fit.records}
+    out: dict[str, FloatArray] = {}
+    for places, group in drive_groups_of(records, campaign.instrument, campaign.angular_gain):
+        starts = [known.get(records[i].name) for i in places]
+        found = _deviation_columns(fit.model, fit.values, group, campaign.instrument, starts)
+        out |= {records[i].name: c for i, c in zip(places, found)}
+    return out
+
+
+def record_variation(fit: CampaignFit, campaign: Campaign, most: int = len(KINDS), threads: int = 1) -> RecordVariation:
+    """The spreads, from the fit records, and the deviations of all driven records at a fit.
+
+    Parameters
+    ----------
+    fit : of the campaign.
+    campaign : its records; deviations of first order are still in them.
+    most : number of kinds of variation that may be found.
+    threads : how many records are integrated at once.
+    """
+    problem = CampaignResiduals(fit.model, campaign, replace(fit.noise, common_v={}), threads)
+    fitted = campaign.with_role("fit")
+    driven = (*fitted, *campaign.with_role("validate"))
+    senses = fitted[0].sense_v.shape[1]
+    kinds = kind_of_deviation(senses)
+    c_v = deviation_columns(fit, driven, campaign)
+    known = {record.name: record for record in fit.records}
+    tasks = problem.tasks(driven, fit.values)
+    starts = [known[r.name].start for r in driven]
+    columns = [problem.whiten(c_v[t.record.name], t).reshape(len(kinds), -1).T for t in tasks.each]
+    residuals = [problem.whiten(t.record.sense_v - known[t.record.name].predicted_v, t).reshape(-1) for t in tasks.each]
+    reference = highest_drive_energy([r.drive_v for r in fitted])
+    exact = problem.strength(fit.values, tasks.each[reference]) > STRONG
+    steps = problem.steps(fit.values, tasks.each[reference], starts[reference])
+    jacobians = problem.columns(fit.values, tasks, starts, exact, steps)
+    free = [None if s is None else problem.start_columns(fit.values, t, s, exact) for t, s in zip(tasks.each, starts)]
+    count = len(fitted)
+    wide = _with_starts(list(zip(jacobians[:count], free[:count])))
+    g = grams_of(columns[:count], wide, residuals[:count])
+    largest = np.array(_LARGEST) * (1.0, 1.0 / fitted[0].sample_rate_hz, 1.0, 1.0)
+    spread = spread_of(g, kinds, largest, most)
+    sd = spread.of_deviations(senses)
+    best = solved(g, sd)
+    out = [Deviations(r.name, d, np.sqrt(np.diagonal(v))) for r, d, v in zip(fitted, best.deviations, best.covariances)]
+    for record, c, j, r in zip(driven[count:], columns[count:], jacobians[count:], residuals[count:]):
+        # The parameters come from the fit records only.
+        left = r - j @ best.dx[: j.shape[1]]
+        alone = solved(grams_of([c], [np.zeros((r.size, 1))], [left]), sd)
+        out.append(Deviations(record.name, alone.deviations[0], np.sqrt(np.diagonal(alone.covariances[0]))))
+    return RecordVariation(spread, tuple(out))
+
+
+def _with_starts(sensitivities: Sequence[Sensitivity]) -> list[FloatArray]:
+    """For each record the columns (N S, P + all initial states): those of the parameters, then of every initial state."""
+    width = sum(0 if f is None else f.shape[1] for _, f in sensitivities)
+    out, place = [], 0
+    for j, f in sensitivities:
+        wide = np.zeros((j.shape[0], width))
+        if f is not None:
+            wide[:, place : place + f.shape[1]] = f
+            place += f.shape[1]
+        out.append(np.concatenate([j, wide], axis=1))
+    return out
+
+
+def aligned(campaign: Campaign, fit: CampaignFit, variation: RecordVariation) -> Campaign:
+    """The campaign without the estimated deviations:  y' = advanced(y - b l, tau) / (1 + g) - (f(phi) - f(0)).
+
+    The first order alone does not suffice where they are large.  Only the driven records change.
+    """
+    known = {record.name: record.start for record in fit.records}
+    predicted = {record.name: record.predicted_v for record in fit.records}
+    model, instrument = fit.model, campaign.instrument
+
+    def equal(record: Record) -> Record:
+        d = variation.of(record.name)
+        if d is None:
+            return record
+        ((_, group),) = drive_groups_of([record], instrument, campaign.angular_gain)
+        shifted, plain = (
+            volts(
+                assemble(model, at_frequency(model, fit.values, phi), instrument, group.conditions),
+                group,
+                [known.get(record.name)],
+            )[0]
+            for phi in (d.frequency, 0.0)
+        )
+        ramp = d.ramp_v * np.linspace(-1.0, 1.0, record.sense_v.shape[0])[:, None]
+        measured = _filled(record, predicted[record.name])
+        y = advanced(measured - ramp, d.start_s, record.sample_rate_hz) / (1.0 + d.gain)
+        return replace(record, sense_v=y - (shifted - plain))
+
+    return replace(campaign, records=tuple(equal(record) for record in campaign.records))
+
+
+def _filled(record: Record, predicted_v: FloatArray) -> FloatArray:
+    """The samples (N, S) [V] with bad ones replaced by the prediction; a time shift would spread them."""
+    if record.good is None:
+        return record.sense_v
+    difference = np.where(record.good, record.sense_v - predicted_v, 0.0)
+    offset = difference.sum(axis=0) / np.maximum(record.good.sum(axis=0), 1)
+    return np.where(record.good, record.sense_v, predicted_v + offset)
+
+
+def _with_first_order(campaign: Campaign, variation: RecordVariation, columns: Mapping[str, FloatArray]) -> Campaign:
+    """The campaign with C d added to every driven record: the likelihood is linear around the estimated deviations."""
+
+    def with_deviations(record: Record) -> Record:
+        d = variation.of(record.name)
+        if d is None:
+            return record
+        return replace(record, sense_v=record.sense_v + np.tensordot(d.value, columns[record.name], axes=1))
+
+    return replace(campaign, records=tuple(with_deviations(record) for record in campaign.records))
+
+
+@dataclass(frozen=True, eq=False)
+class VariedFit:
+    """A fit in which the records may differ: the corrected campaign, the noise with the common signals, and the variation."""
+
+    fit: CampaignFit
+    campaign: Campaign
+    noise: NoiseLevel
+    variation: RecordVariation
+
+
+def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threads: int = 1) -> VariedFit:
+    """The fit of ``model`` with the variation between the records, from a fit without it.
+
+    The records are corrected and fitted again until their deviations settle.  ``campaign`` is the measured one.
+    """
+    corrected, previous, driven = campaign, None, [r for r in campaign.records if r.role in ("fit", "validate")]
+    for iteration in range(_ITERATIONS):
+        # A large start shift has second-order terms that look like the other kinds, so the first correction is of one kind.
+        found = record_variation(fit, corrected, 1 if iteration == 0 else len(KINDS), threads)
+        if found.spread.is_zero:
+            return VariedFit(fit, campaign, replace(fit.noise, common_v={}), found)
+        columns = deviation_columns(fit, driven, campaign)
+        equal = aligned(campaign, fit, found)
+        corrected = _with_first_order(equal, found, columns)
+        sd = found.spread.of_deviations(driven[0].sense_v.shape[1])[:, None, None]
+        # Repeats measure the noise level once their records are equal.
+        noise = replace(
+            noise_level(equal), mixing=fit.noise.mixing, common_v={name: sd * c for name, c in columns.items()}
+        )
+        fit = fit_campaign(model, corrected, noise, fit.values, threads=threads)
+        if previous is not None and iteration > 1 and _settled(previous, found):
+            break
+        previous = found
+    return VariedFit(fit, corrected, noise, found)
+
+
+def _settled(before: RecordVariation, after: RecordVariation) -> bool:
+    """Whether the deviations of all records moved by less than ``_SETTLED`` of their sd, or of themselves."""
+    for one in after.deviations:
+        other = before.of(one.record)
+        assert other is not None
+        if np.any(np.abs(one.value - other.value) > np.maximum(_SETTLED * one.sd, _SETTLED_SHARE * np.abs(one.value))):
+            return False
+    return True

@@ -1,0 +1,144 @@
+"""Whether the records of a campaign differ from each other, and the problem and the selection that allow for it.
+
+A hidden effect and a variation between records can both explain that a model fits some records worse than others.  The rule is:
+
+1. Repeats decide where there are any.  A hidden effect acts on repeats alike, so if their difference correlates with the
+   derivatives of the record with respect to its frequency, start and gains, the records differ.
+2. Else the records are taken as equal at first.  If no set of effects explains them, but some variation is significant at the
+   last model, the selection is repeated with the variation of the first model.
+3. After a selection with variation, the spreads are estimated again with the selected effects.  If they shrink to zero, the
+   effects alone explain the records; if they fall by much, the selection is repeated with the smaller ones.
+
+Shapes: N samples, S senses, m deviations of a record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from ...criticism.fit_tests import Rules
+from ...criticism.problem import Problem
+from ...criticism.selection import ForwardSelection, forward_selection
+from ...criticism.verdict import verdict_of
+from ...experiment.noise.level import noise_level, repeats_of
+from ...inference.general.jitter import campaign_jitter, with_jitter
+from ...inference.general.residuals import CampaignResiduals
+from ...inference.general.variation import VariedFit, deviation_columns, fit_with_variation, record_variation
+from .problem import CampaignProblem
+
+#: Probability that equal repeats are taken as different, for each pair.
+_REPEATS_DIFFER = 1e-6
+#: A selection is repeated if a spread falls below this share of the one that it assumed.  A hidden effect inflates the spreads;
+#: while they stay too large, the records count for too little.
+_SMALLER = 0.5
+#: Largest number of selections with variation.
+_ROUNDS = 3
+
+
+def repeats_differ(problem: CampaignProblem) -> bool:
+    """Whether repeats differ in their frequency, start or gains.
+
+    delta_chi2 of the regression of (y_a - y_b) / sqrt 2 on the m derivatives of the predicted record, against chi2_m; divided
+    by the level of what remains, so that noise louder than measured is no difference.
+    """
+    pairs = repeats_of(problem.campaign)
+    result = problem.fit(())
+    if not pairs or not result.ok:
+        return False
+    fit = problem.campaign_fit(())
+    residuals = CampaignResiduals(fit.model, problem.campaign, replace(problem.noise, common_v={}))
+    columns = deviation_columns(fit, [a for a, _ in pairs], problem.campaign)
+    for a, b in pairs:
+        task = residuals.task(a, fit.values)
+        c = residuals.whiten(columns[a.name], task).reshape(len(columns[a.name]), -1).T
+        difference = residuals.whiten((a.sense_v - b.sense_v) / np.sqrt(2.0), task).reshape(-1)
+        c = c / np.maximum(np.linalg.norm(c, axis=0), 1e-300)
+        d, *_ = np.linalg.lstsq(c, difference, rcond=1e-10)
+        left = difference - c @ d
+        level = max(1.0, float(left @ left) / left.size)
+        explained = float(difference @ difference) - float(left @ left)
+        if chi2.sf(explained / level, c.shape[1]) < _REPEATS_DIFFER:
+            return True
+    return False
+
+
+def varied_problem(problem: CampaignProblem, found: VariedFit) -> CampaignProblem:
+    """The problem with the corrected records and the noise of a fit with variation."""
+    return CampaignProblem(
+        found.campaign,
+        problem.model,
+        found.noise,
+        problem.threads,
+        (problem.measured, found.variation),
+        problem.jitter_s,
+    )
+
+
+def prepared(problem: CampaignProblem) -> CampaignProblem:
+    """The problem with timing jitter where the residual shows it, and with variation between the records where repeats do."""
+    if not problem.fit(()).ok:
+        return problem
+    fit = problem.campaign_fit(())
+    jitter = campaign_jitter(fit, problem.campaign)
+    if jitter is not None:
+        noise = with_jitter(problem.noise, jitter, fit, problem.campaign)
+        problem = CampaignProblem(problem.campaign, problem.model, noise, problem.threads, jitter_s=jitter.jitter_s)
+    return _varied(problem, ()) if repeats_differ(problem) else problem
+
+
+def _varied(problem: CampaignProblem, terms: tuple[str, ...]) -> CampaignProblem:
+    """The problem with the variation that the records need beside the model with ``terms``; itself where they need none."""
+    if not problem.fit(terms).ok:
+        return problem
+    fit = problem.campaign_fit(terms)
+    found = fit_with_variation(fit.model, problem.measured, fit, problem.threads)
+    return problem if found.variation.spread.is_zero else varied_problem(problem, found)
+
+
+def selected(
+    problem: CampaignProblem, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = lambda p: p
+) -> tuple[CampaignProblem, ForwardSelection]:
+    """The selection of effects, and the problem on which it was made.
+
+    Parameters
+    ----------
+    problem : of :func:`prepared`.
+    rules : of the selection.
+    restricted : leaves out candidates.
+    """
+    selection = forward_selection(restricted(problem), (), rules)
+    if problem.variation is None:
+        if not selection.tests or verdict_of(selection, (), rules) != "unknown":
+            return problem, selection
+        last = problem.campaign_fit(selection.last.fit.terms)
+        if record_variation(last, problem.campaign, threads=problem.threads).spread.is_zero:
+            return problem, selection
+        varied = _varied(problem, ())
+        if varied is problem:
+            return problem, selection
+        plain, problem = (problem, selection), varied
+        selection = forward_selection(restricted(problem), (), rules)
+    else:
+        plain = None
+    for _ in range(_ROUNDS - 1):
+        if not selection.tests or not selection.added or problem.variation is None:
+            break
+        fit = problem.campaign_fit(selection.last.fit.terms)
+        before = problem.variation.spread
+        after = record_variation(fit, problem.campaign, threads=problem.threads).spread
+        if after.is_zero:
+            if plain is not None:
+                return plain
+            noise = replace(noise_level(problem.measured), mixing=problem.noise.mixing)
+            equal = CampaignProblem(problem.measured, problem.model, noise, problem.threads, jitter_s=problem.jitter_s)
+            return equal, forward_selection(restricted(equal), (), rules)
+        pairs = zip(before.of_deviations(1), after.of_deviations(1))
+        if not any(new < _SMALLER * old for old, new in pairs):
+            break
+        problem = varied_problem(problem, fit_with_variation(fit.model, problem.measured, fit, problem.threads))
+        selection = forward_selection(restricted(problem), (), rules)
+    return problem, selection

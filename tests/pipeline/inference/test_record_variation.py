@@ -1,0 +1,67 @@
+"""Variation between records is found with its size, is exactly zero for equal records, and no longer biases the parameters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.device.model import DEFAULT_COMPARE_MODEL
+from pipeline.experiment.excitation import drive_samples
+from pipeline.experiment.noise.level import noise_level
+from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.general.fit import fit_campaign
+from pipeline.inference.general.variation import fit_with_variation, record_variation
+from workflows.simulate import standard_excitations
+from workflows.studies.hidden.draw import INSTRUMENT, draw_device
+from workflows.studies.hidden.truth import response
+
+SIGMA_V = 1e-3
+
+
+def campaign_of(ppm: float, start_s: float, gain: float, seed: int = 1):
+    """A campaign with records of 1 s from the independent simulator; its parameters and the deviations of its records."""
+    random = np.random.default_rng(seed)
+    values = draw_device(random)
+    records, deviations = [], {}
+    for name, role, excitation in standard_excitations(1):
+        drive = drive_samples(replace(excitation, duration_s=1.0), INSTRUMENT.sample_rate_hz)
+        y = np.zeros_like(drive)
+        if role != "noise":
+            phi, tau = 1e-6 * ppm * random.uniform(-1.0, 1.0), start_s * random.uniform(0.0, 1.0)
+            g = gain * random.uniform(-1.0, 1.0, 2)
+            own = {**values, **{f"f{i}_hz": values[f"f{i}_hz"] * (1.0 + phi) for i in (1, 2, 3)}, "loop_delay.tau": tau}
+            y = response(own, drive, INSTRUMENT) * (1.0 + g)
+            deviations[name] = np.array([phi, tau, *g])
+        y = y + SIGMA_V * random.standard_normal(y.shape)
+        records.append(Record(name, INSTRUMENT.sample_rate_hz, drive, y, role=role))
+    return Campaign("bench", tuple(records), INSTRUMENT, 0.7, 1.0), values, deviations
+
+
+def first_fit(campaign):
+    return fit_campaign(DEFAULT_COMPARE_MODEL, campaign, noise_level(campaign))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_equal_records_need_no_variation_at_all(seed):
+    campaign, _, _ = campaign_of(0.0, 0.0, 0.0, seed)
+    assert record_variation(first_fit(campaign), campaign).spread.is_zero
+
+
+@pytest.mark.parametrize(("ppm", "start_s", "gain"), [(10.0, 5e-5, 1e-3)])
+def test_deviations_are_recovered_and_the_fit_reaches_the_noise(ppm, start_s, gain):
+    campaign, values, deviations = campaign_of(ppm, start_s, gain)
+    before = first_fit(campaign)
+    found = fit_with_variation(before.model, campaign, before)
+    assert before.error["fit"] > 1.02
+    # Without a common part, which the parameters of the device and a delay take up.
+    own = np.array([one.value[:4] for one in found.variation.deviations])
+    true = np.array([deviations[one.record] for one in found.variation.deviations])
+    error = (own - own.mean(axis=0)) - (true - true.mean(axis=0))
+    sd = np.array([one.sd[:4] for one in found.variation.deviations])
+    assert np.all(np.abs(error) < 6.0 * sd + 2e-3 * np.array([1e-6 * ppm, max(start_s, 1e-9), gain, gain]))
+    assert found.fit.error["fit"] == pytest.approx(1.0, abs=0.02)
+    assert found.fit.error["validate"] == pytest.approx(1.0, abs=0.02)
+    for name in ("f1_hz", "theta_deg", "zeta1", "zeta2", "rocking_gain"):
+        value, sd_ = found.fit.parameters[name]
+        assert abs(value - values[name]) < 4.0 * sd_, name
+    assert abs(before.theta_deg[0] - values["theta_deg"]) > abs(found.fit.theta_deg[0] - values["theta_deg"])
