@@ -205,7 +205,7 @@ def _notes(
         first.append(words.UNCONVERGED)
     if last is None and not comparison.error:
         first.append(words.failure_sentence(comparison.why or ""))
-    return (*first, *(words.notes(last) if last else ()))
+    return (*first, *(words.notes(last) if last else words.record_sentences(comparison)))
 
 
 def _places(comparison: ComparisonAnswer, refinement: RefinementAnswer | None) -> tuple[PlaceTable, ...]:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipeline.learning.answers import DiagnosisAnswer, Noise, RefinementAnswer
+from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer
 from pipeline.quantities import NAMES
 
 from .quantities import error_words, grouped, label, partition_words, percent
@@ -230,7 +230,13 @@ def notes(answer: DiagnosisAnswer | RefinementAnswer) -> list[str]:
         found.append(partial_sentence(partial, any(rung.error_validate is not None for rung in ladder)))
     if answer.verdict == "unknown" and answer.left:
         found.append(f"Remaining structure: {remaining_words(answer.left)}.")
-    return [*found, *(answer.hints or ())]
+    return [*found, *record_sentences(answer), *(answer.hints or ())]
+
+
+def record_sentences(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAnswer) -> list[str]:
+    """How the records differ, where their variation was found and removed."""
+    differ = answer.records_differ
+    return [] if not differ else [f"The records differ, and the fit allows for it. {' '.join(differ.text)}"]
 
 
 def reason_words(text: str) -> str:
@@ -261,4 +267,6 @@ def noise_sentence(noise: Noise | None) -> str:
         "silent": "measured on the silent record",
         "repeats": "from the differences between repeats of a drive (there is no silent record)",
     }
-    return f"{sigma}, {sources.get(noise.from_, noise.from_)}."
+    kind = "; its spectrum is not white" if noise.coloured else ""
+    jitter = f" The sampling instants jitter by {1e6 * noise.jitter_s:.2g} µs rms." if noise.jitter_s else ""
+    return f"{sigma}, {sources.get(noise.from_, noise.from_)}{kind}.{jitter}"

@@ -17,7 +17,7 @@ from pipeline.learning.answers import (
     Values,
 )
 
-from .campaign import UNCONVERGED, failure_sentence, missing_sentence, noise_sentence, notes
+from .campaign import UNCONVERGED, failure_sentence, missing_sentence, noise_sentence, notes, record_sentences
 from .quantities import place_words
 
 #: Lines of a list that are printed.
@@ -50,6 +50,7 @@ def compare_lines(answer: ComparisonAnswer) -> list[str]:
             " held-out records",
         ]
     lines.append(noise_sentence(answer.noise or None))
+    lines += record_sentences(answer)
     if not answer.fit_ok:
         lines.append(UNCONVERGED)
     if not answer.where:
