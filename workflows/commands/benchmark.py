@@ -19,9 +19,9 @@ from ..studies.coverage import Share, figures, run_study
 from ..studies.near_limits import DeviceShare
 
 
-def coverage(devices: int, splits: str, noise: str, seed: int, workers: int, json: bool) -> None:
+def coverage(devices: int, splits: str, noise: str, bad: float, seed: int, workers: int, json: bool) -> None:
     """See ``gyroscreen benchmark coverage --help``."""
-    show(figures(run_study(devices, splits, seed, workers, noise)), json)
+    show(figures(run_study(devices, splits, seed, workers, noise, bad)), json)
 
 
 def show(found: dict[str, Any], json: bool) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, get_args
 
 import msgspec
@@ -22,9 +23,13 @@ from pipeline.arrays import FloatArray
 from pipeline.axial import difference
 from pipeline.device.gyro import split_hz, to_cartesian, to_physical
 from pipeline.errors import UsageError
+from pipeline.experiment.bad_samples import MOST_BAD
 from pipeline.experiment.noise.source import Kind
+from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.estimate import quantities
+from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.compressed import BandData
+from pipeline.inference.screening.device import DeviceResult
 from pipeline.inference.screening.fit import information_covariance
 from pipeline.inference.screening.mismatch import with_mismatch
 from pipeline.quantities import AXES
@@ -35,11 +40,12 @@ from ..config import RunConfig, load_config
 from ..config_tables import NoiseTable
 from ..machine import worker_count
 from ..screening.cluster import cluster, in_parallel
-from ..screening.settings import population, rate_of, settings_of
+from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
 from ..screening.virtual_device import identify_virtual, physical_of, shared_record, virtual_records
+from .spoil import spoilt
 
 Splits = Literal["population", "small"]
-_SPLIT_STREAM = 104
+_SPLIT_STREAM, _BAD_STREAM = 104, 109
 _BLOCK = 10
 #: Quantities whose intervals are checked, and what the figures call them.
 COVERED = {"theta_deg": "theta", "split_hz": "split", "zeta1": "zeta1", "rate_bias_dps": "rate bias"}
@@ -124,20 +130,39 @@ def bound_sd(config: RunConfig, physical: FloatArray, sigma_v: FloatArray) -> tu
     return float(np.sqrt(variance[0])), float(np.sqrt(variance[1]))
 
 
-def study_block(job: tuple[RunConfig, Splits], span: tuple[int, int]) -> list[Row]:
-    """Rows of the devices first .. first + count - 1, where span = (first, count)."""
-    config, splits = job
+def study_block(job: tuple[RunConfig, Splits, float], span: tuple[int, int]) -> list[Row]:
+    """Rows of the devices first .. first + count - 1, where span = (first, count); job = (run, splits, bad samples)."""
+    config, splits, bad = job
     first, count = span
     with threadpool_limits(limits=1):
         spec = population(config)
         drawn = draw(spec, config.run.seed, first, count)
         if splits == "small":
             drawn = with_small_splits(drawn, config.run.seed)
-        return [_row(config, drawn, i, float(spec.angular_gain)) for i in range(count)]
+        return [_row(config, drawn, i, float(spec.angular_gain), bad) for i in range(count)]
 
 
-def _row(config: RunConfig, drawn: Draw, i: int, gain: float) -> Row:
-    result = identify_virtual(config, drawn, i, gain)
+def _identified_with_bad_samples(config: RunConfig, drawn: Draw, i: int, gain: float, bad: float) -> DeviceResult:
+    """Device ``i``, measured with a share ``bad`` of bad samples, identified like a campaign of a nightly run."""
+    instrument, rate = config.instrument.instrument(), config.instrument.sample_rate_hz
+    silent, fit, _ = virtual_records(config, drawn, i)
+    random = np.random.default_rng(device_seed(config, _BAD_STREAM, int(drawn.index[i])))
+    silent, fit = (spoilt(y, bad, instrument.adc, random) for y in (silent, fit))
+    records = (
+        Record("silence", rate, np.zeros_like(silent), silent, role="noise"),
+        Record("chirp", rate, shared_record(config).record.drive_v, fit, role="fit"),
+    )
+    demodulation = config.demodulation
+    campaign = Campaign(
+        drawn.device_id[i], records, instrument, gain, demodulation.phase_error_deg, drive=demodulation.drive
+    )
+    seed = device_seed(config, POSTERIOR_STREAM, int(drawn.index[i]))
+    return identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed)
+
+
+def _row(config: RunConfig, drawn: Draw, i: int, gain: float, bad: float) -> Row:
+    identified = partial(_identified_with_bad_samples, bad=bad) if bad > 0.0 else identify_virtual
+    result = identified(config, drawn, i, gain)
     split = float(drawn.true["split_hz"][i])
     if result.fit is None:
         return Row(split, result.estimate.status, np.nan, np.nan, frozenset(), 0.0)
@@ -164,25 +189,29 @@ def _inside(columns: Mapping[str, Any], name: str, truth: float) -> bool:
     return bool(low <= truth <= high)
 
 
-def run_study(devices: int, splits: str, seed: int, workers: int, noise: str = "white") -> list[Row]:
-    """Rows of all devices, in their order; ``splits`` is "population" or "small", ``noise`` a kind of the [noise] table.
+def run_study(devices: int, splits: str, seed: int, workers: int, noise: str = "white", bad: float = 0.0) -> list[Row]:
+    """Rows of all devices, in their order.
+
+    ``splits`` is "population" or "small", ``noise`` a kind of the [noise] table, ``bad`` a share of bad samples in each record.
 
     Raises
     ------
-    UsageError : unknown kind of splits or of noise, or no devices.
+    UsageError : unknown kind of splits or of noise, no devices, or more bad samples than a record may have.
     """
     kinds: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
     if noise not in kinds:
         raise UsageError("unknown kind of noise", value=noise, allowed=", ".join(kinds))
     if splits not in ("population", "small"):
         raise UsageError("unknown splits", value=splits, allowed="population, small")
+    if not 0.0 <= bad <= MOST_BAD:
+        raise UsageError("no such share of bad samples", value=bad, allowed=f"0 to {MOST_BAD:g}")
     if devices < 1:
         raise UsageError("no devices to study", value=devices, allowed="1 or more")
     config = study_config(seed, devices, kinds[noise])
     spans = [(first, min(_BLOCK, devices - first)) for first in range(0, devices, _BLOCK)]
     found: list[Row] = []
     with cluster(min(worker_count(workers), len(spans)), None) as client:
-        for rows in in_parallel(client, study_block, (config, splits), spans):
+        for rows in in_parallel(client, study_block, (config, splits, bad), spans):
             found += rows
     return found
 

@@ -19,6 +19,7 @@ def coverage(
         str, typer.Option(help="'population', or 'small': log-uniform from 0.02 to 0.5 Hz.")
     ] = "population",
     noise: Annotated[str, typer.Option(help="'white' at 60 dB, or 'ar', '1/f', 'jitter' as in [noise].")] = "white",
+    bad: Annotated[float, typer.Option(help="Share of bad samples (spikes, stuck samples) in each record.")] = 0.0,
     seed: Seed = 2026,
     workers: Workers = 0,
     json: Json = False,
@@ -29,7 +30,7 @@ def coverage(
     """
     from ..benchmark import coverage as command
 
-    command(devices, splits, noise, seed, workers, json)
+    command(devices, splits, noise, bad, seed, workers, json)
 
 
 @app.command()
