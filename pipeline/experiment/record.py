@@ -6,7 +6,7 @@ Shapes: N samples, D drives, S senses.  Units: volts, seconds, hertz; rates in d
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -57,6 +57,11 @@ class BadStretch:
     first: int
     stop: int
     reason: BadReason
+
+    def seconds(self, sample_rate_hz: float) -> dict[str, Any]:
+        """Its ends ``time_s`` [s], number of ``samples`` and ``reason``, as the JSON answers state them."""
+        ends = (self.first / sample_rate_hz, self.stop / sample_rate_hz)
+        return {"time_s": ends, "samples": self.stop - self.first, "reason": self.reason}
 
 
 @dataclass(frozen=True, eq=False)

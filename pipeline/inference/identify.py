@@ -75,9 +75,13 @@ def identify(
         columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns
     else:
         columns = _general_columns(campaign, model, settings, gate)
-    return Identification(
-        {"device_id": campaign.device_id, **columns}, reference_comparison(campaign.reference, columns)
-    )
+    bad = [
+        {"record": record.name, "channel": f"sense{one.channel + 1}", **one.seconds(record.sample_rate_hz)}
+        for record in campaign.records
+        for one in record.bad or ()
+    ]
+    found: dict[str, Any] = {"device_id": campaign.device_id, **columns, **({"bad_samples": bad} if bad else {})}
+    return Identification(found, reference_comparison(campaign.reference, columns))
 
 
 def default_models(campaign: Campaign) -> tuple[Model, ...]:

@@ -60,6 +60,16 @@ class RecordsDiffer(Answer, frozen=True, eq=False):
     text: tuple[str, ...]
 
 
+class BadSamples(Answer, frozen=True, eq=False):
+    """A stretch of samples that no fit uses: where, how many, and why ("spike", "stuck", "dropout", "full_scale")."""
+
+    record: str
+    channel: str
+    time_s: tuple[float, float]
+    samples: int
+    reason: str
+
+
 class Place(Answer, frozen=True, eq=False):
     """A region of the residual, or one entry of a mode, and how badly the model does there.
 
@@ -114,6 +124,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     where_rest : the share of each family that is in no significant region.
     where_families : the kinds of each family.
     parameters : of the model.
+    bad_samples : of all records, left out of the fit.
     fit_ok : false where the fit failed; ``why`` gives the reason.
     dof, theta_deg, split_hz, four_thetas_deg, theta_spread_deg : of a modal record.
     """
@@ -136,6 +147,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     split_hz: Measured | UnsetType = UNSET
     four_thetas_deg: Values | UnsetType = UNSET
     theta_spread_deg: float | UnsetType = UNSET
+    bad_samples: tuple[BadSamples, ...] | UnsetType = UNSET
 
 
 class TermTest(Answer, frozen=True, eq=False):
@@ -207,6 +219,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     wrong_form : effects whose fitted size differs between records.
     why : the reason of "fit_failed".
     hints : doubts about the campaign rather than the model.
+    bad_samples : of all records, left out of every fit.
     """
 
     verdict: str
@@ -227,6 +240,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     relative_error: ByRole | UnsetType = UNSET
     dof: int | UnsetType = UNSET
     declared: tuple[str, ...] | UnsetType = UNSET
+    bad_samples: tuple[BadSamples, ...] | UnsetType = UNSET
 
 
 class RungAnswer(Answer, frozen=True, eq=False):
@@ -305,6 +319,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     regions_by_kind: tuple[Place, ...] | UnsetType = UNSET
     noise: Noise | UnsetType = UNSET
     records_differ: RecordsDiffer | UnsetType = UNSET
+    bad_samples: tuple[BadSamples, ...] | UnsetType = UNSET
     theta_before_deg: Measured | UnsetType = UNSET
     split_before_hz: Measured | UnsetType = UNSET
     theta_deg: Measured | UnsetType = UNSET

@@ -12,7 +12,8 @@ from ..criticism.goodness import Agreement
 from ..criticism.ladder import Diagnosis, Ladder, Rung
 from ..criticism.scores import Score
 from ..criticism.verdict import TermClass
-from .answers import CandidateAnswer, DiagnosisAnswer, RefinementAnswer, RungAnswer, SizeDisagreement
+from ..experiment.record import Record
+from .answers import BadSamples, CandidateAnswer, DiagnosisAnswer, RefinementAnswer, RungAnswer, SizeDisagreement
 
 
 def diagnosis_answer(found: Diagnosis) -> DiagnosisAnswer:
@@ -58,6 +59,15 @@ def refinement_answer(ladder: Ladder) -> RefinementAnswer:
         theta_deg=last.derived.get("theta_deg", UNSET),
         split_hz=last.derived.get("split_hz", UNSET),
         parameters=dict(last.parameters),
+    )
+
+
+def bad_samples_of(records: Sequence[Record]) -> tuple[BadSamples, ...]:
+    """The bad samples of marked records, in their order."""
+    return tuple(
+        BadSamples(record=record.name, channel=f"sense{one.channel + 1}", **one.seconds(record.sample_rate_hz))
+        for record in records
+        for one in record.bad or ()
     )
 
 

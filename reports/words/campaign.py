@@ -10,12 +10,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer
+from pipeline.learning.answers import BadSamples, ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer
 from pipeline.quantities import NAMES
 
 from .quantities import error_words, grouped, label, partition_words, percent
 
 FIRST_MODEL = "first model"
+BAD_WORDS = {"spike": "spikes", "stuck": "stuck samples", "dropout": "dropouts", "full_scale": "the ADC at full scale"}
 UNCONVERGED = "The fit did not converge, or the records do not determine every parameter."
 #: How the text of a separating record begins where no such record exists.
 NO_RECORD = "none with this instrument"
@@ -234,9 +235,19 @@ def notes(answer: DiagnosisAnswer | RefinementAnswer) -> list[str]:
 
 
 def record_sentences(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAnswer) -> list[str]:
-    """How the records differ, where their variation was found and removed."""
+    """How the records differ, where their variation was found and removed; which samples were left out."""
     differ = answer.records_differ
-    return [] if not differ else [f"The records differ, and the fit allows for it. {' '.join(differ.text)}"]
+    found = [] if not differ else [f"The records differ, and the fit allows for it. {' '.join(differ.text)}"]
+    return [*found, bad_samples_sentence(answer.bad_samples)] if answer.bad_samples else found
+
+
+def bad_samples_sentence(found: Sequence[BadSamples]) -> str:
+    """How many samples of which records were left out of every fit, and why."""
+    records = listed(list(dict.fromkeys(one.record for one in found)))
+    reasons = listed([BAD_WORDS.get(name, name) for name in dict.fromkeys(one.reason for one in found)])
+    count = sum(one.samples for one in found)
+    are = "samples are" if count > 1 else "sample is"
+    return f"{count} bad {are} left out of every fit ({reasons} in {records}). Check cables, connectors and the logger."
 
 
 def reason_words(text: str) -> str:

@@ -109,6 +109,9 @@ def _text(result: Identification) -> list[str]:
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")
     if noise := noise_words(columns):
         lines.append(f"  noise: {noise}")
+    if bad := columns.get("bad_samples"):
+        count = sum(one["samples"] for one in bad)
+        lines.append(f"  {count} bad samples in {len(bad)} stretches were left out (gyroscreen check lists them)")
     for name, r in result.reference.items():
         lines.append(f"  reference {name}: {r['reference']:g} +- {r['reference_sd']:g}, z = {r['z']:+.2f}")
     return lines

@@ -22,6 +22,7 @@ from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit
 from ...threads import usable_cores
 from ..answers import (
+    BadSamples,
     ComparisonAnswer,
     DiagnosisAnswer,
     Noise,
@@ -30,7 +31,7 @@ from ..answers import (
     RefinementAnswer,
     RungAnswer,
 )
-from ..common import diagnosis_answer, refinement_answer
+from ..common import bad_samples_of, diagnosis_answer, refinement_answer
 from ..modal.terms import GAUGES
 from ..next_experiment.separating import Proposal, separating_record
 from ..where.regions import (
@@ -133,6 +134,7 @@ class CampaignAnswers:
                 for r in fit.records
             },
             parameters=dict(fit.parameters),
+            bad_samples=self.bad_samples,
             fit_ok=fit.fit_ok,
         )
 
@@ -145,6 +147,7 @@ class CampaignAnswers:
             invisible=(*answer.invisible, *gauges),
             noise=self.noise,
             records_differ=self.records_differ,
+            bad_samples=self.bad_samples,
         )
 
     def diagnosis(self, found: Diagnosis, proposals: Sequence[Proposal], drive_files: bool) -> DiagnosisAnswer:
@@ -179,6 +182,7 @@ class CampaignAnswers:
             regions_by_kind=significant_places(by_kind(first), noise_dof, by_kind(last)),
             noise=self.noise,
             records_differ=self.records_differ,
+            bad_samples=self.bad_samples,
         )
 
     @property
@@ -196,6 +200,11 @@ class CampaignAnswers:
             coloured=True if noise.spectrum is not None and not noise.spectrum.white else UNSET,
             jitter_s=UNSET if self.problem.jitter_s is None else self.problem.jitter_s,
         )
+
+    @cached_property
+    def bad_samples(self) -> tuple[BadSamples, ...]:
+        """Stretches of bad samples of all records."""
+        return bad_samples_of(self.problem.campaign.records)
 
     def _rung(self, answer: RungAnswer, rung: Rung) -> RungAnswer:
         fit = self.fitted(rung.terms)
