@@ -93,7 +93,6 @@ def _chi2_width(delta_chi2: float, largest: float) -> float:
 
 
 _WORDS: Mapping[str, Any] = {
-    "bad_samples_sentence": words.bad_samples_sentence,
     "bad_words": words.BAD_WORDS,
     "change_sentence": words.change_sentence,
     "chi2_width": _chi2_width,
