@@ -65,8 +65,9 @@ def record_fit(problem: CampaignResiduals, task: Task, start: FloatArray | None,
     chi2, dof = float(np.vdot(residual, residual)), samples - nuisances
     error = float(np.sqrt(chi2 / dof))
     level = float(np.sqrt(np.mean(record.sense_v**2)))
-    # Bad samples have a rest of zero.
-    rest_v = problem.without_nuisances(record.sense_v - predicted_v, task)
+    # Bad samples have a rest of zero.  Signals in the noise of a record, such as its own start time, do not count as misfit.
+    plain = task.whitening.common is None
+    rest_v = problem.without_nuisances(record.sense_v - predicted_v, task) if plain else residual * problem.sigma_v
     rms_v = np.sqrt(np.sum(rest_v**2, axis=0) * residual.shape[1] / samples)
     relative = float(np.sqrt(np.mean(rms_v**2))) / max(level, 1e-300)
     return RecordFit(
