@@ -77,7 +77,7 @@ def bench_of(campaign: Campaign | None, settings: StreamSettings) -> Bench:
     if settings.sigma_v is None and campaign.with_role("noise"):
         good = without_bad_samples(campaign)
         noise, line_hz = campaign_noise(good)
-        spectrum = campaign_spectrum(good, noise, line_hz)
+        spectrum = campaign_spectrum(good, noise)
         settings = replace(settings, noise=spectrum, line_hz=settings.line_hz or line_hz)
     return Bench(settings, campaign.instrument, campaign.channels, rate_settings(campaign), Gate())
 

@@ -14,7 +14,7 @@ from ...errors import MeasurementError
 from ...experiment.bad_samples import without_bad_samples
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.noise.lines import hum_line
-from ...experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
+from ...experiment.noise.spectrum import NoiseSpectrum, white_spectrum
 from ...experiment.record import Campaign
 from ..gate import Gate
 from ..systematic import rate_settings
@@ -37,15 +37,9 @@ def campaign_noise(campaign: Campaign) -> tuple[NoiseLevel, float | None]:
     return noise_level(campaign, line_hz), line_hz
 
 
-def campaign_spectrum(campaign: Campaign, noise: NoiseLevel, line_hz: float | None) -> NoiseSpectrum:
-    """The spectrum of the noise: that of the longest silent record where it has a colour, else white at the level ``noise``."""
-    silent = max(campaign.with_role("noise"), key=lambda record: record.sense_v.shape[0], default=None)
-    rate = campaign.instrument.sample_rate_hz
-    if silent is not None and noise.source == "silent":
-        found = noise_spectrum(silent.sense_v, silent.sample_rate_hz, line_hz, campaign.instrument.adc)
-        if not found.white:
-            return found
-    return white_spectrum(noise.sigma_v, rate, noise.dof)
+def campaign_spectrum(campaign: Campaign, noise: NoiseLevel) -> NoiseSpectrum:
+    """The spectrum of the noise: that of the silence where it has a colour, else white at the level ``noise``."""
+    return noise.spectrum or white_spectrum(noise.sigma_v, campaign.instrument.sample_rate_hz, noise.dof)
 
 
 def identify_campaign(
@@ -81,7 +75,7 @@ def identify_campaign(
         )
     with_hum = replace(settings, line_hz=line_hz)
     prepared = [prepare(record, campaign.instrument, with_hum) for record in fit]
-    spectrum = campaign_spectrum(campaign, noise, line_hz)
+    spectrum = campaign_spectrum(campaign, noise)
     result = identify_device(
         prepared, spectrum, campaign.instrument, with_hum, sampler, gate, rate_settings(campaign), seed
     )

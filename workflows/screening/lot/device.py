@@ -27,7 +27,8 @@ from pipeline.errors import GyroscreenError
 from pipeline.experiment.bad_samples import without_bad_samples
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
-from pipeline.experiment.noise.lines import hum_line, silent_sigma
+from pipeline.experiment.noise.lines import hum_line
+from pipeline.experiment.noise.spectrum import noise_spectrum
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.estimate import RateSettings
 from pipeline.inference.general.fit import CampaignFit, fit_campaign
@@ -148,13 +149,14 @@ def measurement_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, f
     instrument, shared = config.instrument.instrument(), shared_record(config).record
     silent_v, fit_v, _ = virtual_records(config, drawn, 0)
     rate, line = instrument.sample_rate_hz, config.line_hz()
-    sigma = silent_sigma(silent_v, rate, line, instrument.adc)
+    spectrum = noise_spectrum(silent_v, rate, line, instrument.adc)
+    level = NoiseLevel(spectrum.sigma_v, "silent", spectrum.dof, spectrum=None if spectrum.white else spectrum)
     records = (
         Record("silence", rate, np.zeros((silent_v.shape[0], 2)), silent_v, role="noise"),
         Record("chirp", rate, shared.drive_v, fit_v, role="fit"),
     )
     gain = float(spec.angular_gain)
-    return Campaign(drawn.device_id[0], records, instrument, gain), NoiseLevel(sigma, "silent", silent_v.shape[0]), line
+    return Campaign(drawn.device_id[0], records, instrument, gain), level, line
 
 
 def _examined(source: Source, request: Request) -> DeviceExamination:
