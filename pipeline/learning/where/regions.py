@@ -53,20 +53,20 @@ def structure_regions(fit: CampaignFit, partitions: Mapping[str, RecordPartition
     for mine in fit.of_role("fit"):
         partition, density = partitions[mine.name], _dof_per_sample(fit, mine)
         clipped = np.clip(mine.residual, -_CLIP, _CLIP)
-        whole, robust = (_structure(mine.name, y, partition, density) for y in (mine.residual, clipped))
+        whole, robust = (_structure(mine, y, partition, density) for y in (mine.residual, clipped))
         out += [replace(region, robust=other.chi2) for region, other in zip(whole, robust)]
     return out
 
 
-def _structure(name: str, residual: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
+def _structure(mine: RecordFit, residual: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
     cells = lapped(residual, partition.size) ** 2
     out: list[Region] = []
     for channel in range(residual.shape[1]):
-        base = _base(name, channel)
+        base = _base(mine.name, channel)
         areas = _by_area(base, cells[channel], partition, density)
         out += [region for region in areas if region.family != "broadband"]
         out += _by_band(base, cells[channel], partition, density)
-        out += _by_time(base, residual[:, channel], partition, density)
+        out += _by_time(base, residual[:, channel], _good(mine, channel), partition, density)
     return out
 
 
@@ -94,7 +94,7 @@ def misfit_regions(
             out += _by_line(base, lines[:, channel], partition.lines_hz, own.sample_rate_hz / left.shape[0], density)
             areas = _by_area(base, cells[channel], own, thinned)
             out += [replace(area, family="frequency", labels={**area.labels, "kind": area.family}) for area in areas]
-            out += _by_time(base, residual, own, density)
+            out += _by_time(base, residual, _good(mine, channel), own, density)
             out += _by_response(channel, mean_square[:, channel] * blocks.shape[1], blocks.shape[1], own, density)
             out += _by_label({**base, **conditions[mine.name]}, residual, density)
     return _pooled(out)
@@ -189,8 +189,18 @@ def _by_band(base: Labels, cells: FloatArray, partition: RecordPartition, densit
     ]
 
 
-def _by_time(base: Labels, residual: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
-    """Equal windows of time of a residual (N,)."""
+def _good(mine: RecordFit, channel: int) -> FloatArray:
+    """Weight (N,) of the samples of a channel in the degrees of freedom: 0 where bad, with mean 1."""
+    if mine.good is None:
+        return np.ones(mine.residual.shape[0])
+    own = mine.good[:, channel].astype(np.float64)
+    return np.asarray(own / max(float(own.mean()), 1e-300))
+
+
+def _by_time(
+    base: Labels, residual: FloatArray, weight: FloatArray, partition: RecordPartition, density: float
+) -> list[Region]:
+    """Equal windows of time of a residual (N,) whose samples have the ``weight`` (N,) in the degrees of freedom."""
     rate = partition.sample_rate_hz
     edges = np.linspace(0, residual.size, _WINDOWS + 1).round().astype(int).tolist()
     return [
@@ -198,7 +208,7 @@ def _by_time(base: Labels, residual: FloatArray, partition: RecordPartition, den
             "time",
             {**base, "time_s": [first / rate, stop / rate]},
             float(np.sum(residual[first:stop] ** 2)),
-            (stop - first) * density,
+            float(np.sum(weight[first:stop])) * density,
         )
         for first, stop in pairwise(edges)
     ]
