@@ -99,12 +99,19 @@ def record_variation(fit: CampaignFit, campaign: Campaign, most: int = len(KINDS
     most : number of kinds of variation that may be found.
     threads : how many records are integrated at once.
     """
+    driven = (*campaign.with_role("fit"), *campaign.with_role("validate"))
+    return _estimated(fit, campaign, deviation_columns(fit, driven, campaign), most, threads)
+
+
+def _estimated(
+    fit: CampaignFit, campaign: Campaign, c_v: Mapping[str, FloatArray], most: int, threads: int
+) -> RecordVariation:
+    """As ``record_variation``, with the columns C (m, N, S) [V per unit] of every driven record at the fit."""
     problem = CampaignResiduals(fit.model, campaign, replace(fit.noise, common_v={}), threads)
     fitted = campaign.with_role("fit")
     driven = (*fitted, *campaign.with_role("validate"))
     senses = fitted[0].sense_v.shape[1]
     kinds = kind_of_deviation(senses)
-    c_v = deviation_columns(fit, driven, campaign)
     known = {record.name: record for record in fit.records}
     tasks = problem.tasks(driven, fit.values)
     starts = [known[r.name].start for r in driven]
@@ -212,11 +219,11 @@ def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threa
     """
     corrected, previous, driven = campaign, None, [r for r in campaign.records if r.role in ("fit", "validate")]
     for iteration in range(_ITERATIONS):
+        columns = deviation_columns(fit, driven, campaign)
         # A large start shift has second-order terms that look like the other kinds, so the first correction is of one kind.
-        found = record_variation(fit, corrected, 1 if iteration == 0 else len(KINDS), threads)
+        found = _estimated(fit, corrected, columns, 1 if iteration == 0 else len(KINDS), threads)
         if found.spread.is_zero:
             return VariedFit(fit, campaign, replace(fit.noise, common_v={}), found)
-        columns = deviation_columns(fit, driven, campaign)
         equal = aligned(campaign, fit, found)
         corrected = _with_first_order(equal, found, columns)
         sd = found.spread.of_deviations(driven[0].sense_v.shape[1])[:, None, None]
