@@ -61,6 +61,13 @@ class Limit:
         """Whether the quantity is an angle modulo 180 deg."""
         return self.quantity in AXES
 
+    @property
+    def width(self) -> float:
+        """high - low; the magnitude of the limit where there is only one."""
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            return self.high - self.low
+        return abs(self.low if math.isfinite(self.low) else self.high)
+
     def admits(self, values: FloatArray) -> BoolArray:
         """Whether low <= value <= high, or the axis is in the arc, for each value (...); nan does not conform."""
         if self.axis:
@@ -77,10 +84,8 @@ class Limit:
             centre = self.low + half
             away = np.abs(np.mod(values - centre + 0.5 * PERIOD_DEG, PERIOD_DEG) - 0.5 * PERIOD_DEG)
             return np.asarray((half - away) / half)
-        if math.isfinite(self.low) and math.isfinite(self.high):
-            scale = 0.5 * (self.high - self.low)
-        else:
-            scale = abs(self.low if math.isfinite(self.low) else self.high)
+        both = math.isfinite(self.low) and math.isfinite(self.high)
+        scale = 0.5 * self.width if both else self.width
         # A limit at zero, or a tolerance of no width, has no scale of its own.
         scale = scale or 1.0
         return np.asarray(np.minimum(values - self.low, self.high - values) / scale)

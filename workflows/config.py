@@ -15,6 +15,7 @@ from msgspec import Struct
 from pipeline.errors import ConfigError
 from pipeline.experiment.files.common_tables import SystematicTable, check_phase
 from pipeline.experiment.noise.measure import Hum
+from pipeline.inference.gate import Gate
 from pipeline.toml_files import converted, decode, load
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
 
@@ -70,6 +71,10 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
         """
         judged = checked_limits(self.rule, self.limits, where)
         return judged if self.limits else Limits(judged.rule, DEFAULT_LIMITS.limits)
+
+    def judging_gate(self) -> Gate:
+        """The gate of [gate] for the limits of the run."""
+        return self.gate.gate(self.judged_by())
 
     def hum_source(self) -> Hum:
         """Hum that is added to virtual records: frequency [Hz] and amplitudes [V]."""

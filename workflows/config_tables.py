@@ -29,10 +29,15 @@ from pipeline.experiment.noise.source import Kind, NoiseKind
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.sample import SamplerSettings
 from pipeline.toml_files import MAY_BE_INFINITE
+from reports.limits import Limits
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 #: An upper limit of something; inf switches it off.
 Threshold = Annotated[float, Meta(gt=0.0, extra=MAY_BE_INFINITE)]
+#: Quantities whose bias by an undetected effect the gate judges, where they have limits.
+GATED = (
+    "theta_deg", "split_hz", "zeta1", "zeta2", "zeta3", "quality1", "quality2", "quality3", "c12_per_s", "rate_bias_dps"
+)  # fmt: skip
 
 
 class RunTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -163,14 +168,23 @@ class PosteriorTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The goodness-of-fit gate: largest error [sigma] and largest bound on the bias of theta [deg]."""
+    """The gate: largest error [sigma], largest bound on the bias of theta [deg], and what undetected effects may do.
+
+    ``bias_fraction`` is the largest bias that an undetected effect may cause, as a share of the width of the limits of a
+    quantity: a bias of 5 % of the width changes the verdict of 5 % of devices that are spread over it.  ``effect_alpha`` is
+    the probability that an effect is found in a device that has none.
+    """
 
     error_max: Threshold = 1.1
     theta_bias_max_deg: Threshold = 0.5
+    bias_fraction: Threshold = 0.05
+    effect_alpha: Annotated[float, Meta(ge=0.0, lt=1.0)] = 1e-3
 
-    def gate(self) -> Gate:
-        """The gate that the table describes."""
-        return Gate(self.error_max, self.theta_bias_max_deg)
+    def gate(self, limits: Limits) -> Gate:
+        """The gate that the table describes, for devices that are judged by ``limits``."""
+        widths = {limit.quantity: limit.width for limit in limits.limits if limit.quantity in GATED}
+        bias_max = {quantity: self.bias_fraction * width for quantity, width in widths.items()}
+        return Gate(self.error_max, self.theta_bias_max_deg, bias_max, self.effect_alpha)
 
 
 class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):

@@ -26,7 +26,7 @@ from ..device.gyro import split_hz as cartesian_split_hz
 from ..device.operation.bias import rate_biases_dps
 from ..experiment.systematic import EXACT, Systematic
 from ..quantities import AXES
-from .gate import Gate, GoodnessOfFit, Status, status_of
+from .gate import Gate, GoodnessOfFit, Status, Undetected, status_of
 
 _BIASES = ("quadrature_rate_dps", "quadrature_bias_dps", "inphase_bias_dps", "rate_bias_dps")
 
@@ -116,7 +116,11 @@ def normal_intervals(estimates: Mapping[str, tuple[float, float]]) -> dict[str, 
 
 
 def estimate_from(
-    draws: dict[str, FloatArray], goodness: GoodnessOfFit, gate: Gate, not_converged: str | None = None
+    draws: dict[str, FloatArray],
+    goodness: GoodnessOfFit,
+    gate: Gate,
+    not_converged: str | None = None,
+    found: Undetected | None = None,
 ) -> Estimate:
     """The estimate from draws of all quantities (n,) [units of ``pipeline.quantities``].
 
@@ -125,10 +129,11 @@ def estimate_from(
     draws : of :func:`quantities` or :func:`cartesian_quantities`.
     goodness, gate : what decides on "misfit".
     not_converged : why the draws are too few or not mixed; ``None`` where they suffice.
+    found : what is known of effects that the model lacks; ``None`` where they were not scored.
     """
     columns = intervals(draws)
     theta_sd_deg = columns["theta_deg_sd"]
-    status, reason = status_of(goodness, theta_sd_deg, gate, None, not_converged)
+    status, reason = status_of(goodness, theta_sd_deg, gate, None, not_converged, found)
     columns |= {
         "chi2_per_dof": goodness.chi2_per_dof,
         "theta_bias_bound_deg": goodness.theta_bias_bound_deg(theta_sd_deg),

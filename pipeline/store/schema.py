@@ -1,7 +1,6 @@
 """The registered schema: the columns of the results tables, their types, units and meanings.
 
-``devices`` has one row a device, ``posterior`` one row a draw.  Columns are only ever added, never renamed
-or retyped, so every older run stays readable.
+``devices`` has one row a device, ``posterior`` one row a draw.  Columns are only ever added, so older runs stay readable.
 
 Missing values: NaN and ``None`` both become null.  NaN would invalidate SQL aggregates, while null means
 "not known" and is skipped by aggregates.  Infinities are kept: an infinite sd means that the data do not
@@ -68,6 +67,11 @@ def _virtual(quantity: Quantity) -> tuple[Column, ...]:
     )
 
 
+def _bound(quantity: Quantity) -> Column:
+    meaning = f"95 % bound of the bias of {quantity.name} that one undetected effect of the library can cause"
+    return _number(f"{quantity.name}_bias_bound", quantity.unit, meaning)
+
+
 _ORIGIN = (
     _text("device_id", "name of the device, unique in its run"),
     _text("lot", "lot in which it was made"),
@@ -114,6 +118,9 @@ _QUALITY = (
         "deg",
         "upper bound of the bias of theta from an unmodelled effect as large as the residual",
     ),
+    _text("closest_effect", "the most significant effect of the library that the fitted model lacks"),
+    _number("effect_p_value", "1", "family-wise p-value of closest_effect over the library; small: a misfit"),
+    *(_bound(quantity) for quantity in QUANTITIES),
     _number("rhat", "1", "largest R-hat over the parameters, between independent ensembles"),
     _number("ess", "1", "smallest effective sample size over the parameters"),
     _number("acceptance", "1", "mean acceptance fraction of the sampler"),

@@ -22,6 +22,8 @@ from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
 from reports.words.noise import noise_words
 
+from ..config import load_config
+
 
 def identify(measurement: Path, model: Path | None, json: bool) -> None:
     """See ``gyroscreen identify --help``."""
@@ -31,7 +33,8 @@ def identify(measurement: Path, model: Path | None, json: bool) -> None:
         columns = modal_columns(route, fit_modal(route, found.antialias))
         lines = _modal_text(found.name, columns)
     else:
-        result = identify_device(found, None if model is None else load_model(model))
+        gate = load_config(None).judging_gate()
+        result = identify_device(found, None if model is None else load_model(model), gate=gate)
         columns = {**result.columns, **({"reference": result.reference} if found.reference else {})}
         lines = _text(result)
     print(json_.dumps(plain(columns)) if json else "\n".join(lines))

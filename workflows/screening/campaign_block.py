@@ -51,7 +51,9 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
     try:
         campaign = with_systematic(config, read_campaign(folder))
         device_id = campaign.device_id
-        result = identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed)
+        result = identify_campaign(
+            campaign, settings_of(config), config.posterior.settings(), config.judging_gate(), seed
+        )
         compared = reference_comparison(campaign.reference, result.columns)
         if compared:
             text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())

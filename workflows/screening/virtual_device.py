@@ -169,7 +169,7 @@ def identify_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float
         instrument,
         settings_of(config),
         config.posterior.settings(),
-        config.gate.gate(),
+        config.judging_gate(),
         rate_of(config, angular_gain),
         device_seed(config, POSTERIOR_STREAM, int(drawn.index[i])),
     )

@@ -157,7 +157,7 @@ def _identified_with_bad_samples(config: RunConfig, drawn: Draw, i: int, gain: f
         drawn.device_id[i], records, instrument, gain, demodulation.phase_error_deg, drive=demodulation.drive
     )
     seed = device_seed(config, POSTERIOR_STREAM, int(drawn.index[i]))
-    return identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.gate.gate(), seed)
+    return identify_campaign(campaign, settings_of(config), config.posterior.settings(), config.judging_gate(), seed)
 
 
 def _row(config: RunConfig, drawn: Draw, i: int, gain: float, bad: float) -> Row:

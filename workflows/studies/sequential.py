@@ -104,7 +104,7 @@ def _analyse(
 
     data = BandData(band, band.transform(sense), nuisance)
     return snapshot(
-        data, sigma_v, previous, starts, rate_of(config, gain), config.gate.gate(), seed, mismatch_prior(config)
+        data, sigma_v, previous, starts, rate_of(config, gain), config.judging_gate(), seed, mismatch_prior(config)
     )
 
 

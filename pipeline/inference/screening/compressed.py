@@ -42,6 +42,7 @@ class Compressed:
     coefficients add to the first channel's residual where the noise of both is correlated; (0, J) otherwise.  rest_chi2 (S,) is
     |y - Q Q^T y|^2; ``rows`` is the number of real data, and ``chi2_sd`` the sd of chi2 at the truth, ``None`` for white noise.
     prior_root (2, 2) and prior_offset (2,) [1] are those of the mismatches; (0, 2) and (0,) without.
+    columns are the features A (2 W, J) [V per unit of c] of each record.
     """
 
     expansion: ComplexArray
@@ -53,6 +54,7 @@ class Compressed:
     chi2_sd: float | None
     prior_root: FloatArray
     prior_offset: FloatArray
+    columns: tuple[FloatArray, ...]
 
     @property
     def arrays(self) -> tuple[ComplexArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -121,11 +123,12 @@ def compress(
     ------
     numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
+    columns = tuple(_columns(record.band, expansion) for record in records)
     blocks: list[FloatArray] = []
     targets: list[FloatArray] = []
-    for record in records:
+    for own_columns, record in zip(columns, records):
         scale = math.sqrt(2.0 / record.band.samples)
-        a = _columns(record.band, expansion) * scale
+        a = own_columns * scale
         y = _stacked(record.spectrum) * scale
         n = record.nuisance
         if n.shape[1]:
@@ -142,7 +145,9 @@ def compress(
         rest = np.maximum(np.sum(y**2, axis=0) - np.sum(data**2, axis=0), 0.0)
         scaled = np.ascontiguousarray(triangle / sigma_v[:, None, None])
         none = np.zeros((0, triangle.shape[1]))
-        return Compressed(expansion, scaled, none, np.ascontiguousarray(data.T), rest, real, None, root, offset)
+        return Compressed(
+            expansion, scaled, none, np.ascontiguousarray(data.T), rest, real, None, root, offset, columns
+        )
     noises = [record.noise or white_noise(sigma_v, record.band) for record in records]
     y = np.concatenate(targets)
     q, triangle = (
@@ -169,4 +174,5 @@ def compress(
         math.sqrt(variance),
         root,
         offset,
+        columns,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from ...experiment.record import Record
 from ...identification.failure import IdentificationError
 from ...identification.route import RouteResult, identify_record
 from ..estimate import Estimate, RateSettings, estimate_from
-from ..gate import Gate, GoodnessOfFit
+from ..gate import Gate, GoodnessOfFit, Undetected
 from ..general.starts import gyro_start
 from ..systematic import Identified
 from .compressed import BandData, nuisance_basis
@@ -36,6 +36,7 @@ from .mismatch import MismatchPrior, without_tilt
 from .quality import FullBandQuality, full_band_quality, with_dependent_noise
 from .refill import refilled_fit
 from .sample import Posterior, SamplerSettings, not_converged_reason, sample
+from .undetected.device import scored_device
 from .whitening import band_noise
 
 Value = float | str | None
@@ -229,10 +230,11 @@ def identify_device(
             fit = best_fit(data, sigma_v, [fit.x], prior) or fit
     try:
         posterior = sample(fit, sampler, seed)
+        undetected = scored_device(fit, data, models, noise, instrument, rate, prior)
     except np.linalg.LinAlgError:
         return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
     plant, mismatch = _plant_draws(posterior.flat(), prior, seed)
-    return _result(columns, mismatch, sampler, gate, rate, fit, posterior, plant, quality)
+    return _result(columns, mismatch, sampler, gate, rate, fit, posterior, plant, quality, undetected)
 
 
 def _plant_draws(
@@ -257,6 +259,7 @@ def _result(
     posterior: Posterior,
     plant: FloatArray,
     quality: FullBandQuality,
+    undetected: Undetected,
 ) -> DeviceResult:
     identified = Identified.of_cartesian(plant, rate)
     estimate = estimate_from(
@@ -264,16 +267,20 @@ def _result(
         GoodnessOfFit(quality.error_all_noise, fit.chi2, fit.dof, fit.likelihood.chi2_sd),
         gate,
         not_converged_reason(posterior, sampler),
+        undetected,
     )
     columns = {
         **columns,
         **estimate.columns,
         **mismatch,
         **quality.columns(),
+        **undetected.columns(),
         "rhat": posterior.rhat,
         "ess": posterior.ess,
         "acceptance": posterior.acceptance,
         "status": estimate.status,
         "status_reason": estimate.reason,
     }
-    return DeviceResult(columns, estimate, fit, None if rate.systematic.exact else identified)
+    # The features of the band are large, and nothing after this needs them.
+    small = replace(fit, likelihood=replace(fit.likelihood, columns=()))
+    return DeviceResult(columns, estimate, small, None if rate.systematic.exact else identified)

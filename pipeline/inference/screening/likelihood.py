@@ -21,7 +21,7 @@ ORDER = 3
 _ORDERS = ORDER + 1
 FEATURES = 3 * 2 * _ORDERS * 2
 #: Steps of the central differences of c(x): rad/s and 1/s, then logarithms and imbalances.
-_STEPS: FloatArray = np.array([1e-4] * 8 + [1e-5] * 6)
+STEPS: FloatArray = np.array([1e-4] * 8 + [1e-5] * 6)
 
 
 @njit(cache=True)
@@ -130,11 +130,11 @@ def jacobian_rows(
     column = np.empty(2 * rows)
     for i in range(size):
         moved = x.copy()
-        moved[i] = x[i] + _STEPS[i]
+        moved[i] = x[i] + STEPS[i]
         _coefficients(moved, expansion, c_plus, shift)
-        moved[i] = x[i] - _STEPS[i]
+        moved[i] = x[i] - STEPS[i]
         _coefficients(moved, expansion, c_minus, shift)
-        _model_rows((c_plus - c_minus) / (2.0 * _STEPS[i]), triangle, cross, column)
+        _model_rows((c_plus - c_minus) / (2.0 * STEPS[i]), triangle, cross, column)
         out[: 2 * rows, i] = column
     for i in range(prior_offset.size):
         out[2 * rows + i, 12:] = prior_root[i]

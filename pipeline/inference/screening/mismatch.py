@@ -83,13 +83,26 @@ def with_mismatch(x: FloatArray, prior: MismatchPrior) -> FloatArray:
     return x if x.size == 14 else np.concatenate([x, prior.mean])
 
 
-def without_tilt(draws: FloatArray, prior: MismatchPrior, random: np.random.Generator) -> FloatArray:
-    """Cartesian draws (n, 12) of the plant from draws (n, 14) of the fit, by a draw of the tilt for each; see the head."""
-    m = draws[:, 12:]
-    t = prior.tilt + (m - np.array(prior.mean)) @ np.array(prior.tilt_weight)
-    t = t + prior.tilt_sd * random.standard_normal(t.shape)
+def _tilt(draws: FloatArray, prior: MismatchPrior) -> FloatArray:
+    """Mean of the tilt (n,) given the mismatches of ``draws`` (n, 14)."""
+    return np.asarray(prior.tilt + (draws[:, 12:] - np.array(prior.mean)) @ np.array(prior.tilt_weight))
+
+
+def _plant(draws: FloatArray, t: FloatArray) -> FloatArray:
+    """Cartesian parameters (n, 12) of the plant with tilts (n,) from ``draws`` (n, 14) of the fit."""
     plant = draws[:, :12].copy()
     for i in (_S, _D):
         plant[:, i] = (draws[:, i] + t) / (1.0 + draws[:, i] * t)
         plant[:, _GAIN] -= np.log1p(-plant[:, i] * t)
     return plant
+
+
+def mean_plant(draws: FloatArray, prior: MismatchPrior) -> FloatArray:
+    """Cartesian parameters (n, 12) of the plant from ``draws`` (n, 14), at the mean of the tilt given the mismatches."""
+    return _plant(draws, _tilt(draws, prior))
+
+
+def without_tilt(draws: FloatArray, prior: MismatchPrior, random: np.random.Generator) -> FloatArray:
+    """Cartesian draws (n, 12) of the plant from draws (n, 14) of the fit, by a draw of the tilt for each; see the head."""
+    t = _tilt(draws, prior)
+    return _plant(draws, t + prior.tilt_sd * random.standard_normal(t.shape))
