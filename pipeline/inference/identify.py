@@ -111,7 +111,7 @@ def _general_columns(
         **normal_intervals(with_common_errors(estimates, campaign.systematic)),
         "model": fit.model.to_toml().splitlines()[0],
         "noise_from": noise.source,
-        "error": fit.error["fit"] if noise.source != "local" else None,
+        "error": fit.error["fit"] if noise.known else None,
         "relative_error": fit.relative_error["fit"],
         "relative_error_validate": fit.relative_error["validate"],
         "chi2_per_dof": fit.chi2 / fit.dof,
@@ -121,7 +121,7 @@ def _general_columns(
 def _goodness(fit: CampaignFit, campaign: Campaign, settings: IdentificationSettings) -> GoodnessOfFit | None:
     """What the gate judges: for a gyro the data that the in-band path would judge, so that both paths agree."""
     if fit.model.plant.kind != "gyro":
-        return None if fit.noise.source == "local" else full_band_goodness(fit)
+        return full_band_goodness(fit) if fit.noise.known else None
     low_hz, high_hz = settings.low_hz, settings.high_hz
     if not all(low_hz < fit.values[name] < high_hz for name in ("f1_hz", "f2_hz", "f3_hz")):
         low_hz, high_hz = driven_band(campaign.with_role("fit"))

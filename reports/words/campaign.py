@@ -277,6 +277,7 @@ def noise_sentence(noise: Noise | None) -> str:
     sources = {
         "silent": "measured on the silent record",
         "repeats": "from the differences between repeats of a drive (there is no silent record)",
+        "local": "from a smooth local fit of the response away from resonances (no silent record, no repeats)",
     }
     kind = "; its spectrum is not white" if noise.coloured else ""
     jitter = f" The sampling instants jitter by {1e6 * noise.jitter_s:.2g} µs rms." if noise.jitter_s else ""

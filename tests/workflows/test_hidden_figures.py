@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 
 from pipeline.errors import UsageError
+from pipeline.experiment.noise.level import repeats_of
 from workflows.commands.hidden import lines
 from workflows.studies.coverage import Share
 from workflows.studies.hidden import study
 from workflows.studies.hidden.confusion import answer, confusion, figures, main_parameter, power
-from workflows.studies.hidden.draw import KINDS
+from workflows.studies.hidden.draw import hide
+from workflows.studies.hidden.kinds import KINDS
 
 
 def _row(kind: str, number: int, hidden: list[str], **found: Any) -> dict[str, Any]:
@@ -110,3 +112,27 @@ def test_the_plan_of_the_whole_study_has_the_numbers_of_the_kinds() -> None:
     assert study.study_plan("one", None, 0, only=7).numbers == {"one": (7,)}
     with pytest.raises(UsageError):
         study.study_plan("all", None, 0, only=7)
+
+
+def test_a_lone_campaign_counts_a_large_class_only_where_every_member_fits_as_well() -> None:
+    large = [["cubic_stiffness", "a", "b", "c"]]
+    found = {"verdict": "class", "effects": ["a"], "classes": large}
+    rows = []
+    for number, rise in enumerate([8.9, 9.1]):
+        row = _row("lone-one", number, ["cubic_stiffness"], **found)
+        row["refine"] = {**row["diagnose"], "ladder": [{"status": None}], "class_delta_chi2": [rise]}
+        rows.append({**row, "snr": [31.0]})
+    wrong = _row("lone-one", 2, ["cubic_stiffness"], verdict="effect", effects=["gain_drift"])
+    missed = _row("lone-one", 3, ["cubic_stiffness"])
+    rows += [{**row, "refine": {**row["diagnose"], "ladder": []}, "snr": [31.0]} for row in (wrong, missed)]
+    found = figures(rows)
+    assert found["lone-one: right, or an honest class (at least 90 %)"] == Share(1, 4)
+    assert found["lone-one: a single wrong name (at most 3 %)"] == Share(1, 4)
+    assert found["lone-one: adequate, SNR above 30 (at most 2 %)"] == Share(1, 4)
+
+
+def test_a_lone_campaign_has_two_chirps_and_nothing_that_measures_its_noise() -> None:
+    campaign = hide("lone-none", 0, 1).campaign
+    assert [record.role for record in campaign.records] == ["fit", "fit"]
+    assert not repeats_of(campaign)
+    assert set(study.study_plan("lone", 2, 1).numbers) == {"lone-none", "lone-one", "lone-foreign"}

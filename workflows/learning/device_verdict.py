@@ -61,7 +61,7 @@ def verdict_of(
     physical = np.stack([draws[name] for name in PHYSICAL], axis=-1)
     found = Identified.of_physical(physical, rate_settings(campaign)).draws
     ungated = decide(limits, {name: found[name][None] for name in limits.quantities}, ["ok"])
-    goodness = None if fit.noise.source == "local" else full_band_goodness(fit)
+    goodness = full_band_goodness(fit) if fit.noise.known else None
     status, reason = fit_status(fit, goodness, gate or Gate())
     verdict = ungated.verdict[0] if status == "ok" else "undecided"
     return ModelVerdict(verdict, ungated.verdict[0], ungated.failed_limits[0], reason or "")

@@ -7,9 +7,8 @@ It comes from the first of these sources that is available:
     "silent"    the rms of the silent records after offset, trend and lines are removed.  LSB^2/12 is added where the noise is
                 too small to exercise the ADC.  Repeats are pooled with it if both agree within 3 sd.
     "repeats"   the rms of the difference of two records with the same drive and conditions, divided by sqrt 2
-    "local"     a local fit: in narrow windows of frequency, response and transient are taken as polynomials of second order,
-                and the residual is noise; median over windows (local polynomial method: Pintelon et al., Mech. Syst. Signal
-                Process. 24 (2010) 573)
+    "local"     a local fit of the response over neighbouring frequencies (``local``)
+    "residual"  nothing measures the noise: sigma is only an upper bound, from the same local fit; ``known`` is false
 
 sigma is never taken from the residual of the device model, because a wrong model would then look right.
 
@@ -32,9 +31,10 @@ from ...errors import MeasurementError
 from ..instrument import Adc
 from ..record import Campaign, Record
 from .lines import line_basis, with_quantisation
+from .local import has_windows, local_noise
 from .spectrum import NoiseSpectrum, noise_spectrum
 
-Source = Literal["silent", "repeats", "local"]
+Source = Literal["silent", "repeats", "local", "residual"]
 
 #: A bin this many times above the level of its neighbourhood is a line (false-alarm probability 2e-9 per bin of white noise).
 _LINE = 20.0
@@ -52,7 +52,7 @@ class NoiseLevel:
     Parameters
     ----------
     sigma_v : (S,) standard deviation per sample and channel [V].
-    source : how it was measured: "silent", "repeats" or "local" (see the head of this module).
+    source : how it was measured: "silent", "repeats", "local" or "residual" (see the head of this module).
     dof : degrees of freedom per channel; the relative sd of sigma^2 is sqrt(2 / dof).
     common_v : record name -> (m, N, S) [V], signals of independent unit-normal size that the noise of a record contains,
         such as the effect of a random start time; the covariance of the record is sigma^2 I + sum_i c_i c_i'.
@@ -67,6 +67,11 @@ class NoiseLevel:
     common_v: Mapping[str, FloatArray] = field(default_factory=dict)
     spectrum: NoiseSpectrum | None = None
     mixing: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def known(self) -> bool:
+        """Whether the level was measured; else it is only bounded, and an error in units of it means nothing."""
+        return self.source != "residual"
 
 
 def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, int]:
@@ -144,28 +149,6 @@ def _pooled(silent: NoiseLevel, repeats: NoiseLevel | None) -> NoiseLevel:
     return NoiseLevel(np.sqrt(variance), "silent", dof)
 
 
-def _local_variance(record: Record) -> tuple[FloatArray, int]:
-    """Variance (S,) [V^2] of the residuals of local quadratic fits in frequency, median over windows; dof of all windows."""
-    samples, drives = record.drive_v.shape
-    y, u = rfft(record.sense_v - record.sense_v.mean(axis=0), axis=0), rfft(record.drive_v, axis=0)
-    unknowns = 3 * (drives + 1)
-    width = 4 * unknowns
-    starts = range(1, y.shape[0] - width, width)
-    x = np.linspace(-1.0, 1.0, width)[:, None] ** np.arange(3)
-    residual_power = []
-    for first in starts:
-        rows = slice(first, first + width)
-        columns = np.concatenate([x, *(x * u[rows, d : d + 1] for d in range(drives))], axis=1)
-        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        basis, size, _ = np.linalg.svd(columns, full_matrices=False)
-        basis = basis[:, size > 1e-9 * size[0]]
-        residual = y[rows] - basis @ (basis.conj().T @ y[rows])
-        residual_power.append(np.sum(np.abs(residual) ** 2, axis=0) / (width - basis.shape[1]) / samples)
-    free = width - unknowns
-    # The mean of ``free`` exponential variables has a median of about 1 - 1/(3 free) times its expectation.
-    return np.median(residual_power, axis=0) / (1.0 - 1.0 / (3.0 * free)), 2 * free * len(residual_power)
-
-
 def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
     """The noise level of ``campaign``.
 
@@ -191,7 +174,7 @@ def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
     elif repeats is not None:
         level = repeats
     else:
-        found = [_local_variance(r) for r in campaign.records if r.drive_v.shape[0] > 50 * (r.drive_v.shape[1] + 1)]
+        found = [record for record in campaign.records if has_windows(record)]
         if not found:
             raise MeasurementError(
                 "the noise level could not be measured: the records are too short",
@@ -199,8 +182,8 @@ def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
                 allowed="a silent record, repeats, or more than 50 (drives + 1) samples",
                 next_step='add a record with all drives at zero and role = "noise"',
             )
-        dof = sum(own for _, own in found)
-        level = NoiseLevel(np.sqrt(sum(own * variance for variance, own in found) / dof), "local", dof)
+        local = local_noise(found)
+        level = NoiseLevel(np.sqrt(local.variance), "local" if local.measured else "residual", local.dof)
     if not np.all(level.sigma_v > 0.0):
         raise MeasurementError(
             "a sense channel has no noise",

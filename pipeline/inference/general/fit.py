@@ -140,7 +140,7 @@ def fit_with_columns(
     at = _first_point(problem, tasks, known)
     dof = sum(r.size for r in at.residuals) - at.x.size
     result = minimise(problem, at, tasks, dof)
-    result = continued(problem, at, result, tasks, dof, noise.source != "local")
+    result = continued(problem, at, result, tasks, dof, noise.known)
     result = restarted(problem, result, tasks, dof)
     return _campaign_fit(problem, campaign, noise, tasks, result), result.sensitivities
 

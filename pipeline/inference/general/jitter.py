@@ -23,7 +23,7 @@ from .fit import CampaignFit
 def campaign_jitter(fit: CampaignFit, campaign: Campaign) -> Jitter | None:
     """The most significant jitter of the fit records; ``None`` where none shows it or the noise level is unknown."""
     noise = fit.noise
-    if noise.source == "local" or noise.sigma_v.size != 2:
+    if not noise.known or noise.sigma_v.size != 2:
         return None
     predicted = {record.name: record.predicted_v for record in fit.records}
     found = []

@@ -196,7 +196,7 @@ class CampaignAnswers:
         noise = self.problem.noise
         return Noise(
             sigma=tuple(noise.sigma_v.tolist()),
-            from_=noise.source if self._noise_known else "residual",
+            from_=noise.source,
             coloured=True if noise.spectrum is not None and not noise.spectrum.white else UNSET,
             jitter_s=UNSET if self.problem.jitter_s is None else self.problem.jitter_s,
         )
@@ -218,7 +218,7 @@ class CampaignAnswers:
 
     @property
     def _noise_known(self) -> bool:
-        return self.problem.noise.source != "local"
+        return self.problem.noise.known
 
     @cached_property
     def _first_regions(self) -> list[Region]:

@@ -91,7 +91,7 @@ def fit_result(
     campaign : its records.
     spectra, strata : of each fit record: its transform, and (2 F S,) the noise stratum of each row.
     """
-    free, noise_known = fitted.model.free, fitted.noise.source != "local"
+    free, noise_known = fitted.model.free, fitted.noise.known
     columns = {
         term: tuple(i for i, name in enumerate(free) if name in fitted.model.parameters_of(term)) for term in terms
     }

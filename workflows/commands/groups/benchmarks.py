@@ -91,7 +91,9 @@ def silverbox(
 
 @app.command("hidden-effects")
 def hidden_effects(
-    kind: Annotated[str, typer.Option(help="none, one, weak, outside, left-out, two, .. or all.")] = "all",
+    kind: Annotated[
+        str, typer.Option(help="none, one, weak, outside, left-out, two, .., bench, lone, or all.")
+    ] = "all",
     campaigns: Annotated[int | None, typer.Option(help="Campaigns per kind; default: the full study.")] = None,
     only: Annotated[int | None, typer.Option(help="Number of one campaign of the kind; prints it in full.")] = None,
     seed: Seed = 1,

@@ -16,13 +16,17 @@ import numpy as np
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 
 from ..coverage import Share
-from .draw import KINDS
+from .kinds import KINDS
 from .own_law import without_law
 from .truth import OUTSIDE
 
 Row = Mapping[str, Any]
 
 _LARGEST_CLASS = 3
+#: A larger class counts if chi2 rises by at most this (3 sd of one parameter) with each member in place of the selected one.
+_EQUAL_FITS = 9.0
+#: Above this SNR an effect must not be missed.
+_LOUD_SNR = 30.0
 _POWER_BINS = (4.0, 5.0, 6.5, 8.0, 10.0, 20.0, 50.0, 200.0, 1000.0)
 
 
@@ -137,17 +141,61 @@ def figures(rows: Sequence[Row], model: Model = DEFAULT_COMPARE_MODEL) -> dict[s
         add(f"both and only both, {step} (at least 85 %)", "two", _assessed(step, "right"))
     if own := [row for row in ran if without_law(row["hidden"])]:
         out["campaigns simulated by the effect's own law, not independently"] = len(own)
-    foreign = by["outside"] + by["left-out"]
-    for name, group in (("outside", by["outside"]), ("left-out", by["left-out"]), ("outside and left-out", foreign)):
-        if group:
-            fair = [r for r in group if _unknown_and_unconfirmed(r) or not look_alike(r, "refine", model)]
-            out[f"{name}: unknown, no confirmed rung (at least 90 %)"] = share(fair, _unknown_and_unconfirmed)
-            out[f"{name}: a look-alike stands for it, excused"] = len(group) - len(fair)
-            out[f"{name}: adequate"] = share(fair, lambda r: r["refine"]["verdict"] == "adequate")
+    out |= _foreign("outside", by["outside"], model) | _foreign("left-out", by["left-out"], model)
+    out |= _foreign("outside and left-out", by["outside"] + by["left-out"], model)
+    for group in ("bench", "lone"):
+        out |= _of_records(group, by, model)
     out |= _after_adding([r for r in by["one"] if answer(r, "refine") == "right"])
     out |= _sizes(by["one"], model)
     out |= _times(ran)
     return out
+
+
+def _foreign(name: str, rows: Sequence[Row], model: Model) -> dict[str, Any]:
+    """Campaigns whose effect is not offered, with and without those in which a look-alike stands for it."""
+    if not rows:
+        return {}
+    fair = [r for r in rows if _unknown_and_unconfirmed(r) or not look_alike(r, "refine", model)]
+    return {
+        f"{name}: unknown, no confirmed rung (at least 90 %)": share(fair, _unknown_and_unconfirmed),
+        f"{name}: a look-alike stands for it, excused": len(rows) - len(fair),
+        f"{name}: unknown, no confirmed rung, none excused": share(rows, _unknown_and_unconfirmed),
+        f"{name}: adequate": share(fair, lambda r: r["refine"]["verdict"] == "adequate"),
+    }
+
+
+def _of_records(group: str, by: Mapping[str, Sequence[Row]], model: Model) -> dict[str, Any]:
+    """Figures of the kinds of a group, "bench" or "lone", whose records set limits of their own."""
+    none, one, foreign = (by[f"{group}-{what}"] for what in ("none", "one", "foreign"))
+    limits = {"bench": ("1", "92", "1.5"), "lone": ("2", "90", "3")}[group]
+    out: dict[str, Any] = {}
+    if none:
+        out[f"{group}-none: a name (at most {limits[0]} %)"] = share(none, lambda r: bool(r["diagnose"]["effects"]))
+        adequate = f"{group}-none: adequate" + (" (at least 95 %)" if group == "bench" else "")
+        out[adequate] = share(none, lambda r: r["diagnose"]["verdict"] == "adequate")
+    if one:
+        out[f"{group}-one: right, or an honest class (at least {limits[1]} %)"] = share(one, is_honest)
+        out[f"{group}-one: a single wrong name (at most {limits[2]} %)"] = share(one, _assessed("refine", "wrong"))
+        loud = [r for r in one if r["snr"][0] > _LOUD_SNR]
+        limit = " (at most 2 %)" if group == "lone" else ""
+        adequate = f"{group}-one: adequate, SNR above {_LOUD_SNR:.0f}{limit}"
+        out[adequate] = share(loud, lambda r: answer(r, "refine") == "adequate")
+    return out | _foreign(f"{group}-foreign", foreign, model)
+
+
+def is_honest(row: Row) -> bool:
+    """Whether ``refine`` named the one hidden effect, or a class that contains it, and nothing else.
+
+    A class of more than three effects counts where every member fits within ``_EQUAL_FITS`` of the selected one.  With records
+    that differ, an effect that is not seen counts if it could not reach the lowest SNR of its kind within its declared range.
+    """
+    found = row["refine"]
+    if answer(row, "refine") in ("right", "partly") and len(found["effects"]) == 1:
+        rises = found.get("class_delta_chi2") or [None]
+        small = all(len(one) <= _LARGEST_CLASS for one in found["classes"])
+        return small or all(rise is not None and rise <= _EQUAL_FITS for rise in rises)
+    faint = KINDS[row["kind"]].bench and row["snr"][0] < KINDS[row["kind"]].snr[0]
+    return faint and answer(row, "refine") == "adequate"
 
 
 def _after_adding(rows: Sequence[Row]) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
 from zlib import crc32
 
 import numpy as np
@@ -26,44 +25,16 @@ from pipeline.experiment.record import Campaign, Record
 from ...simulate import device_parameters, standard_excitations
 from .bench import BenchRecords
 from .effects import Drawn, draw_effect, peak_of
+from .kinds import KINDS, LONE, Noise
 from .own_law import modelled_response, own_disturbance, without_law
 from .strengths import FittedBaseline, baseline, modelled, sized
 from .truth import OUTSIDE, clipped, hum, response
-
-Noise = Literal["white", "coloured", "heavy-tailed", "louder"]
 
 SIGMA_V = 1e-3
 INSTRUMENT = Instrument(antialias=AntiAlias(), adc=Adc())
 _LEAST_Q = 600.0
 _ANGULAR_GAIN = 0.7
 _OFFSET_V = 2e-3
-
-
-@dataclass(frozen=True)
-class HiddenKind:
-    """A kind of campaign: number of campaigns in the whole study, range of the SNR, noise, records as on a bench."""
-
-    campaigns: int
-    meaning: str
-    snr: tuple[float, float] = (10.0, 1000.0)
-    noise: Noise = "white"
-    bench: bool = False
-
-
-KINDS: dict[str, HiddenKind] = {
-    "none": HiddenKind(500, "nothing hidden"),
-    "one": HiddenKind(220, "one library effect"),
-    "weak": HiddenKind(110, "one library effect, weak", (4.0, 10.0)),
-    "outside": HiddenKind(54, "one effect outside the library"),
-    "left-out": HiddenKind(66, "one library effect, removed from the library"),
-    "two": HiddenKind(60, "two library effects"),
-    "coloured": HiddenKind(60, "nothing hidden, coloured noise", noise="coloured"),
-    "heavy-tailed": HiddenKind(60, "nothing hidden, Student's t noise with 4 degrees of freedom", noise="heavy-tailed"),
-    "louder": HiddenKind(60, "nothing hidden, noise 20 % stronger in the driven records", noise="louder"),
-    "bench-none": HiddenKind(300, "nothing hidden, records that differ as on a bench", bench=True),
-    "bench-one": HiddenKind(220, "one library effect, records that differ as on a bench", bench=True),
-    "bench-foreign": HiddenKind(120, "one effect outside the library or left out, records that differ", bench=True),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +82,9 @@ def effects_of(
 ) -> tuple[str, ...]:
     """Names of the effects in campaign ``number`` of ``kind``: the candidates of ``model`` in turn, or a random pair of them."""
     library = model.candidates()
-    if kind in ("one", "weak", "left-out", "bench-one"):
+    if kind in ("one", "weak", "left-out", "bench-one", "lone-one"):
         return (library[number % len(library)],)
-    if kind == "bench-foreign":
+    if kind in ("bench-foreign", "lone-foreign"):
         foreign = (*OUTSIDE, *library)
         return (foreign[number % len(foreign)],)
     if kind == "outside":
@@ -163,6 +134,9 @@ def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL
     values = draw_device(random)
     effects = effects_of(kind, number, random, model)
     empty = _empty(int(random.integers(2**31)))
+    if KINDS[kind].lone:
+        names = LONE[int(random.integers(len(LONE)))]
+        empty = tuple(r for r in empty if r.name in names)
     snr: list[float] = []
     sizes: list[str] = []
     if effects:
@@ -193,7 +167,8 @@ def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL
             for r, own in zip(empty, streams)
         )
     campaign = Campaign(f"{kind}-{number}", measured, INSTRUMENT, _ANGULAR_GAIN, 1.0)
-    left_out = effects if kind == "left-out" or (kind == "bench-foreign" and effects[0] not in OUTSIDE) else ()
+    foreign = kind in ("left-out", "bench-foreign", "lone-foreign")
+    left_out = tuple(name for name in effects if foreign and name not in OUTSIDE)
     return Hidden(kind, number, seed, effects, values, tuple(sizes), tuple(snr), left_out, campaign, model)
 
 

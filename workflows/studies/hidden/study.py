@@ -18,9 +18,10 @@ import dask
 from threadpoolctl import threadpool_limits
 
 from pipeline.criticism.fit_tests import Rules
-from pipeline.criticism.ladder import as_diagnosis, as_ladder
+from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
 from pipeline.criticism.selection import forward_selection
+from pipeline.criticism.verdict import TermClass
 from pipeline.errors import GyroscreenError, UsageError
 from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.campaign.problem import CampaignProblem
@@ -28,11 +29,12 @@ from pipeline.learning.campaign.problem import CampaignProblem
 from ...learning import DiagnosisResult, RefinementResult
 from ...machine import worker_count
 from ...screening.cluster import cluster, in_parallel
-from .draw import KINDS, Hidden, hide
+from .draw import Hidden, hide
+from .kinds import KINDS
 from .restricted import RestrictedProblem
 
 #: Kinds of campaigns that are also refined.
-_REFINED = ("one", "two", "outside", "left-out", "bench-one", "bench-foreign")
+_REFINED = ("one", "two", "outside", "left-out", "bench-one", "bench-foreign", "lone-one", "lone-foreign")
 _CANDIDATES = 5
 _Found = TypeVar("_Found")
 #: A campaign with the signatures of all candidates is larger than a screening block; dask must not kill a worker for that.
@@ -54,9 +56,12 @@ def study_plan(kind: str, campaigns: int | None, seed: int, only: int | None = N
     ------
     UsageError : an unknown kind, or an invalid number of campaigns.
     """
-    kinds = tuple(name for name, one in KINDS.items() if kind in ("all", name, "bench" if one.bench else name))
+    groups = {name: "bench" if one.bench else "lone" if one.lone else name for name, one in KINDS.items()}
+    kinds = tuple(name for name, group in groups.items() if kind in ("all", name, group))
     if not kinds:
-        raise UsageError("no such kind of hidden campaigns", value=kind, allowed=f"all, bench, {', '.join(KINDS)}")
+        raise UsageError(
+            "no such kind of hidden campaigns", value=kind, allowed=f"all, bench, lone, {', '.join(KINDS)}"
+        )
     if campaigns is not None and campaigns < 1:
         raise UsageError("no campaigns to study", value=campaigns, allowed="1 or more")
     if only is not None and (kind not in KINDS or only < 0):
@@ -115,7 +120,16 @@ def run_loop(hidden: Hidden) -> dict[str, Any]:
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, selection))
         row["refine"] = {**_refined(RefinementResult(answers, ladder).to_dict()), **_sum(shared, own)}
+        row["refine"]["class_delta_chi2"] = [_largest_rise(problem, ladder, one) for one in ladder.classes]
     return row
+
+
+def _largest_rise(problem: Problem, ladder: Ladder, one: TermClass) -> float | None:
+    """Largest rise of chi2 where a member of a class takes the place of its selected term; ``None`` where a fit fails."""
+    last = ladder.selection.last.fit
+    swapped = [tuple(other if name == one.term else name for name in last.terms) for other in one.members[1:]]
+    fits = [problem.fit(terms, last) for terms in swapped]
+    return max([fit.chi2 - last.chi2 for fit in fits], default=0.0) if all(fit.ok for fit in fits) else None
 
 
 def _timed(step: Callable[[], _Found]) -> tuple[_Found, dict[str, float]]:
