@@ -1,13 +1,12 @@
 """Scores of a fitted device against the library of effects: its spectra, its fit and its quantities put together.
 
-    whitened rows of channel a and bin w:  sqrt(2/N) / s_a(w),    s_a(w)^2 the variance of the noise that ``whitening`` gives
+    spectra of Jacobian, signatures, residual  ->  rows in sigmas, and those of the prior  ->  scores and bounds
 
 Shapes: P parameters, W bins, S = 2 senses.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,8 +23,11 @@ from ..fit import Fit
 from ..likelihood import STEPS
 from ..mismatch import MismatchPrior, mean_plant
 from .bounds import Candidates, undetected
+from .clipping import adc_probes
+from .library import BandSignature
 from .linear import LinearDevice, cartesian_poles, linear_device
-from .signatures import BandSignature, signatures
+from .rows import whitened
+from .signatures import signatures
 
 
 def scored_device(
@@ -50,46 +52,33 @@ def scored_device(
     ------
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
-    sigma_v = noise.sigma_v
-    jacobians, residuals, found, rows = [], [], [], []
+    count = fit.x.size
+    found: Sequence[BandSignature] = ()
+    rows = []
+    probes = adc_probes(models_v, noise.sigma_v, instrument.bias_v, prior is not None)
     for i, (item, model_v) in enumerate(zip(data, models_v)):
         device = linear_device(fit, i, item.band, instrument)
-        own = signatures(device, model_v, sigma_v, prior is not None)
-        jacobians.append(_whitened(_jacobian(fit.x, device), item, sigma_v).T)
-        residuals.append(_whitened((item.spectrum - device.sensed())[None], item, sigma_v)[0])
-        found.append(own)
-        rows.append(_whitened(np.stack([one.spectrum for one in own]), item, sigma_v))
-    root, offset = (np.zeros((0, 2)), np.zeros(0)) if prior is None else prior.rows()
-    below = np.zeros((offset.size, fit.x.size))
-    if offset.size:
-        below[:, 12:] = root
-    jacobian = np.concatenate([*jacobians, below])
-    residual = np.concatenate([*residuals, offset - below @ fit.x])
+        found = signatures(device, model_v, probes, prior is not None)
+        spectra = [one.spectrum for one in found]
+        residual = item.spectrum - device.sensed()
+        rows.append(whitened(np.stack([*_jacobian(fit.x, device), *spectra, residual]), item, noise.sigma_v))
+    if prior is not None:
+        rows.append(_prior_rows(prior, fit.x, len(found)))
+    whole = np.concatenate(rows, axis=1).T
+    low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
+    candidates = Candidates(tuple(one.effect for one in found), whole[:, count:-1], low, high)
     frequency = np.concatenate([item.band.frequency_hz for item in data])
     dof = 2.0 / float(np.mean(noise.relative_sd(frequency) ** 2))
-    return undetected(jacobian, residual, _candidates(found, rows, offset.size), _slopes(fit.x, rate, prior), dof)
+    return undetected(whole[:, :count], whole[:, -1], candidates, _slopes(fit.x, rate, prior), dof)
 
 
-def _candidates(found: Sequence[Sequence[BandSignature]], rows: Sequence[FloatArray], prior_rows: int) -> Candidates:
-    """The signatures of all records, whose ``rows`` (K, n_r) follow each other, with zeros in those of the prior."""
-    first = found[0]
-    below = np.zeros((len(first), prior_rows))
-    together = np.concatenate([*rows, below], axis=1).T
-    low, high = np.array([one.low for one in first]), np.array([one.high for one in first])
-    return Candidates(tuple(one.effect for one in first), together, low, high)
-
-
-def _whitened(spectra: ComplexArray, item: BandData, sigma_v: FloatArray) -> FloatArray:
-    """Spectra (K, S, W) [V] of a record as rows (K, 2 S W) in sigmas, hum lines projected out."""
-    rows = np.concatenate([spectra.real, spectra.imag], axis=-1)
-    n = item.nuisance
-    if n.shape[1]:
-        rows -= (rows @ n) @ n.T
-    variance = np.repeat(sigma_v[:, None] ** 2, item.band.bins.size, axis=1)
-    if item.noise is not None:
-        variance = item.noise.variance + item.noise.dependent_mean[:, None]
-    rows *= np.tile(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance), 2)
-    return np.asarray(rows.reshape(rows.shape[0], -1))
+def _prior_rows(prior: MismatchPrior, x: FloatArray, candidates: int) -> FloatArray:
+    """What the prior adds to the rows of the Jacobian, of the candidates, and of the residual: (14 + K + 1, 2)."""
+    root, offset = prior.rows()
+    out = np.zeros((x.size + candidates + 1, offset.size))
+    out[12:14] = root.T
+    out[-1] = offset - root @ x[12:]
+    return out
 
 
 def _jacobian(x: FloatArray, device: LinearDevice) -> ComplexArray:
