@@ -63,3 +63,24 @@ def compiled_force(force: Callable[..., None]) -> Any:
             allowed="plain arithmetic on numbers and arrays",
             next_step="see docs/add-an-effect.md",
         ) from error
+
+
+class ForcePointer(types.WrapperAddressProtocol):
+    """A compiled force law by its address, which a compiled loop takes faster than the law itself."""
+
+    def __init__(self, force: Callable[..., None]) -> None:
+        found = compiled_force(force).get_compile_result(FORCE_SIGNATURE)
+        self._address = int(found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name))
+
+    def __wrapper_address__(self) -> int:
+        return self._address
+
+    def signature(self) -> Any:
+        """Signature of the compiled law."""
+        return FORCE_SIGNATURE
+
+
+@once
+def force_pointer(force: Callable[..., None]) -> ForcePointer:
+    """The compiled ``force`` by its address; raises as :func:`compiled_force`."""
+    return ForcePointer(force)

@@ -34,27 +34,22 @@ _ABSORBED = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Effects that a model lacks: whitened signatures (n, K), the effect of each column, the range (K,) of each strength."""
+    """Effects that a model lacks: the effect of each column (K,), and the range (K,) of each strength."""
 
     effects: tuple[str, ...]
-    rows: FloatArray
     low: FloatArray
     high: FloatArray
 
 
 def undetected(
-    jacobian: FloatArray,
-    residual: FloatArray,
-    candidates: Candidates,
-    slopes: Mapping[str, FloatArray],
-    noise_dof: float,
+    products: FloatArray, candidates: Candidates, slopes: Mapping[str, FloatArray], noise_dof: float
 ) -> Undetected:
     """Scores and bounds.
 
     Parameters
     ----------
-    jacobian, residual : d(model)/dx (n, P) and data - model (n,) at the maximum, in sigmas, with the rows of the prior.
-    candidates : columns that are zero in the rows of the prior.
+    products : [J, Z, r]' [J, Z, r] (P + K + 1, P + K + 1), whitened, with the rows of the prior.
+    candidates : of the columns of Z.
     slopes : quantity -> dq/dx (P,).
     noise_dof : degrees of freedom of the noise level.
 
@@ -62,44 +57,66 @@ def undetected(
     ------
     numpy.linalg.LinAlgError : the Jacobian has no full rank.
     """
-    p = jacobian.shape[1]
-    whole = np.concatenate([jacobian, candidates.rows, residual[:, None]], axis=1)
-    scale = np.linalg.norm(whole, axis=0)
-    scale[scale == 0.0] = 1.0
-    whole /= scale
-    products = whole.T @ whole
+    p = products.shape[0] - len(candidates.effects) - 1
+    scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
     # In units of the norms of the columns, J' J loses eight of sixteen digits at most.
-    factor = cholesky(products[:p, :p], lower=True)
-    overlap = solve_triangular(factor, products[:p, p:], lower=True)
-    left = products[p:, p:] - overlap.T @ overlap
+    unit = products / np.outer(scale, scale)
+    factor = cholesky(unit[:p, :p], lower=True)
+    overlap = solve_triangular(factor, unit[:p, p:], lower=True)
+    left = unit[p:, p:] - overlap.T @ overlap
     score, gram = left[:-1, -1] * scale[-1], left[:-1, :-1]
     moved = solve_triangular(factor, overlap[:, :-1], lower=True, trans="T") / scale[:p, None]
     names = list(slopes)
     bias = np.stack([slopes[q] for q in names]) @ moved
     low, high = candidates.low * scale[p:-1], candidates.high * scale[p:-1]
-    p_values: dict[str, float] = {}
-    explained: dict[str, float] = {}
-    largest, causes = np.zeros(len(names)), np.zeros(len(names), dtype=np.int64)
     effects = list(dict.fromkeys(candidates.effects))
-    for i, effect in enumerate(effects):
-        own = [k for k, name in enumerate(candidates.effects) if name == effect]
-        p_values[effect], explained[effect], bound = _judged(
-            score[own], gram[np.ix_(own, own)], bias[:, own], low[own], high[own], noise_dof
-        )
-        causes[bound > largest] = i
-        largest = np.maximum(bound, largest)
+    p_values, explained = np.ones(len(effects)), np.zeros(len(effects))
+    bounds = np.zeros((len(effects), len(names)))
+    columns = [[k for k, name in enumerate(candidates.effects) if name == effect] for effect in effects]
+    alone = [i for i, own in enumerate(columns) if len(own) == 1]
+    single = [columns[i][0] for i in alone]
+    p_values[alone], explained[alone], bounds[alone] = _single(
+        score[single], gram[single, single], bias[:, single], low[single], high[single], noise_dof
+    )
+    for i, own in enumerate(columns):
+        if len(own) > 1:
+            block = gram[np.ix_(own, own)]
+            p_values[i], explained[i], bounds[i] = _several(
+                score[own], block, bias[:, own], np.maximum(np.abs(low[own]), np.abs(high[own])), noise_dof
+            )
     # Probabilities of loud effects are 0; the one that explains most is then the closest.
-    effect = min(p_values, key=lambda name: (p_values[name], -explained[name]))
-    family = float(-np.expm1(len(effects) * np.log1p(-min(p_values[effect], 1.0 - 1e-16))))
-    by = {name: effects[i] for name, i in zip(names, causes)}
-    return Undetected(effect, family, dict(zip(names, largest.tolist())), by, p_values)
+    best = int(np.lexsort((-explained, p_values))[0])
+    family = float(-np.expm1(len(effects) * np.log1p(-min(p_values[best], 1.0 - 1e-16))))
+    return Undetected(
+        effects[best],
+        family,
+        dict(zip(names, bounds.max(axis=0).tolist())),
+        {name: effects[i] for name, i in zip(names, bounds.argmax(axis=0))},
+        dict(zip(effects, p_values.tolist())),
+    )
 
 
-def _judged(
-    score: FloatArray, gram: FloatArray, bias: FloatArray, low: FloatArray, high: FloatArray, dof: float
+def _single(
+    score: FloatArray, size: FloatArray, bias: FloatArray, low: FloatArray, high: FloatArray, dof: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """p-values (K,) and T (K,) of effects with one signature of unit norm, ``size`` of which survives; bounds (K, Q)."""
+    seen = size > _ABSORBED
+    size = np.where(seen, size, 1.0)
+    side = np.where(low == 0.0, 1.0, np.where(high == 0.0, -1.0, 0.0))
+    strength = np.where(seen, score**2 / size, 0.0)
+    p = np.where(seen, fdtrc(1.0, dof, strength), 1.0)
+    p = np.where(side == 0.0, p, np.where(side * score > 0.0, 0.5 * p, 1.0))
+    estimate = score / size
+    estimate = np.abs(np.where(side == 0.0, estimate, np.maximum(side * estimate, 0.0)))
+    most = np.where(seen, estimate + _Z / np.sqrt(size), np.inf)
+    most = np.minimum(most, np.maximum(np.abs(low), np.abs(high)))
+    return p, strength, np.where(bias == 0.0, 0.0, np.abs(bias) * most).T
+
+
+def _several(
+    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, dof: float
 ) -> tuple[float, float, FloatArray]:
-    """p-value and T of one effect with signatures of unit norm, and bounds (Q,) of the biases (Q, k) that it can cause."""
-    reach = np.maximum(np.abs(low), np.abs(high))
+    """p-value and T of an effect with k signatures of unit norm, bounds (Q,) of biases (Q, k); strengths at most ``reach``."""
     within = _at_most(bias, reach)
     size, vector = np.linalg.eigh(gram)
     seen = size > _ABSORBED
@@ -108,17 +125,11 @@ def _judged(
     vector, size = vector[:, seen], size[seen]
     projected = vector.T @ score
     k, total = int(seen.sum()), float(np.sum(projected**2 / size))
-    p = float(fdtrc(k, dof, total / k))
-    estimate = vector @ (projected / size)
-    if score.size == 1 and (low[0] == 0.0 or high[0] == 0.0):
-        sign = 1.0 if low[0] == 0.0 else -1.0
-        p = 0.5 * p if sign * score[0] > 0.0 else 1.0
-        estimate = sign * np.maximum(sign * estimate, 0.0)
     visible = bias @ vector
-    bound = np.abs(bias @ estimate) + _Z * np.sqrt(np.sum(visible**2 / size, axis=1))
+    bound = np.abs(visible @ (projected / size)) + _Z * np.sqrt(np.sum(visible**2 / size, axis=1))
     if k < score.size:
         bound += _at_most(bias - visible @ vector.T, reach)
-    return p, total, np.minimum(bound, within)
+    return float(fdtrc(k, dof, total / k)), total, np.minimum(bound, within)
 
 
 def _at_most(bias: FloatArray, reach: FloatArray) -> FloatArray:

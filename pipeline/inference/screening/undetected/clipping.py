@@ -26,7 +26,7 @@ def adc_probes(
     Less is invisible and more is loud, in the record with the largest peak; ``models_v`` (N, S) [V] of each record.
     """
     context = Context(bias_v, bias_v, {})
-    volts = _loud(max(models_v, key=lambda v: float(np.max(np.abs(v)))))[1]
+    volts = max((_loud(v)[1] for v in models_v), key=lambda v: float(np.max(np.abs(v))))
     found: dict[str, float] = {}
     for effect in scored_effects(with_mismatch):
         members = effect.members(SHAPE)
@@ -45,8 +45,8 @@ def adc_probes(
 
 def _loud(model_v: FloatArray) -> tuple[IntArray, FloatArray]:
     """Indices and volts of the samples near the peak, which are all that a weak clip changes."""
-    size = np.max(np.abs(model_v), axis=1)
-    loud = np.flatnonzero(size > _LOUD * float(size.max()))
+    size = np.abs(model_v)
+    loud = np.flatnonzero(np.maximum(size[:, 0], size[:, 1]) > _LOUD * float(size.max()))
     return loud, model_v[loud]
 
 

@@ -52,24 +52,24 @@ def scored_device(
     ------
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
-    count = fit.x.size
     found: Sequence[BandSignature] = ()
-    rows = []
+    products: FloatArray | float = 0.0
     probes = adc_probes(models_v, noise.sigma_v, instrument.bias_v, prior is not None)
     for i, (item, model_v) in enumerate(zip(data, models_v)):
         device = linear_device(fit, i, item.band, instrument)
         found = signatures(device, model_v, probes, prior is not None)
         spectra = [one.spectrum for one in found]
         residual = item.spectrum - device.sensed()
-        rows.append(whitened(np.stack([*_jacobian(fit.x, device), *spectra, residual]), item, noise.sigma_v))
+        rows = whitened(np.stack([*_jacobian(fit.x, device), *spectra, residual]), item, noise.sigma_v)
+        products = products + rows @ rows.T
     if prior is not None:
-        rows.append(_prior_rows(prior, fit.x, len(found)))
-    whole = np.concatenate(rows, axis=1).T
+        rows = _prior_rows(prior, fit.x, len(found))
+        products = products + rows @ rows.T
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
-    candidates = Candidates(tuple(one.effect for one in found), whole[:, count:-1], low, high)
+    candidates = Candidates(tuple(one.effect for one in found), low, high)
     frequency = np.concatenate([item.band.frequency_hz for item in data])
     dof = 2.0 / float(np.mean(noise.relative_sd(frequency) ** 2))
-    return undetected(whole[:, :count], whole[:, -1], candidates, _slopes(fit.x, rate, prior), dof)
+    return undetected(np.asarray(products), candidates, _slopes(fit.x, rate, prior), dof)
 
 
 def _prior_rows(prior: MismatchPrior, x: FloatArray, candidates: int) -> FloatArray:

@@ -14,6 +14,7 @@ Shapes: 3 modes and coordinates, D = 2 drives, S = 2 senses, W bins, n points of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -61,8 +62,7 @@ class LinearDevice:
     band, context, mechanics : of the record and the device.
     poles, parts : p_k (3,) [rad/s] and U_k (3, 3, 3).
     responses : Phi and dPhi/dp, at the poles and at their conjugates, (4 3 D, W).
-    antialias : G(w) (W,).
-    drive : transform of the drive (D, W) [V], behind its hold.
+    s, antialias, drive : i w (W,) [rad/s], G(w) (W,), and the transform of the drive (D, W) [V] behind its hold.
     """
 
     band: Band
@@ -71,13 +71,9 @@ class LinearDevice:
     poles: ComplexArray
     parts: ComplexArray
     responses: ComplexArray
+    s: ComplexArray
     antialias: ComplexArray
     drive: ComplexArray
-
-    @property
-    def s(self) -> ComplexArray:
-        """i w at the bins (W,) [rad/s]."""
-        return np.asarray(2j * np.pi * self.band.frequency_hz, dtype=np.complex128)
 
     def read(self, residues: ComplexArray, slopes: ComplexArray) -> ComplexArray:
         """sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj, (.., C, W), of R and T (.., 3, C, D)."""
@@ -105,15 +101,15 @@ class LinearDevice:
         return np.asarray(read @ self.parts @ m.drive[0])
 
     def forced(self, force: ComplexArray, grid: Grid) -> ComplexArray:
-        """Volts behind the filter (K, S, W) in response to envelopes of K forces (K, n, 3) [V/s]."""
+        """Volts behind the filter (K, S, W) in response to envelopes of K forces (K, 3, n) [V/s]."""
         span = self.band.samples / self.band.sample_rate_hz
         left = np.exp(self.poles[:, None] * (span - grid.time_s) + 1j * grid.omega * grid.time_s)
-        ends = np.stack([left[k] @ force for k in range(3)]) * (0.5 * span / grid.points)
+        ends = np.moveaxis(force @ left.T, 2, 0) * (0.5 * span / grid.points)
         modal = ends @ np.swapaxes(self.parts, 1, 2)
         q_end = 2.0 * modal.real.sum(axis=0)
         v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
         s, m = self.s, self.mechanics
-        spectrum = grid.spectra(np.swapaxes(force, 1, 2))
+        spectrum = grid.spectra(force)
         boundary = v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T
         spectrum -= self.band.sample_rate_hz * (boundary[:, :, None] + q_end[:, :, None] * s)
         volts = np.zeros((force.shape[0], 2, s.size), dtype=np.complex128)
@@ -139,25 +135,35 @@ def hold_response(band: Band) -> ComplexArray:
     return held**2 * np.exp(step) if band.first_order_hold else held
 
 
+@lru_cache(maxsize=4)
+def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """i w (W,), G(w) (W,) and the drive behind its hold (D, W) [V], which all devices of a band share."""
+    s = np.asarray(2j * np.pi * band.frequency_hz, dtype=np.complex128)
+    return s, filter_response(band.antialias, s), band.now * hold_response(band)
+
+
 def _responses(columns: FloatArray, expansion: ComplexArray, poles: ComplexArray) -> ComplexArray:
     """Phi and dPhi/dp at the poles, then at their conjugates, by mode and drive, (4 3 D, W).
 
-    ``columns`` (2 W, J) are the features of ``compressed`` around ``expansion`` (3,) [rad/s].
+    ``columns`` (2 W, J) are the features of ``compressed`` around ``expansion`` (3,) [rad/s]: of the orders m of the series
+    Phi(p0 + h) = sum_m Phi_m h^m the sums Phi_m + Phi~_m and i (Phi_m - Phi~_m).
     """
     width = columns.shape[0] // 2
-    parts = columns.T.reshape(3, 2, ORDER + 1, 2, 2, width)
-    real, imag = (parts[:, :, :, i, 0] + 1j * parts[:, :, :, i, 1] for i in (0, 1))
+    features = columns.T.reshape(3, 2, 2 * (ORDER + 1), 2, width)
     straight, crossed = (np.abs(poles[:2] - e).sum() for e in (expansion[:2], expansion[1::-1]))
     source = [1, 0, 2] if crossed < straight else [0, 1, 2]
     h = poles - expansion[source]
     orders = np.arange(ORDER + 1)
-    out = []
-    for series, shift in (((real - 1j * imag) / 2.0, h), ((real + 1j * imag) / 2.0, h.conj())):
-        powers = shift[:, None] ** orders
-        slopes = np.concatenate([np.zeros((3, 1)), orders[1:] * powers[:, :-1]], axis=1)
-        own = np.moveaxis(series[source], 2, 1)
-        out += [np.einsum("kmdw,km->kdw", own, weights) for weights in (powers, slopes)]
-    return np.stack(out).reshape(-1, width)
+    out = np.empty((4, 3, 2, width), dtype=np.complex128)
+    for k in range(3):
+        weights = []
+        for shift, sign in ((h[k], -0.5j), (np.conj(h[k]), 0.5j)):
+            powers = shift**orders
+            slopes = np.concatenate([[0.0], orders[1:] * powers[:-1]])
+            weights += [np.stack([0.5 * each, sign * each], axis=1).ravel() for each in (powers, slopes)]
+        own = features[source[k]]
+        out[:, k] = np.swapaxes(np.array(weights) @ (own[:, :, 0] + 1j * own[:, :, 1]), 0, 1)
+    return out.reshape(-1, width)
 
 
 def linear_device(fit: Fit, record: int, band: Band, instrument: Instrument) -> LinearDevice:
@@ -167,14 +173,6 @@ def linear_device(fit: Fit, record: int, band: Band, instrument: Instrument) -> 
     unit = np.eye(3)[None]
     modes = modes_of(replace(mechanics, drive=unit, velocity_sense=np.zeros((1, 3, 3)), position_sense=unit))
     poles, parts = in_order(modes, cartesian_poles(x)[0])
-    s = np.asarray(2j * np.pi * band.frequency_hz, dtype=np.complex128)
-    return LinearDevice(
-        band,
-        context,
-        mechanics,
-        poles,
-        parts,
-        _responses(fit.likelihood.columns[record], fit.likelihood.expansion, poles),
-        filter_response(band.antialias, s),
-        band.now * hold_response(band),
-    )
+    features = fit.likelihood.columns[record]
+    responses = _responses(features, fit.likelihood.expansion, poles)
+    return LinearDevice(band, context, mechanics, poles, parts, responses, *frequency_axis(band))

@@ -22,7 +22,7 @@ from ....device.readout import Readout, plain_readout
 from ....experiment.antialias import filter_poles
 from ..inband import Band
 from .library import SHAPE, BandSignature, only, probed
-from .linear import LinearDevice, hold_response, in_order
+from .linear import LinearDevice, frequency_axis, in_order
 
 
 def mechanics_signatures(device: LinearDevice, effects: Sequence[Effect]) -> Iterator[BandSignature]:
@@ -61,12 +61,11 @@ class _ReadoutChange:
 
 @lru_cache(maxsize=8)
 def _readout_changes(band: Band, effects: tuple[Effect, ...], bias_v: float) -> tuple[_ReadoutChange, ...]:
-    s = np.asarray(2j * np.pi * band.frequency_hz, dtype=np.complex128)
+    s, _, drive = frequency_axis(band)
     poles, residues = (
         (np.zeros(0, dtype=np.complex128),) * 2 if band.antialias is None else filter_poles(band.antialias)
     )
     plain = plain_readout(poles, residues, SHAPE.senses, SHAPE.drives)
-    drive = band.now * hold_response(band)
     context = Context(bias_v, bias_v, {})
 
     def of(readout: Readout) -> tuple[ComplexArray, ComplexArray]:

@@ -7,18 +7,21 @@ A law f of such signals is periodic in the phase w0 t at fixed envelopes,
     f = Re sum_h f_h(a) e^{i h w0 t},      f_h = (2/M) sum_m f(Re a e^{i phi_m}) e^{-i h phi_m},   phi_m = 2 pi m / M
 
 so the part in the band is h = 1, at a thousand points instead of all samples.  This is an identity, not an average over a
-period; harmonics from M - 1 upwards are folded.  Half a turn suffices for a law that is odd or even, two phases for a linear one.
-Even laws give no h = 1.  Their h = 0 and 2 move the device quasi-statically, and that motion mixes with the signal back into the
-band:
+period; harmonics from M - 1 upwards are folded.  Even laws give no h = 1.  Their h = 0 and 2 move the device quasi-statically,
+and that motion mixes with the signal back into the band:
 
     d = K^-1 f_0 / 2 + Re{(K - 4 w0^2)^-1 f_2 e^{2 i w0 t}},      f_1(a, d)
 
-Shapes: n points over the record, 3 coordinates, D drives, S senses, M phases, W bins.  Coordinates in V s.
+Points at which the device has not reached its resonances yet count as zero.
+
+Shapes: n points over the record, n' of them loud, 3 coordinates, D drives, S senses, M phases, W bins.  Coordinates in V s.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,20 +29,16 @@ from numba import njit, types
 from scipy.fft import fft, ifft, next_fast_len
 
 from ....arrays import BoolArray, ComplexArray, FloatArray, real_parts
-from ....device.force_law import FORCE_TYPE, LAWS_TYPE, Laws, compiled_force
+from ....device.force_law import FORCE_TYPE, LAWS_TYPE, Laws, force_pointer
 from ....threads import once
 from ..inband import Band
 
-#: Phases of a general law, and of half a turn for an odd law: |x| x is then right to 1 % (its seventh harmonic is folded).
-PHASES, _HALF = 6, 4
+#: Phases of a general law: those of third order are exact.
+PHASES = 5
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
 _POINTS_PER_BIN = 1.4
 #: Envelope, relative to the largest, below which forces count as zero: the device has not reached its resonances yet.
 _QUIET = 5e-3
-#: Relative size of a part of a law that counts as rounding.
-_ROUNDING = 1e-9
-#: Every so many points a law is tried to find its parity.
-_SPARSE = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,25 +79,42 @@ def grid_of(band: Band) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Envelopes of a device on a grid: coordinates and velocities (n, 3), drives (n, D) [V], all complex; quiet points (n,)."""
+    """Envelopes of a device at the loud points of a grid.
+
+    Parameters
+    ----------
+    grid, loud : its points, and which of them (n,) are loud.
+    coordinates, velocities, drives : (n', 3) [V s], (n', 3) [V], (n', D) [V], complex.
+    """
 
     grid: Grid
+    loud: BoolArray
     coordinates: ComplexArray
     velocities: ComplexArray
     drives: ComplexArray
-    loud: BoolArray
+
+    @cached_property
+    def time_s(self) -> FloatArray:
+        """Times of the points (n',) [s]."""
+        return self.grid.time_s[self.loud]
+
+    @cached_property
+    def parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Real and imaginary parts (2, n', ..) of coordinates, velocities and drives."""
+        return real_parts(self.coordinates), real_parts(self.velocities), real_parts(self.drives)
+
+    def whole(self, envelopes: Sequence[ComplexArray]) -> ComplexArray:
+        """Envelopes (n', C) at all points, (K, C, n)."""
+        out = np.zeros((len(envelopes), envelopes[0].shape[1], self.loud.size), dtype=np.complex128)
+        out[:, :, self.loud] = np.swapaxes(np.stack(envelopes), 1, 2)
+        return out
 
 
 def signals_of(grid: Grid, coordinates: ComplexArray, velocities: ComplexArray, drives: ComplexArray) -> Signals:
     """Signals of envelopes (3, n), (3, n), (D, n)."""
     size = np.abs(velocities).sum(axis=0)
-    return Signals(
-        grid,
-        np.ascontiguousarray(coordinates.T),
-        np.ascontiguousarray(velocities.T),
-        np.ascontiguousarray(drives.T),
-        size > _QUIET * float(size.max()),
-    )
+    loud = size > _QUIET * float(size.max())
+    return Signals(grid, loud, *(np.ascontiguousarray(each.T[loud]) for each in (coordinates, velocities, drives)))
 
 
 def _force_harmonics(
@@ -152,7 +168,7 @@ def _compiled(axes: int) -> Any:
     return njit(types.void(FORCE_TYPE, vector, LAWS_TYPE, *arrays), cache=True, error_model="numpy")(_force_harmonics)
 
 
-#: A motion at 0 and 2 w0: steady part (n, 3) and amplitude (n, 3) [V s].
+#: A motion at 0 and 2 w0: steady part (n', 3) and amplitude (n', 3) [V s].
 Deviation = tuple[FloatArray, ComplexArray]
 
 
@@ -173,73 +189,39 @@ class Law:
     def harmonics(
         self, p: FloatArray, phases: FloatArray, deviation: Deviation | None = None
     ) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-        """f_0 (n, 3) real, f_1 and f_2 (n, 3) [V/s] at parameters p (k,), from ``phases`` [rad]; zero where it is quiet."""
-        signals, kept = self.signals, self.signals.loud
-        points, axes = int(kept.sum()), signals.coordinates.shape[1]
-        if deviation is None:
-            steady, double = np.zeros((points, axes)), np.zeros((2, points, axes))
-        else:
-            steady, double = deviation[0][kept], real_parts(deviation[1][kept])
+        """f_0 (n', 3) real, f_1 and f_2 (n', 3) [V/s] at parameters p (k,), from ``phases`` [rad]."""
+        signals = self.signals
+        points, axes = signals.coordinates.shape
+        steady, double = deviation or (np.zeros((points, axes)), np.zeros((points, axes), dtype=np.complex128))
         out = np.zeros((3, 2, points, axes))
         _compiled(axes)(
-            compiled_force(self.force),
+            force_pointer(self.force),
             np.ascontiguousarray(p, dtype=np.float64),
             self.laws,
-            signals.grid.time_s[kept],
-            real_parts(signals.coordinates[kept]),
-            real_parts(signals.velocities[kept]),
-            real_parts(signals.drives[kept]),
-            steady,
-            double,
+            signals.time_s,
+            *signals.parts,
+            np.ascontiguousarray(steady),
+            real_parts(double),
             signals.grid.omega,
             phases,
             out,
         )
-        whole = np.zeros((3, kept.size, axes), dtype=np.complex128)
-        whole[:, kept] = out[:, 0] + 1j * out[:, 1]
-        return whole[0].real, whole[1], whole[2]
-
-    def sparse(self) -> Law:
-        """The law at few of the points."""
-        s = self.signals
-        kept = np.zeros_like(s.loud)
-        kept[np.flatnonzero(s.loud)[::_SPARSE]] = True
-        return replace(self, signals=replace(s, loud=kept))
-
-    def phases(self, p: FloatArray) -> FloatArray:
-        """The phases that the law needs at p (k,): half a turn if it is odd or even, two if it is linear."""
-        few = self.sparse()
-        at = [few.harmonics(p, np.array([angle]))[0] for angle in (0.3, 0.3 + np.pi)]
-        size = _ROUNDING * float(np.linalg.norm(at[0]))
-        if np.linalg.norm(at[0] + at[1]) > size and np.linalg.norm(at[0] - at[1]) > size:
-            return np.asarray(2.0 * np.pi * np.arange(PHASES) / PHASES)
-        twice = replace(few, signals=_scaled(few.signals, 2.0)).harmonics(p, np.array([0.3]))[0]
-        count = 2 if np.linalg.norm(twice - 2.0 * at[0]) <= size else _HALF
-        return np.asarray(np.pi * np.arange(count) / count)
-
-
-def _scaled(signals: Signals, factor: float) -> Signals:
-    return replace(
-        signals,
-        coordinates=factor * signals.coordinates,
-        velocities=factor * signals.velocities,
-        drives=factor * signals.drives,
-    )
+        return out[0, 0], out[1, 0] + 1j * out[1, 1], out[2, 0] + 1j * out[2, 1]
 
 
 def whole_turn() -> FloatArray:
     """Phases of a general law."""
-    return np.asarray(2.0 * np.pi * np.arange(PHASES) / PHASES)
+    return np.linspace(0.0, 2.0 * np.pi, PHASES, endpoint=False)
 
 
 def at_phases(envelope: ComplexArray) -> FloatArray:
-    """Re{a e^{i phi_m}} (n M, C) of envelopes (n, C), point by point, at the phases of :func:`whole_turn`."""
-    n, channels = envelope.shape
-    waves = np.exp(1j * whole_turn())
-    return np.asarray((envelope[:, None, :] * waves[:, None]).real.reshape(n * PHASES, channels))
+    """Re{a e^{i phi_m}} (M n', C) of envelopes (n', C), phase by phase, at the phases of :func:`whole_turn`."""
+    phi = whole_turn()[:, None, None]
+    return np.asarray((np.cos(phi) * envelope.real - np.sin(phi) * envelope.imag).reshape(-1, envelope.shape[1]))
 
 
-def first_harmonic(values: FloatArray, points: int) -> ComplexArray:
-    """f_1 (n, C) of values (n M, C) at the phases of :func:`at_phases`."""
-    each = np.moveaxis(values.reshape(points, PHASES, -1), 1, 2)
-    return np.asarray(each @ np.exp(-1j * whole_turn()) * (2.0 / PHASES))
+def first_harmonic(values: FloatArray) -> ComplexArray:
+    """f_1 (n', C) of values (M n', C) at the phases of :func:`at_phases`."""
+    waves = np.exp(-1j * whole_turn()) * (2.0 / PHASES)
+    each = values.reshape(PHASES, -1)
+    return np.asarray((waves.real @ each + 1j * (waves.imag @ each)).reshape(-1, values.shape[1]))

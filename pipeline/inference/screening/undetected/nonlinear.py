@@ -8,19 +8,21 @@ Shapes: S = 2 senses, W bins, n points of the grid.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from ....arrays import ComplexArray, FloatArray
-from ....device.effect import Effect
+from ....device.effect import Context, Effect
 from ....device.force_law import Laws
 from ....device.gyro import M_D, M_S
 from ....device.parameters import Parameter
 from .library import SHAPE, BandSignature, only, probed
 from .linear import LinearDevice
-from .narrow_band import Law, Signals, at_phases, first_harmonic, whole_turn
+from .narrow_band import PHASES, Law, Signals, at_phases, first_harmonic, whole_turn
+from .parity import kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
 _SHARE = 1e-4
@@ -51,7 +53,7 @@ def _laws(device: LinearDevice) -> Laws:
 
 @dataclass(frozen=True, eq=False)
 class BandForce:
-    """A force in the band: its envelope (n, 3) [V/s] at the value ``probe`` of a parameter, and the order of its law."""
+    """A force in the band: its envelope (n', 3) [V/s] at the value ``probe`` of a parameter, and the order of its law."""
 
     effect: Effect
     member: Parameter
@@ -61,57 +63,72 @@ class BandForce:
 
 
 def forces_of(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
+    """The force of each parameter of an effect, along the motion of a device."""
     law, omega = Law(effect.force, _laws(device), signals), signals.grid.omega
     members = effect.members(SHAPE)
-    few = law.sparse()
-    points = int(few.signals.loud.sum())
-    level = omega**2 * _rms(signals.coordinates[few.signals.loud])
-    stiffness = device.mechanics.stiffness[0]
     for i, member in enumerate(members):
-        # A cubic law needs one correction of the size, others none.
-        size = np.linalg.norm(few.harmonics(only(len(members), i, member.scale), whole_turn()))
+        kind = kind_of(effect, i)
+        steady, first, double = law.harmonics(only(len(members), i, member.scale), kind.phases)
+        if kind.order == 1:
+            yield BandForce(effect, member, first, member.scale, 1)
+            continue
+        size = max(_rms(steady), _rms(double))
         if size == 0.0:
             continue
-        probe = member.scale * _SHARE * level * float(np.sqrt(9.0 * points)) / float(size)
-        p = only(len(members), i, probe)
-        steady, first, double = law.harmonics(p, law.phases(p))
-        if _rms(first) > _EVEN * max(_rms(steady), _rms(double)):
-            yield BandForce(effect, member, first, probe, 1)
-            continue
-        d0 = 0.5 * steady @ np.linalg.inv(stiffness).T
-        d2 = double @ np.linalg.inv(stiffness - 4.0 * omega**2 * np.eye(3)).T
-        _, first, _ = law.harmonics(p, whole_turn(), (d0, d2))
+        # To first order in the parameter, the deviation is proportional to it.
+        share = _SHARE * omega**2 * _rms(signals.coordinates) / size
+        stiffness = device.mechanics.stiffness[0]
+        d0 = 0.5 * share * steady @ np.linalg.inv(stiffness).T
+        d2 = share * double @ np.linalg.inv(stiffness - 4.0 * omega**2 * np.eye(3)).T
+        probe = share * member.scale
+        _, first, _ = law.harmonics(only(len(members), i, probe), whole_turn(), (d0, d2))
         yield BandForce(effect, member, first, probe, 2)
 
 
-def drive_forces(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
+@lru_cache(maxsize=64)
+def _returns(effect: Effect) -> bool:
+    """Whether a drive law has a part at the frequency of the drive: even laws have none."""
     assert effect.drive is not None
-    members = effect.members(SHAPE)
+    v = np.linspace(0.1, 1.0, 10)[:, None] * np.ones((1, SHAPE.drives))
+    p = np.array([member.scale for member in effect.members(SHAPE)])
+    plus, minus = (effect.drive(sign * v, p, Context(5.0, 5.0, {})) - sign * v for sign in (1.0, -1.0))
+    return float(np.linalg.norm(plus - minus)) > _EVEN * float(np.linalg.norm(plus))
+
+
+def drive_forces(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
+    """The force of each parameter of a drive law."""
+    assert effect.drive is not None
+    members = effect.members(SHAPE) if _returns(effect) else ()
     v = at_phases(signals.drives)
     for i, member in enumerate(members):
-        u = effect.drive(v, only(len(members), i, member.scale), device.context)
-        change = first_harmonic(u - v, signals.grid.points)
-        if _rms(change) > _EVEN * _rms(u - v):
-            yield BandForce(effect, member, change @ device.mechanics.drive[0].T, member.scale, 1)
+        change = first_harmonic(effect.drive(v, only(len(members), i, member.scale), device.context) - v)
+        yield BandForce(effect, member, change @ device.mechanics.drive[0].T, member.scale, 1)
 
 
-def sense_signatures(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandSignature]:
-    assert effect.sense is not None
-    members = effect.members(SHAPE)
-    grid, m = signals.grid, device.mechanics
+def sense_signatures(effects: Sequence[Effect], device: LinearDevice, signals: Signals) -> Iterator[BandSignature]:
+    """Signatures of sense laws, in the order of their effects and parameters."""
+    m = device.mechanics
     q, qd = at_phases(signals.coordinates), at_phases(signals.velocities)
     x, xd = q @ _MOTION_S.T, qd @ _MOTION_S.T
     s = qd @ m.velocity_sense[0].T + q @ m.position_sense[0].T
-    t = np.repeat(grid.time_s, s.shape[0] // grid.points)
+    t = np.tile(signals.time_s, PHASES)
     few = slice(None, None, _SPARSE)
     level = _rms(s[few])
-    for i, member in enumerate(members):
-        p = only(len(members), i, member.scale)
-        trial = effect.sense(x[few], xd[few], s[few], t[few], p, device.context) - s[few]
-        probe = member.scale * _SHARE * level / _rms(trial)
-        change = effect.sense(x, xd, s, t, only(len(members), i, probe), device.context) - s
-        first = first_harmonic(change, grid.points)
-        # An even law has a first harmonic of second order.
-        order = 1 if _rms(first) > 0.01 * _rms(change) else 2
-        spectrum = grid.spectra(np.ascontiguousarray(first.T)) * device.antialias
-        yield probed(effect, member, spectrum, probe, order)
+    found: list[tuple[Effect, Parameter, float, int]] = []
+    changes: list[ComplexArray] = []
+    for effect in effects:
+        members = effect.members(SHAPE)
+        for i, member in enumerate(members):
+            assert effect.sense is not None
+            p = only(len(members), i, member.scale)
+            trial = effect.sense(x[few], xd[few], s[few], t[few], p, device.context) - s[few]
+            probe = member.scale * _SHARE * level / _rms(trial)
+            change = effect.sense(x, xd, s, t, only(len(members), i, probe), device.context) - s
+            first = first_harmonic(change)
+            # An even law has a first harmonic of second order.
+            found.append((effect, member, probe, 1 if _rms(first) > 0.01 * _rms(change) else 2))
+            changes.append(first)
+    if changes:
+        spectra = signals.grid.spectra(signals.whole(changes)) * device.antialias
+        for (effect, member, probe, order), spectrum in zip(found, spectra):
+            yield probed(effect, member, spectrum, probe, order)

@@ -27,7 +27,9 @@ def whitened(spectra: ComplexArray, item: BandData, sigma_v: FloatArray) -> Floa
     ------
     numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
-    rows = np.concatenate([spectra.real, spectra.imag], axis=-1)
+    width = item.band.bins.size
+    rows = np.empty((*spectra.shape[:-1], 2 * width))
+    rows[..., :width], rows[..., width:] = spectra.real, spectra.imag
     n = item.nuisance
     if n.shape[1]:
         rows -= (rows @ n) @ n.T

@@ -15,8 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from ....arrays import FloatArray
 from .clipping import adc_signature
 from .library import BandSignature, probed, scored_effects
@@ -39,8 +37,7 @@ def signatures(
     with_mismatch : whether the fit has electrode mismatches.
     """
     effects = scored_effects(with_mismatch)
-    grid = grid_of(device.band)
-    signals = device.signals(grid)
+    signals = device.signals(grid_of(device.band))
     found: list[BandSignature] = []
     forces: list[BandForce] = []
     for effect in effects:
@@ -48,13 +45,12 @@ def signatures(
             forces += drive_forces(effect, device, signals)
         if effect.force is not None:
             forces += forces_of(effect, device, signals)
-        if effect.sense is not None:
-            found += sense_signatures(effect, device, signals)
         if effect.adc is not None:
             found += [adc_signature(effect, device, model_v, probes[effect.name])] if effect.name in probes else []
+    found += sense_signatures([effect for effect in effects if effect.sense is not None], device, signals)
     found += mechanics_signatures(device, effects)
     found += readout_signatures(device, effects)
     if forces:
-        volts = device.forced(np.stack([f.envelope for f in forces]), grid)
+        volts = device.forced(signals.whole([force.envelope for force in forces]), signals.grid)
         found += [probed(f.effect, f.member, y, f.probe, f.order) for f, y in zip(forces, volts)]
     return tuple(sorted(found, key=lambda one: one.effect))
