@@ -93,16 +93,25 @@ class BandData:
     noise: BandNoise | None = None
 
 
+def lines_between(low_hz: float, high_hz: float, line_hz: float) -> FloatArray:
+    """Harmonics of ``line_hz`` [Hz] from half a harmonic below a band to half a harmonic above it."""
+    low, high = low_hz - line_hz / 2.0, high_hz + line_hz / 2.0
+    return np.asarray(line_hz * np.arange(max(1, math.ceil(low / line_hz)), math.floor(high / line_hz) + 1.0))
+
+
+def line_columns(band: Band, lines_hz: FloatArray) -> FloatArray:
+    """Transforms of the cosines of the lines (l,) [Hz], then of their sines, as real columns (2 W, 2 l)."""
+    t = np.arange(band.samples) / band.sample_rate_hz
+    angle = 2.0 * np.pi * t[:, None] * lines_hz
+    return _stacked(band.transform(np.concatenate([np.cos(angle), np.sin(angle)], axis=1)))
+
+
 def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
     """Orthonormal basis (2 W, L) [1] of hum lines (harmonics of ``line_hz`` [Hz]) in the band; L = 0 without hum."""
     if line_hz is None:
         return np.zeros((2 * band.bins.size, 0))
     frequency = band.frequency_hz
-    low, high = frequency[0] - line_hz / 2.0, frequency[-1] + line_hz / 2.0
-    lines = line_hz * np.arange(max(1, math.ceil(low / line_hz)), math.floor(high / line_hz) + 1)
-    t = np.arange(band.samples) / band.sample_rate_hz
-    angle = 2.0 * np.pi * t[:, None] * lines
-    columns = _stacked(band.transform(np.concatenate([np.cos(angle), np.sin(angle)], axis=1)))
+    columns = line_columns(band, lines_between(float(frequency[0]), float(frequency[-1]), line_hz))
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     return np.ascontiguousarray(left[:, size > 1e-6 * np.sqrt(band.samples)])
 

@@ -230,7 +230,7 @@ def identify_device(
             fit = best_fit(data, sigma_v, [fit.x], prior) or fit
     try:
         posterior = sample(fit, sampler, seed)
-        undetected = scored_device(fit, data, models, noise, instrument, rate, prior)
+        undetected = scored_device(fit, data, models, noise, instrument, rate, prior, settings.line_hz)
     except np.linalg.LinAlgError:
         return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
     plant, mismatch = _plant_draws(posterior.flat(), prior, seed)

@@ -16,7 +16,7 @@ Shapes: P parameters, k columns of an effect, Q quantities.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ from ....arrays import FloatArray
 from ...gate import Undetected
 
 #: 95 % of the noise.
-_Z = 1.959963984540054
+Z95 = 1.959963984540054
 #: Share of a signature's energy below which its direction counts as absorbed by the fit: the square of what rounding leaves.
 _ABSORBED = 1e-10
 
@@ -41,37 +41,57 @@ class Candidates:
     high: FloatArray
 
 
-def undetected(
-    products: FloatArray, candidates: Candidates, slopes: Mapping[str, FloatArray], noise_dof: float
-) -> Undetected:
-    """Scores and bounds.
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is known of effects: their names, p-values (E,), T (E,), and bounds (E, Q) of the biases that each can cause."""
 
-    Parameters
-    ----------
-    products : [J, Z, r]' [J, Z, r] (P + K + 1, P + K + 1), whitened, with the rows of the prior.
-    candidates : of the columns of Z.
-    slopes : quantity -> dq/dx (P,).
-    noise_dof : degrees of freedom of the noise level.
+    effects: tuple[str, ...]
+    p_values: FloatArray
+    explained: FloatArray
+    bounds: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """The fit as a projection: J' J = S L L' S with S = diag(scale (P,)), and dq/dx (Q, P) of the quantities.
 
     Raises
     ------
     numpy.linalg.LinAlgError : the Jacobian has no full rank.
     """
-    p = products.shape[0] - len(candidates.effects) - 1
-    scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
-    # In units of the norms of the columns, J' J loses eight of sixteen digits at most.
-    unit = products / np.outer(scale, scale)
-    factor = cholesky(unit[:p, :p], lower=True)
-    overlap = solve_triangular(factor, unit[:p, p:], lower=True)
-    left = unit[p:, p:] - overlap.T @ overlap
+
+    factor: FloatArray
+    scale: FloatArray
+    slopes: FloatArray
+
+    @classmethod
+    def of(cls, products: FloatArray, slopes: FloatArray) -> Projection:
+        """From J' J (P, P).  In units of the norms of the columns it loses eight of sixteen digits at most."""
+        scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
+        return cls(cholesky(products / np.outer(scale, scale), lower=True), scale, slopes)
+
+    def overlap(self, products: FloatArray) -> FloatArray:
+        """Q' Z (P, K) of J' Z (P, K), with J = Q R."""
+        return np.asarray(solve_triangular(self.factor, products / self.scale[:, None], lower=True))
+
+    def bias(self, overlap: FloatArray) -> FloatArray:
+        """Bias (Q, K) of the quantities by columns of unit strength, from Q' Z (P, K)."""
+        moved = solve_triangular(self.factor, overlap, lower=True, trans="T") / self.scale[:, None]
+        return np.asarray(self.slopes @ moved)
+
+
+def judged(products: FloatArray, projection: Projection, candidates: Candidates, noise_dof: float) -> Judged:
+    """Scores and bounds from [J, Z, r]' [J, Z, r] (P + K + 1, P + K + 1), whitened, with the rows of the prior."""
+    p = projection.scale.size
+    scale = np.sqrt(np.maximum(np.diag(products)[p:], 1e-300))
+    overlap = projection.overlap(products[:p, p:] / scale)
+    left = products[p:, p:] / np.outer(scale, scale) - overlap.T @ overlap
     score, gram = left[:-1, -1] * scale[-1], left[:-1, :-1]
-    moved = solve_triangular(factor, overlap[:, :-1], lower=True, trans="T") / scale[:p, None]
-    names = list(slopes)
-    bias = np.stack([slopes[q] for q in names]) @ moved
-    low, high = candidates.low * scale[p:-1], candidates.high * scale[p:-1]
-    effects = list(dict.fromkeys(candidates.effects))
+    bias = projection.bias(overlap[:, :-1])
+    low, high = candidates.low * scale[:-1], candidates.high * scale[:-1]
+    effects = tuple(dict.fromkeys(candidates.effects))
     p_values, explained = np.ones(len(effects)), np.zeros(len(effects))
-    bounds = np.zeros((len(effects), len(names)))
+    bounds = np.zeros((len(effects), bias.shape[0]))
     columns = [[k for k, name in enumerate(candidates.effects) if name == effect] for effect in effects]
     alone = [i for i, own in enumerate(columns) if len(own) == 1]
     single = [columns[i][0] for i in alone]
@@ -84,14 +104,25 @@ def undetected(
             p_values[i], explained[i], bounds[i] = _several(
                 score[own], block, bias[:, own], np.maximum(np.abs(low[own]), np.abs(high[own])), noise_dof
             )
+    return Judged(effects, p_values, explained, bounds)
+
+
+def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:
+    """The most significant effect of all, and the largest bound of each of the ``quantities`` (Q,)."""
+    effects = [name for one in found for name in one.effects]
+    if not effects:
+        return Undetected("", 1.0, dict.fromkeys(quantities, 0.0), dict.fromkeys(quantities, ""), {})
+    p_values = np.concatenate([one.p_values for one in found])
+    explained = np.concatenate([one.explained for one in found])
+    bounds = np.concatenate([one.bounds for one in found])
     # Probabilities of loud effects are 0; the one that explains most is then the closest.
     best = int(np.lexsort((-explained, p_values))[0])
     family = float(-np.expm1(len(effects) * np.log1p(-min(p_values[best], 1.0 - 1e-16))))
     return Undetected(
         effects[best],
         family,
-        dict(zip(names, bounds.max(axis=0).tolist())),
-        {name: effects[i] for name, i in zip(names, bounds.argmax(axis=0))},
+        dict(zip(quantities, bounds.max(axis=0).tolist())),
+        {name: effects[i] for name, i in zip(quantities, bounds.argmax(axis=0))},
         dict(zip(effects, p_values.tolist())),
     )
 
@@ -108,7 +139,7 @@ def _single(
     p = np.where(side == 0.0, p, np.where(side * score > 0.0, 0.5 * p, 1.0))
     estimate = score / size
     estimate = np.abs(np.where(side == 0.0, estimate, np.maximum(side * estimate, 0.0)))
-    most = np.where(seen, estimate + _Z / np.sqrt(size), np.inf)
+    most = np.where(seen, estimate + Z95 / np.sqrt(size), np.inf)
     most = np.minimum(most, np.maximum(np.abs(low), np.abs(high)))
     return p, strength, np.where(bias == 0.0, 0.0, np.abs(bias) * most).T
 
@@ -126,7 +157,7 @@ def _several(
     projected = vector.T @ score
     k, total = int(seen.sum()), float(np.sum(projected**2 / size))
     visible = bias @ vector
-    bound = np.abs(visible @ (projected / size)) + _Z * np.sqrt(np.sum(visible**2 / size, axis=1))
+    bound = np.abs(visible @ (projected / size)) + Z95 * np.sqrt(np.sum(visible**2 / size, axis=1))
     if k < score.size:
         bound += _at_most(bias - visible @ vector.T, reach)
     return float(fdtrc(k, dof, total / k)), total, np.minimum(bound, within)

@@ -22,11 +22,13 @@ from ..compressed import BandData
 from ..fit import Fit
 from ..likelihood import STEPS
 from ..mismatch import MismatchPrior, mean_plant
-from .bounds import Candidates, undetected
+from .bounds import Candidates, Projection, judged, summary
 from .clipping import adc_probes
 from .library import BandSignature
 from .linear import LinearDevice, cartesian_poles, linear_device
 from .rows import whitened
+from .scan_bounds import judged_scans
+from .scanned import Scan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
 
 
@@ -38,6 +40,7 @@ def scored_device(
     instrument: Instrument,
     rate: RateSettings,
     prior: MismatchPrior | None,
+    line_hz: float | None,
 ) -> Undetected:
     """Scores and bounds of a fitted device.
 
@@ -46,36 +49,56 @@ def scored_device(
     fit : at the maximum.
     data, models_v : its records in their band, and their models (N, S) [V].
     noise : spectrum of the silence.
-    instrument, rate, prior : as for ``identify_device``.
+    instrument, rate, prior, line_hz : as for ``identify_device``.
 
     Raises
     ------
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
+    count = fit.x.size
     found: Sequence[BandSignature] = ()
+    scans: Sequence[Scan] = ()
     products: FloatArray | float = 0.0
+    scanned: ScannedProducts | None = None
     probes = adc_probes(models_v, noise.sigma_v, instrument.bias_v, prior is not None)
+    first = data[0].band.frequency_hz
     for i, (item, model_v) in enumerate(zip(data, models_v)):
         device = linear_device(fit, i, item.band, instrument)
         found = signatures(device, model_v, probes, prior is not None)
-        spectra = [one.spectrum for one in found]
-        residual = item.spectrum - device.sensed()
-        rows = whitened(np.stack([*_jacobian(fit.x, device), *spectra, residual]), item, noise.sigma_v)
+        scans = scans_of(item.band, (float(first[0]), float(first[-1])), line_hz, prior is not None)
+        jacobian = _jacobian(fit.x, device)
+        residual = (item.spectrum - device.sensed())[None]
+        signature_spectra = np.stack([one.spectrum for one in found])
+        rows = whitened(np.concatenate([jacobian, signature_spectra, residual]), item, noise.sigma_v)
         products = products + rows @ rows.T
+        own = scanned_products(scans, item, noise.sigma_v, np.concatenate([jacobian, residual]))
+        scanned = own if scanned is None else scanned + own
+    assert scanned is not None
+    of_prior = np.zeros((count + 1, count + 1))
     if prior is not None:
-        rows = _prior_rows(prior, fit.x, len(found))
-        products = products + rows @ rows.T
+        rows = _prior_rows(prior, fit.x)
+        of_prior = rows @ rows.T
+    # The signatures have no part in the rows of the prior.
+    kept = np.append(np.arange(count), count + len(found))
+    whole = np.array(products)
+    whole[np.ix_(kept, kept)] += of_prior
+    slopes = quantity_slopes(fit.x, rate, prior)
+    gradient = np.stack(list(slopes.values()))
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     candidates = Candidates(tuple(one.effect for one in found), low, high)
     frequency = np.concatenate([item.band.frequency_hz for item in data])
     dof = 2.0 / float(np.mean(noise.relative_sd(frequency) ** 2))
-    return undetected(np.asarray(products), candidates, _slopes(fit.x, rate, prior), dof)
+    parts = (
+        judged(whole, Projection.of(whole[:count, :count], gradient), candidates, dof),
+        judged_scans(scans, scanned, gradient, of_prior, dof),
+    )
+    return summary(parts, list(slopes))
 
 
-def _prior_rows(prior: MismatchPrior, x: FloatArray, candidates: int) -> FloatArray:
-    """What the prior adds to the rows of the Jacobian, of the candidates, and of the residual: (14 + K + 1, 2)."""
+def _prior_rows(prior: MismatchPrior, x: FloatArray) -> FloatArray:
+    """What the prior adds to the rows of the Jacobian and of the residual, (14 + 1, 2)."""
     root, offset = prior.rows()
-    out = np.zeros((x.size + candidates + 1, offset.size))
+    out = np.zeros((x.size + 1, offset.size))
     out[12:14] = root.T
     out[-1] = offset - root @ x[12:]
     return out
@@ -97,7 +120,7 @@ def _jacobian(x: FloatArray, device: LinearDevice) -> ComplexArray:
     return device.read(np.array(d_residues), slopes)
 
 
-def _slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> dict[str, FloatArray]:
+def quantity_slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> dict[str, FloatArray]:
     """dq/dx (P,) of every quantity that is known."""
     step = STEPS[: x.size]
     points = np.concatenate([x + np.diag(step), x - np.diag(step)])

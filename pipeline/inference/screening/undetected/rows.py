@@ -20,6 +20,17 @@ from ..compressed import BandData
 from ..whitening import BandNoise, covariance
 
 
+def _real(spectra: ComplexArray, item: BandData) -> FloatArray:
+    """(K, S, W) complex as (K, S, 2 W) real, hum lines projected out."""
+    width = item.band.bins.size
+    rows = np.empty((*spectra.shape[:-1], 2 * width))
+    rows[..., :width], rows[..., width:] = spectra.real, spectra.imag
+    n = item.nuisance
+    if n.shape[1]:
+        rows -= (rows @ n) @ n.T
+    return rows
+
+
 def whitened(spectra: ComplexArray, item: BandData, sigma_v: FloatArray) -> FloatArray:
     """Spectra (K, S, W) [V] of a record as rows (K, n) in sigmas, hum lines projected out; white noise has sigma (S,) [V].
 
@@ -27,18 +38,26 @@ def whitened(spectra: ComplexArray, item: BandData, sigma_v: FloatArray) -> Floa
     ------
     numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
-    width = item.band.bins.size
-    rows = np.empty((*spectra.shape[:-1], 2 * width))
-    rows[..., :width], rows[..., width:] = spectra.real, spectra.imag
-    n = item.nuisance
-    if n.shape[1]:
-        rows -= (rows @ n) @ n.T
-    scale = math.sqrt(2.0 / item.band.samples)
     if item.noise is not None and item.noise.dependent.size:
-        return _generalised(rows * scale, item, item.noise)
-    variance = sigma_v[:, None] ** 2 if item.noise is None else np.tile(item.noise.variance, 2)
-    rows *= scale / np.sqrt(variance)
-    return np.asarray(rows.reshape(rows.shape[0], -1))
+        return _generalised(_real(spectra, item) * math.sqrt(2.0 / item.band.samples), item, item.noise)
+    rows = stationary_rows(spectra, item, stationary_variance(item, sigma_v))
+    return rows.reshape(rows.shape[0], -1)
+
+
+def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
+    """Largest variance (S, W) [V^2] that the noise of a record takes at each bin in the course of time."""
+    if item.noise is None:
+        return np.repeat(sigma_v[:, None] ** 2, item.band.bins.size, axis=1)
+    if not item.noise.dependent.size:
+        return item.noise.variance
+    return np.asarray(item.noise.variance + item.noise.dependent[[0, 2]].max(axis=1)[:, None])
+
+
+def stationary_rows(spectra: ComplexArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Rows (K, S, 2 W) of spectra (K, S, W) [V] in units of noise of ``variance`` (S, W) [V^2]."""
+    rows = _real(spectra, item)
+    rows *= np.tile(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance), 2)
+    return rows
 
 
 def _generalised(rows: FloatArray, item: BandData, noise: BandNoise) -> FloatArray:

@@ -1,0 +1,75 @@
+"""Scores and bounds of scanned effects: each point of a scan has four columns (``scanned``).
+
+    Z~' Z~ = Z' Z - O' O,   Z~' r = Z' r - O' (Q' r),   O = Q' Z         for all points at once
+
+Shapes: g points, P parameters, Q quantities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import fdtrc
+
+from ....arrays import FloatArray
+from .bounds import Z95, Judged, Projection
+from .scanned import Scan, ScannedProducts
+
+#: Share of the range of a scan for which a bound holds.
+_SHARE = 0.95
+#: Share of the energy of a column below which it counts as absorbed by the fit.
+_RIDGE = 1e-9
+
+
+def judged_scans(
+    scans: Sequence[Scan], products: ScannedProducts, slopes: FloatArray, prior: FloatArray, noise_dof: float
+) -> Judged:
+    """p-values and bounds of the scans.
+
+    Parameters
+    ----------
+    scans, products : summed over the records.
+    slopes : dq/dx (Q, P).
+    prior : rows of the prior, [J, r]' [J, r] (P + 1, P + 1).
+    noise_dof : degrees of freedom of the noise level.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : the Jacobian has no full rank.
+    """
+    count = slopes.shape[1]
+    base = products.base + prior
+    projection = Projection.of(base[:count, :count], slopes)
+    residual = projection.overlap(base[:count, count:])[:, 0]
+    p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), slopes.shape[0]))
+    for i, (scan, cross, raw) in enumerate(zip(scans, products.cross, products.gram)):
+        points = raw.shape[0]
+        size = np.sqrt(np.einsum("gkk->gk", raw))
+        cross = cross / size[:, None, :]
+        overlap = projection.overlap(cross[:, :count].transpose(1, 0, 2).reshape(count, -1))
+        by_point = overlap.reshape(count, points, 4).transpose(1, 0, 2)
+        gram = raw / (size[:, :, None] * size[:, None, :]) - np.swapaxes(by_point, 1, 2) @ by_point
+        inverse = np.linalg.inv(gram + _RIDGE * np.eye(4))
+        score = cross[:, count] - residual @ by_point
+        estimate = np.einsum("gij,gj->gi", inverse, score)
+        strength = np.einsum("gi,gi->g", estimate, score)
+        explained[i] = float(strength.max())
+        single = float(fdtrc(4.0, noise_dof, explained[i] / 4.0))
+        p_values[i] = -np.expm1(points * np.log1p(-min(single, 1.0 - 1e-16)))
+        bias = projection.bias(overlap).reshape(-1, points, 4)
+        noise = np.sqrt(np.maximum(np.einsum("qgi,gij,qgj->qg", bias, inverse, bias), 0.0))
+        each = np.abs(np.einsum("qgi,gi->qg", bias, estimate)) + Z95 * noise
+        each = np.minimum(each, np.sum(np.abs(bias) * (scan.reach * size), axis=2))
+        bounds[i] = _quantile(each, scan.weight)
+    return Judged(tuple(scan.effect for scan in scans), p_values, explained, bounds)
+
+
+def _quantile(values: FloatArray, weight: FloatArray) -> FloatArray:
+    """Weighted quantile (Q,) of values (Q, g) at ``_SHARE``; the largest without weights."""
+    if not weight.size:
+        return np.asarray(values.max(axis=1))
+    order = np.argsort(values, axis=1)
+    below = np.cumsum(weight[order], axis=1)
+    place = np.argmax(below >= _SHARE, axis=1)
+    return np.take_along_axis(values, np.take_along_axis(order, place[:, None], axis=1), axis=1)[:, 0]

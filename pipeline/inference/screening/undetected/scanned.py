@@ -1,0 +1,161 @@
+"""Signatures of scanned effects, which are the same for all devices: an additional mode at many frequencies, mains lines.
+
+    mode (f, zeta):   y_a = sum_d M_ad {p/(p - p~) Phi(w; p) + conj}_d        M free: four columns (two channels, two drives)
+    line f:           y_a = A_a cos + B_a sin                                  four columns (two channels, cos and sin)
+
+With a free matrix M the score is that of a mode of rank two, which contains the rank one of the effect.
+
+Each point of a scan has two columns per channel, so products with a device are one product with all columns.  The scan of an
+effect is one test: p = 1 - (1 - p_least)^points.  A mode that coincides with a resonance of the device looks like a change of its
+residue, which no record can tell; the bound therefore holds for 95 % of the logarithmic range of the frequency.
+
+Shapes: W bins, D = 2 drives, g points, P parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ....arrays import ComplexArray, FloatArray
+from ....device.effect import Effect
+from ..compressed import BandData, line_columns, lines_between
+from ..inband import Band, features
+from .library import SHAPE, scored_effects
+from .rows import stationary_rows, stationary_variance
+
+#: Damping ratios of a mode, and steps of its frequency in units of its damping: neighbours share half of their energy.
+_ZETAS, _STEP = (3e-3, 1e-2), 2.0
+#: Relative step of the frequency outside of the band, where the response is smooth.
+_OUTSIDE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Columns of one effect in a band.
+
+    Parameters
+    ----------
+    effect : its name.
+    columns : (2 W, 2 g) real, two for each point.
+    squares : (2 W, 3 g) products of the two columns of a point: 11, 12, 22.
+    weight : (g,) share of each point in the range of the scan; (0,): the bound holds for all points.
+    reach : largest strength of a column.
+    """
+
+    effect: str
+    columns: FloatArray
+    squares: FloatArray
+    weight: FloatArray
+    reach: float
+
+
+def _scan(effect: str, columns: FloatArray, weight: FloatArray, reach: float) -> Scan:
+    first, second = columns[:, ::2], columns[:, 1::2]
+    squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
+    return Scan(effect, np.ascontiguousarray(columns), np.ascontiguousarray(squares), weight, reach)
+
+
+def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> list[tuple[float, float, float]]:
+    """(f [Hz], zeta, share of the logarithmic range) of the points: dense in the band, sparse elsewhere."""
+    points = []
+    for zeta in _ZETAS:
+        f = low_hz
+        while f < high_hz:
+            step = _STEP * zeta if inside[0] <= f <= inside[1] else _OUTSIDE
+            following = min(f * (1.0 + step), high_hz)
+            if f < inside[0] < following:
+                following = inside[0]
+            points.append((np.sqrt(f * following), zeta, float(np.log(following / f))))
+            f = following
+    return points
+
+
+def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> Scan:
+    assert effect.resonance is not None
+    members = {member.name: member for member in effect.members(SHAPE)}
+    frequency = members[effect.resonance[0]]
+    low, high = frequency.typical or (frequency.low, frequency.high)
+    points = _mode_points(edges_hz, low, high)
+    columns = []
+    for f, zeta, _ in points:
+        omega = 2.0 * np.pi * f
+        pole = complex(-zeta * omega, omega * np.sqrt(1.0 - zeta**2))
+        gain = pole / (pole - np.conj(pole))
+        y = gain * features(band, pole, 0)[0] + np.conj(gain) * features(band, complex(np.conj(pole)), 0)[0]
+        columns.append(np.concatenate([y.real, y.imag], axis=1))
+    reach = max(member.high for name, member in members.items() if not member.grid)
+    weight = np.array([share for *_, share in points])
+    return _scan(effect.name, np.concatenate(columns).T, weight / weight.sum(), reach)
+
+
+def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None) -> Scan | None:
+    frequency = next(member for member in effect.members(SHAPE) if member.name == effect.mains_frequency)
+    lines = [lines_between(*edges_hz, f) for f in frequency.grid if f != line_hz]
+    if not lines:
+        return None
+    columns = line_columns(band, np.concatenate(lines))
+    pairs = np.stack(np.split(columns, 2, axis=1), axis=2).reshape(columns.shape)
+    return _scan(effect.name, pairs, np.zeros(0), np.inf)
+
+
+@lru_cache(maxsize=8)
+def scans_of(band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool) -> tuple[Scan, ...]:
+    """All scans of a record, dense between ``edges_hz``; the lines of ``line_hz`` [Hz] are in the model."""
+    found: list[Scan] = []
+    for effect in scored_effects(with_mismatch):
+        if effect.resonance is not None:
+            found.append(_mode_scan(effect, band, edges_hz))
+        elif effect.mains_frequency:
+            lines = _line_scan(effect, band, edges_hz, line_hz)
+            found += [] if lines is None else [lines]
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class ScannedProducts:
+    """Products of whitened columns of one record.
+
+    Parameters
+    ----------
+    base : [J, r]' [J, r] (P + 1, P + 1).
+    cross, gram : of each scan, [J, r]' Z (g, P + 1, 4) and Z' Z (g, 4, 4) of its points.
+    """
+
+    base: FloatArray
+    cross: tuple[FloatArray, ...]
+    gram: tuple[FloatArray, ...]
+
+    def __add__(self, other: ScannedProducts) -> ScannedProducts:
+        cross = tuple(a + b for a, b in zip(self.cross, other.cross))
+        gram = tuple(a + b for a, b in zip(self.gram, other.gram))
+        return ScannedProducts(self.base + other.base, cross, gram)
+
+
+def scanned_products(
+    scans: Sequence[Scan], item: BandData, sigma_v: FloatArray, spectra: ComplexArray
+) -> ScannedProducts:
+    """Products of the scans with ``spectra`` (P + 1, S, W) [V]: those of the Jacobian and of the residual.
+
+    Noise that depends on the signal counts with its largest variance.
+    """
+    variance = stationary_variance(item, sigma_v)
+    rows = stationary_rows(spectra, item, variance)
+    weight = np.tile(np.sqrt(2.0 / item.band.samples / variance), 2)
+    crosses, grams = [], []
+    for scan in scans:
+        count = scan.squares.shape[1] // 3
+        cross = np.stack([(rows[:, a] * weight[a]) @ scan.columns for a in (0, 1)], axis=1)
+        crosses.append(cross.reshape(rows.shape[0], 2, count, 2).transpose(2, 0, 1, 3).reshape(count, -1, 4))
+        squares = (weight**2 @ scan.squares).reshape(2, count, 3)
+        gram = np.zeros((count, 4, 4))
+        for a in (0, 2):
+            own = squares[a // 2]
+            gram[:, a, a], gram[:, a + 1, a + 1] = own[:, 0], own[:, 2]
+            gram[:, a, a + 1] = gram[:, a + 1, a] = own[:, 1]
+        grams.append(gram)
+    flat = rows.reshape(rows.shape[0], -1)
+    return ScannedProducts(flat @ flat.T, tuple(crosses), tuple(grams))
