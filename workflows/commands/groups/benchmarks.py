@@ -34,6 +34,26 @@ def coverage(
 
 
 @app.command()
+def undetected(
+    effect: Annotated[str, typer.Option(help="An effect that the nightly fit lacks, none, or all.")] = "all",
+    devices: Annotated[int, typer.Option(help="Devices per effect.")] = 200,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "undetected"
+    ),
+    json: Json = False,
+) -> None:
+    """Hide each effect in nightly devices; coverage of those that are ok.
+
+    Sizes run from invisible to loud. Intervals are widened by the bound of the bias that an undetected effect can cause.
+    """
+    from ..undetected import undetected as command
+
+    command(effect, devices, seed, workers, out, json)
+
+
+@app.command()
 def throughput(devices: Devices = 100, json: Json = False) -> None:
     """Devices per second on one core, and peak memory.
 
