@@ -28,7 +28,7 @@ from .library import BandSignature
 from .linear import LinearDevice, cartesian_poles, linear_device
 from .rows import whitened
 from .scan_bounds import judged_scans
-from .scanned import Scan, ScannedProducts, scanned_products, scans_of
+from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
 
 
@@ -57,7 +57,7 @@ def scored_device(
     """
     count = fit.x.size
     found: Sequence[BandSignature] = ()
-    scans: Sequence[Scan] = ()
+    scans: Sequence[BandScan] = ()
     products: FloatArray | float = 0.0
     scanned: ScannedProducts | None = None
     probes = adc_probes(models_v, noise.sigma_v, instrument.bias_v, prior is not None)

@@ -14,7 +14,7 @@ from scipy.special import fdtrc
 
 from ....arrays import FloatArray
 from .bounds import Z95, Judged, Projection
-from .scanned import Scan, ScannedProducts
+from .scanned import BandScan, ScannedProducts
 
 #: Share of the range of a scan for which a bound holds.
 _SHARE = 0.95
@@ -23,7 +23,7 @@ _RIDGE = 1e-9
 
 
 def judged_scans(
-    scans: Sequence[Scan], products: ScannedProducts, slopes: FloatArray, prior: FloatArray, noise_dof: float
+    scans: Sequence[BandScan], products: ScannedProducts, slopes: FloatArray, prior: FloatArray, noise_dof: float
 ) -> Judged:
     """p-values and bounds of the scans.
 

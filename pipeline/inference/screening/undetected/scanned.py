@@ -34,7 +34,7 @@ _OUTSIDE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class BandScan:
     """Columns of one effect in a band.
 
     Parameters
@@ -53,10 +53,10 @@ class Scan:
     reach: float
 
 
-def _scan(effect: str, columns: FloatArray, weight: FloatArray, reach: float) -> Scan:
+def _scan(effect: str, columns: FloatArray, weight: FloatArray, reach: float) -> BandScan:
     first, second = columns[:, ::2], columns[:, 1::2]
     squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
-    return Scan(effect, np.ascontiguousarray(columns), np.ascontiguousarray(squares), weight, reach)
+    return BandScan(effect, np.ascontiguousarray(columns), np.ascontiguousarray(squares), weight, reach)
 
 
 def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> list[tuple[float, float, float]]:
@@ -74,7 +74,7 @@ def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> 
     return points
 
 
-def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> Scan:
+def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> BandScan:
     assert effect.resonance is not None
     members = {member.name: member for member in effect.members(SHAPE)}
     frequency = members[effect.resonance[0]]
@@ -92,7 +92,7 @@ def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> Sca
     return _scan(effect.name, np.concatenate(columns).T, weight / weight.sum(), reach)
 
 
-def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None) -> Scan | None:
+def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None) -> BandScan | None:
     frequency = next(member for member in effect.members(SHAPE) if member.name == effect.mains_frequency)
     lines = [lines_between(*edges_hz, f) for f in frequency.grid if f != line_hz]
     if not lines:
@@ -103,9 +103,11 @@ def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_h
 
 
 @lru_cache(maxsize=8)
-def scans_of(band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool) -> tuple[Scan, ...]:
+def scans_of(
+    band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
+) -> tuple[BandScan, ...]:
     """All scans of a record, dense between ``edges_hz``; the lines of ``line_hz`` [Hz] are in the model."""
-    found: list[Scan] = []
+    found: list[BandScan] = []
     for effect in scored_effects(with_mismatch):
         if effect.resonance is not None:
             found.append(_mode_scan(effect, band, edges_hz))
@@ -136,7 +138,7 @@ class ScannedProducts:
 
 
 def scanned_products(
-    scans: Sequence[Scan], item: BandData, sigma_v: FloatArray, spectra: ComplexArray
+    scans: Sequence[BandScan], item: BandData, sigma_v: FloatArray, spectra: ComplexArray
 ) -> ScannedProducts:
     """Products of the scans with ``spectra`` (P + 1, S, W) [V]: those of the Jacobian and of the residual.
 
