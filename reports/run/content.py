@@ -42,6 +42,7 @@ from .causes import Pareto, StageLoss, pareto, stage_losses
 from .health import RouteDifference, Spread, StatusCount, route_differences, spreads, status_counts
 from .lot_effects import LotEffects, NeededEffects, needed_effects
 from .trim import TrimYield, trim_yield, true_conformity
+from .undetected import BiasBound, bias_bounds
 from .worst import WorstDevice, worst_devices
 
 
@@ -114,6 +115,7 @@ class RunContent:
     verdict_check: VerdictCheck | None
     statuses: tuple[StatusCount, ...]
     spreads: tuple[Spread, ...]
+    bias_bounds: tuple[BiasBound, ...]
     routes: tuple[RouteDifference, ...]
     worst: tuple[WorstDevice, ...]
     limits: Limits
@@ -183,6 +185,7 @@ def run_content(
         verdict_check=_verdict_check(devices, limits, given),
         statuses=statuses,
         spreads=spreads(devices),
+        bias_bounds=bias_bounds(devices, limits),
         routes=route_differences(devices),
         worst=worst_devices(devices, limits),
         limits=limits,

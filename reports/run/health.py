@@ -75,6 +75,7 @@ def spreads(devices: Devices) -> tuple[Spread, ...]:
         "chi2_per_dof",
         "relative_error",
         "theta_bias_bound_deg",
+        "effect_p_value",
         "rhat",
         "ess",
         "acceptance",

@@ -18,6 +18,7 @@ from reports.run.calibration import check_verdicts, coverages
 from reports.run.causes import pareto, stage_losses
 from reports.run.content import facts, run_content
 from reports.run.health import route_differences, status_counts
+from reports.run.undetected import bias_bounds
 from reports.run.worst import margins, worst_devices
 
 LIMITS = load_limits(
@@ -151,6 +152,23 @@ def test_theta_of_the_route_is_compared_as_an_axis() -> None:
     rows = {row.name: row for row in route_differences(devices)}
     assert rows["theta_u1_deg"].posterior_median == pytest.approx(0.6)
     assert rows["theta_deg"].truth_median == pytest.approx(1.0)
+
+
+def test_bounds_of_undetected_effects_are_compared_with_sds_and_limits() -> None:
+    devices = _devices(
+        status=["ok", "ok", "ok", "misfit"],
+        split_hz_sd=[1e-3] * 4,
+        split_hz_bias_bound=[3e-3, 4e-3, 8e-3, 5.0],
+        f3_hz_sd=[1e-2] * 4,
+        f3_hz_bias_bound=[None, 1e-2, None, None],
+    )
+    rows = {row.quantity: row for row in bias_bounds(devices, load_limits({"limits": {"split_hz": {"max": 2.0}}}))}
+    assert list(rows) == ["split_hz", "f3_hz"]
+    assert rows["split_hz"].devices == 3
+    assert rows["split_hz"].median == pytest.approx(4.0)
+    assert rows["split_hz"].of_limits == pytest.approx(2e-3)
+    assert rows["f3_hz"].devices == 1
+    assert np.isnan(rows["f3_hz"].of_limits)
 
 
 def test_status_and_reason_are_counted_ok_first() -> None:

@@ -1,0 +1,47 @@
+"""What undetected effects could still do to the devices that are ok: bounds of their biases against sds and limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.quantities import NAMES
+
+from ..devices import Devices
+from ..limits import Limits
+
+
+@dataclass(frozen=True)
+class BiasBound:
+    """Bounds of the bias of one quantity over the ok devices.
+
+    Parameters
+    ----------
+    quantity : its name.
+    devices : how many have a bound.
+    median, q95 : of bound / sd [1].
+    of_limits : median of bound / width of the limits [1]; nan without limits.
+    """
+
+    quantity: str
+    devices: int
+    median: float
+    q95: float
+    of_limits: float
+
+
+def bias_bounds(devices: Devices, limits: Limits) -> tuple[BiasBound, ...]:
+    """Bounds of all quantities that have one, in the order of the results."""
+    widths = {limit.quantity: limit.width for limit in limits.limits}
+    rows = []
+    for name in NAMES:
+        bound, sd = devices.number(f"{name}_bias_bound"), devices.number(f"{name}_sd")
+        known = devices.is_ok() & np.isfinite(bound) & (sd > 0.0)
+        if not known.any():
+            continue
+        median, q95 = (float(q) for q in np.quantile(bound[known] / sd[known], [0.5, 0.95]))
+        width = widths.get(name, 0.0)
+        share = float(np.median(bound[known])) / width if width > 0.0 else float("nan")
+        rows.append(BiasBound(name, int(known.sum()), median, q95, share))
+    return tuple(rows)
