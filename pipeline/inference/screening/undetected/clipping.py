@@ -11,7 +11,7 @@ import numpy as np
 
 from ....arrays import FloatArray, IntArray
 from ....device.effect import Context, Effect
-from .library import SHAPE, BandSignature, scored_effects
+from .library import BandSignature, members_of, scored_effects
 from .linear import LinearDevice
 
 #: Change of all samples by a probe of the ADC stage [sigma], and the samples near the peak, relative to it.
@@ -29,7 +29,7 @@ def adc_probes(
     volts = max((_loud(v)[1] for v in models_v), key=lambda v: float(np.max(np.abs(v))))
     found: dict[str, float] = {}
     for effect in scored_effects(with_mismatch):
-        members = effect.members(SHAPE)
+        members = members_of(effect)
         if effect.adc is None or len(members) != 1:
             continue
         low, high = 1e-6 * members[0].scale, members[0].high

@@ -26,7 +26,7 @@ from .bounds import Candidates, Projection, judged, summary
 from .clipping import adc_probes
 from .library import BandSignature
 from .linear import LinearDevice, cartesian_poles, linear_device
-from .rows import whitened
+from .rows import generalised_rows, stationary_rows, stationary_variance
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
@@ -66,12 +66,16 @@ def scored_device(
         device = linear_device(fit, i, item.band, instrument)
         found = signatures(device, model_v, probes, prior is not None)
         scans = scans_of(item.band, (float(first[0]), float(first[-1])), line_hz, prior is not None)
-        jacobian = _jacobian(fit.x, device)
         residual = (item.spectrum - device.sensed())[None]
-        signature_spectra = np.stack([one.spectrum for one in found])
-        rows = whitened(np.concatenate([jacobian, signature_spectra, residual]), item, noise.sigma_v)
+        spectra = np.concatenate([_jacobian(fit.x, device), [one.spectrum for one in found], residual])
+        variance = stationary_variance(item, noise.sigma_v)
+        stationary = stationary_rows(spectra, item, variance)
+        rows = stationary.reshape(stationary.shape[0], -1)
+        if item.noise is not None and item.noise.dependent.size:
+            rows = generalised_rows(spectra, item, item.noise)
         products = products + rows @ rows.T
-        own = scanned_products(scans, item, noise.sigma_v, np.concatenate([jacobian, residual]))
+        kept = np.append(np.arange(count), spectra.shape[0] - 1)
+        own = scanned_products(scans, stationary[kept], np.sqrt(2.0 / item.band.samples / variance))
         scanned = own if scanned is None else scanned + own
     assert scanned is not None
     of_prior = np.zeros((count + 1, count + 1))

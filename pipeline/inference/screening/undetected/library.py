@@ -47,6 +47,12 @@ def probed(effect: Effect, member: Parameter, change: ComplexArray, probe: float
     return BandSignature(effect.name, change / probe**order, 0.0 if order == 2 else min(member.low, 0.0), high)
 
 
+@lru_cache(maxsize=256)
+def members_of(effect: Effect) -> tuple[Parameter, ...]:
+    """Parameters of an effect on the gyro, families expanded."""
+    return effect.members(SHAPE)
+
+
 def only(size: int, i: int, value: float) -> FloatArray:
     """Parameters (k,) of which only number ``i`` is not zero."""
     p = np.zeros(size)

@@ -21,7 +21,7 @@ from ....device.parameters import Parameter
 from ....device.readout import Readout, plain_readout
 from ....experiment.antialias import filter_poles
 from ..inband import Band
-from .library import SHAPE, BandSignature, only, probed
+from .library import SHAPE, BandSignature, members_of, only, probed
 from .linear import LinearDevice, frequency_axis, in_order
 
 
@@ -29,7 +29,7 @@ def mechanics_signatures(device: LinearDevice, effects: Sequence[Effect]) -> Ite
     """Signatures of all effects of linear mechanics that add no coordinate, from one decomposition."""
     found: list[tuple[Effect, Parameter, float, Mechanics]] = []
     for effect in effects:
-        members = effect.members(SHAPE)
+        members = members_of(effect)
         if effect.mechanics is None or any(member.grid for member in members):
             continue
         for i, member in enumerate(members):
@@ -75,7 +75,7 @@ def _readout_changes(band: Band, effects: tuple[Effect, ...], bias_v: float) -> 
 
     own, out = of(plain), []
     for effect in effects:
-        members = effect.members(SHAPE)
+        members = members_of(effect)
         for i, member in enumerate(members if effect.readout is not None else ()):
             assert effect.readout is not None
             step = 1e-4 * member.scale

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -30,15 +30,16 @@ from scipy.fft import fft, ifft, next_fast_len
 
 from ....arrays import BoolArray, ComplexArray, FloatArray, real_parts
 from ....device.force_law import FORCE_TYPE, LAWS_TYPE, Laws, force_pointer
-from ....threads import once
 from ..inband import Band
 
+#: Coordinates and drives of the gyro, known when the loop is compiled.
+AXES, DRIVES = 3, 2
 #: Phases of a general law: those of third order are exact.
 PHASES = 5
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
-_POINTS_PER_BIN = 1.4
+_POINTS_PER_BIN = 1.2
 #: Envelope, relative to the largest, below which forces count as zero: the device has not reached its resonances yet.
-_QUIET = 5e-3
+_QUIET = 2e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,23 +137,22 @@ def _force_harmonics(
     coordinates, velocities (2, n, 3), drives (2, n, D): real and imaginary parts of envelopes; steady (n, 3) and double
     (2, n, 3): a motion at 0 and 2 w0 that is added.
     """
-    points, axes = coordinates.shape[1:]
-    q, qd, u = np.empty(axes), np.empty(axes), np.empty(drives.shape[2])
-    push = np.empty(axes)
+    q, qd, u, push = np.empty(AXES), np.empty(AXES), np.empty(DRIVES), np.empty(AXES)
+    share = 2.0 / phases.size
     for m in range(phases.size):
         c, s, c2, s2 = np.cos(phases[m]), np.sin(phases[m]), np.cos(2.0 * phases[m]), np.sin(2.0 * phases[m])
-        for n in range(points):
-            for i in range(axes):
+        for n in range(time_s.size):
+            for i in range(AXES):
                 q[i] = coordinates[0, n, i] * c - coordinates[1, n, i] * s + steady[n, i]
                 q[i] += double[0, n, i] * c2 - double[1, n, i] * s2
                 qd[i] = velocities[0, n, i] * c - velocities[1, n, i] * s
                 qd[i] -= 2.0 * omega * (double[0, n, i] * s2 + double[1, n, i] * c2)
                 push[i] = 0.0
-            for d in range(u.size):
+            for d in range(DRIVES):
                 u[d] = drives[0, n, d] * c - drives[1, n, d] * s
             force(time_s[n], q, qd, u, p, laws, push)
-            for i in range(axes):
-                f = push[i] * (2.0 / phases.size)
+            for i in range(AXES):
+                f = push[i] * share
                 out[0, 0, n, i] += f
                 out[1, 0, n, i] += f * c
                 out[1, 1, n, i] -= f * s
@@ -160,8 +160,8 @@ def _force_harmonics(
                 out[2, 1, n, i] -= f * s2
 
 
-@once
-def _compiled(axes: int) -> Any:
+@cache
+def _compiled() -> Any:
     vector, matrix = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
     stack, harmonics = types.Array(types.float64, 3, "C"), types.Array(types.float64, 4, "C")
     arrays = (vector, stack, stack, stack, matrix, stack, types.float64, vector, harmonics)
@@ -194,7 +194,7 @@ class Law:
         points, axes = signals.coordinates.shape
         steady, double = deviation or (np.zeros((points, axes)), np.zeros((points, axes), dtype=np.complex128))
         out = np.zeros((3, 2, points, axes))
-        _compiled(axes)(
+        _compiled()(
             force_pointer(self.force),
             np.ascontiguousarray(p, dtype=np.float64),
             self.laws,

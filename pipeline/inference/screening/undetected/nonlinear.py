@@ -19,7 +19,7 @@ from ....device.effect import Context, Effect
 from ....device.force_law import Laws
 from ....device.gyro import M_D, M_S
 from ....device.parameters import Parameter
-from .library import SHAPE, BandSignature, only, probed
+from .library import SHAPE, BandSignature, members_of, only, probed
 from .linear import LinearDevice
 from .narrow_band import PHASES, Law, Signals, at_phases, first_harmonic, whole_turn
 from .parity import kind_of
@@ -65,7 +65,7 @@ class BandForce:
 def forces_of(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
     """The force of each parameter of an effect, along the motion of a device."""
     law, omega = Law(effect.force, _laws(device), signals), signals.grid.omega
-    members = effect.members(SHAPE)
+    members = members_of(effect)
     for i, member in enumerate(members):
         kind = kind_of(effect, i)
         steady, first, double = law.harmonics(only(len(members), i, member.scale), kind.phases)
@@ -90,7 +90,7 @@ def _returns(effect: Effect) -> bool:
     """Whether a drive law has a part at the frequency of the drive: even laws have none."""
     assert effect.drive is not None
     v = np.linspace(0.1, 1.0, 10)[:, None] * np.ones((1, SHAPE.drives))
-    p = np.array([member.scale for member in effect.members(SHAPE)])
+    p = np.array([member.scale for member in members_of(effect)])
     plus, minus = (effect.drive(sign * v, p, Context(5.0, 5.0, {})) - sign * v for sign in (1.0, -1.0))
     return float(np.linalg.norm(plus - minus)) > _EVEN * float(np.linalg.norm(plus))
 
@@ -98,7 +98,7 @@ def _returns(effect: Effect) -> bool:
 def drive_forces(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
     """The force of each parameter of a drive law."""
     assert effect.drive is not None
-    members = effect.members(SHAPE) if _returns(effect) else ()
+    members = members_of(effect) if _returns(effect) else ()
     v = at_phases(signals.drives)
     for i, member in enumerate(members):
         change = first_harmonic(effect.drive(v, only(len(members), i, member.scale), device.context) - v)
@@ -117,7 +117,7 @@ def sense_signatures(effects: Sequence[Effect], device: LinearDevice, signals: S
     found: list[tuple[Effect, Parameter, float, int]] = []
     changes: list[ComplexArray] = []
     for effect in effects:
-        members = effect.members(SHAPE)
+        members = members_of(effect)
         for i, member in enumerate(members):
             assert effect.sense is not None
             p = only(len(members), i, member.scale)

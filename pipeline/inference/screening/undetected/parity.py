@@ -20,7 +20,7 @@ import numpy as np
 from ....arrays import FloatArray
 from ....device.effect import Effect
 from ....device.force_law import Laws, compiled_force
-from .library import SHAPE, only
+from .library import members_of, only
 from .narrow_band import whole_turn
 
 #: Relative size of a part of a law that counts as rounding.
@@ -49,7 +49,7 @@ class LawKind:
 @lru_cache(maxsize=256)
 def kind_of(effect: Effect, i: int) -> LawKind:
     """Kind of the force of ``effect`` in its parameter number ``i``."""
-    member = effect.members(SHAPE)[i]
+    member = members_of(effect)[i]
     random = np.random.default_rng(0)
     force = compiled_force(effect.force) if effect.force is not None else None
     assert force is not None
@@ -63,7 +63,7 @@ def kind_of(effect: Effect, i: int) -> LawKind:
     def at(factor: float, strength: float = 1.0) -> FloatArray:
         out = np.zeros((len(points), 3))
         for row, (q, qd, u) in zip(out, points):
-            p = only(len(effect.members(SHAPE)), i, strength * member.scale)
+            p = only(len(members_of(effect)), i, strength * member.scale)
             force(1.0, factor * q, factor * qd, factor * u, p, laws, row)
         return out
 

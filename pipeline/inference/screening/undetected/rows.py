@@ -20,28 +20,10 @@ from ..compressed import BandData
 from ..whitening import BandNoise, covariance
 
 
-def _real(spectra: ComplexArray, item: BandData) -> FloatArray:
-    """(K, S, W) complex as (K, S, 2 W) real, hum lines projected out."""
-    width = item.band.bins.size
-    rows = np.empty((*spectra.shape[:-1], 2 * width))
-    rows[..., :width], rows[..., width:] = spectra.real, spectra.imag
-    n = item.nuisance
-    if n.shape[1]:
-        rows -= (rows @ n) @ n.T
-    return rows
-
-
-def whitened(spectra: ComplexArray, item: BandData, sigma_v: FloatArray) -> FloatArray:
-    """Spectra (K, S, W) [V] of a record as rows (K, n) in sigmas, hum lines projected out; white noise has sigma (S,) [V].
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
-    """
-    if item.noise is not None and item.noise.dependent.size:
-        return _generalised(_real(spectra, item) * math.sqrt(2.0 / item.band.samples), item, item.noise)
-    rows = stationary_rows(spectra, item, stationary_variance(item, sigma_v))
-    return rows.reshape(rows.shape[0], -1)
+def interleaved(columns: FloatArray) -> FloatArray:
+    """Columns (2 W, k), all real parts before all imaginary ones, in the order of rows: bin by bin."""
+    width = columns.shape[0] // 2
+    return np.ascontiguousarray(np.swapaxes(columns.reshape(2, width, -1), 0, 1).reshape(2 * width, -1))
 
 
 def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
@@ -54,17 +36,26 @@ def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
 
 
 def stationary_rows(spectra: ComplexArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Rows (K, S, 2 W) of spectra (K, S, W) [V] in units of noise of ``variance`` (S, W) [V^2]."""
-    rows = _real(spectra, item)
-    rows *= np.tile(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance), 2)
-    return rows
+    """Rows (K, S, 2 W) of spectra (K, S, W) [V] in units of noise of ``variance`` (S, W) [V^2], hum lines projected out."""
+    rows = np.ascontiguousarray(spectra).view(np.float64)
+    if item.nuisance.shape[1]:
+        n = interleaved(item.nuisance)
+        rows = rows - (rows @ n) @ n.T
+    return rows * np.repeat(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance), 2, axis=1)
 
 
-def _generalised(rows: FloatArray, item: BandData, noise: BandNoise) -> FloatArray:
-    """Rows (K, S, 2 W) [V] in sigmas of noise that depends on time, (K, 2 r)."""
+def generalised_rows(spectra: ComplexArray, item: BandData, noise: BandNoise) -> FloatArray:
+    """Rows (K, 2 r) of spectra (K, S, W) [V] in sigmas of noise that depends on time, hum lines projected out.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
+    """
+    scale = math.sqrt(2.0 / item.band.samples)
     parts, bases = [], []
     for channel in (0, 1):
-        own = rows[:, channel].T
+        own = np.concatenate([spectra[:, channel].real, spectra[:, channel].imag], axis=1).T * scale
+        own -= item.nuisance @ (item.nuisance.T @ own)
         basis, triangle = qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), mode="economic", check_finite=False)
         seen = np.abs(np.diag(triangle)) > 1e-9
         bases.append(basis[:, seen])

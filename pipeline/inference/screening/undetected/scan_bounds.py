@@ -45,23 +45,22 @@ def judged_scans(
     p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), slopes.shape[0]))
     for i, (scan, cross, raw) in enumerate(zip(scans, products.cross, products.gram)):
         points = raw.shape[0]
-        size = np.sqrt(np.einsum("gkk->gk", raw))
+        size = np.sqrt(np.diagonal(raw, axis1=1, axis2=2))
         cross = cross / size[:, None, :]
         overlap = projection.overlap(cross[:, :count].transpose(1, 0, 2).reshape(count, -1))
         by_point = overlap.reshape(count, points, 4).transpose(1, 0, 2)
         gram = raw / (size[:, :, None] * size[:, None, :]) - np.swapaxes(by_point, 1, 2) @ by_point
         inverse = np.linalg.inv(gram + _RIDGE * np.eye(4))
         score = cross[:, count] - residual @ by_point
-        estimate = np.einsum("gij,gj->gi", inverse, score)
-        strength = np.einsum("gi,gi->g", estimate, score)
-        explained[i] = float(strength.max())
+        estimate = (inverse @ score[:, :, None])[:, :, 0]
+        explained[i] = float(np.max(np.sum(estimate * score, axis=1)))
         single = float(fdtrc(4.0, noise_dof, explained[i] / 4.0))
         p_values[i] = -np.expm1(points * np.log1p(-min(single, 1.0 - 1e-16)))
-        bias = projection.bias(overlap).reshape(-1, points, 4)
-        noise = np.sqrt(np.maximum(np.einsum("qgi,gij,qgj->qg", bias, inverse, bias), 0.0))
-        each = np.abs(np.einsum("qgi,gi->qg", bias, estimate)) + Z95 * noise
-        each = np.minimum(each, np.sum(np.abs(bias) * (scan.reach * size), axis=2))
-        bounds[i] = _quantile(each, scan.weight)
+        bias = np.swapaxes(projection.bias(overlap).reshape(-1, points, 4), 0, 1)
+        variance = np.sum((bias @ inverse) * bias, axis=2)
+        each = np.abs(bias @ estimate[:, :, None])[:, :, 0] + Z95 * np.sqrt(np.maximum(variance, 0.0))
+        each = np.minimum(each, np.sum(np.abs(bias) * (scan.reach * size)[:, None], axis=2))
+        bounds[i] = _quantile(each.T, scan.weight)
     return Judged(tuple(scan.effect for scan in scans), p_values, explained, bounds)
 
 

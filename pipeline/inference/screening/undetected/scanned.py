@@ -19,16 +19,18 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import FloatArray
 from ....device.effect import Effect
-from ..compressed import BandData, line_columns, lines_between
+from ..compressed import line_columns, lines_between
 from ..inband import Band, features
-from .library import SHAPE, scored_effects
-from .rows import stationary_rows, stationary_variance
+from .library import members_of, scored_effects
+from .rows import interleaved
 
-#: Damping ratios of a mode, and steps of its frequency in units of its damping: neighbours share half of their energy.
-_ZETAS, _STEP = (3e-3, 1e-2), 2.0
+#: Damping ratios of a mode, and step of its frequency in units of its damping: half-way to the next point a mode shares 64 % of
+#: its energy with either.
+_ZETAS, _STEP = (3e-3, 1e-2), 3.0
 #: Relative step of the frequency outside of the band, where the response is smooth.
 _OUTSIDE = 0.1
 
@@ -40,43 +42,47 @@ class BandScan:
     Parameters
     ----------
     effect : its name.
-    columns : (2 W, 2 g) real, two for each point.
-    squares : (2 W, 3 g) products of the two columns of a point: 11, 12, 22.
+    columns : (2 W, 2 g) real, two for each point; in single precision, as products with them are scores of at most 1e7 sigmas.
+    squares, sums : (2 W, 3 g) products of the two columns of a point: 11, 12, 22; and their sums (3 g,) over the bins.
     weight : (g,) share of each point in the range of the scan; (0,): the bound holds for all points.
     reach : largest strength of a column.
     """
 
     effect: str
-    columns: FloatArray
+    columns: NDArray[np.float32]
     squares: FloatArray
+    sums: FloatArray
     weight: FloatArray
     reach: float
 
 
 def _scan(effect: str, columns: FloatArray, weight: FloatArray, reach: float) -> BandScan:
+    columns = interleaved(columns)
     first, second = columns[:, ::2], columns[:, 1::2]
     squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
-    return BandScan(effect, np.ascontiguousarray(columns), np.ascontiguousarray(squares), weight, reach)
+    return BandScan(effect, columns.astype(np.float32), squares, squares.sum(axis=0), weight, reach)
 
 
 def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> list[tuple[float, float, float]]:
     """(f [Hz], zeta, share of the logarithmic range) of the points: dense in the band, sparse elsewhere."""
     points = []
     for zeta in _ZETAS:
-        f = low_hz
-        while f < high_hz:
-            step = _STEP * zeta if inside[0] <= f <= inside[1] else _OUTSIDE
-            following = min(f * (1.0 + step), high_hz)
-            if f < inside[0] < following:
-                following = inside[0]
-            points.append((np.sqrt(f * following), zeta, float(np.log(following / f))))
-            f = following
+        for low, high, step in (
+            (low_hz, inside[0], _OUTSIDE),
+            (max(low_hz, inside[0]), min(high_hz, inside[1]), _STEP * zeta),
+            (inside[1], high_hz, _OUTSIDE),
+        ):
+            if low >= high or (step == _OUTSIDE and zeta != _ZETAS[-1]):
+                continue
+            edges = np.geomspace(low, high, int(np.ceil(np.log(high / low) / step)) + 1)
+            share = float(np.log(edges[1] / edges[0])) * (1.0 if step == _OUTSIDE else 1.0 / len(_ZETAS))
+            points += [(float(f), zeta, share) for f in np.sqrt(edges[1:] * edges[:-1])]
     return points
 
 
 def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> BandScan:
     assert effect.resonance is not None
-    members = {member.name: member for member in effect.members(SHAPE)}
+    members = {member.name: member for member in members_of(effect)}
     frequency = members[effect.resonance[0]]
     low, high = frequency.typical or (frequency.low, frequency.high)
     points = _mode_points(edges_hz, low, high)
@@ -93,7 +99,7 @@ def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> Ban
 
 
 def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None) -> BandScan | None:
-    frequency = next(member for member in effect.members(SHAPE) if member.name == effect.mains_frequency)
+    frequency = next(member for member in members_of(effect) if member.name == effect.mains_frequency)
     lines = [lines_between(*edges_hz, f) for f in frequency.grid if f != line_hz]
     if not lines:
         return None
@@ -137,22 +143,22 @@ class ScannedProducts:
         return ScannedProducts(self.base + other.base, cross, gram)
 
 
-def scanned_products(
-    scans: Sequence[BandScan], item: BandData, sigma_v: FloatArray, spectra: ComplexArray
-) -> ScannedProducts:
-    """Products of the scans with ``spectra`` (P + 1, S, W) [V]: those of the Jacobian and of the residual.
+def scanned_products(scans: Sequence[BandScan], rows: FloatArray, weight: FloatArray) -> ScannedProducts:
+    """Products of the scans with the ``rows`` (P + 1, S, 2 W) of the Jacobian and of the residual, in sigmas.
 
-    Noise that depends on the signal counts with its largest variance.
+    ``weight`` (S, W) turns volts into sigmas.
     """
-    variance = stationary_variance(item, sigma_v)
-    rows = stationary_rows(spectra, item, variance)
-    weight = np.tile(np.sqrt(2.0 / item.band.samples / variance), 2)
+    weighted = (rows * np.repeat(weight, 2, axis=1)).reshape(-1, rows.shape[2])
+    scale = np.linalg.norm(weighted, axis=1, keepdims=True) + 1e-300
+    single = (weighted / scale).astype(np.float32)
+    flat_weight = bool(np.all(weight == weight[:, :1]))
     crosses, grams = [], []
     for scan in scans:
         count = scan.squares.shape[1] // 3
-        cross = np.stack([(rows[:, a] * weight[a]) @ scan.columns for a in (0, 1)], axis=1)
-        crosses.append(cross.reshape(rows.shape[0], 2, count, 2).transpose(2, 0, 1, 3).reshape(count, -1, 4))
-        squares = (weight**2 @ scan.squares).reshape(2, count, 3)
+        cross = ((single @ scan.columns) * scale).reshape(rows.shape[0], 2, count, 2)
+        crosses.append(cross.transpose(2, 0, 1, 3).reshape(count, -1, 4))
+        sums = weight[:, :1] ** 2 * scan.sums if flat_weight else np.repeat(weight**2, 2, axis=1) @ scan.squares
+        squares = sums.reshape(2, count, 3)
         gram = np.zeros((count, 4, 4))
         for a in (0, 2):
             own = squares[a // 2]
