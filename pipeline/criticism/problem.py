@@ -72,6 +72,8 @@ class FitResult:
     nuisances : number of amplitudes that were projected out; they reduce the degrees of freedom.
     at_limit : terms with a parameter at a limit of its range other than its null, or at a value where the term duplicates
         part of the model.
+    error_given : false where the noise level is no independent measure, so that errors in units of it are not given.
+    misfit : why the problem itself calls this fit a misfit, whatever its noise level; empty where it does not.
     error, relative_error : "fit" and "validate" as the problem defines them; an omitted error
         is the rms of the residuals [sigma].
     """
@@ -93,6 +95,8 @@ class FitResult:
     relative_error: Mapping[str, float] = field(default_factory=dict)
     noise_bounded: bool = False
     at_limit: tuple[str, ...] = ()
+    misfit: str = ""
+    error_given: bool = True
 
     @property
     def chi2(self) -> float:
@@ -112,8 +116,10 @@ class FitResult:
     def error_of(self, part: str) -> float | None:
         """sqrt(chi2 / rows) [sigma] on "fit" or "validate", or the error that the problem gives.
 
-        ``None`` without data of that kind, or with an unknown noise level.
+        ``None`` without data of that kind, with an unknown noise level, or where errors are not given.
         """
+        if not self.error_given:
+            return None
         if part in self.error:
             return self.error[part]
         blocks = self.blocks if part == "fit" else self.held

@@ -129,6 +129,8 @@ def _judged(selection: ForwardSelection, classes: tuple[TermClass, ...], rules: 
         return "unknown"
     if last.goodness.p_value < rules.alpha_left or (last.fit.noise_bounded and last.goodness.level > _CERTAIN_MISFIT):
         return "unknown"
+    if last.fit.misfit:
+        return "unknown"
     if not classes:
         return "adequate"
     if any(not is_supported(selection, item.term) for item in classes) and len(classes) > 1:

@@ -19,10 +19,9 @@ from ..experiment.noise.level import noise_level
 from ..experiment.noise.lines import hum_line
 from ..experiment.record import Campaign
 from .estimate import normal_intervals, reference_comparison
-from .gate import Gate, GoodnessOfFit
-from .general.fit import CampaignFit, fit_campaign
-from .general.goodness import band_goodness, fit_status, full_band_goodness
-from .general.starts import driven_band
+from .gate import Gate
+from .general.fit import fit_campaign
+from .general.goodness import campaign_status
 from .screening.campaign import identify_campaign, is_inband
 from .screening.device import IdentificationSettings
 from .screening.mismatch import BROAD, NIGHTLY_MODEL
@@ -101,7 +100,7 @@ def _general_columns(
     candidates = default_models(campaign) if model is None else (model,)
     fits = [fit_campaign(candidate, campaign, noise) for candidate in candidates]
     fit = min(fits, key=lambda fit: (not fit.fit_ok, fit.chi2))
-    status, reason = fit_status(fit, _goodness(fit, campaign, settings), gate)
+    status, reason = campaign_status(fit, campaign, gate, (settings.low_hz, settings.high_hz))
     estimates = dict(fit.parameters)
     if fit.split_hz is not None:
         estimates["split_hz"] = fit.split_hz
@@ -111,18 +110,8 @@ def _general_columns(
         **normal_intervals(with_common_errors(estimates, campaign.systematic)),
         "model": fit.model.to_toml().splitlines()[0],
         "noise_from": noise.source,
-        "error": fit.error["fit"] if noise.known else None,
+        "error": fit.error["fit"] if noise.independent else None,
         "relative_error": fit.relative_error["fit"],
         "relative_error_validate": fit.relative_error["validate"],
         "chi2_per_dof": fit.chi2 / fit.dof,
     }
-
-
-def _goodness(fit: CampaignFit, campaign: Campaign, settings: IdentificationSettings) -> GoodnessOfFit | None:
-    """What the gate judges: for a gyro the data that the in-band path would judge, so that both paths agree."""
-    if fit.model.plant.kind != "gyro":
-        return full_band_goodness(fit) if fit.noise.known else None
-    low_hz, high_hz = settings.low_hz, settings.high_hz
-    if not all(low_hz < fit.values[name] < high_hz for name in ("f1_hz", "f2_hz", "f3_hz")):
-        low_hz, high_hz = driven_band(campaign.with_role("fit"))
-    return band_goodness(fit, campaign, low_hz, high_hz)

@@ -34,6 +34,7 @@ class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
 
     coloured : whether the silence showed a spectrum that is not white.
     jitter_s : rms timing jitter [s], where the residual above the signal band shows it.
+    local_fit : whether a smooth local fit of the response to the driven records measures it; else "residual" is a bound.
     """
 
     sigma: tuple[float, ...]
@@ -41,6 +42,7 @@ class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
     unit: str | UnsetType = UNSET
     coloured: bool | UnsetType = UNSET
     jitter_s: float | UnsetType = UNSET
+    local_fit: bool | UnsetType = UNSET
 
 
 class Deviation(Answer, frozen=True, eq=False):
@@ -126,6 +128,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     parameters : of the model.
     bad_samples : of all records, left out of the fit.
     fit_ok : false where the fit failed; ``why`` gives the reason.
+    status, status_reason : of a campaign, as ``identify`` gives them for this model: "ok", "misfit", "fit_failed"; and why.
     dof, theta_deg, split_hz, four_thetas_deg, theta_spread_deg : of a modal record.
     """
 
@@ -135,6 +138,8 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     parameters: Values
     fit_ok: bool
     why: str | UnsetType = UNSET
+    status: str | UnsetType = UNSET
+    status_reason: str | UnsetType = UNSET
     misfit: ByRole | UnsetType = UNSET
     noise: Noise | UnsetType = UNSET
     where_by_kind: tuple[Place, ...] | UnsetType = UNSET
@@ -218,6 +223,8 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     p_left, left : p-value of the structure that is left once the named effects are in, and where it is.
     wrong_form : effects whose fitted size differs between records.
     why : the reason of "fit_failed".
+    noise_louder : error where nothing is missing although the gate of ``identify`` refuses it: the noise of the driven records
+        is this many times as loud as measured.
     hints : doubts about the campaign rather than the model.
     bad_samples : of all records, left out of every fit.
     """
@@ -233,6 +240,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     wrong_form: Mapping[str, SizeDisagreement]
     why: str
     separating_record: str | None = None
+    noise_louder: float | UnsetType = UNSET
     hints: tuple[str, ...] | UnsetType = UNSET
     noise: Noise | UnsetType = UNSET
     records_differ: RecordsDiffer | UnsetType = UNSET
@@ -300,6 +308,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     Parameters
     ----------
     refused : effect -> why it was not added although its score was significant.
+    noise_louder : as in ``DiagnosisAnswer``, for the last model.
     regions, regions_by_kind : where the first model failed, with what the last one leaves there.
     relative_error, where, candidates_left, invisible, declared : of a modal record.
     """
@@ -314,6 +323,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     p_left: float
     left: str
     why: str
+    noise_louder: float | UnsetType = UNSET
     hints: tuple[str, ...] | UnsetType = UNSET
     separating_record: str | UnsetType | None = UNSET
     regions_by_kind: tuple[Place, ...] | UnsetType = UNSET

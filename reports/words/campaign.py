@@ -97,6 +97,7 @@ def missing_sentence(
     added: bool,
     tried: Sequence[str] = (),
     noise_known: bool = True,
+    louder: float | None = None,
     data: str = "records",
 ) -> str:
     """The verdict in one or two sentences.
@@ -108,9 +109,11 @@ def missing_sentence(
     added : whether the effects are in the last model.
     tried : effects of the ladder, named where a misfit remains.
     noise_known : false where only relative errors are known.
+    louder : how many times as loud as measured the noise of the driven records is, where that is so.
     data : "records" or "residues".
     """
     is_ = "was" if added else "is"
+    noise = f" The noise of the driven records is {louder:.3g} times as loud as measured." if louder else ""
     if verdict == "fit_failed" and (effects or tried):
         return "A misfit remains, and the fit of an effect that may explain it did not succeed."
     if verdict == "fit_failed":
@@ -121,9 +124,11 @@ def missing_sentence(
         return f"A misfit remains that no effect in the library explains.{but}"
     if effects:
         alone = len(effects) == 1
-        return f"What {is_} missing: {listed([_with_rivals(name, classes, alone) for name in effects])}."
+        return f"What {is_} missing: {listed([_with_rivals(name, classes, alone) for name in effects])}.{noise}"
     if verdict == "class" and classes:
         return f"What {is_} missing: {effects_listed(classes[0], 'or')}."
+    if verdict == "adequate" and noise:
+        return f"Nothing is missing.{noise}"
     if verdict == "adequate" and noise_known:
         return f"Nothing is missing: the model explains these {data} down to the noise."
     if verdict == "adequate":
@@ -269,6 +274,11 @@ def noise_sentence(noise: Noise | None) -> str:
             f"The misfit of the fit, {sigma} of the {noise.unit}, serves as the noise level in F-tests."
         )
     sigma = f"σ = {', '.join(f'{1e3 * one:#.3g}'.rstrip('.') for one in noise.sigma)} mV by channel"
+    if noise.local_fit:
+        return (
+            f"{sigma}, from a smooth local fit of the response away from the resonances (no silent record, no repeats). "
+            "It judges the models, but only relative errors are given."
+        )
     if noise.from_ == "residual":
         return (
             "The noise level could not be measured (no silent record, no repeats), so only relative errors are given. "
@@ -277,7 +287,6 @@ def noise_sentence(noise: Noise | None) -> str:
     sources = {
         "silent": "measured on the silent record",
         "repeats": "from the differences between repeats of a drive (there is no silent record)",
-        "local": "from a smooth local fit of the response away from resonances (no silent record, no repeats)",
     }
     kind = "; its spectrum is not white" if noise.coloured else ""
     jitter = f" The sampling instants jitter by {1e6 * noise.jitter_s:.2g} µs rms." if noise.jitter_s else ""

@@ -49,6 +49,7 @@ def compare_lines(answer: ComparisonAnswer) -> list[str]:
             f"relative error {_percent(relative['fit'])} on the fitted records, {_percent(relative['validate'])} on the"
             " held-out records",
         ]
+        lines += [f"{answer.status}: {answer.status_reason}"] if answer.status_reason else []
     lines.append(noise_sentence(answer.noise or None))
     lines += record_sentences(answer)
     if not answer.fit_ok:
@@ -151,6 +152,7 @@ def _verdict(answer: DiagnosisAnswer | RefinementAnswer, noise_known: bool) -> s
         added=ladder is not None,
         tried=tuple(rung.effect for rung in ladder or () if rung.effect),
         noise_known=noise_known,
+        louder=answer.noise_louder or None,
         data="residues" if answer.declared is not UNSET else "records",
     )
     return f"{answer.verdict}: {verdict_text}"

@@ -62,7 +62,7 @@ def verdict_of(
     found = Identified.of_physical(physical, rate_settings(campaign)).draws
     ungated = decide(limits, {name: found[name][None] for name in limits.quantities}, ["ok"])
     goodness = full_band_goodness(fit) if fit.noise.known else None
-    status, reason = fit_status(fit, goodness, gate or Gate())
+    status, reason = fit_status(fit, campaign, goodness, gate or Gate())
     verdict = ungated.verdict[0] if status == "ok" else "undecided"
     return ModelVerdict(verdict, ungated.verdict[0], ungated.failed_limits[0], reason or "")
 

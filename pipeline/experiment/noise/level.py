@@ -70,8 +70,13 @@ class NoiseLevel:
 
     @property
     def known(self) -> bool:
-        """Whether the level was measured; else it is only bounded, and an error in units of it means nothing."""
+        """Whether the level was measured; else it is only bounded."""
         return self.source != "residual"
+
+    @property
+    def independent(self) -> bool:
+        """Whether the level was measured on other data than the driven records; else no error in units of it is given."""
+        return self.source in ("silent", "repeats")
 
 
 def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, int]:

@@ -166,6 +166,9 @@ def _campaign_fit(
 ) -> CampaignFit:
     model, at = problem.model, result.at
     x_covariance, determined = covariance_of(result.normal)
+    if not noise.known:
+        # Nothing measures the noise: the residual scales the sds, as if it were white.
+        x_covariance = x_covariance * (at.chi2 / max(sum(r.size for r in at.residuals) - at.x.size, 1))
     values = model.to_values(at.x)
     covariance = model.covariance_of_values(at.x, x_covariance)
     # A parameter that does not change the fit records at all is unknown.

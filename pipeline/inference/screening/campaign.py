@@ -79,7 +79,7 @@ def identify_campaign(
     result = identify_device(
         prepared, spectrum, campaign.instrument, with_hum, sampler, gate, rate_settings(campaign), seed
     )
-    if noise.known:
+    if noise.independent:
         return result
     # An error in units of a noise level that is estimated from the same driven records would not be independent.
     return replace(result, columns={**result.columns, "error": None, "error_all_noise": None, "chi2_per_dof": None})

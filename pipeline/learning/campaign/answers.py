@@ -19,7 +19,9 @@ from ...errors import MeasurementError
 from ...experiment.bad_samples import without_bad_samples
 from ...experiment.noise.level import noise_level
 from ...experiment.record import Campaign
+from ...inference.gate import Gate
 from ...inference.general.fit import CampaignFit
+from ...inference.general.goodness import campaign_status
 from ...threads import usable_cores
 from ..answers import (
     BadSamples,
@@ -117,8 +119,9 @@ class CampaignAnswers:
         result = self.problem.fit(())
         if not result.ok:
             return ComparisonAnswer(error={}, relative_error={}, where=(), parameters={}, fit_ok=False, why=result.why)
-        fit, known = self.fitted(), self._noise_known
+        fit, known = self.fitted(), self.problem.noise.independent
         where = significant_places(self._first_regions, fit.noise.dof)
+        status, reason = campaign_status(fit, self.problem.campaign)
         return ComparisonAnswer(
             error={role: value if known else None for role, value in fit.error.items()},
             relative_error=dict(fit.relative_error),
@@ -136,6 +139,8 @@ class CampaignAnswers:
             parameters=dict(fit.parameters),
             bad_samples=self.bad_samples,
             fit_ok=fit.fit_ok,
+            status=status,
+            status_reason=UNSET if reason is None else reason,
         )
 
     def first_diagnosis(self, found: Diagnosis) -> DiagnosisAnswer:
@@ -164,6 +169,7 @@ class CampaignAnswers:
             self.first_diagnosis(found),
             separating_record=separating_text(proposals, drive_files),
             hints=() if after is None or not after.ok else self._hints(after.terms, found.verdict),
+            noise_louder=UNSET if after is None or not after.ok else self._louder(after.terms, found.verdict),
         )
 
     def refinement(self, ladder: Ladder, proposals: Sequence[Proposal], drive_files: bool) -> RefinementAnswer:
@@ -177,6 +183,7 @@ class CampaignAnswers:
             answer,
             ladder=tuple(self._rung(one, rung) for one, rung in zip(answer.ladder, ladder.rungs)),
             hints=self._hints(ladder.terms, ladder.verdict),
+            noise_louder=self._louder(ladder.terms, ladder.verdict),
             separating_record=separating_text(proposals, drive_files),
             regions=significant_places(first, noise_dof, last),
             regions_by_kind=significant_places(by_kind(first), noise_dof, by_kind(last)),
@@ -196,7 +203,8 @@ class CampaignAnswers:
         noise = self.problem.noise
         return Noise(
             sigma=tuple(noise.sigma_v.tolist()),
-            from_=noise.source,
+            from_=noise.source if noise.independent else "residual",
+            local_fit=True if noise.source == "local" else UNSET,
             coloured=True if noise.spectrum is not None and not noise.spectrum.white else UNSET,
             jitter_s=UNSET if self.problem.jitter_s is None else self.problem.jitter_s,
         )
@@ -223,6 +231,18 @@ class CampaignAnswers:
     @cached_property
     def _first_regions(self) -> list[Region]:
         return self.problem.misfit_regions(())
+
+    def _louder(self, terms: Sequence[str], verdict: str) -> float | UnsetType:
+        """The error of the fitted records where nothing is missing although the gate refuses it: then it is that of the noise."""
+        error = self.fitted(terms).error["fit"]
+        if (
+            verdict in ("unknown", "fit_failed")
+            or not self.problem.noise.independent
+            or error is None
+            or error <= Gate().error_max
+        ):
+            return UNSET
+        return error
 
     def _hints(self, terms: Sequence[str], verdict: str) -> tuple[str, ...]:
         """Whether another DAC hold would explain the records better; not asked where the model reaches a known noise level."""

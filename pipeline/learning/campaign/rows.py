@@ -18,9 +18,10 @@ from ...arrays import FloatArray, IntArray
 from ...criticism.problem import FitResult, ResidualBlock
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
+from ...inference.general.goodness import structured_misfit
 from ...inference.general.linear_step import Sensitivity
 from ...inference.general.record_fit import RecordFit
-from ..where.partition import resonances_of
+from ...inference.general.resonances import resonances_of
 
 #: Upper end of the rows [Hz]: drives below 700 Hz excite hardly anything above it, for any effect of the library.
 TOP_HZ = 2500.0
@@ -117,6 +118,8 @@ def fit_result(
         relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
         why="" if ok else f"it stopped before it converged, at {100 * (fitted.relative_error['fit'] or 0):.3g} % error",
         noise_bounded=not noise_known,
+        error_given=fitted.noise.independent,
+        misfit=structured_misfit(fitted, campaign) or "",
         at_limit=tuple(
             term
             for term in terms

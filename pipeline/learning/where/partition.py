@@ -13,7 +13,6 @@ Shapes: N samples, S senses, D drives, K blocks of M bins, B short blocks of L s
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, pairwise
@@ -27,6 +26,7 @@ from ...criticism.regions import lines_in, pooled_spectra
 from ...experiment.noise.time_frequency import bin_frequencies, block_size, cell_variances, lapped
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
+from ...inference.general.resonances import resonances_of
 
 Band = tuple[float, float]
 
@@ -158,12 +158,6 @@ def without_lines(
         left = left - pair @ amplitudes
         energies[k] = np.sum(amplitudes**2, axis=0)
     return left, energies
-
-
-def resonances_of(values: Mapping[str, float]) -> tuple[Band, ...]:
-    """(f, zeta f) [Hz] of each mode of the plant, ascending; ``values`` are the parameters of a fitted model."""
-    modes = [(values[n], values.get(f"zeta{n[1:-3]}", 0.0) * values[n]) for n in values if re.fullmatch(r"f\d*_hz", n)]
-    return tuple(sorted((float(f), float(half_width)) for f, half_width in modes if f > 0.0))
 
 
 def short_blocks(y: FloatArray) -> FloatArray:

@@ -229,7 +229,7 @@ def _judged(
     """Status, P(conform) and verdict of a fit, from the gate and the limits of the run and normal draws."""
     band = config.identification
     goodness = band_goodness(fitted, campaign, band.low_hz, band.high_hz)
-    status, _ = fit_status(fitted, goodness, config.judging_gate())
+    status, _ = fit_status(fitted, campaign, goodness, config.judging_gate())
     random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM, number)))
     size = np.sqrt(np.maximum(np.diag(fitted.x_covariance), 1e-300))
     value, vector = np.linalg.eigh(fitted.x_covariance / np.outer(size, size))
