@@ -135,8 +135,9 @@ def _single(
     size = np.where(seen, size, 1.0)
     side = np.where(low == 0.0, 1.0, np.where(high == 0.0, -1.0, 0.0))
     strength = np.where(seen, score**2 / size, 0.0)
-    p = np.where(seen, fdtrc(1.0, dof, strength), 1.0)
+    p = fdtrc(1.0, dof, strength)
     p = np.where(side == 0.0, p, np.where(side * score > 0.0, 0.5 * p, 1.0))
+    p = np.where(seen, p, 1.0)
     estimate = score / size
     estimate = np.abs(np.where(side == 0.0, estimate, np.maximum(side * estimate, 0.0)))
     most = np.where(seen, estimate + Z95 / np.sqrt(size), np.inf)
