@@ -37,9 +37,9 @@ AXES, DRIVES = 3, 2
 #: Phases of a general law: those of third order are exact.
 PHASES = 5
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
-_POINTS_PER_BIN = 1.05
+_POINTS_PER_BIN = 1.2
 #: Envelope, relative to the largest, below which forces count as zero: the device has not reached its resonances yet.
-_QUIET = 5e-2
+_QUIET = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
