@@ -106,7 +106,9 @@ def _text(result: Identification) -> list[str]:
         sd, low, high = (columns.get(f"{name}_{end}") for end in ("sd", "q05", "q95"))
         value = rounded(columns[name], sd)
         span = "" if low is None or high is None else f"   90 %: {rounded(low, sd)} to {rounded(high, sd)}"
-        lines.append(f"  {name:20s} {value} +- {sd:.2g}{unit}{span}")
+        bound = columns.get(f"{name}_bias_bound")
+        bias = "" if bound is None else f"   undetected bias: at most {bound:.2g}"
+        lines.append(f"  {name:20s} {value} +- {sd:.2g}{unit}{span}{bias}")
     error = "unknown (no silent record and no repeats)" if columns.get("error") is None else f"{columns['error']:.4f}"
     if columns.get("relative_error") is not None:
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")
