@@ -21,7 +21,7 @@ from ....device.gyro import M_D, M_S
 from ....device.parameters import Parameter
 from .library import SHAPE, BandSignature, members_of, only, probed
 from .linear import LinearDevice
-from .narrow_band import PHASES, Law, Signals, at_phases, first_harmonic, whole_turn
+from .narrow_band import PHASES, ProbedLaw, Signals, at_phases, first_harmonic, force_harmonics, whole_turn
 from .parity import kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
@@ -53,7 +53,7 @@ def _laws(device: LinearDevice) -> Laws:
 
 @dataclass(frozen=True, eq=False)
 class BandForce:
-    """A force in the band: its envelope (n', 3) [V/s] at the value ``probe`` of a parameter, and the order of its law."""
+    """A force in the band: its envelope (3, n) [V/s] at the value ``probe`` of a parameter, and the order of its law."""
 
     effect: Effect
     member: Parameter
@@ -62,27 +62,46 @@ class BandForce:
     order: int
 
 
-def forces_of(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
-    """The force of each parameter of an effect, along the motion of a device."""
-    law, omega = Law(effect.force, _laws(device), signals), signals.grid.omega
-    members = members_of(effect)
-    for i, member in enumerate(members):
-        kind = kind_of(effect, i)
-        steady, first, double = law.harmonics(only(len(members), i, member.scale), kind.phases)
-        if kind.order == 1:
-            yield BandForce(effect, member, first, member.scale, 1)
-            continue
+def forces_of(effects: Sequence[Effect], device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
+    """The force of each parameter of the effects, along the motion of a device."""
+    every = [
+        (effect, i, member, kind_of(effect, i)) for effect in effects for i, member in enumerate(members_of(effect))
+    ]
+    for linear, used in ((True, signals), (False, signals.loud)):
+        own = [(effect, i, member, kind) for effect, i, member, kind in every if kind.linear == linear]
+        laws = [
+            ProbedLaw(effect.force, only(len(members_of(effect)), i, member.scale), kind.phases)
+            for effect, i, member, kind in own
+        ]
+        found = force_harmonics(laws, _laws(device), used)
+        for (effect, _, member, kind), (_, first, _) in zip(own, found):
+            if kind.order == 1:
+                yield BandForce(effect, member, used.whole([first])[0], member.scale, 1)
+        even = [
+            (effect, member, law, f) for (effect, _, member, kind), law, f in zip(own, laws, found) if kind.order == 2
+        ]
+        yield from _second_order(even, device, used)
+
+
+def _second_order(
+    laws: Sequence[tuple[Effect, Parameter, ProbedLaw, ComplexArray]], device: LinearDevice, signals: Signals
+) -> Iterator[BandForce]:
+    """The forces of laws through the motion that their harmonics f_0, f_1, f_2 (3, n', 3) cause."""
+    omega, stiffness = signals.grid.omega, device.mechanics.stiffness[0]
+    static, fast = np.linalg.inv(stiffness).T, np.linalg.inv(stiffness - 4.0 * omega**2 * np.eye(3)).T
+    level = _SHARE * omega**2 * _rms(signals.coordinates)
+    moved: list[tuple[Effect, Parameter, float]] = []
+    again: list[ProbedLaw] = []
+    for effect, member, law, (steady, _, double) in laws:
         size = max(_rms(steady), _rms(double))
-        if size == 0.0:
-            continue
-        # To first order in the parameter, the deviation is proportional to it.
-        share = _SHARE * omega**2 * _rms(signals.coordinates) / size
-        stiffness = device.mechanics.stiffness[0]
-        d0 = 0.5 * share * steady @ np.linalg.inv(stiffness).T
-        d2 = share * double @ np.linalg.inv(stiffness - 4.0 * omega**2 * np.eye(3)).T
-        probe = share * member.scale
-        _, first, _ = law.harmonics(only(len(members), i, probe), whole_turn(), (d0, d2))
-        yield BandForce(effect, member, first, probe, 2)
+        if size > 0.0:
+            # To first order in the parameter, the deviation is proportional to it.
+            share = level / size
+            deviation = 0.5 * share * steady.real @ static, share * double @ fast
+            again.append(ProbedLaw(law.force, share * law.p, whole_turn(), *deviation))
+            moved.append((effect, member, share * member.scale))
+    for (effect, member, probe), (_, first, _) in zip(moved, force_harmonics(again, _laws(device), signals)):
+        yield BandForce(effect, member, signals.whole([first])[0], probe, 2)
 
 
 @lru_cache(maxsize=64)
@@ -102,7 +121,7 @@ def drive_forces(effect: Effect, device: LinearDevice, signals: Signals) -> Iter
     v = at_phases(signals.drives)
     for i, member in enumerate(members):
         change = first_harmonic(effect.drive(v, only(len(members), i, member.scale), device.context) - v)
-        yield BandForce(effect, member, change @ device.mechanics.drive[0].T, member.scale, 1)
+        yield BandForce(effect, member, signals.whole([change @ device.mechanics.drive[0].T])[0], member.scale, 1)
 
 
 def sense_signatures(effects: Sequence[Effect], device: LinearDevice, signals: Signals) -> Iterator[BandSignature]:

@@ -36,12 +36,12 @@ class LawKind:
     Parameters
     ----------
     phases : (M,) [rad] at which the law is taken.
-    odd, even : its parity; neither if it is mixed.
+    linear, even : whether it is linear or even; neither if it is odd or mixed.
     order : of what returns into the band in the parameter, 1 or 2.
     """
 
     phases: FloatArray
-    odd: bool
+    linear: bool
     even: bool
     order: int
 
@@ -73,7 +73,7 @@ def kind_of(effect: Effect, i: int) -> LawKind:
         return LawKind(np.array([0.0, 0.5 * np.pi]), True, False, 1)
     if np.linalg.norm(plus + minus) <= size:
         # |x| x is right to 1 %: its seventh harmonic is folded into the first.
-        return LawKind(np.linspace(0.0, np.pi, 4, endpoint=False), True, False, 1)
+        return LawKind(np.linspace(0.0, np.pi, 4, endpoint=False), False, False, 1)
     if np.linalg.norm(plus - minus) <= size:
         return LawKind(np.linspace(0.0, np.pi, 3, endpoint=False), False, True, 2)
     odd, half = (at(1.0, strength) - at(-1.0, strength) for strength in (1.0, 0.5))

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from ....arrays import FloatArray
 from .clipping import adc_signature
 from .library import BandSignature, probed, scored_effects
@@ -40,17 +42,16 @@ def signatures(
     signals = device.signals(grid_of(device.band))
     found: list[BandSignature] = []
     forces: list[BandForce] = []
+    forces += forces_of([effect for effect in effects if effect.force is not None], device, signals)
     for effect in effects:
         if effect.drive is not None:
             forces += drive_forces(effect, device, signals)
-        if effect.force is not None:
-            forces += forces_of(effect, device, signals)
         if effect.adc is not None:
             found += [adc_signature(effect, device, model_v, probes[effect.name])] if effect.name in probes else []
     found += sense_signatures([effect for effect in effects if effect.sense is not None], device, signals)
     found += mechanics_signatures(device, effects)
     found += readout_signatures(device, effects)
     if forces:
-        volts = device.forced(signals.whole([force.envelope for force in forces]), signals.grid)
+        volts = device.forced(np.stack([force.envelope for force in forces]), signals.grid)
         found += [probed(f.effect, f.member, y, f.probe, f.order) for f, y in zip(forces, volts)]
     return tuple(sorted(found, key=lambda one: one.effect))
