@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
+from scipy.signal import lfilter, lfiltic
 
 from ..arrays import FloatArray
 
@@ -111,7 +112,9 @@ def _predicted(y: FloatArray, count: int) -> FloatArray:
     window = np.lib.stride_tricks.sliding_window_view(last - level, _ORDER + 1)
     weights, *_ = np.linalg.lstsq(window[:, :-1], window[:, -1], rcond=1e-6)
     largest = 1.5 * float(np.max(np.abs(window)))
-    state = list(window[-1, 1:])
-    for _ in range(count):
-        state.append(float(np.clip(np.dot(weights, state[-_ORDER:]), -largest, largest)))
-    return level + np.array(state[_ORDER:])
+    denominator = np.concatenate([[1.0], -weights[::-1]])
+    state = lfiltic([1.0], denominator, window[-1, :0:-1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        following, _ = lfilter([1.0], denominator, np.zeros(count), zi=state)
+    # An unstable prediction is limited to what the record shows.
+    return np.asarray(level + np.clip(np.nan_to_num(following), -largest, largest))

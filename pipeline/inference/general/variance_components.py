@@ -14,7 +14,7 @@ Shapes: K records, n rows, P parameters, m deviations of a record, 4 kinds of de
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -52,6 +52,18 @@ def grams_of(columns: Sequence[FloatArray], jacobians: Sequence[FloatArray], res
     )
 
 
+def with_residuals(
+    g: Grams, columns: Sequence[FloatArray], jacobians: Sequence[FloatArray], residuals: Sequence[FloatArray]
+) -> Grams:
+    """The products of the same columns with other residuals (n,) of each record."""
+    return replace(
+        g,
+        jr=sum((j.T @ r for j, r in zip(jacobians, residuals)), np.zeros_like(g.jr)),
+        cr=np.stack([c.T @ r for c, r in zip(columns, residuals)]),
+        rr=sum(float(r @ r) for r in residuals),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Solved:
     """-2 log L at given spreads; the step dx (P,), the deviations (K, m) and their covariances (K, m, m) at known x."""
@@ -64,19 +76,21 @@ class Solved:
 
 def solved(g: Grams, sd: FloatArray) -> Solved:
     """The linear problem with sds (m,) of the deviations."""
-    m = sd.size
+    records, m, parameters = g.cj.shape
     inner = np.eye(m) + sd[:, None] * g.cc * sd
     inverse = sd[:, None] * np.linalg.inv(inner) * sd
-    left = g.jj - np.einsum("kap,kab,kbq->pq", g.cj, inverse, g.cj)
-    right = g.jr - np.einsum("kap,kab,kb->p", g.cj, inverse, g.cr)
+    pull = (inverse @ g.cr[..., None])[..., 0]
+    flat = g.cj.reshape(records * m, parameters)
+    left = g.jj - flat.T @ (inverse @ g.cj).reshape(records * m, parameters)
+    right = g.jr - flat.T @ pull.reshape(-1)
     scale = np.sqrt(np.maximum(np.diagonal(left), 1e-300))
     size, vectors = np.linalg.eigh(left / np.outer(scale, scale))
     kept = size > 1e-12 * size[-1]
     along = vectors.T @ (right / scale)
     dx = vectors[:, kept] @ (along[kept] / size[kept]) / scale
-    quadratic = g.rr - float(np.einsum("ka,kab,kb->", g.cr, inverse, g.cr)) - float(right @ dx)
+    quadratic = g.rr - float(np.vdot(g.cr, pull)) - float(right @ dx)
     value = float(np.sum(np.linalg.slogdet(inner)[1]) + np.sum(np.log(size[kept])) + 2.0 * np.sum(np.log(scale)))
-    deviations = np.einsum("kab,kb->ka", inverse, g.cr - g.cj @ dx)
+    deviations = pull - (inverse @ (g.cj @ dx)[..., None])[..., 0]
     return Solved(value + quadratic, dx, deviations, inverse)
 
 

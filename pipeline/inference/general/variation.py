@@ -28,16 +28,17 @@ from ...experiment.record import Campaign, Record
 from ...experiment.variation import KINDS, Deviations, RecordSpread, advanced, kind_of_deviation
 from .fit import CampaignFit, fit_campaign
 from .linear_step import Sensitivity
-from .residuals import CampaignResiduals
-from .variance_components import grams_of, solved, spread_of
+from .residuals import CampaignResiduals, Tasks
+from .variance_components import Grams, grams_of, solved, spread_of, with_residuals
 
 #: Relative step of the frequency derivative: an eighth of a line width at a quality factor of 60,000.
 _STEP = 1e-6
 #: Largest spreads: frequency [1], start [samples], gain [1], ramp [V].  Three times the variation of a stable bench (10 ppm is
 #: 1 K at a typical temperature coefficient); larger differences are another device or set-up, which must remain a misfit.
 _LARGEST = (3e-5, 3.0, 3e-3, 0.1)
-#: Largest number of corrections of the records; they end when all deviations move by less than this part of their sd or value.
-_ITERATIONS, _SETTLED, _SETTLED_SHARE = 8, 0.3, 1e-3
+#: Largest numbers of fits, and of corrections of the records at one fit; they end when all deviations move by less than this
+#: part of their sd or value, and the parameters end within this part of their sd where the linearization puts them.
+_FITS, _CORRECTIONS, _SETTLED, _SETTLED_SHARE = 6, 8, 0.3, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,23 +101,42 @@ def record_variation(fit: CampaignFit, campaign: Campaign, most: int = len(KINDS
     threads : how many records are integrated at once.
     """
     driven = (*campaign.with_role("fit"), *campaign.with_role("validate"))
-    return _estimated(fit, campaign, deviation_columns(fit, driven, campaign), most, threads)
+    linear = _linearized(fit, campaign, deviation_columns(fit, driven, campaign), threads)
+    g, residuals = _with_records(linear, campaign)
+    return _estimated(linear, g, residuals, _spread(linear, g, most))[0]
 
 
-def _estimated(
-    fit: CampaignFit, campaign: Campaign, c_v: Mapping[str, FloatArray], most: int, threads: int
-) -> RecordVariation:
-    """As ``record_variation``, with the columns C (m, N, S) [V per unit] of every driven record at the fit."""
+@dataclass(frozen=True, eq=False)
+class _Linearized:
+    """A campaign linearized at a fit.
+
+    Parameters
+    ----------
+    fit : the fit.
+    c_v : deviation columns (m, N, S) [V per unit] by record.
+    residuals : the problem without common signals.
+    tasks : the driven records, those of the fit first.
+    columns, jacobians : C (n, m) of every driven record and J (n, P) with the initial states of the fit records, in sigmas.
+    products : of the columns of the fit records; those with the residual are not used.
+    """
+
+    fit: CampaignFit
+    c_v: Mapping[str, FloatArray]
+    residuals: CampaignResiduals
+    tasks: Tasks
+    columns: Sequence[FloatArray]
+    jacobians: Sequence[FloatArray]
+    products: Grams
+
+
+def _linearized(fit: CampaignFit, campaign: Campaign, c_v: Mapping[str, FloatArray], threads: int) -> _Linearized:
     problem = CampaignResiduals(fit.model, campaign, replace(fit.noise, common_v={}), threads)
     fitted = campaign.with_role("fit")
     driven = (*fitted, *campaign.with_role("validate"))
-    senses = fitted[0].sense_v.shape[1]
-    kinds = kind_of_deviation(senses)
     known = {record.name: record for record in fit.records}
     tasks = problem.tasks(driven, fit.values)
     starts = [known[r.name].start for r in driven]
-    columns = [problem.whiten(c_v[t.record.name], t).reshape(len(kinds), -1).T for t in tasks.each]
-    residuals = [problem.whiten(t.record.sense_v - known[t.record.name].predicted_v, t).reshape(-1) for t in tasks.each]
+    columns = [problem.whiten(c_v[t.record.name], t).reshape(len(c_v[t.record.name]), -1).T for t in tasks.each]
     reference = highest_drive_energy([r.drive_v for r in fitted])
     exact = problem.strength(fit.values, tasks.each[reference]) > STRONG
     steps = problem.steps(fit.values, tasks.each[reference], starts[reference])
@@ -124,18 +144,44 @@ def _estimated(
     free = [None if s is None else problem.start_columns(fit.values, t, s, exact) for t, s in zip(tasks.each, starts)]
     count = len(fitted)
     wide = _with_starts(list(zip(jacobians[:count], free[:count])))
-    g = grams_of(columns[:count], wide, residuals[:count])
-    largest = np.array(_LARGEST) * (1.0, 1.0 / fitted[0].sample_rate_hz, 1.0, 1.0)
-    spread = spread_of(g, kinds, largest, most)
-    sd = spread.of_deviations(senses)
+    none = [np.zeros(j.shape[0]) for j in wide]
+    products = grams_of(columns[:count], wide, none)
+    return _Linearized(fit, c_v, problem, tasks, columns, (*wide, *jacobians[count:]), products)
+
+
+def _with_records(linear: _Linearized, campaign: Campaign) -> tuple[Grams, list[FloatArray]]:
+    """The products and the residuals (n,) of every driven record, in sigmas, for the records of ``campaign``."""
+    known = {record.name: record.predicted_v for record in linear.fit.records}
+    measured = {record.name: record.sense_v for record in campaign.records}
+    names = [(t, t.record.name) for t in linear.tasks.each]
+    residuals = [linear.residuals.whiten(measured[name] - known[name], t).reshape(-1) for t, name in names]
+    count = len(linear.products.cc)
+    own = (linear.columns[:count], linear.jacobians[:count], residuals[:count])
+    return with_residuals(linear.products, *own), residuals
+
+
+def _spread(linear: _Linearized, g: Grams, most: int) -> RecordSpread:
+    first = linear.tasks.each[0].record
+    largest = np.array(_LARGEST) * (1.0, 1.0 / first.sample_rate_hz, 1.0, 1.0)
+    return spread_of(g, kind_of_deviation(first.sense_v.shape[1]), largest, most)
+
+
+def _estimated(
+    linear: _Linearized, g: Grams, residuals: Sequence[FloatArray], spread: RecordSpread
+) -> tuple[RecordVariation, FloatArray]:
+    """The deviations of the records at given spreads, and the step (P,) of the parameters that goes with them."""
+    tasks, count = linear.tasks.each, len(linear.products.cc)
+    sd = spread.of_deviations(tasks[0].record.sense_v.shape[1])
     best = solved(g, sd)
-    out = [Deviations(r.name, d, np.sqrt(np.diagonal(v))) for r, d, v in zip(fitted, best.deviations, best.covariances)]
-    for record, c, j, r in zip(driven[count:], columns[count:], jacobians[count:], residuals[count:]):
+    out = [
+        Deviations(t.record.name, d, np.sqrt(np.diagonal(v))) for t, d, v in zip(tasks, best.deviations, best.covariances)
+    ]
+    dx = best.dx[: len(linear.fit.names)]
+    for t, c, j, r in zip(tasks[count:], linear.columns[count:], linear.jacobians[count:], residuals[count:]):
         # The parameters come from the fit records only.
-        left = r - j @ best.dx[: j.shape[1]]
-        alone = solved(grams_of([c], [np.zeros((r.size, 1))], [left]), sd)
-        out.append(Deviations(record.name, alone.deviations[0], np.sqrt(np.diagonal(alone.covariances[0]))))
-    return RecordVariation(spread, tuple(out))
+        alone = solved(grams_of([c], [np.zeros((r.size, 1))], [r - j @ dx]), sd)
+        out.append(Deviations(t.record.name, alone.deviations[0], np.sqrt(np.diagonal(alone.covariances[0]))))
+    return RecordVariation(spread, tuple(out)), dx
 
 
 def _with_starts(sensitivities: Sequence[Sensitivity]) -> list[FloatArray]:
@@ -215,27 +261,52 @@ class VariedFit:
 def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threads: int = 1) -> VariedFit:
     """The fit of ``model`` with the variation between the records, from a fit without it.
 
-    The records are corrected and fitted again until their deviations settle.  ``campaign`` is the measured one.
+    The records are corrected and fitted again until the fit moves as its linearization predicts.  ``campaign`` is the measured
+    one.
     """
-    corrected, previous, driven = campaign, None, [r for r in campaign.records if r.role in ("fit", "validate")]
-    for iteration in range(_ITERATIONS):
-        columns = deviation_columns(fit, driven, campaign)
+    corrected, driven = campaign, [r for r in campaign.records if r.role in ("fit", "validate")]
+    for iteration in range(_FITS):
+        linear = _linearized(fit, campaign, deviation_columns(fit, driven, campaign), threads)
         # A large start shift has second-order terms that look like the other kinds, so the first correction is of one kind.
-        found = _estimated(fit, corrected, columns, 1 if iteration == 0 else len(KINDS), threads)
+        most = (1, len(KINDS)) if iteration == 0 else (len(KINDS),)
+        found, dx, equal = _corrected(linear, campaign, corrected, most)
         if found.spread.is_zero:
             return VariedFit(fit, campaign, replace(fit.noise, common_v={}), found)
-        equal = aligned(campaign, fit, found)
-        corrected = _with_first_order(equal, found, columns)
+        corrected = _with_first_order(equal, found, linear.c_v)
         sd = found.spread.of_deviations(driven[0].sense_v.shape[1])[:, None, None]
         # Repeats measure the noise level once their records are equal.
         noise = replace(
-            noise_level(equal), mixing=fit.noise.mixing, common_v={name: sd * c for name, c in columns.items()}
+            noise_level(equal), mixing=fit.noise.mixing, common_v={name: sd * c for name, c in linear.c_v.items()}
         )
-        fit = fit_campaign(model, corrected, noise, fit.values, threads=threads)
-        if previous is not None and iteration > 1 and _settled(previous, found):
+        predicted, fit = fit.x + dx, fit_campaign(model, corrected, noise, fit.values, threads=threads)
+        missed = np.abs(fit.x - predicted)
+        if iteration > 0 and np.all(missed <= _SETTLED * np.sqrt(np.maximum(np.diagonal(fit.x_covariance), 0.0))):
+            break
+    return VariedFit(fit, corrected, noise, found)
+
+
+def _corrected(
+    linear: _Linearized, measured: Campaign, corrected: Campaign, most: tuple[int, ...]
+) -> tuple[RecordVariation, FloatArray, Campaign]:
+    """The variation at a fit, to second order; the step (P,) of the parameters; and the campaign without the deviations.
+
+    The columns stay the same while the records are corrected.  The spreads are estimated before the first corrections, of at
+    most ``most`` kinds each.
+    """
+    previous, spread = None, RecordSpread()
+    for correction in range(_CORRECTIONS):
+        g, residuals = _with_records(linear, corrected)
+        if correction < len(most):
+            spread = _spread(linear, g, most[correction])
+        found, dx = _estimated(linear, g, residuals, spread)
+        if spread.is_zero:
+            return found, dx, measured
+        equal = aligned(measured, linear.fit, found)
+        corrected = _with_first_order(equal, found, linear.c_v)
+        if previous is not None and correction >= len(most) and _settled(previous, found):
             break
         previous = found
-    return VariedFit(fit, corrected, noise, found)
+    return found, dx, equal
 
 
 def _settled(before: RecordVariation, after: RecordVariation) -> bool:
