@@ -79,13 +79,19 @@ def _deviation_columns(
     return out
 
 
-def deviation_columns(fit: CampaignFit, records: Sequence[Record], campaign: Campaign) -> dict[str, FloatArray]:
-    """C (m, N, S) [V per unit of the deviation] of each of ``records`` at the fitted parameters, by name."""
+def deviation_columns(
+    fit: CampaignFit, records: Sequence[Record], campaign: Campaign, values: Mapping[str, float] | None = None
+) -> dict[str, FloatArray]:
+    """C (m, N, S) [V per unit of the deviation] of each of ``records``, by name.
+
+    The columns are those at complete parameter ``values``; ``None`` means those of the fit.
+    """
+    at = fit.values if values is None else values
     known = {record.name: record.start for record in fit.records}
     out: dict[str, FloatArray] = {}
     for places, group in drive_groups_of(records, campaign.instrument, campaign.angular_gain):
         starts = [known.get(records[i].name) for i in places]
-        found = _deviation_columns(fit.model, fit.values, group, campaign.instrument, starts)
+        found = _deviation_columns(fit.model, at, group, campaign.instrument, starts)
         out |= {records[i].name: c for i, c in zip(places, found)}
     return out
 
@@ -197,11 +203,15 @@ def _with_starts(sensitivities: Sequence[Sensitivity]) -> list[FloatArray]:
     return out
 
 
-def aligned(campaign: Campaign, fit: CampaignFit, variation: RecordVariation) -> Campaign:
+def aligned(
+    campaign: Campaign, fit: CampaignFit, variation: RecordVariation, values: Mapping[str, float] | None = None
+) -> Campaign:
     """The campaign without the estimated deviations:  y' = advanced(y - b l, tau) / (1 + g) - (f(phi) - f(0)).
 
-    The first order alone does not suffice where they are large.  Only the driven records change.
+    The first order alone does not suffice where they are large.  Only the driven records change.  f is the model at complete
+    parameter ``values``; ``None`` means those of the fit.
     """
+    at = fit.values if values is None else values
     known = {record.name: record.start for record in fit.records}
     predicted = {record.name: record.predicted_v for record in fit.records}
     model, instrument = fit.model, campaign.instrument
@@ -213,7 +223,7 @@ def aligned(campaign: Campaign, fit: CampaignFit, variation: RecordVariation) ->
         ((_, group),) = drive_groups_of([record], instrument, campaign.angular_gain)
         shifted, plain = (
             volts(
-                assemble(model, at_frequency(model, fit.values, phi), instrument, group.conditions),
+                assemble(model, at_frequency(model, at, phi), instrument, group.conditions),
                 group,
                 [known.get(record.name)],
             )[0]
@@ -269,17 +279,20 @@ def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threa
         linear = _linearized(fit, campaign, deviation_columns(fit, driven, campaign), threads)
         # A large start shift has second-order terms that look like the other kinds, so the first correction is of one kind.
         most = (1, len(KINDS)) if iteration == 0 else (len(KINDS),)
-        found, dx, equal = _corrected(linear, campaign, corrected, most)
+        found, equal, moved = _corrected(linear, campaign, corrected, most)
         if found.spread.is_zero:
             return VariedFit(fit, campaign, replace(fit.noise, common_v={}), found)
-        corrected = _with_first_order(equal, found, linear.c_v)
+        # A common frequency and the deviations from it are nearly the same, so the columns of both must hold at one point: with
+        # those of the previous fit the mean frequency went back and forth by 0.6 sd and did not settle.
+        columns = deviation_columns(fit, driven, campaign, moved)
+        corrected = _with_first_order(equal, found, columns)
         sd = found.spread.of_deviations(driven[0].sense_v.shape[1])[:, None, None]
         # Repeats measure the noise level once their records are equal.
         noise = replace(
-            noise_level(equal), mixing=fit.noise.mixing, common_v={name: sd * c for name, c in linear.c_v.items()}
+            noise_level(equal), mixing=fit.noise.mixing, common_v={name: sd * c for name, c in columns.items()}
         )
-        predicted, fit = fit.x + dx, fit_campaign(model, corrected, noise, fit.values, threads=threads)
-        missed = np.abs(fit.x - predicted)
+        fit = fit_campaign(model, corrected, noise, moved, threads=threads)
+        missed = np.abs(fit.x - fit.model.to_internal(moved))
         if iteration > 0 and np.all(missed <= _SETTLED * np.sqrt(np.maximum(np.diagonal(fit.x_covariance), 0.0))):
             break
     return VariedFit(fit, corrected, noise, found)
@@ -287,26 +300,29 @@ def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threa
 
 def _corrected(
     linear: _Linearized, measured: Campaign, corrected: Campaign, most: tuple[int, ...]
-) -> tuple[RecordVariation, FloatArray, Campaign]:
-    """The variation at a fit, to second order; the step (P,) of the parameters; and the campaign without the deviations.
+) -> tuple[RecordVariation, Campaign, dict[str, float]]:
+    """The variation at a fit, to second order; the campaign without the deviations; the parameter values that go with them.
 
     The columns stay the same while the records are corrected.  The spreads are estimated before the first corrections, of at
     most ``most`` kinds each.
     """
-    previous, spread = None, RecordSpread()
+    previous, spread, model = None, RecordSpread(), linear.fit.model
     for correction in range(_CORRECTIONS):
         g, residuals = _with_records(linear, corrected)
         if correction < len(most):
             spread = _spread(linear, g, most[correction])
         found, dx = _estimated(linear, g, residuals, spread)
         if spread.is_zero:
-            return found, dx, measured
-        equal = aligned(measured, linear.fit, found)
+            return found, measured, linear.fit.values
+        # Deviations and parameters are solved for together: the deviations are those at the moved parameters.
+        moved = model.to_values(linear.fit.x + dx)
+        moved = moved if model.allowed(moved) else linear.fit.values
+        equal = aligned(measured, linear.fit, found, moved)
         corrected = _with_first_order(equal, found, linear.c_v)
         if previous is not None and correction >= len(most) and _settled(previous, found):
             break
         previous = found
-    return found, dx, equal
+    return found, equal, moved
 
 
 def _settled(before: RecordVariation, after: RecordVariation) -> bool:
