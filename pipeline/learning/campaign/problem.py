@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...arrays import IntArray
+from ...arrays import FloatArray, IntArray
 from ...criticism.problem import FitResult, LocalCandidate, Region, Signatures, Spectrum
 from ...criticism.regions import pooled_spectra
 from ...device.model import Model
@@ -69,6 +69,7 @@ class CampaignProblem:
         self.model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])
         self._fits: dict[frozenset[str], tuple[CampaignFit, FitResult]] = {}
         self._known: KnownSignatures | None = None
+        self._offset: tuple[FloatArray, ...] = ()
         # Effects that add a mode, with the full names of its frequency and damping ratio.
         self._modes = {name: effect.mode for name, effect in self.model.library.items() if effect.mode is not None}
         self._mode_starts: dict[tuple[str, frozenset[str]], tuple[float, ...]] = {}
@@ -118,7 +119,8 @@ class CampaignProblem:
             likely = {mode[0]: self._mode_starts.get((name, key - {name}), ()) for name, mode in self._modes.items()}
             try:
                 fitted, columns = fit_with_columns(model, self.campaign, self.noise, values, likely, self.threads)
-                result = fit_result(fitted, columns, terms, self.campaign, self.spectra, self.strata)
+                free = self._trigger_offset(fitted)
+                result = fit_result(fitted, columns, terms, self.campaign, self.spectra, self.strata, free)
             except (GyroscreenError, np.linalg.LinAlgError) as error:
                 return FitResult(False, terms, {}, (), (), why=str(error))
             self._fits[key] = fitted, result
@@ -172,6 +174,22 @@ class CampaignProblem:
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
         """Residual energy of all records by frequency, up to Nyquist."""
         return pooled_spectra(residual_spectra(self.campaign_fit(fit.terms), self.partitions))
+
+    def _trigger_offset(self, fitted: CampaignFit) -> Sequence[FloatArray]:
+        """For each fit record (N S, 1) the column of a start shift common to all; none where the starts do not differ.
+
+        Starts that differ have a mean that nobody knows, and a constant delay equals it.  The means of the other deviations are
+        parameters of the plant.
+        """
+        if self.variation is None or self.variation.spread.start_s == 0.0:
+            return ()
+        if not self._offset:
+            residuals, start = self._residuals(fitted), slice(1, 2)
+            self._offset = tuple(
+                residuals.whiten(self.noise.common_v[r.name][start], residuals.task(r, fitted.values)).reshape(1, -1).T
+                for r in self.records
+            )
+        return self._offset
 
     def _residuals(self, fitted: CampaignFit) -> CampaignResiduals:
         return CampaignResiduals(fitted.model, self.campaign, self.noise, self.threads)

@@ -82,6 +82,7 @@ def fit_result(
     campaign: Campaign,
     spectra: Sequence[FourierRows],
     strata: tuple[IntArray, ...],
+    free: Sequence[FloatArray] = (),
 ) -> FitResult:
     """The fit of a campaign with some effects, as criticism takes it.
 
@@ -91,10 +92,11 @@ def fit_result(
     terms : effects in the model beside the given ones.
     campaign : its records.
     spectra, strata : of each fit record: its transform, and (2 F S,) the noise stratum of each row.
+    free : for each fit record columns (N S, k), in sigmas, of signals whose size nothing determines; tests project them out.
     """
-    free, noise_known = fitted.model.free, fitted.noise.known
+    names, noise_known = fitted.model.free, fitted.noise.known
     columns = {
-        term: tuple(i for i, name in enumerate(free) if name in fitted.model.parameters_of(term)) for term in terms
+        term: tuple(i for i, name in enumerate(names) if name in fitted.model.parameters_of(term)) for term in terms
     }
     derived = {}
     if fitted.theta_deg is not None and fitted.split_hz is not None:
@@ -106,11 +108,11 @@ def fit_result(
         terms,
         fitted.parameters,
         blocks,
-        _jacobians(fitted, sensitivities, spectra),
+        _jacobians(fitted, sensitivities, spectra, free),
         derived=derived,
         held=tuple(_block(record, fitted, campaign) for record in campaign.with_role("validate")),
         columns=columns,
-        shifts={term: tuple(_shift(fitted, free[i]) for i in columns[term]) for term in terms},
+        shifts={term: tuple(_shift(fitted, names[i]) for i in columns[term]) for term in terms},
         strata=strata,
         noise_known=noise_known,
         nuisances=sum(block.nuisances for block in blocks),
@@ -123,15 +125,18 @@ def fit_result(
         at_limit=tuple(
             term
             for term in terms
-            if any(_at_limit(fitted, free[i]) for i in columns[term]) or _overlaps_resonance(fitted, term)
+            if any(_at_limit(fitted, names[i]) for i in columns[term]) or _overlaps_resonance(fitted, term)
         ),
     )
 
 
 def _jacobians(
-    fitted: CampaignFit, sensitivities: Sequence[Sensitivity], spectra: Sequence[FourierRows]
+    fitted: CampaignFit,
+    sensitivities: Sequence[Sensitivity],
+    spectra: Sequence[FourierRows],
+    free: Sequence[FloatArray],
 ) -> tuple[FloatArray, ...]:
-    """For each fit record (2 F S, P + all initial states): columns of the parameters, then of the initial states."""
+    """For each fit record (2 F S, P + all initial states + k): columns of the parameters, the initial states, and ``free``."""
     to_coordinates, senses = _coordinate_jacobian(fitted), fitted.records[0].residual.shape[1]
     jacobians, starts = [], []
     for transform, (j, f) in zip(spectra, sensitivities):
@@ -139,6 +144,9 @@ def _jacobians(
         starts.append(np.zeros((jacobians[-1].shape[0], 0)) if f is None else transform.columns(f, senses))
     if any(f.shape[1] for f in starts):
         jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, _block_diagonal(starts))]
+    if free:
+        wide = [transform.columns(one, senses) for transform, one in zip(spectra, free)]
+        jacobians = [np.concatenate(parts, axis=1) for parts in zip(jacobians, wide)]
     return tuple(jacobians)
 
 

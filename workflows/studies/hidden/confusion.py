@@ -38,12 +38,15 @@ def class_of(name: str, result: Mapping[str, Any]) -> set[str]:
 def answer(row: Row, step: str) -> str:
     """Assessment of ``step`` ("diagnose" or "refine"): "right", "partly", "wrong", "adequate", "unknown" or "fit_failed".
 
-    right   all hidden effects and no others, up to classes of at most three
+    right   all hidden effects and no others, up to classes of at most three; or none, where it says that the campaign cannot
+            show the hidden effect
     partly  only hidden effects (up to classes), but not all of them, or in a larger class
     wrong   at least one named effect whose class contains no hidden effect
     """
     result, hidden = row[step], set(row["hidden"])
     if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
+        if hidden and result["verdict"] == "adequate" and hidden <= set(result.get("invisible", ())):
+            return "right"
         return "adequate" if result["verdict"] in ("adequate", "effect", "class") else str(result["verdict"])
     named = [class_of(name, result) for name in result["effects"]]
     if any(not members & hidden for members in named):
@@ -246,6 +249,8 @@ def found_as(row: Row, step: str) -> str:
     """Column of the confusion matrix: named effects with their classes, or the verdict if none is named."""
     result = row[step]
     if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
+        if hidden and result["verdict"] == "adequate" and hidden <= set(result.get("invisible", ())):
+            return "right"
         return "adequate" if result["verdict"] in ("effect", "class") else str(result["verdict"])
     return " + ".join(sorted("/".join(sorted(class_of(name, result))) for name in result["effects"]))
 
