@@ -26,9 +26,11 @@ from ...criticism.problem import Problem
 from ...criticism.selection import ForwardSelection, forward_selection
 from ...criticism.verdict import verdict_of
 from ...experiment.noise.level import noise_level, repeats_of
+from ...inference.general.deviation_columns import deviation_columns
 from ...inference.general.jitter import campaign_jitter, with_jitter
 from ...inference.general.residuals import CampaignResiduals
-from ...inference.general.variation import VariedFit, deviation_columns, fit_with_variation, record_variation
+from ...inference.general.variation import record_variation
+from ...inference.general.varied_fit import VariedFit, fit_with_variation
 from .problem import CampaignProblem
 
 #: Probability that equal repeats are taken as different, for each pair.

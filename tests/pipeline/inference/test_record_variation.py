@@ -10,7 +10,8 @@ from pipeline.experiment.excitation import drive_samples
 from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.general.fit import fit_campaign
-from pipeline.inference.general.variation import fit_with_variation, record_variation
+from pipeline.inference.general.variation import record_variation
+from pipeline.inference.general.varied_fit import fit_with_variation
 from workflows.simulate import standard_excitations
 from workflows.studies.hidden.draw import INSTRUMENT, draw_device
 from workflows.studies.hidden.truth import response

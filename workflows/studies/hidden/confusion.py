@@ -249,8 +249,6 @@ def found_as(row: Row, step: str) -> str:
     """Column of the confusion matrix: named effects with their classes, or the verdict if none is named."""
     result = row[step]
     if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
-        if hidden and result["verdict"] == "adequate" and hidden <= set(result.get("invisible", ())):
-            return "right"
         return "adequate" if result["verdict"] in ("effect", "class") else str(result["verdict"])
     return " + ".join(sorted("/".join(sorted(class_of(name, result))) for name in result["effects"]))
 

@@ -1,0 +1,177 @@
+"""The fit of a campaign whose records differ: the records are corrected and fitted in turn.
+
+    y'_k = y_k without the estimated deviations d_k,  + C_k d_k,        x^ = argmin of the fit with noise I + C_k D C_k'
+
+Shapes: K fit records, N samples, S senses, P parameters, m deviations of a record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...device.model import Model
+from ...experiment.forward.drive_groups import drive_groups_of
+from ...experiment.forward.response import volts
+from ...experiment.forward.system import assemble
+from ...experiment.noise.level import NoiseLevel, noise_level
+from ...experiment.record import Campaign, Record
+from ...experiment.variation import KINDS, RecordSpread, advanced
+from .deviation_columns import at_frequency, deviation_columns
+from .fit import CampaignFit, fit_campaign
+from .variation import Linearized, RecordVariation, estimated, linearized, spread_at, with_records
+
+#: Largest numbers of fits, and of corrections of the records at one fit; they end when all deviations move by less than this
+#: part of their sd or value, and the parameters end within this part of their sd where the linearization puts them.
+_FITS, _CORRECTIONS, _SETTLED, _SETTLED_SHARE = 6, 8, 0.3, 1e-3
+#: Share of the misfit by which chi2 changes when the fit of a wrong model counts as settled; its parameters may never settle.
+_STUCK = 0.03
+
+
+def aligned(
+    campaign: Campaign, fit: CampaignFit, variation: RecordVariation, values: Mapping[str, float] | None = None
+) -> Campaign:
+    """The campaign without the estimated deviations:  y' = advanced(y - b l, tau) / (1 + g) - (f(phi) - f(0)).
+
+    The first order alone does not suffice where they are large.  Only the driven records change.  f is the model at complete
+    parameter ``values``; ``None`` means those of the fit.
+    """
+    at = fit.values if values is None else values
+    known = {record.name: record.start for record in fit.records}
+    predicted = {record.name: record.predicted_v for record in fit.records}
+    model, instrument = fit.model, campaign.instrument
+
+    def equal(record: Record) -> Record:
+        d = variation.of(record.name)
+        if d is None:
+            return record
+        ((_, group),) = drive_groups_of([record], instrument, campaign.angular_gain)
+        shifted, plain = (
+            volts(
+                assemble(model, at_frequency(model, at, phi), instrument, group.conditions),
+                group,
+                [known.get(record.name)],
+            )[0]
+            for phi in (d.frequency, 0.0)
+        )
+        ramp = d.ramp_v * np.linspace(-1.0, 1.0, record.sense_v.shape[0])[:, None]
+        measured = _filled(record, predicted[record.name])
+        y = advanced(measured - ramp, d.start_s, record.sample_rate_hz) / (1.0 + d.gain)
+        return replace(record, sense_v=y - (shifted - plain))
+
+    return replace(campaign, records=tuple(equal(record) for record in campaign.records))
+
+
+def _filled(record: Record, predicted_v: FloatArray) -> FloatArray:
+    """The samples (N, S) [V] with bad ones replaced by the prediction; a time shift would spread them."""
+    if record.good is None:
+        return record.sense_v
+    difference = np.where(record.good, record.sense_v - predicted_v, 0.0)
+    offset = difference.sum(axis=0) / np.maximum(record.good.sum(axis=0), 1)
+    return np.where(record.good, record.sense_v, predicted_v + offset)
+
+
+def _with_first_order(campaign: Campaign, variation: RecordVariation, columns: Mapping[str, FloatArray]) -> Campaign:
+    """The campaign with C d added to every driven record: the likelihood is linear around the estimated deviations."""
+
+    def with_deviations(record: Record) -> Record:
+        d = variation.of(record.name)
+        if d is None:
+            return record
+        return replace(record, sense_v=record.sense_v + np.tensordot(d.value, columns[record.name], axes=1))
+
+    return replace(campaign, records=tuple(with_deviations(record) for record in campaign.records))
+
+
+@dataclass(frozen=True, eq=False)
+class VariedFit:
+    """A fit in which the records may differ: the corrected campaign, the noise with the common signals, and the variation."""
+
+    fit: CampaignFit
+    campaign: Campaign
+    noise: NoiseLevel
+    variation: RecordVariation
+
+
+def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threads: int = 1) -> VariedFit:
+    """The fit of ``model`` with the variation between the records, from a fit without it.
+
+    The records are corrected and fitted again until the fit moves as its linearization predicts.  ``campaign`` is the measured
+    one.
+    """
+    corrected, driven = campaign, [r for r in campaign.records if r.role in ("fit", "validate")]
+    for iteration in range(_FITS):
+        linear = linearized(fit, campaign, deviation_columns(fit, driven, campaign), threads)
+        # A large start shift has second-order terms that look like the other kinds, so the first correction is of one kind.
+        most = (1, len(KINDS)) if iteration == 0 else (len(KINDS),)
+        found, equal, moved = _corrected(linear, campaign, corrected, most)
+        if found.spread.is_zero:
+            return VariedFit(fit, campaign, replace(fit.noise, common_v={}), found)
+        # A common frequency and the deviations from it are nearly the same, so the columns of both must hold at one point: with
+        # those of the previous fit the mean frequency went back and forth by 0.6 sd and did not settle.
+        columns = deviation_columns(fit, driven, campaign, moved)
+        corrected = _with_first_order(equal, found, columns)
+        sd = found.spread.of_deviations(driven[0].sense_v.shape[1])[:, None, None]
+        # Repeats measure the noise level once their records are equal.
+        noise = replace(
+            noise_level(equal), mixing=fit.noise.mixing, common_v={name: sd * c for name, c in columns.items()}
+        )
+        before, fit = fit, fit_campaign(model, corrected, noise, moved, threads=threads)
+        missed = np.abs(fit.x - fit.model.to_internal(moved))
+        settled = bool(np.all(missed <= _SETTLED * np.sqrt(np.maximum(np.diagonal(fit.x_covariance), 0.0))))
+        if iteration > 0 and (settled or abs(fit.chi2 - before.chi2) < _STUCK * (fit.chi2 - fit.dof)):
+            break
+    return VariedFit(fit, corrected, noise, found)
+
+
+def _corrected(
+    linear: Linearized, measured: Campaign, corrected: Campaign, most: tuple[int, ...]
+) -> tuple[RecordVariation, Campaign, dict[str, float]]:
+    """The variation at a fit, to second order; the campaign without the deviations; the parameter values that go with them.
+
+    The columns stay the same while the records are corrected.  The spreads are estimated before the first corrections, of at
+    most ``most`` kinds each.
+    """
+    previous, spread, model = None, RecordSpread(), linear.fit.model
+    for correction in range(_CORRECTIONS):
+        g, residuals = with_records(linear, corrected)
+        if correction < len(most):
+            spread = spread_at(linear, g, most[correction])
+        found, dx = estimated(linear, g, residuals, spread)
+        if spread.is_zero:
+            return found, measured, linear.fit.values
+        # Deviations and parameters are solved for together: the deviations are those at the moved parameters.
+        moved = model.to_values(linear.fit.x + dx)
+        moved = moved if model.allowed(moved) else linear.fit.values
+        found, mean = _without_mean_frequency(found, len(linear.products.cc))
+        moved = at_frequency(model, moved, mean)
+        equal = aligned(measured, linear.fit, found, moved)
+        corrected = _with_first_order(equal, found, linear.c_v)
+        if previous is not None and correction >= len(most) and _settled(previous, found):
+            break
+        previous = found
+    return found, equal, moved
+
+
+def _without_mean_frequency(found: RecordVariation, count: int) -> tuple[RecordVariation, float]:
+    """The deviations without the mean frequency [1] of the first ``count`` records, and that mean: it belongs to the plant."""
+    mean = float(np.mean([one.frequency for one in found.deviations[:count]]))
+    out = []
+    for one in found.deviations:
+        value = one.value.copy()
+        value[0] -= mean
+        out.append(replace(one, value=value))
+    return RecordVariation(found.spread, tuple(out)), mean
+
+
+def _settled(before: RecordVariation, after: RecordVariation) -> bool:
+    """Whether the deviations of all records moved by less than ``_SETTLED`` of their sd, or of themselves."""
+    for one in after.deviations:
+        other = before.of(one.record)
+        assert other is not None
+        if np.any(np.abs(one.value - other.value) > np.maximum(_SETTLED * one.sd, _SETTLED_SHARE * np.abs(one.value))):
+            return False
+    return True
