@@ -3,7 +3,7 @@
     [device]         id, angular_gain = I_p / I_0p
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
-    [[record]]       file, role, rate_dps, bias_v, at_rest; name; start, stop (start <= n < stop of the file)
+    [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file)
     [systematic]     sds of errors that the devices of a tester share: phase_error_sd_deg, angular_gain_sd, gain_sd (relative),
                      clock_sd_ppm, temperature_sd_c with tcf_ppm_per_c
     [reference]      quantity = [value, sd]
@@ -48,6 +48,7 @@ from .files.modal_record import ModalRecord, decode_modal_record
 from .files.readers import existing, read_columns, read_record, write_columns
 from .instrument import Instrument
 from .record import Campaign, Channels, Record, Role
+from .systematic import EXACT
 
 Sign = Literal[-1, 1]
 
@@ -60,6 +61,7 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     role: Role | None = None
     rate_dps: float | None = None
     bias_v: float | None = None
+    temperature_c: Annotated[float, Meta(ge=-273.15, le=1000.0)] | None = None
     at_rest: bool = True
     start: Annotated[int, Meta(ge=0)] = 0
     stop: Annotated[int, Meta(ge=1)] | None = None
@@ -121,7 +123,22 @@ def _record_of(folder: Path, entry: RecordTable, role: Role, rate: float | None,
         at_rest=record.at_rest and entry.at_rest,
         rate_dps=entry.rate_dps,
         bias_v=entry.bias_v,
+        temperature_c=entry.temperature_c,
         file=entry.file,
+    )
+
+
+def _at_temperatures(records: Sequence[Record], tcf_ppm_per_c: float) -> tuple[Record, ...]:
+    """The records with the frequency shifts of their declared temperatures, 1e-6 TCF (T - mean of T over the fit records)."""
+    fitted = [r.temperature_c for r in records if r.role == "fit" and r.temperature_c is not None]
+    if not fitted:
+        return tuple(records)
+    mean = sum(fitted) / len(fitted)
+    return tuple(
+        r
+        if r.temperature_c is None
+        else dataclasses.replace(r, frequency_shift=1e-6 * tcf_ppm_per_c * (r.temperature_c - mean))
+        for r in records
     )
 
 
@@ -177,16 +194,17 @@ def read_campaign(path: Path) -> Campaign:
             )
         )
     _same_shape(records)
+    systematic = document.systematic.built()
     return Campaign(
         device_id=document.device.id or file.absolute().parent.name,
-        records=tuple(records),
+        records=_at_temperatures(records, systematic.tcf_ppm_per_c),
         instrument=document.instrument.built(records[0].sample_rate_hz),
         angular_gain=document.device.angular_gain,
         phase_error_deg=document.demodulation.phase_error_deg,
         drive=document.demodulation.drive,
         reference=references(document.reference, file.name),
         channels=_channels(document.channels),
-        systematic=document.systematic.built(),
+        systematic=systematic,
     )
 
 
@@ -237,7 +255,12 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
                 next_step="resample it, or write it to a separate campaign",
             )
         file = write_columns(folder, f"record-{k}", _vectors(record), format).name
-        conditions = {"role": record.role, "rate_dps": record.rate_dps, "bias_v": record.bias_v}
+        conditions = {
+            "role": record.role,
+            "rate_dps": record.rate_dps,
+            "bias_v": record.bias_v,
+            "temperature_c": record.temperature_c,
+        }
         name = record.name if record.name != file else None
         at_rest = None if record.at_rest else False
         entries.append(toml.table("[[record]]", {"file": file, "name": name, **conditions, "at_rest": at_rest}))
@@ -257,7 +280,7 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
                     "adc": None if instrument.adc is None else dataclasses.asdict(instrument.adc),
                 },
             ),
-            "" if campaign.systematic.exact else toml.table("[systematic]", dataclasses.asdict(campaign.systematic)),
+            "" if campaign.systematic == EXACT else toml.table("[systematic]", dataclasses.asdict(campaign.systematic)),
             *entries,
             toml.table("[reference]", {name: list(pair) for name, pair in campaign.reference.items()}),
         ]

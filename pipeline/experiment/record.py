@@ -78,6 +78,8 @@ class Record:
     at_rest : whether the device was at rest before the first sample.
     rate_dps : declared angular rate [deg/s]; ``None`` means unknown.
     bias_v : bias during this record [V]; ``None`` means the bias of the instrument.
+    temperature_c : declared temperature [deg C]; ``None`` means unknown.
+    frequency_shift : relative shift of all natural frequencies [1] that follows from the declared temperature.
     clock : sample rate and jitter of its time column; ``None`` where there was no time column.
     file : file of its [[record]] in campaign.toml; ``None`` where it was not read from a campaign.
     bad : bad samples, which every fit leaves out; ``None`` where they were not sought (see ``experiment.bad_samples``).
@@ -91,6 +93,8 @@ class Record:
     at_rest: bool = True
     rate_dps: float | None = None
     bias_v: float | None = None
+    temperature_c: float | None = None
+    frequency_shift: float = 0.0
     clock: Clock | None = None
     file: str | None = None
     bad: tuple[BadStretch, ...] | None = None

@@ -9,7 +9,7 @@ Shapes: n coordinates, D drives, S senses, k parameters of an effect.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,11 +29,15 @@ _NO_POLES: ComplexArray = np.zeros(0, dtype=np.complex128)
 
 @dataclass(frozen=True)
 class Conditions:
-    """Declared conditions of a record: biases [V], and the angular rate Omega I_p/I_0p [rad/s], ``None`` where unknown."""
+    """Declared conditions of a record.
+
+    Biases [V]; the angular rate Omega I_p/I_0p [rad/s], ``None`` where unknown; relative shift of all natural frequencies [1].
+    """
 
     bias_v: float
     operating_bias_v: float
     rate: float | None
+    frequency_shift: float = 0.0
 
 
 def conditions_of(record: Record, instrument: Instrument, angular_gain: float | None) -> Conditions:
@@ -42,7 +46,7 @@ def conditions_of(record: Record, instrument: Instrument, angular_gain: float | 
     if record.rate_dps is not None and (record.rate_dps == 0.0 or angular_gain is not None):
         rate = float(np.deg2rad(record.rate_dps)) * (angular_gain or 0.0)
     bias = instrument.bias_v if record.bias_v is None else record.bias_v
-    return Conditions(bias, instrument.bias_v, rate)
+    return Conditions(bias, instrument.bias_v, rate, record.frequency_shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +113,8 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
     context = Context(conditions.bias_v, conditions.operating_bias_v, values)
     effects = acting(model, values, conditions)
     mechanics = plant.mechanics(values)
+    if conditions.frequency_shift != 0.0:
+        mechanics = replace(mechanics, stiffness=mechanics.stiffness * (1.0 + conditions.frequency_shift) ** 2)
     poles, residues = (_NO_POLES, _NO_POLES) if instrument.antialias is None else filter_poles(instrument.antialias)
     readout = plain_readout(poles, residues, plant.shape.senses, plant.shape.drives)
     for effect, p in effects:

@@ -125,7 +125,7 @@ def repeats_of(campaign: Campaign) -> list[tuple[Record, Record]]:
         for a, b in combinations(driven, 2)
         if a.drive_v.shape == b.drive_v.shape
         and np.array_equal(a.drive_v, b.drive_v)
-        and (a.bias_v, a.rate_dps) == (b.bias_v, b.rate_dps)
+        and (a.bias_v, a.rate_dps, a.frequency_shift) == (b.bias_v, b.rate_dps, b.frequency_shift)
         and a.at_rest
         and b.at_rest
     ]

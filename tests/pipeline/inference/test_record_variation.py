@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
+from pipeline.experiment.campaign import read_campaign, write_campaign
 from pipeline.experiment.excitation import drive_samples
 from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign, Record
+from pipeline.experiment.systematic import Systematic
 from pipeline.inference.general.fit import fit_campaign
 from pipeline.inference.general.variation import record_variation
 from pipeline.inference.general.varied_fit import fit_with_variation
@@ -66,3 +68,22 @@ def test_deviations_are_recovered_and_the_fit_reaches_the_noise(ppm, start_s, ga
         value, sd_ = found.fit.parameters[name]
         assert abs(value - values[name]) < 4.0 * sd_, name
     assert abs(before.theta_deg[0] - values["theta_deg"]) > abs(found.fit.theta_deg[0] - values["theta_deg"])
+
+
+def test_a_declared_temperature_replaces_the_frequency_shifts_that_the_records_would_need(tmp_path):
+    campaign, _, deviations = campaign_of(10.0, 0.0, 0.0, seed=3)
+    tcf = -20.0
+    declared = tuple(
+        replace(r, temperature_c=25.0 + (1e6 * deviations[r.name][0] / tcf if r.name in deviations else 0.0))
+        for r in campaign.records
+    )
+    write_campaign(replace(campaign, records=declared, systematic=Systematic(tcf_ppm_per_c=tcf)), tmp_path)
+    known = read_campaign(tmp_path)
+    fitted = [r for r in known.records if r.role == "fit"]
+    assert np.mean([r.frequency_shift for r in fitted]) == pytest.approx(0.0, abs=1e-15)
+    differences = [r.frequency_shift - deviations[r.name][0] for r in fitted]
+    assert np.ptp(differences) < 1e-12
+    plain, told = first_fit(campaign), first_fit(known)
+    assert plain.error["fit"] > 1.2
+    assert told.error["fit"] == pytest.approx(1.0, abs=0.01)
+    assert record_variation(told, known).spread.is_zero
