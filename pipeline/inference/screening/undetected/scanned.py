@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,17 +109,43 @@ def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_h
     return _scan(effect.name, pairs, np.zeros(0), np.inf)
 
 
-@lru_cache(maxsize=8)
+@dataclass(frozen=True, eq=False)
+class DrivenBand:
+    """A band that is equal to every band of the same drive, so that campaigns with one drive share their scans."""
+
+    band: Band
+    digest: bytes
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, DrivenBand) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+@lru_cache(maxsize=16)
+def _driven(band: Band) -> DrivenBand:
+    what = (band.sample_rate_hz, band.samples, band.antialias, band.first_order_hold, int(band.bins[0]), band.bins.size)
+    return DrivenBand(band, sha256(repr(what).encode() + band.drive_v.tobytes()).digest())
+
+
 def scans_of(
     band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
 ) -> tuple[BandScan, ...]:
     """All scans of a record, dense between ``edges_hz``; the lines of ``line_hz`` [Hz] are in the model."""
+    return _scans(_driven(band), edges_hz, line_hz, with_mismatch)
+
+
+@lru_cache(maxsize=8)
+def _scans(
+    driven: DrivenBand, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
+) -> tuple[BandScan, ...]:
     found: list[BandScan] = []
     for effect in scored_effects(with_mismatch):
         if effect.resonance is not None:
-            found.append(_mode_scan(effect, band, edges_hz))
+            found.append(_mode_scan(effect, driven.band, edges_hz))
         elif effect.mains_frequency:
-            lines = _line_scan(effect, band, edges_hz, line_hz)
+            lines = _line_scan(effect, driven.band, edges_hz, line_hz)
             found += [] if lines is None else [lines]
     return tuple(found)
 
