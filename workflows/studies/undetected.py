@@ -194,7 +194,7 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "devices with an effect; ok": Share(len(ok), sum(row["kind"] != NONE for row in rows)),
         "without an effect: ok": Share(sum(row["status"] == "ok" for row in clean), len(clean)),
-        "not simulated": sum(bool(row["failed"]) for row in rows),
+        "failed": sum(bool(row["failed"]) for row in rows),
     }
     for name, label in COVERED.items():
         share = partial(_share, ok, name)
