@@ -1,7 +1,7 @@
 """Identify the device of a campaign: one entry point for every plant.
 
-    two drives, two senses, hold "zoh" or "foh", at rest, no model given  ->  in-band likelihood, posterior draws
-    anything else                                                         ->  general fit, normal intervals
+    two drives, two senses, hold "zoh" or "foh", at rest, noise measured, no model given  ->  in-band likelihood, posterior draws
+    anything else                                                                         ->  general fit, normal intervals
 
 Both paths apply the same gate and the same status rule.
 """
@@ -69,7 +69,7 @@ def identify(
     if not campaign.with_role("fit"):
         campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
     campaign = without_bad_samples(campaign)
-    if model is None and is_inband(campaign):
+    if model is None and is_inband(campaign) and noise_level(campaign).known:
         stream = np.random.SeedSequence(seed)
         columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns
     else:
