@@ -110,23 +110,23 @@ def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_h
 
 
 @dataclass(frozen=True, eq=False)
-class DrivenBand:
+class BandOfDrive:
     """A band that is equal to every band of the same drive, so that campaigns with one drive share their scans."""
 
     band: Band
     digest: bytes
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, DrivenBand) and self.digest == other.digest
+        return isinstance(other, BandOfDrive) and self.digest == other.digest
 
     def __hash__(self) -> int:
         return hash(self.digest)
 
 
 @lru_cache(maxsize=16)
-def _driven(band: Band) -> DrivenBand:
+def _driven(band: Band) -> BandOfDrive:
     what = (band.sample_rate_hz, band.samples, band.antialias, band.first_order_hold, int(band.bins[0]), band.bins.size)
-    return DrivenBand(band, sha256(repr(what).encode() + band.drive_v.tobytes()).digest())
+    return BandOfDrive(band, sha256(repr(what).encode() + band.drive_v.tobytes()).digest())
 
 
 def scans_of(
@@ -138,7 +138,7 @@ def scans_of(
 
 @lru_cache(maxsize=8)
 def _scans(
-    driven: DrivenBand, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
+    driven: BandOfDrive, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
 ) -> tuple[BandScan, ...]:
     found: list[BandScan] = []
     for effect in scored_effects(with_mismatch):
