@@ -57,6 +57,8 @@ def test_an_answer_is_assessed_with_its_classes() -> None:
     assert answer(_row("two", 0, [k, d], verdict="effect", effects=[k, d]), "refine") == "right"
     assert answer(_row("one", 0, [k], verdict="unknown", effects=[d]), "refine") == "unknown"
     assert answer(_row("weak", 0, [k]), "diagnose") == "adequate"
+    assert answer(_row("one", 0, [d], invisible=[d]), "refine") == "right"
+    assert answer(_row("one", 0, [k], invisible=[d]), "refine") == "adequate"
 
 
 def test_figures_equal_the_proportions_counted_by_hand() -> None:

@@ -45,7 +45,8 @@ def answer(row: Row, step: str) -> str:
     """
     result, hidden = row[step], set(row["hidden"])
     if result["verdict"] in ("unknown", "fit_failed") or not result["effects"]:
-        if hidden and result["verdict"] == "adequate" and hidden <= set(result.get("invisible", ())):
+        # Only diagnose lists what the campaign cannot show.
+        if hidden and result["verdict"] == "adequate" and hidden <= set(row["diagnose"].get("invisible", ())):
             return "right"
         return "adequate" if result["verdict"] in ("adequate", "effect", "class") else str(result["verdict"])
     named = [class_of(name, result) for name in result["effects"]]
@@ -190,9 +191,12 @@ def is_honest(row: Row) -> bool:
     """Whether ``refine`` named the one hidden effect, or a class that contains it, and nothing else.
 
     A class of more than three effects counts where every member fits within ``_EQUAL_FITS`` of the selected one.  With records
-    that differ, an effect that is not seen counts if it could not reach the lowest SNR of its kind within its declared range.
+    that differ, an effect that is not seen counts if it could not reach the lowest SNR of its kind within its declared range, or
+    is said to be invisible in these records.
     """
     found = row["refine"]
+    if answer(row, "refine") == "right" and not found["effects"]:
+        return True
     if answer(row, "refine") in ("right", "partly") and len(found["effects"]) == 1:
         rises = found.get("class_delta_chi2") or [None]
         small = all(len(one) <= _LARGEST_CLASS for one in found["classes"])
