@@ -44,7 +44,7 @@ def undetected(
     ),
     json: Json = False,
 ) -> None:
-    """Hide each effect in nightly devices; coverage of "ok" ones.
+    """Coverage with undetected effects in nightly devices.
 
     Sizes run from invisible to loud. Intervals are widened by the bound of the bias that an undetected effect can cause.
     """
