@@ -7,19 +7,23 @@ Shapes: R records of a drive group, N samples, S senses, m deviations of a recor
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ...arrays import FloatArray
 from ...device.model import Model
-from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of
-from ...experiment.forward.response import Starts, volts
+from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of, highest_drive_energy
+from ...experiment.forward.response import Starts, linear_volts, nonlinear_response, volts
 from ...experiment.forward.system import System, assemble
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign, Record
 from .fit import CampaignFit
+from .gauss_newton import FAINT
+
+#: (system, drive group, initial states) -> (R, N, S) [V]
+Respond = Callable[[System, DriveGroup, Starts], FloatArray]
 
 #: Relative step of the frequency derivative: an eighth of a line width at a quality factor of 60,000.
 _STEP = 1e-6
@@ -33,16 +37,33 @@ def at_frequency(model: Model, values: Mapping[str, float], phi: float) -> dict[
     return {name: value * (1.0 + phi) if name in own else value for name, value in values.items()}
 
 
+def response_for(fit: CampaignFit, campaign: Campaign) -> Respond:
+    """The response whose changes with the deviations are right to 0.1 %: linear where nonlinear effects are faint."""
+    fitted = campaign.with_role("fit")
+    strongest = fitted[highest_drive_energy([record.drive_v for record in fitted])]
+    ((_, group),) = drive_groups_of([strongest], campaign.instrument, campaign.angular_gain)
+    system = assemble(fit.model, fit.values, campaign.instrument, group.conditions)
+    if not (system.forces or system.senses):
+        return linear_volts
+    nonlinear, linear = nonlinear_response(system, group, substeps=1), linear_volts(system, group)
+    return linear_volts if np.linalg.norm(nonlinear) < FAINT * np.linalg.norm(linear) else volts
+
+
 def _deviation_columns(
-    model: Model, values: Mapping[str, float], group: DriveGroup, instrument: Instrument, starts: Starts
+    model: Model,
+    values: Mapping[str, float],
+    group: DriveGroup,
+    instrument: Instrument,
+    starts: Starts,
+    respond: Respond,
 ) -> FloatArray:
     """C (R, m, N, S) [V per unit] of the records of a drive group at complete ``values``."""
     up, down = (
-        volts(assemble(model, at_frequency(model, values, phi), instrument, group.conditions), group, starts)
+        respond(assemble(model, at_frequency(model, values, phi), instrument, group.conditions), group, starts)
         for phi in (_STEP, -_STEP)
     )
     system = assemble(model, values, instrument, group.conditions)
-    y, later, latest = (volts(_delayed(system, n * _DELAY_S), group, starts) for n in range(3))
+    y, later, latest = (respond(_delayed(system, n * _DELAY_S), group, starts) for n in range(3))
     records, samples, senses = y.shape
     out = np.zeros((records, 2 + 2 * senses, samples, senses))
     out[:, 0] = (up - down) / (2.0 * _STEP)
@@ -67,11 +88,11 @@ def deviation_columns(
 
     The columns are those at complete parameter ``values``; ``None`` means those of the fit.
     """
-    at = fit.values if values is None else values
+    at, respond = fit.values if values is None else values, response_for(fit, campaign)
     known = {record.name: record.start for record in fit.records}
     out: dict[str, FloatArray] = {}
     for places, group in drive_groups_of(records, campaign.instrument, campaign.angular_gain):
         starts = [known.get(records[i].name) for i in places]
-        found = _deviation_columns(fit.model, at, group, campaign.instrument, starts)
+        found = _deviation_columns(fit.model, at, group, campaign.instrument, starts, respond)
         out |= {records[i].name: c for i, c in zip(places, found)}
     return out

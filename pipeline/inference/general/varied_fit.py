@@ -15,12 +15,11 @@ import numpy as np
 from ...arrays import FloatArray
 from ...device.model import Model
 from ...experiment.forward.drive_groups import drive_groups_of
-from ...experiment.forward.response import volts
 from ...experiment.forward.system import assemble
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.record import Campaign, Record
 from ...experiment.variation import KINDS, RecordSpread, advanced
-from .deviation_columns import at_frequency, deviation_columns
+from .deviation_columns import at_frequency, deviation_columns, response_for
 from .fit import CampaignFit, fit_campaign
 from .variation import Linearized, RecordVariation, estimated, linearized, spread_at, with_records
 
@@ -39,7 +38,7 @@ def aligned(
     The first order alone does not suffice where they are large.  Only the driven records change.  f is the model at complete
     parameter ``values``; ``None`` means those of the fit.
     """
-    at = fit.values if values is None else values
+    at, respond = fit.values if values is None else values, response_for(fit, campaign)
     known = {record.name: record.start for record in fit.records}
     predicted = {record.name: record.predicted_v for record in fit.records}
     model, instrument = fit.model, campaign.instrument
@@ -50,7 +49,7 @@ def aligned(
             return record
         ((_, group),) = drive_groups_of([record], instrument, campaign.angular_gain)
         shifted, plain = (
-            volts(
+            respond(
                 assemble(model, at_frequency(model, at, phi), instrument, group.conditions),
                 group,
                 [known.get(record.name)],
