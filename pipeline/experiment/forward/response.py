@@ -213,6 +213,14 @@ def volts(system: System, group: DriveGroup, starts: Starts | None = None) -> Fl
     return y
 
 
+def nonlinear_share(system: System, group: DriveGroup) -> float:
+    """Norm of the nonlinear response over that of the linear response [1]; 0 without force and sense laws."""
+    if not (system.forces or system.senses):
+        return 0.0
+    linear, nonlinear = linear_volts(system, group), nonlinear_response(system, group, substeps=1)
+    return float(np.linalg.norm(nonlinear)) / max(float(np.linalg.norm(linear)), 1e-300)
+
+
 def converted(system: System, y: FloatArray) -> FloatArray:
     """``y`` (.., S) [V] after the effects of the ADC stage."""
     for effect, p in system.adcs:

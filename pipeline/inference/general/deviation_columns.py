@@ -15,7 +15,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...device.model import Model
 from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of, highest_drive_energy
-from ...experiment.forward.response import Starts, linear_volts, nonlinear_response, volts
+from ...experiment.forward.response import Starts, linear_volts, nonlinear_share, volts
 from ...experiment.forward.system import System, assemble
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign, Record
@@ -43,10 +43,7 @@ def response_for(fit: CampaignFit, campaign: Campaign) -> Respond:
     strongest = fitted[highest_drive_energy([record.drive_v for record in fitted])]
     ((_, group),) = drive_groups_of([strongest], campaign.instrument, campaign.angular_gain)
     system = assemble(fit.model, fit.values, campaign.instrument, group.conditions)
-    if not (system.forces or system.senses):
-        return linear_volts
-    nonlinear, linear = nonlinear_response(system, group, substeps=1), linear_volts(system, group)
-    return linear_volts if np.linalg.norm(nonlinear) < FAINT * np.linalg.norm(linear) else volts
+    return linear_volts if nonlinear_share(system, group) < FAINT else volts
 
 
 def _deviation_columns(

@@ -21,7 +21,7 @@ from ...device.model import Model
 from ...experiment.antialias import filter_poles
 from ...experiment.forward.drive_groups import DriveGroup, drive_group_of, drive_groups_of
 from ...experiment.forward.linear import free_response
-from ...experiment.forward.response import Starts, converted, linear_volts, nonlinear_response, volts
+from ...experiment.forward.response import Starts, converted, nonlinear_response, nonlinear_share, volts
 from ...experiment.forward.sensitivity import (
     NonlinearColumns,
     channels_checked,
@@ -241,11 +241,7 @@ class CampaignResiduals:
 
     def strength(self, values: Mapping[str, float], task: Task) -> float:
         """Norm of the nonlinear response over that of the linear response [1]; 0 without force and sense laws."""
-        system = self.system(values, task.group)
-        if not (system.forces or system.senses):
-            return 0.0
-        linear, nonlinear = linear_volts(system, task.group), nonlinear_response(system, task.group, substeps=1)
-        return float(np.linalg.norm(nonlinear)) / max(float(np.linalg.norm(linear)), 1e-300)
+        return nonlinear_share(self.system(values, task.group), task.group)
 
     def relative_size_change(self, before: FloatArray, after: FloatArray) -> float:
         """Largest relative change [1] of a parameter of a force or sense law between two points x (P,)."""
