@@ -32,6 +32,7 @@ from .significance import DRAWS, Null, log_tail, score_all
 #: Why a term is refused whose refit ended at a limit.
 AT_LIMIT = "after its refit, a parameter is at the limit of its range, or the term duplicates part of the model"
 HeldOutStatus = Literal["confirmed", "partial", "refused"]
+Outcome = Literal["accepted", "failed", "at limit", "insignificant", "little", "unsupported"]
 #: Rows of a chunk: longer than the correlation of the noise.
 _CHUNK = 256
 #: Largest ratio of the observed to the nominal sd where chi2 rises.
@@ -54,10 +55,6 @@ class Rules:
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
     max_named : largest number of terms that a diagnosis may name.
-    contenders : number of significant candidates that are refitted before one is chosen.
-    contender_share : smallest expected delta_chi2 of a contender, relative to the largest.
-    settled_share : a refit that reaches this share of its expected delta_chi2 excludes rivals that expect less than this share
-        of what it reached.
     class_refits : number of rivals of a term that are refitted in its place.
     draws, seed : of the simulated nulls.
     """
@@ -68,9 +65,6 @@ class Rules:
     least_share: float = 0.15
     least_expected: float = 0.01
     max_named: int = 3
-    contenders: int = 3
-    contender_share: float = 0.5
-    settled_share: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
     seed: int = 0
@@ -241,50 +235,51 @@ def paired_difference(
 
 @dataclass(frozen=True)
 class RefitTest:
-    """Test of a fit with one more term.
+    """Test of a fit with more terms.
 
     Parameters
     ----------
     delta_chi2, held : decrease of the fitted and of the held-out chi2.
-    outcome : "failed" where the fit is useless, "at limit" where it ended at the limit of a parameter.
-    reason : why the term is not added.
+    outcome : "accepted", or one of the five reasons not to add the terms; see ``refit_test``.
+    reason : the same in words.
     """
 
     delta_chi2: float
     held: PairedDifference
-    outcome: Literal["accepted", "refused", "at limit", "failed"] = "accepted"
+    outcome: Outcome = "accepted"
     reason: str = ""
 
 
-def refit_test(tests: FitTests, score: Score, fit: FitResult, rules: Rules) -> RefitTest:
-    """Whether ``fit``, which adds the term of ``score`` to the tested fit, is significantly better.
+def refit_test(tests: FitTests, parameters: int, fit: FitResult, added: Sequence[str], rules: Rules) -> RefitTest:
+    """Whether ``fit``, which adds the terms ``added`` with ``parameters`` in all, is better than the tested fit.
 
-    The tests in order: the fit succeeded, no parameter at a limit, a size above its sd, delta_chi2 on the fitted data,
-    the share of the misfit that it explains, and the paired difference on the held-out data.
+    failed            it has no useful result, or raised chi2
+    at limit          an added parameter ended at the limit of its range
+    insignificant     chi2 falls by less than ``alpha`` asks, or a size is below its sd
+    little            it explains less than ``least_share`` of the misfit
+    unsupported       the held-out chi2 rises by more than 2 sd; where the noise level is unknown, it does not fall by as much,
+                      because an F-test takes every remaining misfit for white noise
     """
-    delta_chi2, held, name = tests.fit.chi2 - fit.chi2, PairedDifference(0.0, 0.0), score.name
-    if not fit.ok or fit.chi2 > tests.fit.chi2 * (1.0 + 1e-9):
-        why = "its fit raised chi2" if fit.ok else f"its fit failed: {fit.why or 'it did not converge'}"
-        return RefitTest(delta_chi2, held, "failed", why)
-    if name in fit.at_limit:
-        return RefitTest(delta_chi2, held, "at limit", AT_LIMIT)
+    delta_chi2, held = tests.fit.chi2 - fit.chi2, PairedDifference(0.0, 0.0)
+    outcome: Outcome = "accepted"
     reason = ""
-    if not _is_nonzero(fit, name):
-        reason = "after its refit, its size is not significantly different from zero"
-    elif not tests.is_significant(delta_chi2, score.parameters, rules.alpha):
-        reason = "after its refit, the decrease of chi2 is not significant"
+    if not fit.ok or fit.chi2 > tests.fit.chi2 * (1.0 + 1e-9):
+        outcome, why = "failed", fit.why or "it did not converge"
+        reason = "its fit raised chi2" if fit.ok else f"its fit failed: {why}"
+    elif set(added) & set(fit.at_limit):
+        outcome, reason = "at limit", AT_LIMIT
+    elif not all(_is_nonzero(fit, name) for name in added):
+        outcome, reason = "insignificant", "after its refit, its size is not significantly different from zero"
+    elif not tests.is_significant(delta_chi2, parameters, rules.alpha):
+        outcome, reason = "insignificant", "after its refit, the decrease of chi2 is not significant"
     elif delta_chi2 < rules.least_share * tests.excess:
+        outcome = "little"
         reason = f"after its refit, it explains less than {100 * rules.least_share:.0f} % of the misfit"
     else:
         held = held_out_difference(tests.fit, fit)
         if held.status == "refused":
-            reason = f"the held-out chi2 rises by {-held.delta_chi2:.3g} +- {held.sd:.2g}"
-        elif lacks_support(fit, held):
+            outcome, reason = "unsupported", f"the held-out chi2 rises by {-held.delta_chi2:.3g} +- {held.sd:.2g}"
+        elif not fit.noise_known and fit.held and held.status != "confirmed":
             change = f"the held-out chi2 falls by {held.delta_chi2:.3g} +- {held.sd:.2g} only"
-            reason = f"{change}, and the noise level is unknown"
-    return RefitTest(delta_chi2, held, "refused" if reason else "accepted", reason)
-
-
-def lacks_support(fit: FitResult, held: PairedDifference) -> bool:
-    """Whether a term rests on F-tests alone: the noise level is unknown and the held-out data do not confirm the term."""
-    return not fit.noise_known and bool(fit.held) and held.status != "confirmed"
+            outcome, reason = "unsupported", f"{change}, and the noise level is unknown"
+    return RefitTest(delta_chi2, held, outcome, reason)

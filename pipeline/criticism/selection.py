@@ -1,9 +1,14 @@
 """Forward selection: test the fit, add the best term, refit all parameters, test every term for removal, and repeat.
 
-A term is added when its score is significant among all candidates, its refit lowers chi2 as significantly, and the held-out
-chi2 does not rise by more than 2 sd of the paired difference.  Where the noise level is unknown, the held-out chi2 must fall by
-that much, because an F-test takes every remaining misfit for white noise.  A term is removed when the fit without it is not
-significantly worse.  Where no single candidate is significant but a pair is, both terms of the pair are added.
+One budget of false alarms, ``Rules.alpha`` per family of candidates, decides every step:
+
+1. A score must be significant at ``alpha`` among all candidates.
+2. Its refit must lower chi2 as significantly, and the held-out data must agree (``refit_test`` has five reasons to refuse).
+3. Of the accepted refits, the one with the smallest chi2 + 2 k is added (Akaike 1974; k parameters).  Candidates are refitted
+   in the order of what their scores promise, until none promises more than the best refit has reached.
+4. A term is removed when the fit without it is not worse at ``alpha``.
+5. Where no single candidate is significant but structure is left, a pair that is significant at ``alpha`` is added.
+
 Source: stepwise regression (Efroymson 1960).
 """
 
@@ -22,16 +27,12 @@ from .fit_tests import (
     fit_tests,
     held_out_difference,
     is_clear,
-    lacks_support,
     log_p_without,
     refit_test,
 )
 from .pairs import best_pairs
 from .problem import FitResult, Problem
 from .scores import Score
-
-#: Relative difference below which two values of a scanned parameter are the same grid point.
-_SAME_POINT = 0.05
 
 Fits = Mapping[frozenset[str], FitResult]
 
@@ -155,64 +156,50 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
 
 
 def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules: Rules) -> _Pass:
-    """Refit the leading candidates and choose one, or a pair where no candidate is significant.
+    """Refit the significant candidates, the most promising first, until none promises more than the best refit has reached.
 
-    ``at_limit`` holds the scores of terms whose refit ended at a limit; while their scan peaks at the same grid point it would
-    do so again.
+    Without a significant candidate, the best pair is tried.  ``at_limit`` holds the scores of terms whose refit ended at a
+    limit; while their scan peaks at the same grid point it would do so again.
     """
+    significant = tests.significant(rules.alpha)
+    if not significant:
+        return _Pass(_pair(cache, tests, rules))
     reasons: dict[str, str] = {}
     failed: dict[str, str] = {}
     limited: dict[str, Score] = {}
-    trials: list[SelectionStep] = []
-    significant = tests.significant(rules.alpha)
-    largest = max((score.delta_chi2 for score in significant), default=0.0)
-    leading = [score for score in significant if score.delta_chi2 >= rules.contender_share * largest]
-    # With an unknown noise level F-tests find some term in any misfit: once the strongest are refused, weaker ones are too.
-    held_out_decides = not tests.fit.noise_known and bool(tests.fit.held)
-    for score in [*leading, *(score for score in significant if score not in leading)]:
+    best, reached = None, -np.inf
+    for score in sorted(significant, key=_promise, reverse=True):
         name = score.name
-        if len(trials) >= rules.contenders or (
-            trials and (score not in leading or _settled(trials, tests, score, rules))
-        ):
+        if _promise(score) <= reached:
             break
+        if name in at_limit and _same_point(score, at_limit[name]):
+            reasons[name] = AT_LIMIT
+            continue
         if score.delta_chi2 < rules.least_expected * tests.excess:
             reasons[name] = f"its expected decrease of chi2 is below {100 * rules.least_expected:.0f} % of the misfit"
-        elif held_out_decides and len(reasons) + len(failed) >= rules.contenders:
-            reasons[name] = "not refitted: stronger candidates were refused"
-        elif name in at_limit and _same_point(score, at_limit[name]):
-            reasons[name] = AT_LIMIT
-        else:
-            fit = cache.fit((*tests.fit.terms, name), tests.fit)
-            test = refit_test(tests, score, fit, rules)
-            if test.outcome == "accepted":
-                trials.append(SelectionStep(name, fit, test.delta_chi2, test.held))
-            elif test.outcome == "failed":
-                failed[name] = test.reason
-            else:
-                reasons[name] = test.reason
-                limited |= {name: score} if test.outcome == "at limit" else {}
-    if significant:
-        sizes = {score.name: score.parameters for score in tests.scores}
-        best = max(trials, key=lambda step: step.delta_chi2 - 2.0 * sizes[step.term], default=None)
-        return _Pass(() if best is None else (best,), reasons, failed, limited)
-    return _Pass(_pair(cache, tests, rules))
+            continue
+        fit = cache.fit((*tests.fit.terms, name), tests.fit)
+        test = refit_test(tests, score.parameters, fit, (name,), rules)
+        gain = test.delta_chi2 - 2.0 * score.parameters
+        if test.outcome == "failed":
+            failed[name] = test.reason
+        elif test.outcome != "accepted":
+            reasons[name] = test.reason
+            limited |= {name: score} if test.outcome == "at limit" else {}
+        elif gain > reached:
+            best, reached = SelectionStep(name, fit, test.delta_chi2, test.held), gain
+    return _Pass(() if best is None else (best,), reasons, failed, limited)
+
+
+def _promise(score: Score) -> float:
+    """Expected decrease of chi2, less 2 for each parameter (Akaike 1974), so that terms of different size compare."""
+    return score.delta_chi2 - 2.0 * score.parameters
 
 
 def _same_point(now: Score, before: Score) -> bool:
     """Whether the scan of a term peaks at the same grid point; false for a term without a grid, which is always refitted."""
     points = [{name: value for name, (value, sd) in score.estimate.items() if np.isnan(sd)} for score in (now, before)]
-    return (
-        bool(points[0])
-        and points[0].keys() == points[1].keys()
-        and all(abs(value - points[1][name]) <= _SAME_POINT * abs(points[1][name]) for name, value in points[0].items())
-    )
-
-
-def _settled(trials: list[SelectionStep], tests: FitTests, rival: Score, rules: Rules) -> bool:
-    """Whether a refit has reached its expected decrease of chi2, and the rival expects so much less that it is not refitted."""
-    expected = {score.name: score.delta_chi2 for score in tests.scores}
-    reached = (step.delta_chi2 for step in trials if step.delta_chi2 > rules.settled_share * expected[step.term])
-    return rival.delta_chi2 < rules.settled_share * max(reached, default=0.0)
+    return bool(points[0]) and points[0] == points[1]
 
 
 def _pair(cache: FitCache, tests: FitTests, rules: Rules) -> tuple[SelectionStep, ...]:
@@ -227,13 +214,8 @@ def _pair(cache: FitCache, tests: FitTests, rules: Rules) -> tuple[SelectionStep
     first, second = sorted(pairs[0].names, key=lambda name: -scores[name].delta_chi2)
     one = cache.fit((*fit.terms, first), fit)
     both = cache.fit((*fit.terms, first, second), one if one.ok else fit)
-    if not (one.ok and both.ok and both.chi2 <= one.chi2 <= fit.chi2) or {first, second} & set(both.at_limit):
-        return ()
-    parameters = scores[first].parameters + scores[second].parameters
-    if not tests.is_significant(fit.chi2 - both.chi2, parameters, rules.alpha):
-        return ()
-    held = held_out_difference(fit, both)
-    if held.status == "refused" or lacks_support(both, held):
+    test = refit_test(tests, scores[first].parameters + scores[second].parameters, both, (first, second), rules)
+    if not one.ok or test.outcome != "accepted":
         return ()
     return (
         SelectionStep(first, one, fit.chi2 - one.chi2, held_out_difference(fit, one), alone=False),

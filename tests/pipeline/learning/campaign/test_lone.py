@@ -61,7 +61,7 @@ def test_compare_identify_and_refine_agree_that_a_hysteresis_is_a_misfit() -> No
     assert answers.comparison.status == "misfit"
     assert answers.comparison.where_by_kind[0].kind == "resonance"  # type: ignore[index]
     assert identify(campaign).columns["status"] == "misfit"
-    rules = Rules(rungs=1, contenders=1, draws=4000)
+    rules = Rules(rungs=1, draws=4000)
     ladder = as_ladder(answers.problem, forward_selection(answers.problem, (), rules), rules)
     assert ladder.verdict == "unknown"
     assert not any(rung.status == "confirmed" for rung in ladder.rungs)
