@@ -10,6 +10,10 @@ ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+#: Eigenvalue of a Gram matrix of unit columns, relative to the largest, below which its direction is rounding: the columns are
+#: right to 3e-5.
+RANK = 1e-9
+
 
 def real_parts(z: ComplexArray) -> FloatArray:
     """(2, ..): real parts, then imaginary ones; what compiled loops are fastest with."""

@@ -24,6 +24,7 @@ from typing import Literal
 
 import numpy as np
 
+from .budget import ALPHA, ALPHA_LEFT, CLEAR_SNR
 from .goodness import ResidualTests, excess, goodness
 from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
 from .scores import Baseline, Projected, Score, baseline, project
@@ -37,10 +38,6 @@ Outcome = Literal["accepted", "failed", "at limit", "insignificant", "little", "
 _CHUNK = 256
 #: Largest ratio of the observed to the nominal sd where chi2 rises.
 _MAX_INFLATION = 3.0
-#: Larger F statistics are limited to this value.
-_LARGEST_F = 1e100
-#: Wald statistic (8 sigma) above which a term needs no further support.
-_CLEAR_WALD = 8.0**2
 
 
 @dataclass(frozen=True)
@@ -59,8 +56,8 @@ class Rules:
     draws, seed : of the simulated nulls.
     """
 
-    alpha: float = 0.003
-    alpha_left: float = 0.01
+    alpha: float = ALPHA
+    alpha_left: float = ALPHA_LEFT
     rungs: int = 6
     least_share: float = 0.15
     least_expected: float = 0.01
@@ -138,8 +135,9 @@ def _log_p_of_decrease(tests: FitTests, delta_chi2: float, parameters: int) -> f
     if tests.fit.noise_known:
         return float(log_tail(delta_chi2 / max(tests.goodness.level, 1.0) ** 2, parameters))
     dof = max(tests.fit.dof - parameters, 1)
-    ratio = delta_chi2 * dof / max(tests.fit.chi2 - delta_chi2, 1e-300)
-    return float(log_tail(min(ratio, _LARGEST_F), parameters, dof))
+    # chi2 of the larger fit is known to rounding.
+    left = max(tests.fit.chi2 - delta_chi2, np.finfo(float).eps * tests.fit.chi2, 1e-300)
+    return float(log_tail(delta_chi2 * dof / left, parameters, dof))
 
 
 def _log_p_of_increase(tests: FitTests, delta_chi2: float, parameters: int) -> float:
@@ -147,7 +145,7 @@ def _log_p_of_increase(tests: FitTests, delta_chi2: float, parameters: int) -> f
     if tests.fit.noise_known:
         return _log_p_of_decrease(tests, delta_chi2, parameters)
     dof = max(tests.fit.dof, 1)
-    return float(log_tail(min(delta_chi2 * dof / max(tests.fit.chi2, 1e-300), _LARGEST_F), parameters, dof))
+    return float(log_tail(delta_chi2 * dof / max(tests.fit.chi2, 1e-300), parameters, dof))
 
 
 def log_p_without(fit: FitResult, smaller: FitResult) -> float:
@@ -181,7 +179,7 @@ def wald(fit: FitResult, term: str) -> float:
 
 def is_clear(fit: FitResult, term: str) -> bool:
     """Whether W > 64: the size of a term in the fit differs from zero by more than 8 sigma."""
-    return wald(fit, term) > _CLEAR_WALD
+    return wald(fit, term) > CLEAR_SNR**2
 
 
 def _is_nonzero(fit: FitResult, term: str) -> bool:

@@ -28,8 +28,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
-from ..arrays import FloatArray
+from ..arrays import RANK, FloatArray
 from .problem import FitResult, Region, Signatures, Spectrum
 from .regions import description, normalized_energy
 from .scores import Baseline, cells_of, delta_chi2s, project
@@ -38,8 +39,7 @@ from .significance import log_any, log_tail, normal_log_tail
 #: Rows of the shortest window in which repeats are correlated.
 _WINDOW = 128
 #: Median of |N(0, 1)|, and how many regions a family needs for its spread to be estimated.
-_MEDIAN, _SPREAD_NEEDS = 0.6745, 8
-_RANK = 1e-9
+_MEDIAN, _SPREAD_NEEDS = float(ndtri(0.75)), 8
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def agreement(
     gram = _sandwich(rejection_d, inside)
     covariance = _sandwich(rejection_d, spread)
     size, vector = np.linalg.eigh(gram)
-    good = size > _RANK * max(float(size[-1]), 1e-300)
+    good = size > RANK * max(float(size[-1]), 1e-300)
     rank = int(good.sum())
     inverse = (vector[:, good] / size[good]) @ vector[:, good].T
     inflation = max(1.0, float(np.trace(inverse @ covariance)) / max(rank, 1))

@@ -14,12 +14,12 @@ from itertools import combinations
 
 import numpy as np
 
+from ..arrays import RANK
 from .problem import Candidate
 from .scores import Projected
 from .significance import log_tail
 
 PAIR_DRAWS = 4_000
-_RANK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def best_pairs(
         columns = np.concatenate([every[one.cells[0]], every[other.cells[0]]])
         gram = projected.gram[np.ix_(columns, columns)]
         lam, v = np.linalg.eigh(gram)
-        kept = lam > _RANK * max(float(lam[-1]), 1e-300)
+        kept = lam > RANK * max(float(lam[-1]), 1e-300)
         rank = int(kept.sum())
         whiten = (v[:, kept] / np.sqrt(lam[kept])).T
         inflation = float(np.trace(whiten @ projected.covariance[np.ix_(columns, columns)] @ whiten.T)) / max(rank, 1)

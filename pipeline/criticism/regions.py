@@ -23,11 +23,10 @@ from scipy.ndimage import median_filter
 from scipy.special import chdtri
 
 from ..arrays import FloatArray
+from .budget import ALPHA
 from .problem import Region, Spectrum
 from .significance import log_any, log_tail
 
-#: Family-wise probability that noise alone makes a region significant.
-ALPHA = 0.003
 #: Neighbouring bins that determine the background of a bin.
 _NEIGHBOURS = 101
 #: A peak is a line if noise exceeds it with at most this probability per bin.

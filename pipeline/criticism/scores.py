@@ -23,11 +23,11 @@ from itertools import combinations
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import RANK, BoolArray, FloatArray, IntArray
 from .problem import Candidate, FitResult
 
 #: Relative singular value of J, and relative eigenvalue of G, below which a direction is dropped.
-_BASELINE_RANK, _RANK = 1e-11, 1e-9
+_BASELINE_RANK = 1e-11
 #: A surviving share below this is rounding: the baseline absorbs the whole signature.
 ABSORBED = 1e-6
 
@@ -263,7 +263,7 @@ def inverse_of(gram: FloatArray) -> tuple[FloatArray, int]:
     if gram.size == 0:
         return np.zeros_like(gram), 0
     size, vector = np.linalg.eigh(gram)
-    good = size > max(_RANK * float(size[-1]), ABSORBED**2)
+    good = size > max(RANK * float(size[-1]), ABSORBED**2)
     return np.asarray((vector[:, good] / size[good]) @ vector[:, good].T), int(good.sum())
 
 

@@ -23,14 +23,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import RANK, BoolArray, FloatArray
 from .significance import log_any, log_tail
 
 #: A term that a smaller share of the population has is not shared.
 MIN_PREVALENCE = 0.1
-_RANK = 1e-9
-#: A column with less than this share of its mean information over the units is treated as absent in a unit.
-_NO_INFORMATION = 1e-12
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class Evidence:
         """The same with columns of unit mean information, and the scale (K,) by which they were divided [1 / unit]."""
         mean = np.sqrt(np.maximum(np.mean(np.diagonal(self.information, axis1=1, axis2=2), axis=0), 0.0))
         scale = np.where(mean > 0.0, mean, 1.0)
-        present = np.diagonal(self.information, axis1=1, axis2=2) > _NO_INFORMATION * scale**2
+        present = np.diagonal(self.information, axis1=1, axis2=2) > RANK * scale**2
         both = np.where(present[:, :, None] & present[:, None, :], 1.0, 0.0) / np.outer(scale, scale)
         score = np.where(present, self.score / scale, 0.0)
         return Evidence(score, self.information * both, self.covariance * both, self.weights), scale
@@ -188,7 +185,7 @@ def _delta_chi2s(evidence: Evidence, columns: Sequence[int]) -> tuple[FloatArray
 def _inverses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pseudo-inverses (n, k, k) and ranks (n,) of symmetric matrices."""
     size, vector = np.linalg.eigh(matrices)
-    good = size > _RANK * np.maximum(size[:, -1:], 1e-300)
+    good = size > RANK * np.maximum(size[:, -1:], 1e-300)
     good &= size > 0.0
     inverse = np.where(good, 1.0 / np.where(good, size, 1.0), 0.0)
     return np.einsum("nij,nj,nkj->nik", vector, inverse, vector), good.sum(axis=1).astype(np.float64)

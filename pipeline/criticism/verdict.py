@@ -27,7 +27,8 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import RANK, FloatArray, IntArray
+from .budget import DETECTABLE_SNR
 from .fit_tests import FitTests, Rules, is_clear
 from .goodness import Agreement, agreement, partitions
 from .problem import FitResult, Problem, Signatures
@@ -42,7 +43,6 @@ _CERTAIN_MISFIT = 1.5
 _SMALL_SINE = 0.1
 #: A term that was the best candidate cannot be followed by one that lowers chi2 by more than this factor times as much.
 _JOINT_RATIO = 2.0
-_RANK = 1e-9
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def rivals(fit: FitResult, term: str, signatures: Signatures) -> tuple[Rival, ..
             if left_cell < left:
                 left, sine = left_cell, sine_cell
             joint = max(joint, joint_cell)
-        every.append(Rival(candidate.name, sine, 5.0 / max(sine, 1e-12), left, joint))
+        every.append(Rival(candidate.name, sine, DETECTABLE_SNR / max(sine, 1e-12), left, joint))
     return tuple(sorted(every, key=lambda rival: rival.left))
 
 
@@ -256,4 +256,4 @@ def _compare(
 
 
 def _pinv(gram: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.pinv(gram, rcond=_RANK, hermitian=True))
+    return np.asarray(np.linalg.pinv(gram, rcond=RANK, hermitian=True))

@@ -60,7 +60,7 @@ def _deviation_columns(
         for phi in (_STEP, -_STEP)
     )
     system = assemble(model, values, instrument, group.conditions)
-    y, later, latest = (respond(_delayed(system, n * _DELAY_S), group, starts) for n in range(3))
+    y, later, latest = (respond(delayed(system, n * _DELAY_S), group, starts) for n in range(3))
     records, samples, senses = y.shape
     out = np.zeros((records, 2 + 2 * senses, samples, senses))
     out[:, 0] = (up - down) / (2.0 * _STEP)
@@ -73,7 +73,7 @@ def _deviation_columns(
     return out
 
 
-def _delayed(system: System, delay_s: float) -> System:
+def delayed(system: System, delay_s: float) -> System:
     """The system with a longer delay in its readout."""
     return replace(system, readout=replace(system.readout, delay_s=system.readout.delay_s + delay_s))
 

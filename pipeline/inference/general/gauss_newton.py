@@ -38,12 +38,15 @@ from .linearized import LinearizedResiduals
 from .residuals import CampaignResiduals, Tasks
 
 _ITERATIONS, _TRIALS = 24, 8
-#: Expected decrease of chi2, in units of chi2/dof (at least 1), at which the fit has converged: 3 % of a sd.
-_CONVERGED = 1e-3
-#: The same where a trial does not lower chi2, because of rounding and inexact columns: a tenth of a sd.
+#: What counts as nothing: an expected decrease of chi2, in units of chi2/dof (at least 1; 3 % of a sd); a relative change of the
+#: records, for which columns are returned with the result; the relative strength of nonlinear effects, for which columns without
+#: them suffice.
+FAINT = 1e-3
+#: What counts as close: an expected decrease of chi2 where no trial lowers it, because of rounding and inexact columns (a tenth
+#: of a sd); a strength of nonlinear effects whose absence may be why a step fails; the least damping.
 CLOSE = 1e-2
-#: Damping after the first rejected trial, and its factors after a rejected and after an accepted one.
-_LEAST_DAMPING, _RAISED, _LOWERED = 1e-2, 30.0, 0.1
+#: Factors of the damping after a rejected and after an accepted trial.
+_RAISED, _LOWERED = 30.0, 0.1
 #: After so many iterations a decrease of chi2 by this share of the remaining misfit counts as convergence, or one by a third of
 #: a sd.  The second ends steps along a curved ridge: a mode far above the band took 51 steps that gained 0.5 in all.
 _SLOW_AFTER, _SLOW, _RIDGE = 8, 1e-4, 0.1
@@ -53,12 +56,6 @@ _FAR = 5e-3
 _SIZE_CHANGED = 0.1
 #: Share of the decrease of chi2 by which the linearized residuals may be wrong while their columns are still used.
 _PREDICTED = 0.02
-#: Relative change of the records since columns were computed below which they are returned with the result.
-_UNCHANGED = 1e-3
-#: Relative strength of nonlinear effects below which columns without them always suffice.
-FAINT = 1e-3
-#: Above it their absence may be why a step fails, and their columns at the null no longer hold at the end.
-_NOTABLE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +87,7 @@ def minimise(problem: CampaignResiduals, at: FitPoint, tasks: Tasks, dof: int) -
     nearer = point_at(problem, linear.at.x, tasks, linear.at.starts, at.chi2)
     if nearer is None:
         return _minimise(problem, at, tasks, dof, steps)
-    weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[reference]) <= _NOTABLE
+    weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[reference]) <= CLOSE
     # Columns are kept only if they predicted chi2: an inverse gap may have doubled, and its column with it.
     missed, decrease = abs(nearer.chi2 - linear.at.chi2), at.chi2 - nearer.chi2
     predicted = missed <= max(1.0, nearer.chi2 / dof, _PREDICTED * decrease)
@@ -162,7 +159,7 @@ def _accepted(
             return trial, damping
         if trial is not None and linear.expected < CLOSE * linear.noise:
             break
-        damping = max(_RAISED * damping, _LEAST_DAMPING)
+        damping = max(_RAISED * damping, CLOSE)
     return None, damping
 
 
@@ -182,7 +179,7 @@ def _minimise(
     normal = np.zeros((at.x.size, at.x.size))
 
     def result(converged: bool) -> GaussNewtonResult:
-        if sensitivities is not None and _columns_hold(problem, computed, at, _UNCHANGED):
+        if sensitivities is not None and _columns_hold(problem, computed, at, FAINT):
             return GaussNewtonResult(at, normal, sensitivities, converged)
         fresh = sensitivities_at(problem, at, tasks, exact, steps)
         return GaussNewtonResult(at, normal_equations(problem.model, at, fresh)[0], fresh, converged)
@@ -193,7 +190,7 @@ def _minimise(
             sensitivities, computed = sensitivities_at(problem, at, tasks, exact, steps), at
         linear = _linear_step(problem, at, sensitivities, limits, dof)
         normal, noise, expected = linear.normal, linear.noise, linear.expected
-        if expected < _CONVERGED * noise:
+        if expected < FAINT * noise:
             return result(True)
         accepted, damping = _accepted(problem, at, tasks, linear, limits, damping)
         strength = problem.strength(problem.model.to_values((accepted or at).x), task)
@@ -210,13 +207,13 @@ def _minimise(
         decrease = at.chi2 - accepted.chi2
         sensitivities = broyden_update(sensitivities, at, accepted, np.diagonal(normal))
         at = accepted
-        damping = 0.0 if damping <= _LEAST_DAMPING else damping * _LOWERED
+        damping = 0.0 if damping <= CLOSE else damping * _LOWERED
         poor = expected > noise and decrease < 0.5 * expected
-        was_exact, exact = exact, exact or strength > STRONG or (poor and fresh and strength > _NOTABLE)
+        was_exact, exact = exact, exact or strength > STRONG or (poor and fresh and strength > CLOSE)
         # A wrong model may creep along a valley for ever, by steps that are negligible beside the remaining misfit.
         slow = max(_SLOW * (at.chi2 - dof), _RIDGE * noise) if iteration >= _SLOW_AFTER else 0.0
-        paused = decrease < max(_CONVERGED * noise, slow) and exact == was_exact
-        if paused and (fresh or expected < CLOSE * noise or slow > _CONVERGED * noise):
+        paused = decrease < max(FAINT * noise, slow) and exact == was_exact
+        if paused and (fresh or expected < CLOSE * noise or slow > FAINT * noise):
             return result(True)
         if paused:
             # A larger decrease was expected, so the columns are outdated rather than the fit converged.

@@ -18,13 +18,14 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.special import chdtri
 
 from ...arrays import FloatArray
 from ...experiment.variation import KINDS, RecordSpread
 
 #: Increase of 2 log L that makes a kind of variation needed.  For equal records it is half a chi2 of one degree of freedom, so
-#: that one of four kinds is kept by mistake in 0.1 % of campaigns: P(chi2_1 > 12.1) 4 / 2 = 1e-3.
-_NEEDED = 12.1
+#: that one of four kinds is kept by mistake in 0.1 % of campaigns:  4 P(chi2_1 > 12.1) / 2 = 1e-3.
+_NEEDED = float(chdtri(1.0, 2.0 * 1e-3 / len(KINDS)))
 #: First and last step of the search for the spreads, in decades.
 _FIRST_STEP, _LAST_STEP = 0.5, 0.02
 

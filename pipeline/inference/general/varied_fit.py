@@ -19,7 +19,7 @@ from ...experiment.forward.system import assemble
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.record import Campaign, Record
 from ...experiment.variation import KINDS, RecordSpread, advanced
-from .deviation_columns import at_frequency, deviation_columns, response_for
+from .deviation_columns import at_frequency, delayed, deviation_columns, response_for
 from .fit import CampaignFit, fit_campaign
 from .variation import Linearized, RecordVariation, estimated, linearized, spread_at, with_records
 
@@ -36,12 +36,14 @@ def aligned(
     """The campaign without the estimated deviations:  y' = advanced(y - b l, tau) / (1 + g) - (f(phi) - f(0)).
 
     The first order alone does not suffice where they are large.  Only the driven records change.  f is the model at complete
-    parameter ``values``; ``None`` means those of the fit.
+    parameter ``values``; ``None`` means those of the fit.  A record that the model clips is not band-limited and cannot be
+    advanced; there, y' = (y - b l) / (1 + g) - (f(phi, tau) - f(0)).
     """
     at, respond = fit.values if values is None else values, response_for(fit, campaign)
     known = {record.name: record.start for record in fit.records}
     predicted = {record.name: record.predicted_v for record in fit.records}
     model, instrument = fit.model, campaign.instrument
+    clipped = clips(model)
 
     def equal(record: Record) -> Record:
         d = variation.of(record.name)
@@ -50,18 +52,24 @@ def aligned(
         ((_, group),) = drive_groups_of([record], instrument, campaign.angular_gain)
         shifted, plain = (
             respond(
-                assemble(model, at_frequency(model, at, phi), instrument, group.conditions),
+                delayed(assemble(model, at_frequency(model, at, phi), instrument, group.conditions), delay_s),
                 group,
                 [known.get(record.name)],
             )[0]
-            for phi in (d.frequency, 0.0)
+            for phi, delay_s in ((d.frequency, d.start_s if clipped else 0.0), (0.0, 0.0))
         )
         ramp = d.ramp_v * np.linspace(-1.0, 1.0, record.sense_v.shape[0])[:, None]
-        measured = _filled(record, predicted[record.name])
-        y = advanced(measured - ramp, d.start_s, record.sample_rate_hz) / (1.0 + d.gain)
-        return replace(record, sense_v=y - (shifted - plain))
+        y = _filled(record, predicted[record.name]) - ramp
+        if not clipped:
+            y = advanced(y, d.start_s, record.sample_rate_hz)
+        return replace(record, sense_v=y / (1.0 + d.gain) - (shifted - plain))
 
     return replace(campaign, records=tuple(equal(record) for record in campaign.records))
+
+
+def clips(model: Model) -> bool:
+    """Whether an effect of the model changes the samples at the converter, where they are no longer band-limited."""
+    return any("adc" in model.library[name].stages for name in model.effects)
 
 
 def _filled(record: Record, predicted_v: FloatArray) -> FloatArray:

@@ -8,7 +8,8 @@ A hidden effect and a variation between records can both explain that a model fi
    last model, the selection is repeated with the variation of the first model.  A single record does not differ from another:
    its start time would only take up a wrong hold of the DAC.
 3. After a selection with variation, the spreads are estimated again with the selected effects.  If they shrink to zero, the
-   effects alone explain the records; if they fall by much, the selection is repeated with the smaller ones.
+   effects alone explain the records; if they fall by much, or if a selected effect clips the records, which corrects them in
+   another way, the selection is repeated.
 
 Shapes: N samples, S senses, m deviations of a record.
 """
@@ -21,6 +22,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
+from ...criticism.budget import ALPHA
 from ...criticism.fit_tests import Rules
 from ...criticism.problem import Problem
 from ...criticism.selection import ForwardSelection, forward_selection
@@ -30,11 +32,9 @@ from ...inference.general.deviation_columns import deviation_columns
 from ...inference.general.jitter import campaign_jitter, with_jitter
 from ...inference.general.residuals import CampaignResiduals
 from ...inference.general.variation import record_variation
-from ...inference.general.varied_fit import VariedFit, fit_with_variation
+from ...inference.general.varied_fit import VariedFit, clips, fit_with_variation
 from .problem import CampaignProblem
 
-#: Probability that equal repeats are taken as different, for each pair.
-_REPEATS_DIFFER = 1e-6
 #: A selection is repeated if a spread falls below this share of the one that it assumed.  A hidden effect inflates the spreads;
 #: while they stay too large, the records count for too little.
 _SMALLER = 0.5
@@ -46,7 +46,7 @@ def repeats_differ(problem: CampaignProblem) -> bool:
     """Whether repeats differ in their frequency, start or gains.
 
     delta_chi2 of the regression of (y_a - y_b) / sqrt 2 on the m derivatives of the predicted record, against chi2_m; divided
-    by the level of what remains, so that noise louder than measured is no difference.
+    by the level of what remains, so that noise louder than measured is no difference.  All pairs share ``ALPHA``.
     """
     pairs = repeats_of(problem.campaign)
     result = problem.fit(())
@@ -64,7 +64,7 @@ def repeats_differ(problem: CampaignProblem) -> bool:
         left = difference - c @ d
         level = max(1.0, float(left @ left) / left.size)
         explained = float(difference @ difference) - float(left @ left)
-        if chi2.sf(explained / level, c.shape[1]) < _REPEATS_DIFFER:
+        if chi2.sf(explained / level, c.shape[1]) < ALPHA / len(pairs):
             return True
     return False
 
@@ -127,6 +127,7 @@ def selected(
         selection = forward_selection(restricted(problem), (), rules)
     else:
         plain = None
+    clipped = clips(problem.model)
     for _ in range(_ROUNDS - 1):
         if not selection.tests or not selection.added or problem.variation is None:
             break
@@ -140,8 +141,9 @@ def selected(
             equal = CampaignProblem(problem.measured, problem.model, noise, problem.threads, jitter_s=problem.jitter_s)
             return equal, forward_selection(restricted(equal), (), rules)
         pairs = zip(before.of_deviations(1), after.of_deviations(1))
-        if not any(new < _SMALLER * old for old, new in pairs):
+        if not any(new < _SMALLER * old for old, new in pairs) and clips(fit.model) == clipped:
             break
+        clipped = clips(fit.model)
         problem = varied_problem(problem, fit_with_variation(fit.model, problem.measured, fit, problem.threads))
         selection = forward_selection(restricted(problem), (), rules)
     return problem, selection

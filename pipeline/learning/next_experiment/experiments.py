@@ -29,8 +29,8 @@ from ..campaign.rows import TOP_HZ
 _LESS_BIAS = 0.7
 #: Relative level of the low-level experiment.
 _LOWER = 0.35
-#: Usable share of the anti-alias corner and of Nyquist, and of full scale.
-_USABLE, _FULL = 0.9, 0.9
+#: Usable share of the anti-alias corner, of Nyquist and of full scale.
+_USABLE = 0.9
 _LOWEST_HZ = 50.0
 #: Margin around the resonances [Hz], rates [deg/s], limits of the duration [s].
 _MARGIN_HZ = 10.0
@@ -94,9 +94,9 @@ class Experiment:
 
 def within(experiment: Experiment, peak_v: float, adc: Adc | None) -> Experiment:
     """``experiment``, with its level reduced if a response of ``peak_v`` [V] exceeds 0.9 of full scale."""
-    if adc is None or peak_v <= _FULL * adc.full_scale_v:
+    if adc is None or peak_v <= _USABLE * adc.full_scale_v:
         return experiment
-    return experiment.scaled(0.98 * _FULL * adc.full_scale_v / peak_v)
+    return experiment.scaled(0.98 * _USABLE * adc.full_scale_v / peak_v)
 
 
 def experiments(

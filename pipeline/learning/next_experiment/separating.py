@@ -17,6 +17,7 @@ import numpy as np
 
 from ... import toml_files as toml
 from ...arrays import FloatArray
+from ...criticism.budget import CLEAR_SNR, DETECTABLE_SNR
 from ...criticism.separation import Prediction, Separation, known_of, separation
 from ...criticism.verdict import TermClass
 from ...errors import ConfigError, UsageError
@@ -30,7 +31,6 @@ from ..campaign.problem import CampaignProblem
 from .experiments import Experiment, experiments, within
 
 #: SNR from which a record separates two effects, and from which no longer record is tried.
-LEAST, SURE = 5.0, 8.0
 #: SNR from which no better experiment is searched, and the number of experiments for which the exact SNR is computed.
 _PLENTY, _MOST = 12.0, 8
 _LONGER_S = (10.0, 30.0)
@@ -65,7 +65,7 @@ class Proposal:
     @property
     def pair(self) -> tuple[str, str]:
         """The pair to which ``snr`` belongs: the worst that is separated, or the best if none is."""
-        reached = [pair for pair in self.separation.pairs if pair[1] >= LEAST]
+        reached = [pair for pair in self.separation.pairs if pair[1] >= DETECTABLE_SNR]
         return (reached[0] if reached else self.separation.pairs[-1])[0]
 
     @property
@@ -75,8 +75,8 @@ class Proposal:
 
     @property
     def separates(self) -> bool:
-        """Whether at least one pair is separated, with an SNR of at least ``LEAST`` [sigma]."""
-        return self.snr >= LEAST
+        """Whether at least one pair is separated, with an SNR of at least ``DETECTABLE_SNR`` [sigma]."""
+        return self.snr >= DETECTABLE_SNR
 
     @property
     def file(self) -> str:
@@ -88,12 +88,12 @@ class Proposal:
         if not self.separates:
             if self.snr < 0.01:
                 return f"none with this instrument (best: {self.experiment.words}, SNR below 0.01)"
-            need = f"an SNR of {LEAST:g} needs {LEAST / self.snr:.2g} times less noise, or a stronger effect"
+            need = f"an SNR of {DETECTABLE_SNR:g} needs {DETECTABLE_SNR / self.snr:.2g} times less noise, or a stronger effect"
             return f"none with this instrument (best: {self.experiment.words}, SNR {self.snr:.2g}; {need})"
         text = f"{self.experiment.words}: predicted SNR {self.snr:.3g}"
         if len(self.separation.pairs) > 1:
             text += f" for {' against '.join(self.pair)}"
-            missed = [" from ".join(pair) for pair, snr in self.separation.pairs if snr < LEAST]
+            missed = [" from ".join(pair) for pair, snr in self.separation.pairs if snr < DETECTABLE_SNR]
             text += f"; it does not separate {', '.join(missed)}" if missed else ", more for the other pairs"
         return f"{self.file}: {text}" if written else f"{text} ({_GIVE_OUT})"
 
@@ -162,8 +162,8 @@ class _RecordTrial:
     @property
     def merit(self) -> tuple[float, float]:
         """Number of separated pairs; then the SNR of the best pair that is not separated, or of the worst if all are."""
-        left = [snr for _, snr in self.found.pairs if snr < LEAST]
-        return float(self.found.apart(LEAST)), left[-1] if left else self.found.least
+        left = [snr for _, snr in self.found.pairs if snr < DETECTABLE_SNR]
+        return float(self.found.apart(DETECTABLE_SNR)), left[-1] if left else self.found.least
 
 
 def separating_record(problem: CampaignProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
@@ -184,10 +184,10 @@ def separating_record(problem: CampaignProblem, terms: Sequence[str], found: Ter
     bounds = [trial for one in tried if (trial := _bounded(problem, members, one)) is not None]
     best = _best(problem, members, bounds, None)
     for duration in _LONGER_S:
-        if best is None or best.found.least >= SURE:
+        if best is None or best.found.least >= CLEAR_SNR:
             break
         longer = duration / best.experiment.excitation.duration_s
-        if longer > 1.0 and _GAIN * np.sqrt(longer) * best.merit[1] >= LEAST:
+        if longer > 1.0 and _GAIN * np.sqrt(longer) * best.merit[1] >= DETECTABLE_SNR:
             slower = _bounded(problem, members, best.experiment.lasting(duration))
             best = _best(problem, members, [] if slower is None else [slower], best)
     if best is None:

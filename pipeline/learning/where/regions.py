@@ -21,8 +21,9 @@ import numpy as np
 from msgspec import convert, structs
 
 from ...arrays import FloatArray, IntArray
+from ...criticism.budget import ALPHA
 from ...criticism.problem import Region
-from ...criticism.regions import ALPHA, RegionShare, explained_share, region_shares
+from ...criticism.regions import RegionShare, explained_share, region_shares
 from ...experiment.noise.time_frequency import lapped
 from ...inference.general.fit import CampaignFit
 from ...inference.general.record_fit import RecordFit
