@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from scipy.linalg import lapack
 
 from ..arrays import ComplexArray, FloatArray
 
@@ -75,11 +76,12 @@ def _shift_inverse(A: FloatArray, shift: complex, inverse: ComplexArray, b: Comp
 
 
 @njit(cache=True)
-def _block_arnoldi(A: FloatArray, shift: complex, steps: int) -> ComplexArray:
-    """Projection (steps, steps) of (companion - shift)^-1 on the Krylov space of the first S unit vectors."""
+def _block_arnoldi(A: FloatArray, shift: complex, inverse: ComplexArray, steps: int) -> ComplexArray:
+    """Projection (steps, steps) of (companion - shift)^-1 on the Krylov space of the first S unit vectors.
+
+    ``inverse`` is P(shift)^-1 (S, S).
+    """
     order, senses, _ = A.shape
-    value, _ = polynomial_at(A, shift)
-    inverse = np.linalg.inv(value).astype(np.complex128)
     length = order * senses
     basis = np.zeros((steps + senses, length), dtype=np.complex128)
     h = np.zeros((steps + senses, steps), dtype=np.complex128)
@@ -120,30 +122,44 @@ def nearby_poles(A: FloatArray, centre: complex) -> ComplexArray:
     """
     order, senses, _ = A.shape
     steps = min(16 + order // 5, order * senses)
-    ritz: ComplexArray = np.linalg.eigvals(_block_arnoldi(A, centre, steps)).astype(np.complex128)
+    factors, pivots, _ = lapack.zgetrf(polynomial_at(A, centre)[0])
+    inverse, singular = lapack.zgetri(factors, pivots)
+    if singular:
+        return np.array([centre])
+    projection = _block_arnoldi(A, centre, np.ascontiguousarray(inverse), steps)
+    ritz: ComplexArray = np.linalg.eigvals(projection).astype(np.complex128)
     ritz = ritz[np.argsort(-np.abs(ritz))]
     return np.asarray(centre + 1.0 / ritz[np.abs(ritz) > 1e-8])
 
 
-@njit(cache=True)
+def _smallest_step(value: ComplexArray, slope: ComplexArray) -> complex:
+    """mu [1] of smallest modulus with det(value + mu slope) = 0, both (S, S) [1]; inf where there is none.
+
+    LAPACK is called directly: numba takes eight seconds to compile its own calls of it.
+    """
+    _, _, matrix, singular = lapack.zgesv(slope, -value)
+    if singular or not np.isfinite(matrix.sum()):
+        return complex(np.inf)
+    steps, _, _, failed = lapack.zgeev(matrix, compute_vl=0, compute_vr=0)
+    return complex(np.inf) if failed else complex(min(steps, key=abs))
+
+
 def refine(A: FloatArray, seeds: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """Zeros (K,) [1] of det A(z) next to ``seeds`` (K,), and the size (K,) of the last correction of each; Ruhe 1973."""
-    senses = A.shape[1]
+    """Zeros (K,) [1] of det A(z) next to ``seeds`` (K,), and the size (K,) of the last correction of each; Ruhe 1973.
+
+    The size is inf where a correction could not be computed.
+    """
     poles = seeds.copy()
     last = np.empty(seeds.size)
-    for i in range(seeds.size):
-        z = seeds[i]
-        size = np.inf
+    for i, seed in enumerate(seeds):
+        z, size = complex(seed), np.inf
         for _ in range(_ITERATIONS):
-            value, slope = polynomial_at(A, z)
-            if senses == 1:
-                step = -value[0, 0] / slope[0, 0]
-            else:
-                candidates = np.linalg.eigvals(np.linalg.solve(slope, -value))
-                step = candidates[np.argmin(np.abs(candidates))]
-            z = z + step
+            step = _smallest_step(*polynomial_at(A, z))
             size = abs(step)
-            if size < 1e-15 or not np.isfinite(size):
+            if not np.isfinite(size):
+                break
+            z += step
+            if size < 1e-15:
                 break
         poles[i] = z
         last[i] = size

@@ -4,6 +4,8 @@
 
 c_a are the residues of channel a times powers of the shift of each pole, (mode, drive, order, re/im): J = 48 real features.
 
+The loops over arrays are written out: an expression of arrays takes numba seconds to compile, for the message of its errors.
+
 Shapes: S = 2 senses, r rows of the triangles, P parameters: the cartesian ones of ``pipeline.device.gyro`` (12), and the
 electrode mismatches (14).
 """
@@ -107,7 +109,7 @@ def residual_rows(
             out[a * rows + i] = data[a, i] - out[a * rows + i]
     for i in range(prior_offset.size):
         out[2 * rows + i] = prior_offset[i] - prior_root[i, 0] * x[12] - prior_root[i, 1] * x[13]
-    return out, float(shift.max())
+    return out, max(shift[0], shift[1], shift[2])
 
 
 @njit(cache=True)
@@ -125,6 +127,7 @@ def jacobian_rows(
     size = x.size
     c_plus = np.empty((2, FEATURES))
     c_minus = np.empty((2, FEATURES))
+    slope = np.empty((2, FEATURES))
     shift = np.empty(3)
     out = np.zeros((2 * rows + prior_offset.size, size))
     column = np.empty(2 * rows)
@@ -134,10 +137,15 @@ def jacobian_rows(
         _coefficients(moved, expansion, c_plus, shift)
         moved[i] = x[i] - STEPS[i]
         _coefficients(moved, expansion, c_minus, shift)
-        _model_rows((c_plus - c_minus) / (2.0 * STEPS[i]), triangle, cross, column)
-        out[: 2 * rows, i] = column
+        for a in range(2):
+            for j in range(FEATURES):
+                slope[a, j] = (c_plus[a, j] - c_minus[a, j]) / (2.0 * STEPS[i])
+        _model_rows(slope, triangle, cross, column)
+        for j in range(2 * rows):
+            out[j, i] = column[j]
     for i in range(prior_offset.size):
-        out[2 * rows + i, 12:] = prior_root[i]
+        for j in range(2):
+            out[2 * rows + i, 12 + j] = prior_root[i, j]
     return out
 
 
@@ -155,24 +163,32 @@ def log_likelihood(
     count = points.shape[0]
     rows = triangle.shape[1]
     c = np.zeros((2, count, FEATURES))
+    of_point = np.empty((2, FEATURES))
     shift = np.empty(3)
     inside = np.empty(count, dtype=np.bool_)
     for n in range(count):
         inside[n] = allowed(points[n])
         if inside[n]:
-            _coefficients(points[n], expansion, c[:, n], shift)
-    model = np.empty((2, count, rows))
-    for a in range(2):
-        model[a] = np.dot(c[a], triangle[a].T)
+            _coefficients(points[n], expansion, of_point, shift)
+            for a in range(2):
+                for j in range(FEATURES):
+                    c[a, n, j] = of_point[a, j]
+    first = np.dot(c[0], triangle[0].T)
+    second = np.dot(c[1], triangle[1].T)
     if cross.shape[0]:
-        model[0] += np.dot(c[1], cross.T)
+        shared = np.dot(c[1], cross.T)
+        for n in range(count):
+            for i in range(rows):
+                first[n, i] += shared[n, i]
     out = np.empty(count)
     for n in range(count):
         total = 0.0
-        for a in range(2):
-            for i in range(rows):
-                r = data[a, i] - model[a, n, i]
-                total += r * r
+        for i in range(rows):
+            r = data[0, i] - first[n, i]
+            total += r * r
+        for i in range(rows):
+            r = data[1, i] - second[n, i]
+            total += r * r
         for i in range(prior_offset.size):
             r = prior_offset[i] - prior_root[i, 0] * points[n, 12] - prior_root[i, 1] * points[n, 13]
             total += r * r
