@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit, types
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
@@ -65,22 +68,97 @@ def compiled_force(force: Callable[..., None]) -> Any:
         ) from error
 
 
-class ForcePointer(types.WrapperAddressProtocol):
-    """A compiled force law by its address, which a compiled loop takes faster than the law itself."""
-
-    def __init__(self, force: Callable[..., None]) -> None:
-        found = compiled_force(force).get_compile_result(FORCE_SIGNATURE)
-        self._address = int(found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name))
-
-    def __wrapper_address__(self) -> int:
-        return self._address
-
-    def signature(self) -> Any:
-        """Signature of the compiled law."""
-        return FORCE_SIGNATURE
+@cache
+def _each_point() -> Any:
+    motion = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
+    signature = types.void(types.UniTuple(FORCE_TYPE, 1), *motion, _VECTOR, LAWS_TYPE, _MATRIX)
+    return njit(signature, cache=True, error_model="numpy")(_at_each_point)
 
 
-@once
-def force_pointer(force: Callable[..., None]) -> ForcePointer:
-    """The compiled ``force`` by its address; raises as :func:`compiled_force`."""
-    return ForcePointer(force)
+def _at_each_point(
+    law: Any,
+    t: FloatArray,
+    q: FloatArray,
+    qd: FloatArray,
+    u: FloatArray,
+    p: FloatArray,
+    laws: Laws,
+    out: FloatArray,
+) -> None:
+    """Add the force at each of m points to ``out`` (m, n); q, qd (m, n), u (m, D)."""
+    for i in range(t.size):
+        law[0](t[i], q[i], qd[i], u[i], p, laws, out[i])
+
+
+def _rows(values: FloatArray) -> Any:
+    """Rows of values (C, m) as C elements that a law cannot change in place."""
+    out = np.empty(values.shape[0], dtype=object)
+    for i, row in enumerate(values):
+        own = row.view()
+        own.flags.writeable = False
+        out[i] = own
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """m points of a motion: times t (m,) [s], coordinates q (n, m) [V s], velocities qd (n, m) [V], drive u (D, m) [V]."""
+
+    t: FloatArray
+    q: FloatArray
+    qd: FloatArray
+    u: FloatArray
+
+    @cached_property
+    def elements(self) -> tuple[Any, Any, Any]:
+        """q, qd and u as arrays (n,), (n,), (D,) of vectors (m,)."""
+        return _rows(self.q), _rows(self.qd), _rows(self.u)
+
+    def plus(self, q: FloatArray, qd: FloatArray) -> Points:
+        """The points with another motion (n, m) added."""
+        return Points(self.t, self.q + q, self.qd + qd, self.u)
+
+
+def _with_vectors(force: Callable[..., None], points: Points, p: FloatArray, laws: Laws) -> FloatArray:
+    out = np.empty(points.q.shape[0], dtype=object)
+    out[:] = 0.0
+    force(points.t, *points.elements, p, laws, out)
+    whole = np.empty(points.q.shape)
+    for i, row in enumerate(out):
+        whole[i] = row
+    return whole
+
+
+@lru_cache(maxsize=256)
+def takes_vectors(force: Callable[..., None], parameters: int) -> bool:
+    """Whether a law gives the same with vectors in place of numbers: not where it branches or calls ``math``."""
+    random = np.random.default_rng(0)
+    points = Points(random.random(4), *(random.standard_normal((k, 4)) for k in (3, 3, 2)))
+    p, matrix = random.random(parameters), random.standard_normal((3, 3))
+    laws = Laws(matrix, matrix, random.standard_normal((3, 2)), random.standard_normal((2, 3)), 5.0, 5.0, 2)
+    one_by_one = np.zeros((3, 4))
+    try:
+        together = _with_vectors(force, points, p, laws)
+        for i, t in enumerate(points.t):
+            force(t, points.q[:, i], points.qd[:, i], points.u[:, i], p, laws, one_by_one[:, i])
+    except Exception:
+        # Numbers and vectors differ in more ways than can be listed; the compiled law is right in any case.
+        return False
+    return bool(np.allclose(together, one_by_one, rtol=1e-12, atol=0.0))
+
+
+def force_along(force: Callable[..., None], points: Points, p: FloatArray, laws: Laws) -> FloatArray:
+    """The force (n, m) [V/s] at m points of a motion, with parameters p (k,).
+
+    A law that is plain arithmetic takes vectors as it takes numbers, so it needs no compilation; others are compiled.
+
+    Raises
+    ------
+    ConfigError : as :func:`compiled_force`.
+    """
+    if takes_vectors(force, p.size):
+        return _with_vectors(force, points, p, laws)
+    out = np.zeros(points.q.shape[::-1])
+    rows = (np.ascontiguousarray(each.T) for each in (points.q, points.qd, points.u))
+    _each_point()((compiled_force(force),), np.ascontiguousarray(points.t), *rows, p, laws, out)
+    return out.T

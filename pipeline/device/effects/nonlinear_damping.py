@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import numpy as np
 
 from ...arrays import FloatArray
 from ..effect import Effect, Laws, SizeRange
@@ -14,7 +14,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
     square = 0.0
     for i in range(laws.axes):
         square += qd[i] * qd[i]
-    rate = p[0] * math.sqrt(square)
+    rate = p[0] * np.sqrt(square)
     for i in range(laws.axes):
         out[i] -= rate * qd[i]
 

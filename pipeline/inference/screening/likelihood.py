@@ -27,8 +27,8 @@ STEPS: FloatArray = np.array([1e-4] * 8 + [1e-5] * 6)
 
 
 @njit(cache=True)
-def _coefficients(x: FloatArray, expansion: ComplexArray, out: FloatArray, shift: FloatArray) -> None:
-    """c(x) as (S, J) real numbers, and |h_k| in ``shift`` (3,)."""
+def coefficients(x: FloatArray, expansion: ComplexArray, out: FloatArray, shift: FloatArray) -> None:
+    """Fill ``out`` (S, J) with c(x) as real numbers, and ``shift`` (3,) with |h_k| [rad/s]."""
     poles = np.empty(3, dtype=np.complex128)
     residues = np.empty((3, 2, 2), dtype=np.complex128)
     cartesian_modes(x, poles, residues)
@@ -101,7 +101,7 @@ def residual_rows(
     rows = triangle.shape[1]
     c = np.empty((2, FEATURES))
     shift = np.empty(3)
-    _coefficients(x, expansion, c, shift)
+    coefficients(x, expansion, c, shift)
     out = np.empty(2 * rows + prior_offset.size)
     _model_rows(c, triangle, cross, out)
     for a in range(2):
@@ -134,9 +134,9 @@ def jacobian_rows(
     for i in range(size):
         moved = x.copy()
         moved[i] = x[i] + STEPS[i]
-        _coefficients(moved, expansion, c_plus, shift)
+        coefficients(moved, expansion, c_plus, shift)
         moved[i] = x[i] - STEPS[i]
-        _coefficients(moved, expansion, c_minus, shift)
+        coefficients(moved, expansion, c_minus, shift)
         for a in range(2):
             for j in range(FEATURES):
                 slope[a, j] = (c_plus[a, j] - c_minus[a, j]) / (2.0 * STEPS[i])
@@ -169,7 +169,7 @@ def log_likelihood(
     for n in range(count):
         inside[n] = allowed(points[n])
         if inside[n]:
-            _coefficients(points[n], expansion, of_point, shift)
+            coefficients(points[n], expansion, of_point, shift)
             for a in range(2):
                 for j in range(FEATURES):
                     c[a, n, j] = of_point[a, j]

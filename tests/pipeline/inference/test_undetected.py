@@ -1,6 +1,7 @@
 """Effects that a device may have without being noticed: signatures without simulation, scores, bounds of the bias."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,9 +19,10 @@ from pipeline.inference.screening.fit import Fit
 from pipeline.inference.screening.inband import make_band
 from pipeline.inference.screening.mismatch import BROAD, NIGHTLY_MODEL
 from pipeline.inference.screening.undetected.bounds import Candidates, Projection, judged, summary
-from pipeline.inference.screening.undetected.clipping import adc_probes
-from pipeline.inference.screening.undetected.library import scored_effects
-from pipeline.inference.screening.undetected.linear import cartesian_poles, linear_device
+from pipeline.inference.screening.undetected.clipping import adc_sizes, loud_samples
+from pipeline.inference.screening.undetected.library import probes_of, scored_effects
+from pipeline.inference.screening.undetected.linear import cartesian_poles, linear_devices
+from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.parity import kind_of
 from pipeline.inference.screening.undetected.signatures import signatures
 
@@ -42,9 +44,9 @@ def device():
     data = BandData(band, band.transform(y), np.zeros((2 * band.bins.size, 0)))
     likelihood = compress([data], np.full(2, 1e-3), cartesian_poles(x)[0], BROAD)
     fit = Fit(x, np.eye(14), 0.0, 1, likelihood, True)
-    linear = linear_device(fit, 0, band, INSTRUMENT)
-    probes = adc_probes([y], np.full(2, 1e-3), 5.0, True)
-    found = signatures(linear, y, probes, True)
+    (linear,), moved = linear_devices(fit, [band], INSTRUMENT, partial(moved_mechanics, True))
+    loud = loud_samples(y)
+    found = signatures(linear, moved, loud, adc_sizes([loud], np.full(2, 1e-3), 5.0, True), True)
 
     def change(effect, parameter, value):
         larger = model.with_effect(effect)
@@ -58,7 +60,7 @@ def device():
 
 def test_the_linear_device_has_the_spectrum_of_its_record(device):
     linear, spectrum, _, _ = device
-    assert np.linalg.norm(linear.sensed() - spectrum) < 1e-10 * np.linalg.norm(spectrum)
+    assert np.linalg.norm(linear.sensed - spectrum) < 1e-10 * np.linalg.norm(spectrum)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +109,7 @@ def test_an_even_law_returns_into_the_band_in_second_order(device, effect, param
 
 
 def test_laws_are_told_apart_by_their_parity():
-    kinds = {e.name: kind_of(e, 0) for e in scored_effects(True) if e.force is not None}
+    kinds = {probe.effect.name: kind_of(probe) for probe in probes_of(True, "force")}
     assert {name for name, kind in kinds.items() if kind.order == 2} == {
         "quadratic_stiffness",
         "electrostatic_softening",

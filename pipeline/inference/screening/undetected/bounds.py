@@ -20,7 +20,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky
+from scipy.linalg.lapack import dtrtri
 from scipy.special import fdtrc
 
 from ....arrays import FloatArray
@@ -53,36 +54,36 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """The fit as a projection: J' J = S L L' S with S = diag(scale (P,)), and dq/dx (Q, P) of the quantities.
+    """The fit as a projection, J = Q R: R'^-1 (P, P), and dq/dx R^-1 (Q, P) of the quantities.
 
     Raises
     ------
     numpy.linalg.LinAlgError : the Jacobian has no full rank.
     """
 
-    factor: FloatArray
-    scale: FloatArray
+    whiten: FloatArray
     slopes: FloatArray
 
     @classmethod
     def of(cls, products: FloatArray, slopes: FloatArray) -> Projection:
         """From J' J (P, P).  In units of the norms of the columns it loses eight of sixteen digits at most."""
         scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
-        return cls(cholesky(products / np.outer(scale, scale), lower=True), scale, slopes)
+        factor = cholesky(products / np.outer(scale, scale), lower=True)
+        whiten = dtrtri(factor, lower=True)[0] / scale
+        return cls(whiten, slopes @ whiten.T)
 
     def overlap(self, products: FloatArray) -> FloatArray:
-        """Q' Z (P, K) of J' Z (P, K), with J = Q R."""
-        return np.asarray(solve_triangular(self.factor, products / self.scale[:, None], lower=True))
+        """Q' Z (P, K) of J' Z (P, K)."""
+        return np.asarray(self.whiten @ products)
 
     def bias(self, overlap: FloatArray) -> FloatArray:
         """Bias (Q, K) of the quantities by columns of unit strength, from Q' Z (P, K)."""
-        moved = solve_triangular(self.factor, overlap, lower=True, trans="T") / self.scale[:, None]
-        return np.asarray(self.slopes @ moved)
+        return np.asarray(self.slopes @ overlap)
 
 
 def judged(products: FloatArray, projection: Projection, candidates: Candidates, noise_dof: float) -> Judged:
     """Scores and bounds from [J, Z, r]' [J, Z, r] (P + K + 1, P + K + 1), whitened, with the rows of the prior."""
-    p = projection.scale.size
+    p = projection.whiten.shape[0]
     scale = np.sqrt(np.maximum(np.diag(products)[p:], 1e-300))
     overlap = projection.overlap(products[:p, p:] / scale)
     left = products[p:, p:] / np.outer(scale, scale) - overlap.T @ overlap
@@ -98,12 +99,13 @@ def judged(products: FloatArray, projection: Projection, candidates: Candidates,
     p_values[alone], explained[alone], bounds[alone] = _single(
         score[single], gram[single, single], bias[:, single], low[single], high[single], noise_dof
     )
-    for i, own in enumerate(columns):
-        if len(own) > 1:
-            block = gram[np.ix_(own, own)]
-            p_values[i], explained[i], bounds[i] = _several(
-                score[own], block, bias[:, own], np.maximum(np.abs(low[own]), np.abs(high[own])), noise_dof
-            )
+    for k in sorted({len(own) for own in columns if len(own) > 1}):
+        group = [i for i, own in enumerate(columns) if len(own) == k]
+        own = np.array([columns[i] for i in group])
+        blocks = gram[own[:, :, None], own[:, None, :]]
+        reach = np.maximum(np.abs(low[own]), np.abs(high[own]))
+        found = _several(score[own], blocks, np.moveaxis(bias[:, own], 0, 1), reach, noise_dof)
+        p_values[group], explained[group], bounds[group] = found
     return Judged(effects, p_values, explained, bounds)
 
 
@@ -147,23 +149,27 @@ def _single(
 
 def _several(
     score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, dof: float
-) -> tuple[float, float, FloatArray]:
-    """p-value and T of an effect with k signatures of unit norm, bounds (Q,) of biases (Q, k); strengths at most ``reach``."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """p-values and T (E,) of effects with k signatures of unit norm; bounds (E, Q) of biases (E, Q, k).
+
+    score, reach (E, k): Z~' r and largest strengths; gram (E, k, k).
+    """
     within = _at_most(bias, reach)
     size, vector = np.linalg.eigh(gram)
-    seen = size > _ABSORBED
-    if not seen.any():
-        return 1.0, 0.0, within
-    vector, size = vector[:, seen], size[seen]
-    projected = vector.T @ score
-    k, total = int(seen.sum()), float(np.sum(projected**2 / size))
-    visible = bias @ vector
-    bound = np.abs(visible @ (projected / size)) + Z95 * np.sqrt(np.sum(visible**2 / size, axis=1))
-    if k < score.size:
-        bound += _at_most(bias - visible @ vector.T, reach)
-    return float(fdtrc(k, dof, total / k)), total, np.minimum(bound, within)
+    seen = np.asarray(size > _ABSORBED)
+    weight = np.where(seen, 1.0 / np.where(seen, size, 1.0), 0.0)
+    projected = (score[:, None] @ vector)[:, 0]
+    visible = (bias @ vector) * seen[:, None]
+    k, total = seen.sum(axis=1), np.sum(projected**2 * weight, axis=1)
+    bound = np.abs(visible @ (projected * weight)[:, :, None])[:, :, 0]
+    bound += Z95 * np.sqrt(np.sum(visible**2 * weight[:, None], axis=2))
+    if not seen.all():
+        hidden = _at_most(bias - visible @ np.swapaxes(vector, 1, 2), reach)
+        bound += np.where((k < score.shape[1])[:, None], hidden, 0.0)
+    p = np.where(k > 0, fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), 1.0)
+    return p, total, np.where(k[:, None] > 0, np.minimum(bound, within), within)
 
 
 def _at_most(bias: FloatArray, reach: FloatArray) -> FloatArray:
-    """Largest |b' a| (Q,) for |a| <= ``reach`` (k,), of biases (Q, k)."""
-    return np.asarray(np.sum(np.where(bias == 0.0, 0.0, np.abs(bias) * reach), axis=1))
+    """Largest |b' a| (E, Q) for |a| <= ``reach`` (E, k), of biases (E, Q, k)."""
+    return np.asarray(np.sum(np.where(bias == 0.0, 0.0, np.abs(bias) * reach[:, None]), axis=2))

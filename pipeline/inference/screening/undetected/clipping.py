@@ -5,54 +5,60 @@ Shapes: N samples, S = 2 senses, W bins.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from ....arrays import FloatArray, IntArray
-from ....device.effect import Context, Effect
-from .library import BandSignature, members_of, scored_effects
+from ....device.effect import Context
+from .library import BandSignature, probes_of
 from .linear import LinearDevice
 
 #: Change of all samples by a probe of the ADC stage [sigma], and the samples near the peak, relative to it.
 _CLIPPED, _LOUD = 30.0, 0.9
 
 
-def adc_probes(
-    models_v: Sequence[FloatArray], sigma_v: FloatArray, bias_v: float, with_mismatch: bool
-) -> dict[str, float]:
-    """Effect of the ADC stage with one parameter -> value at which the samples change by about ``_CLIPPED`` sigmas in all.
-
-    Less is invisible and more is loud, in the record with the largest peak; ``models_v`` (N, S) [V] of each record.
-    """
-    context = Context(bias_v, bias_v, {})
-    volts = max((_loud(v)[1] for v in models_v), key=lambda v: float(np.max(np.abs(v))))
-    found: dict[str, float] = {}
-    for effect in scored_effects(with_mismatch):
-        members = members_of(effect)
-        if effect.adc is None or len(members) != 1:
-            continue
-        low, high = 1e-6 * members[0].scale, members[0].high
-        for _ in range(40):
-            middle = float(np.sqrt(low * high))
-            size = float(np.linalg.norm((effect.adc(volts, np.array([middle]), context) - volts) / sigma_v))
-            low, high = (low, middle) if size > _CLIPPED else (middle, high)
-            if 0.5 * _CLIPPED < size < 2.0 * _CLIPPED:
-                break
-        found[effect.name] = middle
-    return found
+Loud = tuple[IntArray, FloatArray]
 
 
-def _loud(model_v: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Indices and volts of the samples near the peak, which are all that a weak clip changes."""
+def loud_samples(model_v: FloatArray) -> Loud:
+    """Indices and volts (n, S) of the samples (N, S) [V] near the peak, which are all that a weak clip changes."""
     size = np.abs(model_v)
-    loud = np.flatnonzero(np.maximum(size[:, 0], size[:, 1]) > _LOUD * float(size.max()))
+    size = np.maximum(size[:, 0], size[:, 1])
+    loud = np.flatnonzero(size > _LOUD * float(size.max()))
     return loud, model_v[loud]
 
 
-def adc_signature(effect: Effect, device: LinearDevice, model_v: FloatArray, probe: float) -> BandSignature:
-    assert effect.adc is not None
-    loud, volts = _loud(model_v)
-    whole = np.zeros_like(model_v)
-    whole[loud] = effect.adc(volts, np.array([probe]), device.context) - volts
-    return BandSignature(effect.name, device.band.transform(whole), 0.0, np.inf)
+def adc_sizes(louds: Sequence[Loud], sigma_v: FloatArray, bias_v: float, with_mismatch: bool) -> dict[str, float]:
+    """Effect of the ADC stage with one parameter -> value at which the samples change by about ``_CLIPPED`` sigmas in all.
+
+    Less is invisible and more is loud, in the record with the largest peak.
+    """
+    context = Context(bias_v, bias_v, {})
+    volts = max((v for _, v in louds), key=lambda v: float(np.max(np.abs(v))))
+    found: dict[str, float] = {}
+    for probe in probes_of(with_mismatch, "adc"):
+        if probe.effect.adc is None or probe.size != 1:
+            continue
+        low, high = 1e-6 * probe.member.scale, probe.member.high
+        for _ in range(40):
+            middle = float(np.sqrt(low * high))
+            size = float(np.linalg.norm((probe.effect.adc(volts, np.array([middle]), context) - volts) / sigma_v))
+            low, high = (low, middle) if size > _CLIPPED else (middle, high)
+            if 0.5 * _CLIPPED < size < 2.0 * _CLIPPED:
+                break
+        found[probe.effect.name] = middle
+    return found
+
+
+def adc_signatures(
+    device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool
+) -> Iterator[BandSignature]:
+    """Signatures of the ADC stage at ``sizes`` of :func:`adc_sizes`."""
+    loud, volts = louds
+    for probe in probes_of(with_mismatch, "adc"):
+        if probe.effect.adc is None or probe.effect.name not in sizes:
+            continue
+        whole = np.zeros((2, device.band.samples))
+        whole[:, loud] = (probe.effect.adc(volts, np.array([sizes[probe.effect.name]]), device.context) - volts).T
+        yield BandSignature(probe.effect.name, device.band.transform(whole.T), 0.0, np.inf)

@@ -8,10 +8,11 @@ Shapes: P parameters, W bins, S = 2 senses.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import FloatArray
 from ....axial import difference
 from ....experiment.instrument import Instrument
 from ....experiment.noise.spectrum import NoiseSpectrum
@@ -20,13 +21,14 @@ from ...estimate import RateSettings, cartesian_quantities
 from ...gate import Undetected
 from ..compressed import BandData
 from ..fit import Fit
-from ..likelihood import STEPS
+from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
 from .bounds import Candidates, Projection, judged, summary
-from .clipping import adc_probes
+from .clipping import adc_sizes, loud_samples
 from .library import BandSignature
-from .linear import LinearDevice, cartesian_poles, linear_device
-from .rows import generalised_rows, stationary_rows, stationary_variance
+from .linear import linear_devices
+from .linear_stages import moved_mechanics
+from .rows import generalised_rows, real_rows, stationary_rows, stationary_variance
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
@@ -60,21 +62,28 @@ def scored_device(
     scans: Sequence[BandScan] = ()
     products: FloatArray | float = 0.0
     scanned: ScannedProducts | None = None
-    probes = adc_probes(models_v, noise.sigma_v, instrument.bias_v, prior is not None)
+    with_mismatch = prior is not None
+    louds = [loud_samples(model_v) for model_v in models_v]
+    sizes = adc_sizes(louds, noise.sigma_v, instrument.bias_v, with_mismatch)
     first = data[0].band.frequency_hz
-    for i, (item, model_v) in enumerate(zip(data, models_v)):
-        device = linear_device(fit, i, item.band, instrument)
-        found = signatures(device, model_v, probes, prior is not None)
-        scans = scans_of(item.band, (float(first[0]), float(first[-1])), line_hz, prior is not None)
-        residual = (item.spectrum - device.sensed())[None]
-        spectra = np.concatenate([_jacobian(fit.x, device), [one.spectrum for one in found], residual])
+    devices, moved = linear_devices(
+        fit, [item.band for item in data], instrument, partial(moved_mechanics, with_mismatch)
+    )
+    sensed, slopes = model_features(fit)
+    for item, loud, device in zip(data, louds, devices):
+        found = signatures(device, moved, loud, sizes, with_mismatch)
+        scans = scans_of(item.band, (float(first[0]), float(first[-1])), line_hz, with_mismatch)
+        rows = np.empty((count + len(found) + 1, 2, 2 * item.band.bins.size))
+        rows[:count] = device.rows(slopes)
+        rows[count:-1] = real_rows(np.stack([one.spectrum for one in found]))
+        rows[-1] = real_rows(item.spectrum) - device.rows(sensed)
         variance = stationary_variance(item, noise.sigma_v)
-        stationary = stationary_rows(spectra, item, variance)
-        rows = stationary.reshape(stationary.shape[0], -1)
+        stationary = stationary_rows(rows, item, variance)
+        flat = stationary.reshape(rows.shape[0], -1)
         if item.noise is not None and item.noise.dependent.size:
-            rows = generalised_rows(spectra, item, item.noise)
-        products = products + rows @ rows.T
-        kept = np.append(np.arange(count), spectra.shape[0] - 1)
+            flat = generalised_rows(rows, item, item.noise)
+        products = products + flat @ flat.T
+        kept = np.append(np.arange(count), rows.shape[0] - 1)
         own = scanned_products(scans, stationary[kept], np.sqrt(2.0 / item.band.samples / variance))
         scanned = own if scanned is None else scanned + own
     assert scanned is not None
@@ -86,8 +95,8 @@ def scored_device(
     kept = np.append(np.arange(count), count + len(found))
     whole = np.array(products)
     whole[np.ix_(kept, kept)] += of_prior
-    slopes = quantity_slopes(fit.x, rate, prior)
-    gradient = np.stack(list(slopes.values()))
+    gradients = quantity_slopes(fit.x, rate, prior)
+    gradient = np.stack(list(gradients.values()))
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     candidates = Candidates(tuple(one.effect for one in found), low, high)
     frequency = np.concatenate([item.band.frequency_hz for item in data])
@@ -96,7 +105,7 @@ def scored_device(
         judged(whole, Projection.of(whole[:count, :count], gradient), candidates, dof),
         judged_scans(scans, scanned, gradient, of_prior, dof),
     )
-    return summary(parts, list(slopes))
+    return summary(parts, list(gradients))
 
 
 def _prior_rows(prior: MismatchPrior, x: FloatArray) -> FloatArray:
@@ -108,20 +117,14 @@ def _prior_rows(prior: MismatchPrior, x: FloatArray) -> FloatArray:
     return out
 
 
-def _jacobian(x: FloatArray, device: LinearDevice) -> ComplexArray:
-    """d(spectrum)/dx (P, S, W) [V per unit of x]."""
-    _, residues = cartesian_poles(x)
-    d_poles, d_residues = [], []
-    for i in range(x.size):
-        sides = []
-        for sign in (1.0, -1.0):
-            moved = x.copy()
-            moved[i] += sign * STEPS[i]
-            sides.append(cartesian_poles(moved))
-        d_poles.append((sides[0][0] - sides[1][0]) / (2.0 * STEPS[i]))
-        d_residues.append((sides[0][1] - sides[1][1]) / (2.0 * STEPS[i]))
-    slopes = residues * np.array(d_poles)[:, :, None, None]
-    return device.read(np.array(d_residues), slopes)
+def model_features(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (S, J) of the model's spectrum in the features of the fit, and their slopes (P, S, J) per unit of x."""
+    x, steps = fit.x, STEPS[: fit.x.size]
+    points = np.concatenate([x[None], x + np.diag(steps), x - np.diag(steps)])
+    c, shift = np.empty((points.shape[0], 2, FEATURES)), np.empty(3)
+    for point, out in zip(points, c):
+        coefficients(point, fit.likelihood.expansion, out, shift)
+    return c[0], (c[1 : x.size + 1] - c[x.size + 1 :]) / (2.0 * steps[:, None, None])
 
 
 def quantity_slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> dict[str, FloatArray]:

@@ -41,12 +41,6 @@ def scored_effects(with_mismatch: bool) -> tuple[Effect, ...]:
     return tuple(e for e in found if not any(other.always and set(other.effects) <= own for other in e.look_alikes))
 
 
-def probed(effect: Effect, member: Parameter, change: ComplexArray, probe: float, order: int) -> BandSignature:
-    """The signature per unit of the parameter, or of its square, from the change by a probe."""
-    high = max(abs(member.low), abs(member.high)) ** 2 if order == 2 else member.high
-    return BandSignature(effect.name, change / probe**order, 0.0 if order == 2 else min(member.low, 0.0), high)
-
-
 @lru_cache(maxsize=256)
 def members_of(effect: Effect) -> tuple[Parameter, ...]:
     """Parameters of an effect on the gyro, families expanded."""
@@ -58,3 +52,32 @@ def only(size: int, i: int, value: float) -> FloatArray:
     p = np.zeros(size)
     p[i] = value
     return p
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """One parameter of an effect, which acts alone: the effect, the parameter, its number ``i`` of ``size``."""
+
+    effect: Effect
+    member: Parameter
+    i: int
+    size: int
+
+    def at(self, value: float) -> FloatArray:
+        """Parameters (k,) of the effect with this one at ``value``, in its unit, and all others zero."""
+        return only(self.size, self.i, value)
+
+    def signature(self, change: ComplexArray, value: float, order: int) -> BandSignature:
+        """The signature per unit of the parameter, or of its square, from the change (S, W) [V] at ``value``."""
+        m = self.member
+        high = max(abs(m.low), abs(m.high)) ** 2 if order == 2 else m.high
+        low = 0.0 if order == 2 else min(m.low, 0.0)
+        return BandSignature(self.effect.name, change / value**order, low, high)
+
+
+@lru_cache(maxsize=32)
+def probes_of(with_mismatch: bool, stage: str) -> tuple[Probe, ...]:
+    """All parameters of the scored effects that act on a ``stage`` of the signal path."""
+    effects = [effect for effect in scored_effects(with_mismatch) if getattr(effect, stage) is not None]
+    members = [members_of(effect) for effect in effects]
+    return tuple(Probe(e, m, i, len(own)) for e, own in zip(effects, members) for i, m in enumerate(own))

@@ -13,8 +13,9 @@ Shapes: 3 modes and coordinates, D = 2 drives, S = 2 senses, W bins, n points of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -22,13 +23,13 @@ from ....arrays import ComplexArray, FloatArray
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
 from ....device.gyro import PHYSICAL, cartesian_modes, gyro_mechanics, to_physical
-from ....device.mechanics import Mechanics, Modes, modes_of
+from ....device.mechanics import Mechanics, modes_of
 from ....experiment.antialias import filter_response
 from ....experiment.instrument import Instrument
 from ..fit import Fit
 from ..inband import Band
 from ..likelihood import ORDER
-from .narrow_band import Grid, Signals, signals_of
+from .narrow_band import Grid, Signals
 
 
 def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
@@ -47,12 +48,6 @@ def cartesian_poles(x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     return poles, residues
 
 
-def in_order(modes: Modes, poles: ComplexArray, i: int = 0) -> tuple[ComplexArray, ComplexArray]:
-    """Poles (3,) and residues (3, ..) of device ``i`` of ``modes`` in the order of ``poles`` (3,)."""
-    ascending = np.argsort(np.argsort(poles.imag))
-    return modes.poles[i][ascending], modes.residues[i][ascending]
-
-
 @dataclass(frozen=True, eq=False)
 class LinearDevice:
     """A device in the band of one record.
@@ -61,7 +56,8 @@ class LinearDevice:
     ----------
     band, context, mechanics : of the record and the device.
     poles, parts : p_k (3,) [rad/s] and U_k (3, 3, 3).
-    responses : Phi and dPhi/dp, at the poles and at their conjugates, (4 3 D, W).
+    columns, shifts, source : features of ``compressed`` (2 W, J), and of each mode the shift h (3,) [rad/s] from the pole of
+        the expansion that has the index ``source`` (3,).
     s, antialias, drive : i w (W,) [rad/s], G(w) (W,), and the transform of the drive (D, W) [V] behind its hold.
     """
 
@@ -70,30 +66,44 @@ class LinearDevice:
     mechanics: Mechanics
     poles: ComplexArray
     parts: ComplexArray
-    responses: ComplexArray
+    columns: FloatArray
+    shifts: ComplexArray
+    source: tuple[int, ...]
     s: ComplexArray
     antialias: ComplexArray
     drive: ComplexArray
 
-    def read(self, residues: ComplexArray, slopes: ComplexArray) -> ComplexArray:
+    def read(self, residues: ComplexArray, slopes: ComplexArray | None = None) -> ComplexArray:
         """sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj, (.., C, W), of R and T (.., 3, C, D)."""
-        both = np.stack([residues, slopes, residues.conj(), slopes.conj()], axis=-4)
-        left = np.moveaxis(both, -2, -4).reshape(*both.shape[:-4], both.shape[-2], -1)
-        return np.asarray(left @ self.responses)
+        orders = np.arange(ORDER + 1)
+        powers = self.shifts[:, None] ** orders
+        series = residues[..., None] * powers[:, None, None]
+        if slopes is not None:
+            series[..., 1:] += slopes[..., None] * (orders[1:] * powers[:, :-1])[:, None, None]
+        by_channel = np.ascontiguousarray(np.moveaxis(series[..., self.source, :, :, :], -3, -4))
+        rows = self.rows(by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1))
+        out = np.empty((*rows.shape[:-1], rows.shape[-1] // 2), dtype=np.complex128)
+        out.real, out.imag = rows[..., : out.shape[-1]], rows[..., out.shape[-1] :]
+        return out
+
+    def rows(self, coefficients: FloatArray) -> FloatArray:
+        """Spectra (.., 2 W), real parts before imaginary ones, of coefficients (.., J) of the features."""
+        flat = coefficients.reshape(-1, coefficients.shape[-1]) @ self.columns.T
+        return flat.reshape(*coefficients.shape[:-1], -1)
 
     def signals(self, grid: Grid) -> Signals:
         """Envelopes of the motion and of the drive on a grid."""
         q = self.parts @ self.mechanics.drive[0]
-        both = np.concatenate([q, q * self.poles[:, None, None]], axis=1)
-        motion = self.read(both, np.zeros_like(both)) / self.antialias
+        motion = self.read(np.concatenate([q, q * self.poles[:, None, None]], axis=1)) / self.antialias
         found = grid.envelopes(np.concatenate([motion, self.drive]))
-        return signals_of(grid, found[:3], found[3:6], found[6:])
+        return Signals(grid, np.arange(grid.points), found[:3], found[3:6], found[6:])
 
+    @cached_property
     def sensed(self) -> ComplexArray:
         """Pick-off volts behind the filter (S, W)."""
-        r = self.pickoff_residues()
-        return self.read(r, np.zeros_like(r))
+        return self.read(self.pickoff_residues)
 
+    @cached_property
     def pickoff_residues(self) -> ComplexArray:
         """R_k (3, S, D) [rad/s]."""
         m = self.mechanics
@@ -104,16 +114,16 @@ class LinearDevice:
         """Volts behind the filter (K, S, W) in response to envelopes of K forces (K, 3, n) [V/s]."""
         span = self.band.samples / self.band.sample_rate_hz
         left = np.exp(self.poles[:, None] * (span - grid.time_s) + 1j * grid.omega * grid.time_s)
-        ends = np.moveaxis(force @ left.T, 2, 0) * (0.5 * span / grid.points)
-        modal = ends @ np.swapaxes(self.parts, 1, 2)
-        q_end = 2.0 * modal.real.sum(axis=0)
-        v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
-        s, m = self.s, self.mechanics
+        ends = (force @ left.T) * (0.5 * span / grid.points)
+        modal = self.parts[:, None] @ np.moveaxis(ends, 2, 0)[..., None]
+        q_end = 2.0 * modal[..., 0].real.sum(axis=0)
+        v_end = 2.0 * (modal[..., 0] * self.poles[:, None, None]).real.sum(axis=0)
+        m, transfer = self.mechanics, self._transfer()
         spectrum = grid.spectra(force)
-        boundary = v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T
-        spectrum -= self.band.sample_rate_hz * (boundary[:, :, None] + q_end[:, :, None] * s)
-        volts = np.zeros((force.shape[0], 2, s.size), dtype=np.complex128)
-        for a, row in enumerate(self._transfer()):
+        boundary = np.concatenate([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=1)
+        volts = np.empty((force.shape[0], 2, self.s.size), dtype=np.complex128)
+        for a, row in enumerate(transfer):
+            volts[:, a] = -self.band.sample_rate_hz * (boundary @ np.concatenate([row, row * self.s]))
             for c, own in enumerate(row):
                 volts[:, a] += own * spectrum[:, c]
         return volts
@@ -142,37 +152,43 @@ def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray
     return s, filter_response(band.antialias, s), band.now * hold_response(band)
 
 
-def _responses(columns: FloatArray, expansion: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    """Phi and dPhi/dp at the poles, then at their conjugates, by mode and drive, (4 3 D, W).
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Poles (B, 3) and residues (B, 3, S, D) [rad/s] of B other mechanics, in the order of those of the device."""
 
-    ``columns`` (2 W, J) are the features of ``compressed`` around ``expansion`` (3,) [rad/s]: of the orders m of the series
-    Phi(p0 + h) = sum_m Phi_m h^m the sums Phi_m + Phi~_m and i (Phi_m - Phi~_m).
+    poles: ComplexArray
+    residues: ComplexArray
+
+
+def linear_devices(
+    fit: Fit,
+    bands: Sequence[Band],
+    instrument: Instrument,
+    others: Callable[[Mechanics, Context], Sequence[Mechanics]],
+) -> tuple[tuple[LinearDevice, ...], Moved]:
+    """The linear device of a fit in the band of each record, and the modes of ``others``, functions of its mechanics.
+
+    Raises
+    ------
+    ConfigError : a mode does not oscillate, as in ``modes_of``.
     """
-    width = columns.shape[0] // 2
-    features = columns.T.reshape(3, 2, 2 * (ORDER + 1), 2, width)
-    straight, crossed = (np.abs(poles[:2] - e).sum() for e in (expansion[:2], expansion[1::-1]))
-    source = [1, 0, 2] if crossed < straight else [0, 1, 2]
-    h = poles - expansion[source]
-    orders = np.arange(ORDER + 1)
-    out = np.empty((4, 3, 2, width), dtype=np.complex128)
-    for k in range(3):
-        weights = []
-        for shift, sign in ((h[k], -0.5j), (np.conj(h[k]), 0.5j)):
-            powers = shift**orders
-            slopes = np.concatenate([[0.0], orders[1:] * powers[:-1]])
-            weights += [np.stack([0.5 * each, sign * each], axis=1).ravel() for each in (powers, slopes)]
-        own = features[source[k]]
-        out[:, k] = np.swapaxes(np.array(weights) @ (own[:, :, 0] + 1j * own[:, :, 1]), 0, 1)
-    return out.reshape(-1, width)
-
-
-def linear_device(fit: Fit, record: int, band: Band, instrument: Instrument) -> LinearDevice:
-    """The linear device of a fit in the band of its ``record``; raises as ``modes_of``."""
-    x = fit.x
+    x, expansion = fit.x, fit.likelihood.expansion
     mechanics, context = device_mechanics(x, instrument.bias_v)
-    unit = np.eye(3)[None]
-    modes = modes_of(replace(mechanics, drive=unit, velocity_sense=np.zeros((1, 3, 3)), position_sense=unit))
-    poles, parts = in_order(modes, cartesian_poles(x)[0])
-    features = fit.likelihood.columns[record]
-    responses = _responses(features, fit.likelihood.expansion, poles)
-    return LinearDevice(band, context, mechanics, poles, parts, responses, *frequency_axis(band))
+    every = [mechanics, *others(mechanics, context)]
+    damping, gyroscopic, stiffness, drive, velocity, position = (
+        np.concatenate([getattr(one, field.name) for one in every]) for field in fields(Mechanics)
+    )
+    unit = np.broadcast_to(np.eye(3), (len(every), 3, 3))
+    modes = modes_of(Mechanics(damping, gyroscopic, stiffness, unit, np.zeros_like(unit), unit))
+    own = cartesian_poles(x)[0]
+    order = np.argsort(np.argsort(own.imag))
+    poles, parts = modes.poles[:, order], modes.residues[:, order]
+    residues = (velocity[:, None] * poles[:, :, None, None] + position[:, None]) @ parts @ drive[:, None]
+    straight, crossed = (np.abs(poles[0, :2] - e).sum() for e in (expansion[:2], expansion[1::-1]))
+    source = (1, 0, 2) if crossed < straight else (0, 1, 2)
+    shifts = poles[0] - expansion[list(source)]
+    devices = tuple(
+        LinearDevice(band, context, mechanics, poles[0], parts[0], columns, shifts, source, *frequency_axis(band))
+        for band, columns in zip(bands, fit.likelihood.columns)
+    )
+    return devices, Moved(poles[1:], residues[1:])

@@ -14,14 +14,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray
-from ....device.effect import Context, Effect
-from ....device.force_law import Laws
+from ....arrays import ComplexArray, FloatArray, IntArray
+from ....device.effect import Context
+from ....device.force_law import Laws, Points, force_along
 from ....device.gyro import M_D, M_S
-from ....device.parameters import Parameter
-from .library import SHAPE, BandSignature, members_of, only, probed
+from .library import SHAPE, BandSignature, Probe, members_of, probes_of
 from .linear import LinearDevice
-from .narrow_band import PHASES, ProbedLaw, Signals, at_phases, first_harmonic, force_harmonics, whole_turn
+from .narrow_band import Signals, at_phases, harmonic, whole_turn
 from .parity import kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
@@ -53,101 +52,112 @@ def _laws(device: LinearDevice) -> Laws:
 
 @dataclass(frozen=True, eq=False)
 class BandForce:
-    """A force in the band: its envelope (3, n) [V/s] at the value ``probe`` of a parameter, and the order of its law."""
+    """A force in the band: its envelope (3, n') [V/s] at ``points`` (n',) of a grid, at a value of a parameter; its order."""
 
-    effect: Effect
-    member: Parameter
+    probe: Probe
+    points: IntArray
     envelope: ComplexArray
-    probe: float
+    value: float
     order: int
 
 
-def forces_of(effects: Sequence[Effect], device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
-    """The force of each parameter of the effects, along the motion of a device."""
-    every = [
-        (effect, i, member, kind_of(effect, i)) for effect in effects for i, member in enumerate(members_of(effect))
-    ]
-    for linear, used in ((True, signals), (False, signals.loud)):
-        own = [(effect, i, member, kind) for effect, i, member, kind in every if kind.linear == linear]
-        laws = [
-            ProbedLaw(effect.force, only(len(members_of(effect)), i, member.scale), kind.phases)
-            for effect, i, member, kind in own
-        ]
-        found = force_harmonics(laws, _laws(device), used)
-        for (effect, _, member, kind), (_, first, _) in zip(own, found):
-            if kind.order == 1:
-                yield BandForce(effect, member, used.whole([first])[0], member.scale, 1)
-        even = [
-            (effect, member, law, f) for (effect, _, member, kind), law, f in zip(own, laws, found) if kind.order == 2
-        ]
-        yield from _second_order(even, device, used)
+def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForce]:
+    """The force of each parameter of the force laws, along the motion of a device."""
+    laws, loud = _laws(device), signals.loud
+    motions: dict[tuple[bool, int], Points] = {}
+    even: list[_EvenLaw] = []
+    for probe in probes_of(with_mismatch, "force"):
+        kind, p = kind_of(probe), probe.at(probe.member.scale)
+        used, key = signals if kind.linear else loud, (kind.linear, kind.phases.size)
+        if key not in motions:
+            motions[key] = used.at(kind.phases)
+        f = _along(probe, motions[key], p, laws)
+        if kind.order == 1:
+            yield BandForce(probe, used.kept, harmonic(f, kind.phases, 1), probe.member.scale, 1)
+        else:
+            even.append(_EvenLaw(probe, p, harmonic(f, kind.phases, 0).real, harmonic(f, kind.phases, 2)))
+    if even:
+        yield from _second_order(even, device, loud)
 
 
-def _second_order(
-    laws: Sequence[tuple[Effect, Parameter, ProbedLaw, ComplexArray]], device: LinearDevice, signals: Signals
-) -> Iterator[BandForce]:
-    """The forces of laws through the motion that their harmonics f_0, f_1, f_2 (3, n', 3) cause."""
-    omega, stiffness = signals.grid.omega, device.mechanics.stiffness[0]
-    static, fast = np.linalg.inv(stiffness).T, np.linalg.inv(stiffness - 4.0 * omega**2 * np.eye(3)).T
+def _along(probe: Probe, motion: Points, p: FloatArray, laws: Laws) -> FloatArray:
+    assert probe.effect.force is not None
+    return force_along(probe.effect.force, motion, p, laws)
+
+
+@dataclass(frozen=True, eq=False)
+class _EvenLaw:
+    """A law without a first harmonic at parameters p (k,): its harmonics f_0 (3, n'), real, and f_2 (3, n') [V/s]."""
+
+    probe: Probe
+    p: FloatArray
+    steady: FloatArray
+    double: ComplexArray
+
+
+def _second_order(even: Sequence[_EvenLaw], device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
+    """The forces of laws through the motion that their own harmonics cause."""
+    omega, stiffness, laws = signals.grid.omega, device.mechanics.stiffness[0], _laws(device)
+    static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * omega**2 * np.eye(3)]))
     level = _SHARE * omega**2 * _rms(signals.coordinates)
-    moved: list[tuple[Effect, Parameter, float]] = []
-    again: list[ProbedLaw] = []
-    for effect, member, law, (steady, _, double) in laws:
-        size = max(_rms(steady), _rms(double))
-        if size > 0.0:
-            # To first order in the parameter, the deviation is proportional to it.
-            share = level / size
-            deviation = 0.5 * share * steady.real @ static, share * double @ fast
-            again.append(ProbedLaw(law.force, share * law.p, whole_turn(), *deviation))
-            moved.append((effect, member, share * member.scale))
-    for (effect, member, probe), (_, first, _) in zip(moved, force_harmonics(again, _laws(device), signals)):
-        yield BandForce(effect, member, signals.whole([first])[0], probe, 2)
+    phases = whole_turn()
+    motion = signals.at(phases)
+    for law in even:
+        size = max(_rms(law.steady), _rms(law.double))
+        if size == 0.0:
+            continue
+        # To first order in the parameter, the deviation is proportional to it.
+        share = level / size
+        double = share * (fast @ law.double)
+        added = np.tile(0.5 * share * (static @ law.steady), phases.size) + at_phases(double, 2.0 * phases)
+        moved = motion.plus(added, at_phases(2j * omega * double, 2.0 * phases))
+        f = harmonic(_along(law.probe, moved, share * law.p, laws), phases, 1)
+        yield BandForce(law.probe, signals.kept, f, share * law.probe.member.scale, 2)
 
 
 @lru_cache(maxsize=64)
-def _returns(effect: Effect) -> bool:
+def _returns(probe: Probe) -> bool:
     """Whether a drive law has a part at the frequency of the drive: even laws have none."""
-    assert effect.drive is not None
+    assert probe.effect.drive is not None
     v = np.linspace(0.1, 1.0, 10)[:, None] * np.ones((1, SHAPE.drives))
-    p = np.array([member.scale for member in members_of(effect)])
-    plus, minus = (effect.drive(sign * v, p, Context(5.0, 5.0, {})) - sign * v for sign in (1.0, -1.0))
+    p = np.array([member.scale for member in members_of(probe.effect)])
+    plus, minus = (probe.effect.drive(sign * v, p, Context(5.0, 5.0, {})) - sign * v for sign in (1.0, -1.0))
     return float(np.linalg.norm(plus - minus)) > _EVEN * float(np.linalg.norm(plus))
 
 
-def drive_forces(effect: Effect, device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
-    """The force of each parameter of a drive law."""
-    assert effect.drive is not None
-    members = members_of(effect) if _returns(effect) else ()
-    v = at_phases(signals.drives)
-    for i, member in enumerate(members):
-        change = first_harmonic(effect.drive(v, only(len(members), i, member.scale), device.context) - v)
-        yield BandForce(effect, member, signals.whole([change @ device.mechanics.drive[0].T])[0], member.scale, 1)
+def drive_forces(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForce]:
+    """The force of each parameter of the drive laws."""
+    for probe in probes_of(with_mismatch, "drive"):
+        if not _returns(probe):
+            continue
+        assert probe.effect.drive is not None
+        v = at_phases(signals.drives, phases := whole_turn()).T
+        change = harmonic((probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, phases, 1)
+        yield BandForce(probe, signals.kept, device.mechanics.drive[0] @ change, probe.member.scale, 1)
 
 
-def sense_signatures(effects: Sequence[Effect], device: LinearDevice, signals: Signals) -> Iterator[BandSignature]:
-    """Signatures of sense laws, in the order of their effects and parameters."""
-    m = device.mechanics
-    q, qd = at_phases(signals.coordinates), at_phases(signals.velocities)
-    x, xd = q @ _MOTION_S.T, qd @ _MOTION_S.T
-    s = qd @ m.velocity_sense[0].T + q @ m.position_sense[0].T
-    t = np.tile(signals.time_s, PHASES)
+def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandSignature]:
+    """Signatures of the sense laws."""
+    m, phases = device.mechanics, whole_turn()
+    motion = signals.at(phases)
+    q, qd, t = motion.q, motion.qd, motion.t
+    # Laws take points by channels (M n', S); their columns are contiguous.
+    x, xd, s = (_MOTION_S @ q).T, (_MOTION_S @ qd).T, (m.velocity_sense[0] @ qd + m.position_sense[0] @ q).T
     few = slice(None, None, _SPARSE)
     level = _rms(s[few])
-    found: list[tuple[Effect, Parameter, float, int]] = []
+    found: list[tuple[Probe, float, int]] = []
     changes: list[ComplexArray] = []
-    for effect in effects:
-        members = members_of(effect)
-        for i, member in enumerate(members):
-            assert effect.sense is not None
-            p = only(len(members), i, member.scale)
-            trial = effect.sense(x[few], xd[few], s[few], t[few], p, device.context) - s[few]
-            probe = member.scale * _SHARE * level / _rms(trial)
-            change = effect.sense(x, xd, s, t, only(len(members), i, probe), device.context) - s
-            first = first_harmonic(change)
-            # An even law has a first harmonic of second order.
-            found.append((effect, member, probe, 1 if _rms(first) > 0.01 * _rms(change) else 2))
-            changes.append(first)
+    for probe in probes_of(with_mismatch, "sense"):
+        sense, scale = probe.effect.sense, probe.member.scale
+        assert sense is not None
+        trial = sense(x[few], xd[few], s[few], t[few], probe.at(scale), device.context) - s[few]
+        value = scale * _SHARE * level / _rms(trial)
+        change = (sense(x, xd, s, t, probe.at(value), device.context) - s).T
+        first = harmonic(change, phases, 1)
+        # An even law has a first harmonic of second order.
+        found.append((probe, value, 1 if _rms(first) > 0.01 * _rms(change) else 2))
+        changes.append(first)
     if changes:
-        spectra = signals.grid.spectra(signals.whole(changes)) * device.antialias
-        for (effect, member, probe, order), spectrum in zip(found, spectra):
-            yield probed(effect, member, spectrum, probe, order)
+        spectra = signals.grid.spectra(np.stack(changes)) * device.antialias
+        for (probe, value, order), spectrum in zip(found, spectra):
+            yield probe.signature(spectrum, value, order)

@@ -18,9 +18,8 @@ from functools import lru_cache
 import numpy as np
 
 from ....arrays import FloatArray
-from ....device.effect import Effect
-from ....device.force_law import Laws, compiled_force
-from .library import members_of, only
+from ....device.force_law import Laws, Points, force_along
+from .library import Probe
 from .narrow_band import whole_turn
 
 #: Relative size of a part of a law that counts as rounding.
@@ -47,25 +46,19 @@ class LawKind:
 
 
 @lru_cache(maxsize=256)
-def kind_of(effect: Effect, i: int) -> LawKind:
-    """Kind of the force of ``effect`` in its parameter number ``i``."""
-    member = members_of(effect)[i]
+def kind_of(probe: Probe) -> LawKind:
+    """Kind of the force of an effect in one of its parameters."""
     random = np.random.default_rng(0)
-    force = compiled_force(effect.force) if effect.force is not None else None
-    assert force is not None
-    points = [
-        [scale * random.standard_normal(size) for scale, size in ((_MOTION, 3), (_VELOCITY, 3), (_DRIVE, 2))]
-        for _ in range(_POINTS)
-    ]
+    assert probe.effect.force is not None
+    force, p = probe.effect.force, probe.at(probe.member.scale)
+    q, qd, u = (
+        scale * random.standard_normal((size, _POINTS)) for scale, size in ((_MOTION, 3), (_VELOCITY, 3), (_DRIVE, 2))
+    )
     matrix = random.standard_normal((3, 3))
     laws = Laws(matrix, matrix, random.standard_normal((3, 2)), random.standard_normal((2, 3)), 5.0, 5.0, 2)
 
     def at(factor: float, strength: float = 1.0) -> FloatArray:
-        out = np.zeros((len(points), 3))
-        for row, (q, qd, u) in zip(out, points):
-            p = only(len(members_of(effect)), i, strength * member.scale)
-            force(1.0, factor * q, factor * qd, factor * u, p, laws, row)
-        return out
+        return force_along(force, Points(np.ones(_POINTS), factor * q, factor * qd, factor * u), strength * p, laws)
 
     plus, minus = at(1.0), at(-1.0)
     size = _ROUNDING * float(np.linalg.norm(plus))

@@ -20,10 +20,9 @@ from ..compressed import BandData
 from ..whitening import BandNoise, covariance
 
 
-def interleaved(columns: FloatArray) -> FloatArray:
-    """Columns (2 W, k), all real parts before all imaginary ones, in the order of rows: bin by bin."""
-    width = columns.shape[0] // 2
-    return np.ascontiguousarray(np.swapaxes(columns.reshape(2, width, -1), 0, 1).reshape(2 * width, -1))
+def real_rows(spectra: ComplexArray) -> FloatArray:
+    """Spectra (K, S, W) as real numbers (K, S, 2 W): all real parts before all imaginary ones."""
+    return np.concatenate([spectra.real, spectra.imag], axis=-1)
 
 
 def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
@@ -35,17 +34,22 @@ def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
     return np.asarray(item.noise.variance + item.noise.dependent[[0, 2]].max(axis=1)[:, None])
 
 
-def stationary_rows(spectra: ComplexArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Rows (K, S, 2 W) of spectra (K, S, W) [V] in units of noise of ``variance`` (S, W) [V^2], hum lines projected out."""
-    rows = np.ascontiguousarray(spectra).view(np.float64)
-    if item.nuisance.shape[1]:
-        n = interleaved(item.nuisance)
-        rows = rows - (rows @ n) @ n.T
-    return rows * np.repeat(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance), 2, axis=1)
+def stationary_rows(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Rows (K, S, 2 W) [V] in units of noise of ``variance`` (S, W) [V^2], hum lines projected out."""
+    weight = np.tile(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance), 2)
+    n = item.nuisance
+    if not n.shape[1]:
+        return rows * weight
+    flat = rows.reshape(-1, rows.shape[2])
+    left = (flat @ n) @ n.T
+    np.subtract(flat, left, out=left)
+    out = left.reshape(rows.shape)
+    out *= weight
+    return out
 
 
-def generalised_rows(spectra: ComplexArray, item: BandData, noise: BandNoise) -> FloatArray:
-    """Rows (K, 2 r) of spectra (K, S, W) [V] in sigmas of noise that depends on time, hum lines projected out.
+def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> FloatArray:
+    """Rows (K, 2 r) of rows (K, S, 2 W) [V] in sigmas of noise that depends on time, hum lines projected out.
 
     Raises
     ------
@@ -54,7 +58,7 @@ def generalised_rows(spectra: ComplexArray, item: BandData, noise: BandNoise) ->
     scale = math.sqrt(2.0 / item.band.samples)
     parts, bases = [], []
     for channel in (0, 1):
-        own = np.concatenate([spectra[:, channel].real, spectra[:, channel].imag], axis=1).T * scale
+        own = spectra[:, channel].T * scale
         own -= item.nuisance @ (item.nuisance.T @ own)
         basis, triangle = qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), mode="economic", check_finite=False)
         seen = np.abs(np.diag(triangle)) > 1e-9

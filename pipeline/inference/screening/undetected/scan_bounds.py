@@ -42,25 +42,32 @@ def judged_scans(
     base = products.base + prior
     projection = Projection.of(base[:count, :count], slopes)
     residual = projection.overlap(base[:count, count:])[:, 0]
+    if not scans:
+        return Judged((), np.zeros(0), np.zeros(0), np.zeros((0, slopes.shape[0])))
+    cross, raw = np.concatenate(products.cross), np.concatenate(products.gram)
+    points = raw.shape[0]
+    size = np.sqrt(np.diagonal(raw, axis1=1, axis2=2))
+    cross = cross / size[:, None, :]
+    overlap = projection.overlap(cross[:, :count].transpose(1, 0, 2).reshape(count, -1))
+    by_point = np.ascontiguousarray(overlap.reshape(count, points, 4).transpose(1, 0, 2))
+    gram = raw / (size[:, :, None] * size[:, None, :]) - np.swapaxes(by_point, 1, 2) @ by_point
+    inverse = np.linalg.inv(gram + _RIDGE * np.eye(4))
+    score = cross[:, count] - residual @ by_point
+    estimate = (inverse @ score[:, :, None])[:, :, 0]
+    every = np.sum(estimate * score, axis=1)
+    bias = np.swapaxes(projection.bias(overlap).reshape(-1, points, 4), 0, 1)
+    variance = np.sum((bias @ inverse) * bias, axis=2)
+    each = np.abs(bias @ estimate[:, :, None])[:, :, 0] + Z95 * np.sqrt(np.maximum(variance, 0.0))
+    reach = np.repeat([scan.reach for scan in scans], [len(one) for one in products.gram])
+    each = np.minimum(each, np.sum(np.abs(bias) * (reach[:, None] * size)[:, None], axis=2)).T
     p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), slopes.shape[0]))
-    for i, (scan, cross, raw) in enumerate(zip(scans, products.cross, products.gram)):
-        points = raw.shape[0]
-        size = np.sqrt(np.diagonal(raw, axis1=1, axis2=2))
-        cross = cross / size[:, None, :]
-        overlap = projection.overlap(cross[:, :count].transpose(1, 0, 2).reshape(count, -1))
-        by_point = overlap.reshape(count, points, 4).transpose(1, 0, 2)
-        gram = raw / (size[:, :, None] * size[:, None, :]) - np.swapaxes(by_point, 1, 2) @ by_point
-        inverse = np.linalg.inv(gram + _RIDGE * np.eye(4))
-        score = cross[:, count] - residual @ by_point
-        estimate = (inverse @ score[:, :, None])[:, :, 0]
-        explained[i] = float(np.max(np.sum(estimate * score, axis=1)))
+    last = 0
+    for i, scan in enumerate(scans):
+        first, last = last, last + products.gram[i].shape[0]
+        explained[i] = float(np.max(every[first:last]))
         single = float(fdtrc(4.0, noise_dof, explained[i] / 4.0))
-        p_values[i] = -np.expm1(points * np.log1p(-min(single, 1.0 - 1e-16)))
-        bias = np.swapaxes(projection.bias(overlap).reshape(-1, points, 4), 0, 1)
-        variance = np.sum((bias @ inverse) * bias, axis=2)
-        each = np.abs(bias @ estimate[:, :, None])[:, :, 0] + Z95 * np.sqrt(np.maximum(variance, 0.0))
-        each = np.minimum(each, np.sum(np.abs(bias) * (scan.reach * size)[:, None], axis=2))
-        bounds[i] = _quantile(each.T, scan.weight)
+        p_values[i] = -np.expm1((last - first) * np.log1p(-min(single, 1.0 - 1e-16)))
+        bounds[i] = _quantile(each[:, first:last], scan.weight)
     return Judged(tuple(scan.effect for scan in scans), p_values, explained, bounds)
 
 

@@ -27,7 +27,6 @@ from ....device.effect import Effect
 from ..compressed import line_columns, lines_between
 from ..inband import Band, features
 from .library import members_of, scored_effects
-from .rows import interleaved
 
 #: Damping ratios of a mode, and step of its frequency in units of its damping: half-way to the next point a mode shares 64 % of
 #: its energy with either.
@@ -58,10 +57,11 @@ class BandScan:
 
 
 def _scan(effect: str, columns: FloatArray, weight: FloatArray, reach: float) -> BandScan:
-    columns = interleaved(columns)
     first, second = columns[:, ::2], columns[:, 1::2]
     squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
-    return BandScan(effect, columns.astype(np.float32), squares, squares.sum(axis=0), weight, reach)
+    return BandScan(
+        effect, np.ascontiguousarray(columns, dtype=np.float32), squares, squares.sum(axis=0), weight, reach
+    )
 
 
 def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> list[tuple[float, float, float]]:
@@ -175,7 +175,7 @@ def scanned_products(scans: Sequence[BandScan], rows: FloatArray, weight: FloatA
 
     ``weight`` (S, W) turns volts into sigmas.
     """
-    weighted = (rows * np.repeat(weight, 2, axis=1)).reshape(-1, rows.shape[2])
+    weighted = (rows * np.tile(weight, 2)).reshape(-1, rows.shape[2])
     scale = np.linalg.norm(weighted, axis=1, keepdims=True) + 1e-300
     single = (weighted / scale).astype(np.float32)
     flat_weight = bool(np.all(weight == weight[:, :1]))
@@ -184,7 +184,7 @@ def scanned_products(scans: Sequence[BandScan], rows: FloatArray, weight: FloatA
         count = scan.squares.shape[1] // 3
         cross = ((single @ scan.columns) * scale).reshape(rows.shape[0], 2, count, 2)
         crosses.append(cross.transpose(2, 0, 1, 3).reshape(count, -1, 4))
-        sums = weight[:, :1] ** 2 * scan.sums if flat_weight else np.repeat(weight**2, 2, axis=1) @ scan.squares
+        sums = weight[:, :1] ** 2 * scan.sums if flat_weight else np.tile(weight**2, 2) @ scan.squares
         squares = sums.reshape(2, count, 3)
         gram = np.zeros((count, 4, 4))
         for a in (0, 2):

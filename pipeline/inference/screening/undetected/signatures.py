@@ -17,41 +17,38 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ....arrays import FloatArray
-from .clipping import adc_signature
-from .library import BandSignature, probed, scored_effects
-from .linear import LinearDevice
+from .clipping import Loud, adc_signatures
+from .library import BandSignature
+from .linear import LinearDevice, Moved
 from .linear_stages import mechanics_signatures, readout_signatures
 from .narrow_band import grid_of
-from .nonlinear import BandForce, drive_forces, forces_of, sense_signatures
+from .nonlinear import drive_forces, forces_of, sense_signatures
 
 
 def signatures(
-    device: LinearDevice, model_v: FloatArray, probes: Mapping[str, float], with_mismatch: bool
+    device: LinearDevice, moved: Moved, loud: Loud, sizes: Mapping[str, float], with_mismatch: bool
 ) -> tuple[BandSignature, ...]:
-    """All signatures of the effects that a fit lacks.
+    """All signatures of the effects that a fit lacks, by effect.
 
     Parameters
     ----------
-    device : at the maximum of the likelihood, in the band of a record.
-    model_v : its volts (N, S) [V].
-    probes : of the ADC stage (:func:`adc_probes`).
+    device, moved : at the maximum of the likelihood, in the band of a record (``linear_devices``).
+    loud : samples of its volts near their peak (``clipping``).
+    sizes : of the ADC stage (:func:`adc_sizes`).
     with_mismatch : whether the fit has electrode mismatches.
     """
-    effects = scored_effects(with_mismatch)
-    signals = device.signals(grid_of(device.band))
+    grid = grid_of(device.band)
+    signals = device.signals(grid)
     found: list[BandSignature] = []
-    forces: list[BandForce] = []
-    forces += forces_of([effect for effect in effects if effect.force is not None], device, signals)
-    for effect in effects:
-        if effect.drive is not None:
-            forces += drive_forces(effect, device, signals)
-        if effect.adc is not None:
-            found += [adc_signature(effect, device, model_v, probes[effect.name])] if effect.name in probes else []
-    found += sense_signatures([effect for effect in effects if effect.sense is not None], device, signals)
-    found += mechanics_signatures(device, effects)
-    found += readout_signatures(device, effects)
+    found += adc_signatures(device, loud, sizes, with_mismatch)
+    found += sense_signatures(device, signals, with_mismatch)
+    found += mechanics_signatures(device, moved, with_mismatch)
+    found += readout_signatures(device, with_mismatch)
+    forces = [*forces_of(device, signals, with_mismatch), *drive_forces(device, signals, with_mismatch)]
     if forces:
-        volts = device.forced(np.stack([force.envelope for force in forces]), signals.grid)
-        found += [probed(f.effect, f.member, y, f.probe, f.order) for f, y in zip(forces, volts)]
+        envelopes = np.zeros((len(forces), 3, grid.points), dtype=np.complex128)
+        for envelope, force in zip(envelopes, forces):
+            envelope[:, force.points] = force.envelope
+        volts = device.forced(envelopes, grid)
+        found += [force.probe.signature(y, force.value, force.order) for force, y in zip(forces, volts)]
     return tuple(sorted(found, key=lambda one: one.effect))
