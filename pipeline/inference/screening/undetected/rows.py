@@ -60,7 +60,9 @@ def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> F
     for channel in (0, 1):
         own = spectra[:, channel].T * scale
         own -= item.nuisance @ (item.nuisance.T @ own)
-        basis, triangle = qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), mode="economic", check_finite=False)
+        unit = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+        # Without pivots a column that depends on others takes a direction that later ones need: p-values moved by a half.
+        basis, triangle, _ = qr(unit, mode="economic", pivoting=True, check_finite=False)
         seen = np.abs(np.diag(triangle)) > 1e-9
         bases.append(basis[:, seen])
         parts.append(basis[:, seen].T @ own)
