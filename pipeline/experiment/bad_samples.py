@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from scipy import stats
@@ -218,10 +217,13 @@ def _local_scale(size: FloatArray, bad: BoolArray, floor: float) -> FloatArray:
     """Robust sd (N,) [V] of the sizes s (N,) around each sample, not below ``floor``."""
     blocks = max(size.size // _BLOCK, 1)
     edges = np.linspace(0, size.size, blocks + 1).astype(int)
-    magnitude = np.where(bad, np.nan, np.abs(size))
-    medians = [float(np.median(own)) if (own := part[~np.isnan(part)]).size else np.nan for part in
-               (magnitude[a:b] for a, b in pairwise(edges))]  # fmt: skip
-    level = np.array(medians)
+    # One row for each block, sorted with what is missing at its end: the median is the mean of the middle two.
+    lengths = np.diff(edges)
+    rows = np.full((blocks, lengths.max()), np.nan)
+    rows[np.arange(lengths.max()) < lengths[:, None]] = np.where(bad, np.nan, np.abs(size))
+    rows.sort(axis=1)
+    own, first = np.count_nonzero(~np.isnan(rows), axis=1), np.arange(blocks)
+    level = 0.5 * (rows[first, (own - 1) // 2] + rows[first, own // 2])
     known = np.flatnonzero(np.isfinite(level))
     if not known.size:
         return np.full(size.size, np.inf)

@@ -19,7 +19,7 @@ _HARMONICS = 10
 #: A line is significant above this many local levels: false-alarm probability below 1e-5 for the 80 lines tested.
 _THRESHOLD = 5.0
 #: Offsets of the neighbours from a line [1/T]: about 20 independent frequencies, outside the window's main lobe.
-_NEIGHBOURS = np.concatenate([np.arange(-18.0, -3.0), np.arange(4.0, 19.0)])
+_NEIGHBOURS = np.concatenate([np.arange(-18, -3), np.arange(4, 19)])
 _MIN_DURATION_S = 0.5
 
 
@@ -32,6 +32,17 @@ def _amplitudes(y: FloatArray, frequencies_hz: FloatArray, sample_rate_hz: float
     return np.array(sums) * (2.0 / window.sum())
 
 
+def _local_level(y: FloatArray, frequency_hz: float, sample_rate_hz: float) -> FloatArray:
+    """Rms (S,) [V] of the amplitudes of y (N, S) at the neighbours of ``frequency_hz``.
+
+    They are multiples of 1/T away: bins of the Fourier transform of y turned back by ``frequency_hz``.
+    """
+    window = np.hanning(y.shape[0])
+    turned = window * np.exp(-2j * np.pi * frequency_hz * (np.arange(y.shape[0]) / sample_rate_hz))
+    around = np.abs(np.fft.fft(turned[:, None] * y, axis=0)[_NEIGHBOURS]) * (2.0 / window.sum())
+    return np.asarray(np.sqrt(np.mean(around**2, axis=0)))
+
+
 def _lines(record: Record, mains_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Frequencies (H,) [Hz], amplitudes and local levels (H, S) [V] of the harmonics at which no drive acts."""
     y = record.sense_v - record.sense_v.mean(axis=0)
@@ -42,9 +53,7 @@ def _lines(record: Record, mains_hz: float) -> tuple[FloatArray, FloatArray, Flo
         drive = np.max(_amplitudes(record.drive_v - record.drive_v.mean(axis=0), harmonics, rate), axis=1)
         harmonics = harmonics[drive < 1e-4 * np.max(np.abs(record.drive_v))]
     line = _amplitudes(y, harmonics, rate).reshape(-1, y.shape[1])
-    around = np.array([_amplitudes(y, f + _NEIGHBOURS / duration, rate) for f in harmonics])
-    local: FloatArray = np.sqrt(np.mean(around**2, axis=1)) if harmonics.size else line
-    return harmonics, line, local
+    return harmonics, line, np.array([_local_level(y, f, rate) for f in harmonics]).reshape(line.shape)
 
 
 def hum(campaign: Campaign) -> list[Finding]:
