@@ -12,6 +12,7 @@ Units: volts, seconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -95,16 +96,33 @@ def nonlinear_response(
     ------
     ConfigError : as in ``integrate.trajectory``.
     """
+    return np.asarray(nonlinear_responses(system, group, starts, substeps, (0.0,))[0])
+
+
+def nonlinear_responses(
+    system: System, group: DriveGroup, starts: Starts | None, substeps: int, delays_s: Sequence[float]
+) -> FloatArray:
+    """``nonlinear_response`` with each of some additional delays [s] of the read-out, (delays, R, N, S) [V].
+
+    The motion is the same with all of them and is integrated once.
+    """
     if not (system.forces or system.senses):
-        return np.zeros((len(group.drives), group.drives[0].shape[0], system.sense_motion.shape[0]))
+        samples, senses = group.drives[0].shape[0], system.sense_motion.shape[0]
+        return np.zeros((len(delays_s), len(group.drives), samples, senses))
     start_states = starts or (None,) * len(group.drives)
     steps = _substeps(group.clock, substeps)
 
     def one(record: int) -> FloatArray:
         u = interpolated(force_volts(system, group.drives[record]), group.clock)
-        return _integrated_response(system, u, group.clock, start_states[record], steps)
+        r = _nonlinear_pickoff(system, u, group.clock, start_states[record], steps)
+        return np.stack([_after_readout(delayed(system, d), r, group.clock, steps) for d in delays_s])
 
-    return np.stack(_for_distinct_records(one, response_sources(group, starts), group.threads))
+    return np.stack(_for_distinct_records(one, response_sources(group, starts), group.threads), axis=1)
+
+
+def delayed(system: System, delay_s: float) -> System:
+    """The system with a longer delay [s] in its read-out."""
+    return replace(system, readout=replace(system.readout, delay_s=system.readout.delay_s + delay_s))
 
 
 def linear_motions(system: System, group: DriveGroup, starts: Starts | None, substeps: int) -> list[Motion]:
@@ -165,10 +183,10 @@ def _pickoff_rows(system: System) -> FloatArray:
     return np.concatenate([system.mechanics.position_sense[0], system.mechanics.velocity_sense[0]], axis=1)
 
 
-def _integrated_response(
+def _nonlinear_pickoff(
     system: System, u: FloatArray, clock: SampleClock, start: FloatArray | None, substeps: int
 ) -> FloatArray:
-    """Nonlinear response (N, S) [V] of one record to ``u`` (N', D)."""
+    """Nonlinear pick-off volts (M, S) of one record to ``u`` (N', D), before the read-out."""
     forces = [(effect.force, p) for effect, p in system.forces]
     state = None if start is None else full_start(system, start)
     reads = _pickoff_rows(system)
@@ -178,7 +196,7 @@ def _integrated_response(
         r = deviation @ reads.T + _sense_effect_volts(system, linear + deviation, clock.step_s / substeps)
     else:
         _, r = solve(reads=reads)
-    return _after_readout(system, r, clock, substeps)
+    return r
 
 
 def _sense_effect_volts(system: System, state: FloatArray, step_s: float) -> FloatArray:

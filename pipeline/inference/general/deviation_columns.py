@@ -8,22 +8,29 @@ Shapes: R records of a drive group, N samples, S senses, m deviations of a recor
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from ...arrays import FloatArray
 from ...device.model import Model
 from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of, highest_drive_energy
-from ...experiment.forward.response import Starts, linear_volts, nonlinear_share, volts
+from ...experiment.forward.response import (
+    Starts,
+    converted,
+    delayed,
+    linear_volts,
+    nonlinear_responses,
+    nonlinear_share,
+)
+from ...experiment.forward.sensitivity import SLOPE_SUBSTEPS
 from ...experiment.forward.system import System, assemble
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign, Record
 from .fit import CampaignFit
 from .gauss_newton import FAINT
 
-#: (system, drive group, initial states) -> (R, N, S) [V]
-Respond = Callable[[System, DriveGroup, Starts], FloatArray]
+#: (system, drive group, initial states, additional delays [s]) -> (delays, R, N, S) [V]
+Respond = Callable[[System, DriveGroup, Starts, Sequence[float]], FloatArray]
 
 #: Relative step of the frequency derivative: an eighth of a line width at a quality factor of 60,000.
 _STEP = 1e-6
@@ -38,12 +45,23 @@ def at_frequency(model: Model, values: Mapping[str, float], phi: float) -> dict[
 
 
 def response_for(fit: CampaignFit, campaign: Campaign) -> Respond:
-    """The response whose changes with the deviations are right to 0.1 %: linear where nonlinear effects are faint."""
+    """The response whose changes with the deviations are right to 0.1 %: linear where nonlinear effects are faint.
+
+    Changes need fewer substeps of the integrator than the records themselves.
+    """
     fitted = campaign.with_role("fit")
     strongest = fitted[highest_drive_energy([record.drive_v for record in fitted])]
     ((_, group),) = drive_groups_of([strongest], campaign.instrument, campaign.angular_gain)
     system = assemble(fit.model, fit.values, campaign.instrument, group.conditions)
-    return linear_volts if nonlinear_share(system, group) < FAINT else volts
+    faint = nonlinear_share(system, group) < FAINT
+
+    def respond(system: System, group: DriveGroup, starts: Starts, delays_s: Sequence[float]) -> FloatArray:
+        y = np.stack([linear_volts(delayed(system, delay_s), group, starts) for delay_s in delays_s])
+        if not faint:
+            y += nonlinear_responses(system, group, starts, SLOPE_SUBSTEPS, delays_s)
+        return converted(system, y)
+
+    return respond
 
 
 def _deviation_columns(
@@ -56,11 +74,13 @@ def _deviation_columns(
 ) -> FloatArray:
     """C (R, m, N, S) [V per unit] of the records of a drive group at complete ``values``."""
     up, down = (
-        respond(assemble(model, at_frequency(model, values, phi), instrument, group.conditions), group, starts)
+        respond(assemble(model, at_frequency(model, values, phi), instrument, group.conditions), group, starts, (0.0,))[
+            0
+        ]
         for phi in (_STEP, -_STEP)
     )
     system = assemble(model, values, instrument, group.conditions)
-    y, later, latest = (respond(delayed(system, n * _DELAY_S), group, starts) for n in range(3))
+    y, later, latest = respond(system, group, starts, [n * _DELAY_S for n in range(3)])
     records, samples, senses = y.shape
     out = np.zeros((records, 2 + 2 * senses, samples, senses))
     out[:, 0] = (up - down) / (2.0 * _STEP)
@@ -71,11 +91,6 @@ def _deviation_columns(
             out[k, 2 + s, :, s] = y[k, :, s]
             out[k, 2 + senses + s, :, s] = np.linspace(-1.0, 1.0, samples)
     return out
-
-
-def delayed(system: System, delay_s: float) -> System:
-    """The system with a longer delay in its readout."""
-    return replace(system, readout=replace(system.readout, delay_s=system.readout.delay_s + delay_s))
 
 
 def deviation_columns(

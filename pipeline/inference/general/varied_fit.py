@@ -19,7 +19,7 @@ from ...experiment.forward.system import assemble
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.record import Campaign, Record
 from ...experiment.variation import KINDS, RecordSpread, advanced
-from .deviation_columns import at_frequency, delayed, deviation_columns, response_for
+from .deviation_columns import at_frequency, deviation_columns, response_for
 from .fit import CampaignFit, fit_campaign
 from .variation import Linearized, RecordVariation, estimated, linearized, spread_at, with_records
 
@@ -52,10 +52,11 @@ def aligned(
         ((_, group),) = drive_groups_of([record], instrument, campaign.angular_gain)
         shifted, plain = (
             respond(
-                delayed(assemble(model, at_frequency(model, at, phi), instrument, group.conditions), delay_s),
+                assemble(model, at_frequency(model, at, phi), instrument, group.conditions),
                 group,
                 [known.get(record.name)],
-            )[0]
+                (delay_s,),
+            )[0, 0]
             for phi, delay_s in ((d.frequency, d.start_s if clipped else 0.0), (0.0, 0.0))
         )
         ramp = d.ramp_v * np.linspace(-1.0, 1.0, record.sense_v.shape[0])[:, None]

@@ -4,9 +4,9 @@ A hidden effect and a variation between records can both explain that a model fi
 
 1. Repeats decide where there are any.  A hidden effect acts on repeats alike, so if their difference correlates with the
    derivatives of the record with respect to its frequency, start and gains, the records differ.
-2. Else the records are taken as equal at first.  If no set of effects explains them, but some variation is significant at the
-   last model, the selection is repeated with the variation of the first model.  A single record does not differ from another:
-   its start time would only take up a wrong hold of the DAC.
+2. Without repeats, the records are taken as equal at first.  If no set of effects explains them, but some variation is
+   significant at the last model, the selection is repeated with the variation of the first model.  A single record does not
+   differ from another: its start time would only take up a wrong hold of the DAC.
 3. After a selection with variation, the spreads are estimated again with the selected effects.  If they shrink to zero, the
    effects alone explain the records; if they fall by much, or if a selected effect clips the records, which corrects them in
    another way, the selection is repeated.
@@ -116,6 +116,8 @@ def selected(
     selection = forward_selection(restricted(problem), (), rules)
     if problem.variation is None:
         if not selection.tests or verdict_of(selection, (), rules) != "unknown" or len(problem.records) < 2:
+            return problem, selection
+        if repeats_of(problem.campaign):
             return problem, selection
         last = problem.campaign_fit(selection.last.fit.terms)
         if record_variation(last, problem.campaign, threads=problem.threads).spread.is_zero:
