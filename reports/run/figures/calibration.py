@@ -11,6 +11,7 @@ from scipy import stats
 from pipeline.arrays import FloatArray
 
 from ...html.style import ACCENT, COLOURS, INK, MUTED, POINTS, RULE, WIDTH, style, to_svg
+from ...html.style import panels as laid_out
 from ..calibration import NOMINAL, Coverage
 
 
@@ -40,8 +41,8 @@ def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") 
 def z_panels(panels: Sequence[tuple[str, FloatArray]], name: str = "z-scores") -> str:
     """For each (label, z (n,)): histogram over the standard normal, and normal quantile plot."""
     with style():
-        figure = Figure(figsize=(WIDTH, 2.9), layout="constrained")
-        axes = figure.subplots(1, 2 * len(panels), squeeze=False)[0]
+        figure, rows = laid_out(1, 2 * len(panels), 2.25, left=0.6, bottom=0.5, top=0.15, gap=0.55)
+        axes = rows[0]
         grid = np.linspace(-4, 4, 121)
         for k, (label, z) in enumerate(panels):
             histogram, quantile = axes[2 * k], axes[2 * k + 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from pipeline.arrays import FloatArray
 
 from ...html.style import COLOURS, EDGES, HATCHES, INK, LIMIT, MARKERS, MUTED, POINTS, RULE, WIDTH, style, to_svg
+from ...html.style import panels as laid_out
 from ...limits import Limit
 
 
@@ -65,8 +67,8 @@ def histograms(
     verdict = np.array(verdicts)
     with style():
         down = -(-len(panels) // 3)
-        figure = Figure(figsize=(WIDTH, 2.4 * down), layout="constrained")
-        for k, axes in enumerate(figure.subplots(down, 3, squeeze=False).ravel()):
+        figure, grid = laid_out(down, 3, 1.65, bottom=0.5, top=0.25, gap=0.5, between=0.75)
+        for k, axes in enumerate(chain.from_iterable(grid)):
             if k >= len(panels):
                 axes.set_axis_off()
                 continue

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pipeline.arrays import FloatArray
 
-from ...html.style import ACCENT, COLOURS, POINTS, RULE, WIDTH, style, to_svg
+from ...html.style import ACCENT, COLOURS, POINTS, RULE, style, to_svg
+from ...html.style import panels as laid_out
 
 
 def route_scatter(
@@ -26,10 +26,8 @@ def route_scatter(
     """
     step = max(1, -(-split_hz.size // POINTS))
     with style():
-        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
-        for axes, (label, route, posterior) in zip(
-            figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
-        ):
+        figure, grid = laid_out(1, len(panels), 2.65, bottom=0.5, top=0.15, gap=0.75)
+        for axes, (label, route, posterior) in zip(grid[0], panels, strict=True):
             drawn = [("the paper's route", route, COLOURS["fail"], "x"), ("posterior", posterior, ACCENT, "o")]
             for legend, error, colour, marker in drawn:
                 if error is None:

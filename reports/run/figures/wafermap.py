@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import matplotlib
 import numpy as np
@@ -14,6 +15,7 @@ from matplotlib.patches import Circle
 from pipeline.arrays import BoolArray, FloatArray
 
 from ...html.style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, style, to_svg
+from ...html.style import panels as laid_out
 from ...yields import natural
 
 COLUMNS = 4
@@ -36,9 +38,9 @@ def wafer_maps(
     with style():
         across = min(COLUMNS, max(2, len(names)))
         down = -(-len(names) // across)
-        figure = Figure(figsize=(WIDTH, (2.75 if across == COLUMNS else 3.0) * down + 0.35), layout="constrained")
-        grid = figure.subplots(down, across, squeeze=False)
-        for k, axes in enumerate(grid.ravel()):
+        height = 2.45 if across == COLUMNS else 2.7
+        figure, grid = laid_out(down, across, height, left=0.1, bottom=0.4, top=0.3, gap=0.1)
+        for k, axes in enumerate(chain.from_iterable(grid)):
             if k >= len(names):
                 axes.set_axis_off()
                 continue
@@ -59,7 +61,7 @@ def wafer_maps(
                     mew=0.6,
                 )
             axes.set_title(f"{names[k]}: {passed} of {n} pass", fontsize=10)
-        figure.legend(handles=_handles(), loc="outside lower left", ncols=3, handletextpad=0.3)
+        figure.legend(handles=_handles(), loc="lower left", ncols=3, handletextpad=0.3)
         return to_svg(figure, name, "Verdicts at the die positions of each wafer")
 
 
@@ -81,8 +83,8 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
     )
     radius = _radius(x_mm, y_mm)
     with style():
-        figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
-        left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.25])
+        figure = Figure(figsize=(WIDTH, 3.7))
+        left, right = (figure.add_axes(place) for place in ((0.01, 0.04, 0.38, 0.87), (0.55, 0.15, 0.44, 0.76)))
         _outline(left, radius)
         size = _marker_size(places[:, 0], places[:, 1], radius, 2) ** 2
         marks = left.scatter(
@@ -96,7 +98,7 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
             s=size,
             linewidths=0,
         )
-        bar = figure.colorbar(marks, ax=left, shrink=0.8, pad=0.02)
+        bar = figure.colorbar(marks, cax=figure.add_axes((0.405, 0.12, 0.018, 0.7)))
         bar.set_label("pass, %")
         each = f"{n.min()}" if n.min() == n.max() else f"{n.min()} to {n.max()}"
         left.set_title(f"All wafers on one ({each} devices a die)")
