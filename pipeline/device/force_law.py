@@ -91,12 +91,10 @@ def _at_each_point(
 
 
 def _rows(values: FloatArray) -> Any:
-    """Rows of values (C, m) as C elements that a law cannot change in place."""
+    """Rows of values (C, m) as an array (C,) of vectors."""
     out = np.empty(values.shape[0], dtype=object)
     for i, row in enumerate(values):
-        own = row.view()
-        own.flags.writeable = False
-        out[i] = own
+        out[i] = row
     return out
 
 
@@ -134,6 +132,9 @@ def takes_vectors(force: Callable[..., None], parameters: int) -> bool:
     """Whether a law gives the same with vectors in place of numbers: not where it branches or calls ``math``."""
     random = np.random.default_rng(0)
     points = Points(random.random(4), *(random.standard_normal((k, 4)) for k in (3, 3, 2)))
+    for each in (points.t, points.q, points.qd, points.u):
+        # A law that changes a vector in place would change its input.
+        each.flags.writeable = False
     p, matrix = random.random(parameters), random.standard_normal((3, 3))
     laws = Laws(matrix, matrix, random.standard_normal((3, 2)), random.standard_normal((2, 3)), 5.0, 5.0, 2)
     one_by_one = np.zeros((3, 4))

@@ -131,7 +131,11 @@ def split_hz(cartesian: FloatArray) -> FloatArray:
 
 def gyro_mechanics(physical: FloatArray) -> Mechanics:
     """Mechanics (n = 3) in (psi_x, psi_y, z) [V s] from physical parameters (B, 12): the paper, eq. (1), (9), (10), (18)."""
-    x = to_cartesian(physical)
+    return cartesian_mechanics(to_cartesian(physical))
+
+
+def cartesian_mechanics(x: FloatArray) -> Mechanics:
+    """Mechanics (n = 3) of cartesian parameters x (B, 12), as :func:`gyro_mechanics`."""
     batch = x.shape[0]
     omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = x.T
     stiffness = np.zeros((batch, 3, 3))

@@ -18,13 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import cholesky
 from scipy.linalg.lapack import dtrtri
 from scipy.special import fdtrc
 
-from ....arrays import FloatArray
+from ....arrays import FloatArray, IntArray
 from ...gate import Undetected
 
 #: 95 % of the noise.
@@ -90,23 +91,31 @@ def judged(products: FloatArray, projection: Projection, candidates: Candidates,
     score, gram = left[:-1, -1] * scale[-1], left[:-1, :-1]
     bias = projection.bias(overlap[:, :-1])
     low, high = candidates.low * scale[:-1], candidates.high * scale[:-1]
-    effects = tuple(dict.fromkeys(candidates.effects))
+    effects, groups = _grouped(candidates.effects)
     p_values, explained = np.ones(len(effects)), np.zeros(len(effects))
     bounds = np.zeros((len(effects), bias.shape[0]))
-    columns = [[k for k, name in enumerate(candidates.effects) if name == effect] for effect in effects]
-    alone = [i for i, own in enumerate(columns) if len(own) == 1]
-    single = [columns[i][0] for i in alone]
-    p_values[alone], explained[alone], bounds[alone] = _single(
-        score[single], gram[single, single], bias[:, single], low[single], high[single], noise_dof
-    )
-    for k in sorted({len(own) for own in columns if len(own) > 1}):
-        group = [i for i, own in enumerate(columns) if len(own) == k]
-        own = np.array([columns[i] for i in group])
-        blocks = gram[own[:, :, None], own[:, None, :]]
-        reach = np.maximum(np.abs(low[own]), np.abs(high[own]))
-        found = _several(score[own], blocks, np.moveaxis(bias[:, own], 0, 1), reach, noise_dof)
+    for group, own in groups:
+        if own.shape[1] == 1:
+            k = own[:, 0]
+            found = _single(score[k], gram[k, k], bias[:, k], low[k], high[k], noise_dof)
+        else:
+            blocks = gram[own[:, :, None], own[:, None, :]]
+            reach = np.maximum(np.abs(low[own]), np.abs(high[own]))
+            found = _several(score[own], blocks, np.moveaxis(bias[:, own], 0, 1), reach, noise_dof)
         p_values[group], explained[group], bounds[group] = found
     return Judged(effects, p_values, explained, bounds)
+
+
+@lru_cache(maxsize=16)
+def _grouped(of_columns: tuple[str, ...]) -> tuple[tuple[str, ...], list[tuple[IntArray, IntArray]]]:
+    """The effects of columns, and for each number k of columns the effects (E,) that have it and their columns (E, k)."""
+    effects = tuple(dict.fromkeys(of_columns))
+    columns = [[k for k, name in enumerate(of_columns) if name == effect] for effect in effects]
+    groups = []
+    for size in sorted({len(own) for own in columns}):
+        group = [i for i, own in enumerate(columns) if len(own) == size]
+        groups.append((np.array(group), np.array([columns[i] for i in group])))
+    return effects, groups
 
 
 def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from ....arrays import FloatArray
-from ....axial import difference
+from ....axial import wrap
 from ....experiment.instrument import Instrument
 from ....experiment.noise.spectrum import NoiseSpectrum
 from ....quantities import AXES, NAMES
@@ -28,7 +28,7 @@ from .clipping import adc_sizes, loud_samples
 from .library import BandSignature
 from .linear import linear_devices
 from .linear_stages import moved_mechanics
-from .rows import generalised_rows, real_rows, stationary_rows, stationary_variance
+from .rows import products_of, real_rows, stationary_rows, stationary_variance
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
@@ -69,22 +69,20 @@ def scored_device(
     devices, moved = linear_devices(
         fit, [item.band for item in data], instrument, partial(moved_mechanics, with_mismatch)
     )
-    sensed, slopes = model_features(fit)
+    slopes = feature_slopes(fit)
     for item, loud, device in zip(data, louds, devices):
         found = signatures(device, moved, loud, sizes, with_mismatch)
         scans = scans_of(item.band, (float(first[0]), float(first[-1])), line_hz, with_mismatch)
         rows = np.empty((count + len(found) + 1, 2, 2 * item.band.bins.size))
         rows[:count] = device.rows(slopes)
-        rows[count:-1] = real_rows(np.stack([one.spectrum for one in found]))
-        rows[-1] = real_rows(item.spectrum) - device.rows(sensed)
+        for row, one in zip(rows[count:], found):
+            row[:] = real_rows(one.spectrum)
+        rows[-1] = real_rows(item.spectrum - device.sensed)
         variance = stationary_variance(item, noise.sigma_v)
-        stationary = stationary_rows(rows, item, variance)
-        flat = stationary.reshape(rows.shape[0], -1)
-        if item.noise is not None and item.noise.dependent.size:
-            flat = generalised_rows(rows, item, item.noise)
-        products = products + flat @ flat.T
+        products = products + products_of(rows, item, variance)
         kept = np.append(np.arange(count), rows.shape[0] - 1)
-        own = scanned_products(scans, stationary[kept], np.sqrt(2.0 / item.band.samples / variance))
+        stationary = stationary_rows(rows[kept], item, variance)
+        own = scanned_products(scans, stationary, np.sqrt(2.0 / item.band.samples / variance))
         scanned = own if scanned is None else scanned + own
     assert scanned is not None
     of_prior = np.zeros((count + 1, count + 1))
@@ -95,8 +93,7 @@ def scored_device(
     kept = np.append(np.arange(count), count + len(found))
     whole = np.array(products)
     whole[np.ix_(kept, kept)] += of_prior
-    gradients = quantity_slopes(fit.x, rate, prior)
-    gradient = np.stack(list(gradients.values()))
+    names, gradient = quantity_slopes(fit.x, rate, prior)
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     candidates = Candidates(tuple(one.effect for one in found), low, high)
     frequency = np.concatenate([item.band.frequency_hz for item in data])
@@ -105,7 +102,7 @@ def scored_device(
         judged(whole, Projection.of(whole[:count, :count], gradient), candidates, dof),
         judged_scans(scans, scanned, gradient, of_prior, dof),
     )
-    return summary(parts, list(gradients))
+    return summary(parts, names)
 
 
 def _prior_rows(prior: MismatchPrior, x: FloatArray) -> FloatArray:
@@ -117,25 +114,26 @@ def _prior_rows(prior: MismatchPrior, x: FloatArray) -> FloatArray:
     return out
 
 
-def model_features(fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Coefficients (S, J) of the model's spectrum in the features of the fit, and their slopes (P, S, J) per unit of x."""
-    x, steps = fit.x, STEPS[: fit.x.size]
-    points = np.concatenate([x[None], x + np.diag(steps), x - np.diag(steps)])
+def feature_slopes(fit: Fit) -> FloatArray:
+    """Slopes (P, S, J), per unit of x, of the coefficients of the model's spectrum in the features of the fit."""
+    steps = STEPS[: fit.x.size]
+    points = np.concatenate([fit.x + np.diag(steps), fit.x - np.diag(steps)])
     c, shift = np.empty((points.shape[0], 2, FEATURES)), np.empty(3)
     for point, out in zip(points, c):
         coefficients(point, fit.likelihood.expansion, out, shift)
-    return c[0], (c[1 : x.size + 1] - c[x.size + 1 :]) / (2.0 * steps[:, None, None])
+    return np.asarray((c[: steps.size] - c[steps.size :]) / (2.0 * steps[:, None, None]))
 
 
-def quantity_slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> dict[str, FloatArray]:
-    """dq/dx (P,) of every quantity that is known."""
+def quantity_slopes(
+    x: FloatArray, rate: RateSettings, prior: MismatchPrior | None
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Names of the quantities that are known, and dq/dx (Q, P)."""
     step = STEPS[: x.size]
     points = np.concatenate([x + np.diag(step), x - np.diag(step)])
     q = cartesian_quantities(points if prior is None else mean_plant(points, prior), rate)
-    out = {}
-    for name in NAMES:
-        ahead, behind = q[name][: x.size], q[name][x.size :]
-        change = difference(ahead, behind) if name in AXES else ahead - behind
-        if np.all(np.isfinite(change)):
-            out[name] = change / (2.0 * step)
-    return out
+    both = np.stack([q[name] for name in NAMES])
+    change = both[:, : x.size] - both[:, x.size :]
+    axes = [NAMES.index(name) for name in AXES]
+    change[axes] = wrap(change[axes])
+    known = np.asarray(np.isfinite(change).all(axis=1))
+    return tuple(name for name, is_known in zip(NAMES, known) if is_known), change[known] / (2.0 * step)

@@ -22,7 +22,7 @@ import numpy as np
 from ....arrays import ComplexArray, FloatArray
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
-from ....device.gyro import PHYSICAL, cartesian_modes, gyro_mechanics, to_physical
+from ....device.gyro import PHYSICAL, cartesian_mechanics, cartesian_modes, to_physical
 from ....device.mechanics import Mechanics, modes_of
 from ....experiment.antialias import filter_response
 from ....experiment.instrument import Instrument
@@ -34,10 +34,9 @@ from .narrow_band import Grid, Signals
 
 def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
     """Mechanics (a batch of one) of parameters x (12,) or (14,), and what the stages of effects may use."""
-    physical = to_physical(x[None, :12])
-    plant = dict(zip(PHYSICAL, physical[0].tolist()))
+    plant = dict(zip(PHYSICAL, to_physical(x[None, :12])[0].tolist()))
     context = Context(bias_v, bias_v, plant)
-    mechanics = gyro_mechanics(physical)
+    mechanics = cartesian_mechanics(x[None, :12])
     return (mechanics if x.size == 12 else mismatched(mechanics, x[12:], context)), context
 
 
@@ -93,15 +92,20 @@ class LinearDevice:
 
     def signals(self, grid: Grid) -> Signals:
         """Envelopes of the motion and of the drive on a grid."""
-        q = self.parts @ self.mechanics.drive[0]
-        motion = self.read(np.concatenate([q, q * self.poles[:, None, None]], axis=1)) / self.antialias
-        found = grid.envelopes(np.concatenate([motion, self.drive]))
-        return Signals(grid, np.arange(grid.points), found[:3], found[3:6], found[6:])
+        inverse, drive = _shared_signals(self.band, grid)
+        found = grid.envelopes(self._spectra[:6] * inverse)
+        return Signals(grid, np.arange(grid.points), found[:3], found[3:], drive)
 
-    @cached_property
+    @property
     def sensed(self) -> ComplexArray:
         """Pick-off volts behind the filter (S, W)."""
-        return self.read(self.pickoff_residues)
+        return self._spectra[6:]
+
+    @cached_property
+    def _spectra(self) -> ComplexArray:
+        """Coordinates, velocities and pick-off volts behind the filter (3 + 3 + S, W)."""
+        q = self.parts @ self.mechanics.drive[0]
+        return self.read(np.concatenate([q, q * self.poles[:, None, None], self.pickoff_residues], axis=1))
 
     @cached_property
     def pickoff_residues(self) -> ComplexArray:
@@ -113,7 +117,7 @@ class LinearDevice:
     def forced(self, force: ComplexArray, grid: Grid) -> ComplexArray:
         """Volts behind the filter (K, S, W) in response to envelopes of K forces (K, 3, n) [V/s]."""
         span = self.band.samples / self.band.sample_rate_hz
-        left = np.exp(self.poles[:, None] * (span - grid.time_s) + 1j * grid.omega * grid.time_s)
+        left = grid.powers(1j * grid.omega - self.poles) * np.exp(self.poles * span)[:, None]
         ends = (force @ left.T) * (0.5 * span / grid.points)
         modal = self.parts[:, None] @ np.moveaxis(ends, 2, 0)[..., None]
         q_end = 2.0 * modal[..., 0].real.sum(axis=0)
@@ -150,6 +154,13 @@ def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray
     """i w (W,), G(w) (W,) and the drive behind its hold (D, W) [V], which all devices of a band share."""
     s = np.asarray(2j * np.pi * band.frequency_hz, dtype=np.complex128)
     return s, filter_response(band.antialias, s), band.now * hold_response(band)
+
+
+@lru_cache(maxsize=4)
+def _shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
+    """1 / G (W,) and the envelopes of the drive (D, n) [V], which all devices of a band share."""
+    _, antialias, drive = frequency_axis(band)
+    return 1.0 / antialias, grid.envelopes(drive)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ Shapes: S = 2 senses, W bins.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -59,18 +58,15 @@ def mechanics_signatures(device: LinearDevice, moved: Moved, with_mismatch: bool
         yield probe.signature(spectrum, 1.0, 1)
 
 
-@dataclass(frozen=True, eq=False)
-class _ReadoutChange:
-    """Change of G (W, S, S), if any, and of the drive that is fed through (S, W) [V] per unit of a parameter."""
-
-    probe: Probe
-    through: ComplexArray | None
-    fed: ComplexArray
-
-
 @lru_cache(maxsize=8)
-def _readout_changes(band: Band, probes: tuple[Probe, ...], bias_v: float) -> tuple[_ReadoutChange, ...]:
-    """What all devices of a band share."""
+def _readout_changes(
+    band: Band, with_mismatch: bool, bias_v: float
+) -> tuple[tuple[BandSignature, ...], tuple[Probe, ...], ComplexArray]:
+    """What all devices of a band share.
+
+    The signatures of drive that is fed through; then the parameters that change the filter, and their change of G (k, S, S, W)
+    per unit.
+    """
     s, _, drive = frequency_axis(band)
     poles, residues = (
         (np.zeros(0, dtype=np.complex128),) * 2 if band.antialias is None else filter_poles(band.antialias)
@@ -83,21 +79,26 @@ def _readout_changes(band: Band, probes: tuple[Probe, ...], bias_v: float) -> tu
         fed = readout.resistive + s[:, None, None] * readout.capacitive
         return through, np.asarray(np.einsum("wsr,wrd,dw->sw", through, fed, drive))
 
-    own, out = of(plain), []
-    for probe in probes:
+    own = of(plain)
+    fed: list[BandSignature] = []
+    through: list[tuple[Probe, ComplexArray]] = []
+    for probe in probes_of(with_mismatch, "readout"):
         assert probe.effect.readout is not None
         step = 1e-4 * probe.member.scale
         moved = of(probe.effect.readout(plain, probe.at(step), context))
-        through = (moved[0] - own[0]) / step
-        out.append(_ReadoutChange(probe, through if through.any() else None, (moved[1] - own[1]) / step))
-    return tuple(out)
+        change = (moved[0] - own[0]) / step
+        if change.any():
+            through.append((probe, np.moveaxis(change, 0, 2) / frequency_axis(band)[1]))
+        else:
+            fed.append(probe.signature((moved[1] - own[1]) / step, 1.0, 1))
+    stacked = np.stack([change for _, change in through]) if through else np.zeros((0, 2, 2, s.size), np.complex128)
+    return tuple(fed), tuple(probe for probe, _ in through), stacked
 
 
 def readout_signatures(device: LinearDevice, with_mismatch: bool) -> Iterator[BandSignature]:
-    """Signatures of the read-out."""
-    before = device.sensed / device.antialias
-    for change in _readout_changes(device.band, probes_of(with_mismatch, "readout"), device.context.bias_v):
-        spectrum = change.fed
-        if change.through is not None:
-            spectrum = spectrum + np.einsum("wsr,rw->sw", change.through, before)
-        yield change.probe.signature(spectrum, 1.0, 1)
+    """Signatures of the read-out; a parameter changes either the filter or what is fed through."""
+    fed, probes, through = _readout_changes(device.band, with_mismatch, device.context.bias_v)
+    yield from fed
+    spectra = through[:, :, 0] * device.sensed[0] + through[:, :, 1] * device.sensed[1]
+    for probe, spectrum in zip(probes, spectra):
+        yield probe.signature(spectrum, 1.0, 1)

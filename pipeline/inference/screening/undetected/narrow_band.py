@@ -55,6 +55,14 @@ class Grid:
         """Times of the points (n,) [s]."""
         return np.linspace(0.0, self.band.samples / self.band.sample_rate_hz, self.points, endpoint=False)
 
+    def powers(self, exponents: ComplexArray) -> ComplexArray:
+        """exp(x t) (k, n) at the times of the points, of exponents x (k,) [1/s], as products of two short sequences."""
+        step = self.band.samples / self.band.sample_rate_hz / self.points
+        size = int(np.ceil(np.sqrt(self.points)))
+        fine = np.exp(exponents[:, None] * step * np.arange(size))
+        coarse = np.exp(exponents[:, None] * step * size * np.arange(size))
+        return np.asarray((coarse[:, :, None] * fine[:, None, :]).reshape(exponents.size, -1)[:, : self.points])
+
     def envelopes(self, spectrum: ComplexArray) -> ComplexArray:
         """a (.., n) of transforms (.., W)."""
         padded = np.zeros((*spectrum.shape[:-1], self.points), dtype=np.complex128)
@@ -101,7 +109,7 @@ class Signals:
     def at(self, phases: FloatArray) -> Points:
         """The motion at M phases (M,) [rad] of each of the n' points, phase by phase."""
         every = at_phases(np.concatenate([self.coordinates, self.velocities, self.drives]), phases)
-        return Points(np.tile(self.grid.time_s[self.kept], phases.size), every[:3], every[3:6], every[6:])
+        return Points(np.concatenate([self.grid.time_s[self.kept]] * phases.size), every[:3], every[3:6], every[6:])
 
 
 @cache
@@ -116,10 +124,11 @@ def at_phases(envelope: ComplexArray, phases: FloatArray) -> FloatArray:
     return np.asarray((waves @ np.stack([envelope.real, envelope.imag], axis=1)).reshape(envelope.shape[0], -1))
 
 
-def harmonic(values: FloatArray, phases: FloatArray, h: int) -> ComplexArray:
-    """f_h (C, n') of values (C, M n') at ``phases`` (M,) [rad], phase by phase."""
-    waves = np.exp(-1j * h * phases) * (2.0 / phases.size)
-    each = values.reshape(values.shape[0], phases.size, -1)
-    out = np.empty((values.shape[0], each.shape[2]), dtype=np.complex128)
-    out.real, out.imag = waves.real @ each, waves.imag @ each
-    return out
+def harmonics(values: FloatArray, phases: FloatArray, *orders: int) -> list[ComplexArray]:
+    """f_h (C, n') of values (C, M n') at ``phases`` (M,) [rad], phase by phase, for each of the ``orders`` h."""
+    waves = np.concatenate([(np.cos(h * phases), -np.sin(h * phases)) for h in orders]) * (2.0 / phases.size)
+    parts = waves @ values.reshape(values.shape[0], phases.size, -1)
+    out = np.empty((len(orders), values.shape[0], parts.shape[2]), dtype=np.complex128)
+    for i, own in enumerate(out):
+        own.real, own.imag = parts[:, 2 * i], parts[:, 2 * i + 1]
+    return list(out)

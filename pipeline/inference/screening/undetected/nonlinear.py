@@ -20,7 +20,7 @@ from ....device.force_law import Laws, Points, force_along
 from ....device.gyro import M_D, M_S
 from .library import SHAPE, BandSignature, Probe, members_of, probes_of
 from .linear import LinearDevice
-from .narrow_band import Signals, at_phases, harmonic, whole_turn
+from .narrow_band import Signals, at_phases, harmonics, whole_turn
 from .parity import kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
@@ -73,11 +73,14 @@ def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> It
             motions[key] = used.at(kind.phases)
         f = _along(probe, motions[key], p, laws)
         if kind.order == 1:
-            yield BandForce(probe, used.kept, harmonic(f, kind.phases, 1), probe.member.scale, 1)
+            yield BandForce(probe, used.kept, harmonics(f, kind.phases, 1)[0], probe.member.scale, 1)
         else:
-            even.append(_EvenLaw(probe, p, harmonic(f, kind.phases, 0).real, harmonic(f, kind.phases, 2)))
+            steady, double = harmonics(f, kind.phases, 0, 2)
+            even.append(_EvenLaw(probe, p, steady.real, double))
     if even:
-        yield from _second_order(even, device, loud)
+        phases = whole_turn()
+        motion = motions.get((False, phases.size)) or loud.at(phases)
+        yield from _second_order(even, device, loud, motion, laws)
 
 
 def _along(probe: Probe, motion: Points, p: FloatArray, laws: Laws) -> FloatArray:
@@ -95,13 +98,14 @@ class _EvenLaw:
     double: ComplexArray
 
 
-def _second_order(even: Sequence[_EvenLaw], device: LinearDevice, signals: Signals) -> Iterator[BandForce]:
-    """The forces of laws through the motion that their own harmonics cause."""
-    omega, stiffness, laws = signals.grid.omega, device.mechanics.stiffness[0], _laws(device)
+def _second_order(
+    even: Sequence[_EvenLaw], device: LinearDevice, signals: Signals, motion: Points, laws: Laws
+) -> Iterator[BandForce]:
+    """The forces of laws through what their own harmonics add to the ``motion`` at :func:`whole_turn`."""
+    omega, stiffness = signals.grid.omega, device.mechanics.stiffness[0]
     static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * omega**2 * np.eye(3)]))
     level = _SHARE * omega**2 * _rms(signals.coordinates)
     phases = whole_turn()
-    motion = signals.at(phases)
     for law in even:
         size = max(_rms(law.steady), _rms(law.double))
         if size == 0.0:
@@ -109,9 +113,10 @@ def _second_order(even: Sequence[_EvenLaw], device: LinearDevice, signals: Signa
         # To first order in the parameter, the deviation is proportional to it.
         share = level / size
         double = share * (fast @ law.double)
-        added = np.tile(0.5 * share * (static @ law.steady), phases.size) + at_phases(double, 2.0 * phases)
-        moved = motion.plus(added, at_phases(2j * omega * double, 2.0 * phases))
-        f = harmonic(_along(law.probe, moved, share * law.p, laws), phases, 1)
+        added = at_phases(np.concatenate([double, 2j * omega * double]), 2.0 * phases)
+        added[:3] += np.tile(0.5 * share * (static @ law.steady), phases.size)
+        moved = motion.plus(added[:3], added[3:])
+        (f,) = harmonics(_along(law.probe, moved, share * law.p, laws), phases, 1)
         yield BandForce(law.probe, signals.kept, f, share * law.probe.member.scale, 2)
 
 
@@ -132,7 +137,7 @@ def drive_forces(device: LinearDevice, signals: Signals, with_mismatch: bool) ->
             continue
         assert probe.effect.drive is not None
         v = at_phases(signals.drives, phases := whole_turn()).T
-        change = harmonic((probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, phases, 1)
+        (change,) = harmonics((probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, phases, 1)
         yield BandForce(probe, signals.kept, device.mechanics.drive[0] @ change, probe.member.scale, 1)
 
 
@@ -153,7 +158,7 @@ def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool
         trial = sense(x[few], xd[few], s[few], t[few], probe.at(scale), device.context) - s[few]
         value = scale * _SHARE * level / _rms(trial)
         change = (sense(x, xd, s, t, probe.at(value), device.context) - s).T
-        first = harmonic(change, phases, 1)
+        (first,) = harmonics(change, phases, 1)
         # An even law has a first harmonic of second order.
         found.append((probe, value, 1 if _rms(first) > 0.01 * _rms(change) else 2))
         changes.append(first)

@@ -21,8 +21,10 @@ from ..whitening import BandNoise, covariance
 
 
 def real_rows(spectra: ComplexArray) -> FloatArray:
-    """Spectra (K, S, W) as real numbers (K, S, 2 W): all real parts before all imaginary ones."""
-    return np.concatenate([spectra.real, spectra.imag], axis=-1)
+    """Spectra (.., W) as real numbers (.., 2 W): all real parts before all imaginary ones."""
+    out = np.empty((*spectra.shape[:-1], 2 * spectra.shape[-1]))
+    out[..., : spectra.shape[-1]], out[..., spectra.shape[-1] :] = spectra.real, spectra.imag
+    return out
 
 
 def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
@@ -46,6 +48,28 @@ def stationary_rows(rows: FloatArray, item: BandData, variance: FloatArray) -> F
     out = left.reshape(rows.shape)
     out *= weight
     return out
+
+
+def products_of(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of the noise of a record, hum lines projected out.
+
+    With white noise the projection is that of the products, y'z - (n'y)'(n'z), so the rows are not touched.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError : the covariance of noise that depends on the signal is not positive definite.
+    """
+    if item.noise is None:
+        out = np.zeros((rows.shape[0], rows.shape[0]))
+        for a, own_variance in enumerate(variance[:, 0]):
+            own, hum = rows[:, a], rows[:, a] @ item.nuisance
+            out += (own @ own.T - hum @ hum.T) * (2.0 / item.band.samples / own_variance)
+        return out
+    if item.noise.dependent.size:
+        flat = generalised_rows(rows, item, item.noise)
+    else:
+        flat = stationary_rows(rows, item, variance).reshape(rows.shape[0], -1)
+    return np.asarray(flat @ flat.T)
 
 
 def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> FloatArray:
