@@ -14,7 +14,17 @@ from hypothesis import settings  # noqa: E402
 settings.register_profile("suite", deadline=None, derandomize=True)
 settings.load_profile("suite")
 
-_LONGEST_FIRST = ("workflows/screening", "workflows", "pipeline/learning", "reports", "pipeline/identification")
+# The first two files, one for each worker, share no compiled kernels: with an empty cache both workers would compile them.
+_LONGEST_FIRST = (
+    "workflows/screening/test_batch.py",
+    "workflows/test_modal_learning.py",
+    "workflows/test_silverbox.py",
+    "workflows/screening",
+    "workflows",
+    "pipeline/learning",
+    "reports",
+    "pipeline/identification",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -35,7 +35,7 @@ def route_scatter(
                 known = np.isfinite(error) & np.isfinite(split_hz) & (error > 0) & (split_hz > 0)
                 x, y = split_hz[known][::step], error[known][::step]
                 axes.plot(x, y, ls="none", marker=marker, ms=3.2, mew=0.7, color=colour, alpha=0.8, label=legend)
-            if axes.lines and any(line.get_xdata().size for line in axes.lines):
+            if axes.lines and any(np.size(line.get_xdata()) for line in axes.lines):
                 axes.set(xscale="log", yscale="log")
                 # Labels between the decades would overlap.
                 axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
