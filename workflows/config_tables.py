@@ -115,7 +115,8 @@ class RunInstrumentTable(InstrumentTable, frozen=True, forbid_unknown_fields=Tru
 class NoiseTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Noise level: sigma [V], or the SNR [dB] of each device (rms of the signal in the window over sigma); and its kind.
 
-    ``coefficient`` belongs to "ar", ``corner_hz`` to "1/f", ``jitter_s`` to "jitter"; sigma of "1/f" is that of its white part.
+    ``coefficient`` belongs to "ar", ``corner_hz`` to "1/f", ``jitter_s`` to "jitter", ``gain_noise`` to "gain"; sigma of "1/f" is
+    that of its white part.
     """
 
     sigma_v: Positive | None = None
@@ -124,10 +125,11 @@ class NoiseTable(Struct, frozen=True, forbid_unknown_fields=True):
     coefficient: Annotated[float, Meta(gt=-1.0, lt=1.0)] = 0.7
     corner_hz: NotNegative = 1000.0
     jitter_s: NotNegative = 3e-7
+    gain_noise: NotNegative = 1e-3
 
     def noise_kind(self) -> NoiseKind:
         """The kind of noise that the table describes."""
-        return NoiseKind(self.kind, self.coefficient, self.corner_hz, self.jitter_s)
+        return NoiseKind(self.kind, self.coefficient, self.corner_hz, self.jitter_s, self.gain_noise)
 
 
 class HumTable(Struct, frozen=True, forbid_unknown_fields=True):

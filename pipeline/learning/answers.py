@@ -33,7 +33,7 @@ class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
     """Noise level ``sigma`` [V] by channel, where it comes from, and its unit where that is not volts.
 
     coloured : whether the silence showed a spectrum that is not white.
-    jitter_s : rms timing jitter [s], where the residual above the signal band shows it.
+    jitter_s, gain_noise : rms timing jitter [s] and relative gain noise [1], where the residual above the signal band shows it.
     local_fit : whether a smooth local fit of the response to the driven records measures it; else "residual" is a bound.
     """
 
@@ -42,6 +42,7 @@ class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
     unit: str | UnsetType = UNSET
     coloured: bool | UnsetType = UNSET
     jitter_s: float | UnsetType = UNSET
+    gain_noise: float | UnsetType = UNSET
     local_fit: bool | UnsetType = UNSET
 
 

@@ -111,6 +111,7 @@ _QUALITY = (
     _number(
         "jitter_s", "s", "sd of the sampling instants, from the residual above the band; null where not significant"
     ),
+    _number("gain_noise", "1", "sd of the gain from sample to sample, likewise; at most one of the two is given"),
     _number("relative_error", "1", "rms(measured - model)/rms(measured)"),
     _number("chi2_per_dof", "1", "chi2 of the in-band fit per degree of freedom"),
     _number(

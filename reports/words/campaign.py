@@ -289,5 +289,9 @@ def noise_sentence(noise: Noise | None) -> str:
         "repeats": "from the differences between repeats of a drive (there is no silent record)",
     }
     kind = "; its spectrum is not white" if noise.coloured else ""
-    jitter = f" The sampling instants jitter by {1e6 * noise.jitter_s:.2g} µs rms." if noise.jitter_s else ""
-    return f"{sigma}, {sources.get(noise.from_, noise.from_)}{kind}.{jitter}"
+    dependent = ""
+    if noise.jitter_s:
+        dependent = f" The sampling instants jitter by {1e6 * noise.jitter_s:.2g} µs rms."
+    elif noise.gain_noise:
+        dependent = f" The gain varies by {1e6 * noise.gain_noise:.2g} ppm rms from sample to sample."
+    return f"{sigma}, {sources.get(noise.from_, noise.from_)}{kind}.{dependent}"

@@ -11,15 +11,25 @@ def noise_words(columns: Mapping[str, Any]) -> str:
     parts = []
     if columns.get("noise_colour") == "coloured":
         parts.append("coloured in silence, and the fit is whitened with its spectrum")
+    dependent = []
     if columns.get("jitter_s"):
-        parts.append(f"sampling jitter of {columns['jitter_s'] * 1e9:.3g} ns")
-        if columns.get("error_all_noise") is not None:
-            parts.append(f"error with it {columns['error_all_noise']:.4f}")
+        dependent.append(f"sampling jitter of {columns['jitter_s'] * 1e9:.3g} ns")
+    if columns.get("gain_noise"):
+        dependent.append(f"gain noise of {columns['gain_noise'] * 1e6:.3g} ppm from sample to sample")
+    if dependent and columns.get("error_all_noise") is not None:
+        dependent.append(f"error with it {columns['error_all_noise']:.4f}")
+    parts += dependent
     return ", ".join(parts)
 
 
-def lot_noise_sentence(colours: Sequence[str], jitter_s: Sequence[float]) -> str:
-    """How many devices of a run show noise that is not white: colours of all devices, jitter [s] of those that show it."""
+def lot_noise_sentence(colours: Sequence[str], jitter_s: Sequence[float], gain_noise: Sequence[float] = ()) -> str:
+    """How many devices of a run show noise that is not white.
+
+    Parameters
+    ----------
+    colours : of all devices.
+    jitter_s, gain_noise : jitter [s] and gain noise [1] of the devices that show it.
+    """
     coloured = sum(colour == "coloured" for colour in colours)
     # Two channels at a false-alarm probability of 1e-3 each (noise.spectrum).
     parts = (
@@ -28,4 +38,7 @@ def lot_noise_sentence(colours: Sequence[str], jitter_s: Sequence[float]) -> str
     if jitter_s:
         middle = sorted(jitter_s)[len(jitter_s) // 2]
         parts.append(f"sampling jitter in {len(jitter_s)} of {len(colours)} devices (median {middle * 1e9:.3g} ns)")
+    if gain_noise:
+        middle = sorted(gain_noise)[len(gain_noise) // 2]
+        parts.append(f"gain noise in {len(gain_noise)} of {len(colours)} devices (median {middle * 1e6:.3g} ppm)")
     return f"The records show {' and '.join(parts)}." if parts else ""

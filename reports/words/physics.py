@@ -28,7 +28,11 @@ def physics_sentences(physics: RunPhysics) -> tuple[str, ...]:
     """What the devices carry, what was fitted, and what was left out; one sentence each."""
     out = []
     if physics.carried:
-        noise = {"ar": "autoregressive noise", "jitter": "white noise and sampling jitter"}
+        noise = {
+            "ar": "autoregressive noise",
+            "jitter": "white noise and sampling jitter",
+            "gain": "white noise and gain noise",
+        }
         out.append(
             f"The virtual devices carry {_list(physics.carried)}, and {noise.get(physics.noise, f'{physics.noise} noise')}."
         )

@@ -1,9 +1,10 @@
-"""Noise of the pick-off volts: white, autoregressive, 1/f, or white with sampling jitter.
+"""Noise of the pick-off volts: white, autoregressive, 1/f, or white with sampling jitter or gain noise.
 
     white     n[k] = sigma e[k]
     ar        n[k] = a n[k-1] + sigma sqrt(1 - a^2) e[k]             sd sigma, density ~ 1 / |1 - a e^{-iw}|^2
     1/f       density 2 sigma^2 / f_s (1 + f_c / f)                  sigma is the sd of the white part
     jitter    n[k] = sigma e[k] + S'(t_k) delta[k],  delta ~ N(0, tau^2)   one clock samples all channels: delta is common
+    gain      n[k] = sigma e[k] + S(t_k) g[k],      g ~ N(0, gamma^2)     one reference voltage: g is common
 
 e is white with unit variance and independent between channels.  The 1/f noise is a stretch of a record that is ``_LONGER`` times
 as long, so silence and driven record differ in their slow drift as they do on a bench.
@@ -22,7 +23,7 @@ from scipy.signal import lfilter
 
 from ...arrays import FloatArray
 
-Kind = Literal["white", "ar", "1/f", "jitter"]
+Kind = Literal["white", "ar", "1/f", "jitter", "gain"]
 
 _LONGER = 4
 
@@ -33,16 +34,18 @@ class NoiseKind:
 
     Parameters
     ----------
-    kind : "white", "ar", "1/f" or "jitter".
+    kind : "white", "ar", "1/f", "jitter" or "gain".
     coefficient : a of the autoregressive noise, in (-1, 1).
     corner_hz : f_c of the 1/f noise [Hz].
     jitter_s : tau, the sd of the sampling instants [s].
+    gain_noise : gamma, the sd of the gain from sample to sample [1].
     """
 
     kind: Kind = "white"
     coefficient: float = 0.7
     corner_hz: float = 1000.0
     jitter_s: float = 3e-7
+    gain_noise: float = 1e-3
 
 
 WHITE = NoiseKind()
@@ -61,7 +64,7 @@ def slope_v_per_s(volts: FloatArray, sample_rate_hz: float) -> FloatArray:
 def noise_volts(
     kind: NoiseKind, sigma_v: float, volts: FloatArray, sample_rate_hz: float, random: np.random.Generator
 ) -> FloatArray:
-    """Noise (N, S) [V] of level ``sigma_v`` [V] on pick-off ``volts`` (N, S), which matter for jitter only."""
+    """Noise (N, S) [V] of level ``sigma_v`` [V] on pick-off ``volts`` (N, S), which matter for jitter and gain noise only."""
     samples, senses = volts.shape
     if kind.kind == "ar":
         # The start-up dies out as a^k; after 40/(1 - |a|) samples it is below 1e-17.
@@ -78,5 +81,7 @@ def noise_volts(
     white = sigma_v * random.standard_normal(volts.shape)
     if kind.kind == "white":
         return np.asarray(white)
-    delays = kind.jitter_s * random.standard_normal((samples, 1))
-    return np.asarray(white + slope_v_per_s(volts, sample_rate_hz) * delays)
+    common = random.standard_normal((samples, 1))
+    if kind.kind == "gain":
+        return np.asarray(white + kind.gain_noise * volts * common)
+    return np.asarray(white + slope_v_per_s(volts, sample_rate_hz) * (kind.jitter_s * common))

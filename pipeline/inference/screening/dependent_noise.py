@@ -1,63 +1,108 @@
-"""Noise that depends on the signal: sampling jitter, estimated where the model has no signal.
+"""Noise that depends on the signal: sampling jitter and gain noise, estimated where the model has no signal.
 
-    r_a(t) = n_a(t) + S_a'(t) delta_a(t),     cov(delta_a, delta_b) = T_ab   [s^2],   white
+    r_a(t) = n_a(t) + c_a(t) delta_a(t),     cov(delta_a, delta_b) = T_ab,   white
 
-Silence does not show it.  The residual above the highest harmonics of the band shows it and nothing of a missing effect of the
-mechanics: high-passed to a two-sided width B, its mean square is
+    jitter        c = S'(t), the slope     delta [s], of the sampling instants
+    gain noise    c = S(t), the level      delta [1], of the gain from sample to sample (reference voltage)
 
-    E r_a r_b (t) = [a = b] sigma_a^2 + T_ab u_ab(t),     u_ab = (h^2 * S_a' S_b')(t),   h the high pass, h^2 <-> (B - |f|)/f_s
+Silence does not show them.  The residual above the highest harmonics of the band shows them and nothing of a missing effect of
+the mechanics: high-passed to a two-sided width B, its mean square is
 
-with sigma_a^2 from the silent record, so T_ab follows from a regression weighted by the variance of r_a r_b.  The component
-enters the likelihood if it is significant; it never enters sigma.
+    E r_a r_b (t) = [a = b] sigma_a^2 + T_ab u_ab(t),     u_ab = (h^2 * c_a c_b)(t),   h the high pass, h^2 <-> (B - |f|)/f_s
+
+with sigma_a^2 from the silent record, so T_ab follows from a regression weighted by the variance of r_a r_b.  Slope and level
+are a quarter of a period apart, so the kind that is present explains more.  The more significant one enters the likelihood; it
+never enters sigma.
 
 Shapes: N samples, S = 2 senses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.fft import irfft, rfft
 
 from ...arrays import FloatArray
+from ...experiment.noise.source import slope_v_per_s
 from ...experiment.noise.spectrum import NoiseSpectrum
 
+DependentKind = Literal["jitter", "gain"]
+#: Column of the devices table, and key of the answers, by kind.
+COLUMNS: dict[DependentKind, str] = {"jitter": "jitter_s", "gain": "gain_noise"}
 #: Smallest significance [sd] of a variance component: one false alarm in 30,000 devices.
 _SIGNIFICANT = 4.0
 _REWEIGHTED = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Jitter:
-    """Sampling jitter: covariance (S, S) [s^2] of the sampling instants of the channels, and its significance [sd]."""
+class DependentNoise:
+    """A kind of noise that depends on the signal.
 
-    covariance_s2: FloatArray
+    Parameters
+    ----------
+    kind : "jitter" or "gain".
+    covariance : T (S, S) of delta, [s^2] for jitter and [1] for gain noise.
+    significance : of the larger channel [sd].
+    """
+
+    kind: DependentKind
+    covariance: FloatArray
     significance: float
 
     @property
-    def jitter_s(self) -> float:
-        """rms over channels [s]."""
-        return float(np.sqrt(np.mean(np.diag(self.covariance_s2))))
+    def rms(self) -> float:
+        """rms of delta over the channels, [s] for jitter and [1] for gain noise."""
+        return float(np.sqrt(np.mean(np.diag(self.covariance))))
 
-    def variances(self, slope_v_per_s: FloatArray) -> FloatArray:
-        """v (3, N) [V^2] of the channel pairs (0, 0), (0, 1), (1, 1) from dS/dt (N, S) [V/s]."""
-        s, c = slope_v_per_s.T, self.covariance_s2
-        return np.stack([c[0, 0] * s[0] ** 2, c[0, 1] * s[0] * s[1], c[1, 1] * s[1] ** 2])
+    def columns(self) -> dict[str, float]:
+        """The rms under the name of its column."""
+        return {COLUMNS[self.kind]: self.rms}
+
+    def factor(self, volts: FloatArray, rate_hz: float) -> FloatArray:
+        """c (N, S) of model ``volts`` (N, S) [V]."""
+        return factors(volts, rate_hz)[self.kind]
+
+    def variances(self, volts: FloatArray, rate_hz: float) -> FloatArray:
+        """v (3, N) [V^2] of the channel pairs (0, 0), (0, 1), (1, 1) at model ``volts`` (N, S) [V]."""
+        c, t = self.factor(volts, rate_hz).T, self.covariance
+        return np.stack([t[0, 0] * c[0] ** 2, t[0, 1] * c[0] * c[1], t[1, 1] * c[1] ** 2])
 
 
-def find_jitter(
-    residual_v: FloatArray, slope_v_per_s: FloatArray, noise: NoiseSpectrum, signal_hz: float
-) -> Jitter | None:
-    """The jitter of a record; ``None`` where it is not significant or no frequency is free of signal.
+def factors(volts: FloatArray, rate_hz: float) -> dict[DependentKind, FloatArray]:
+    """c (N, S) of each kind at model ``volts`` (N, S) [V]."""
+    return {"jitter": slope_v_per_s(volts, rate_hz), "gain": volts}
+
+
+def find_dependent_noise(
+    residual_v: FloatArray, volts: FloatArray, noise: NoiseSpectrum, signal_hz: float
+) -> DependentNoise | None:
+    """The most significant kind of a record; ``None`` where none is significant or no frequency is free of signal.
 
     Parameters
     ----------
     residual_v : measured - model (N, S) [V].
-    slope_v_per_s : dS/dt of the model (N, S) [V/s].
+    volts : of the model (N, S) [V].
     noise : of the silence.
     signal_hz : highest frequency of the band of the signal [Hz].
     """
+    every = factors(volts, noise.sample_rate_hz).items()
+    found = [_find(kind, residual_v, c, noise, signal_hz) for kind, c in every]
+    return most_significant(one for one in found if one is not None)
+
+
+def most_significant(found: Iterable[DependentNoise]) -> DependentNoise | None:
+    """The most significant of several; ``None`` of none."""
+    return max(found, key=lambda one: one.significance, default=None)
+
+
+def _find(
+    kind: DependentKind, residual_v: FloatArray, c: FloatArray, noise: NoiseSpectrum, signal_hz: float
+) -> DependentNoise | None:
+    """One kind, with its factor ``c`` (N, S); arguments as in ``find_dependent_noise``."""
     samples, rate = residual_v.shape[0], noise.sample_rate_hz
     frequency = np.arange(samples // 2 + 1) * rate / samples
     # A quarter of the sample rate leaves half of the noise; above it lie only high harmonics of the signal.
@@ -69,7 +114,7 @@ def find_jitter(
     sigma2 = noise.psd(frequency[kept]).sum(axis=0) * rate / samples
     silent_sd = np.sqrt(2.0 / (noise.dof * np.mean(kept))) if noise.white else noise.relative_sd(frequency[kept]).mean()
     width = rate - 2.0 * low
-    s = slope_v_per_s.T
+    s = c.T
     smooth = np.maximum(width - frequency, 0.0) / rate
 
     def seen(product: FloatArray) -> FloatArray:
@@ -88,7 +133,7 @@ def find_jitter(
     weight = u[1] / (whole[0] * whole[1])
     limit = np.sqrt(diagonal[0] * diagonal[1])
     cross = float(np.clip(weight @ (high[0] * high[1]) / (weight @ u[1]), -limit, limit))
-    return Jitter(np.array([[diagonal[0], cross], [cross, diagonal[1]]]), float(z.max()))
+    return DependentNoise(kind, np.array([[diagonal[0], cross], [cross, diagonal[1]]]), float(z.max()))
 
 
 def _significance(high: FloatArray, u: FloatArray, sigma2: float, share: float, silent_sd: float) -> float:

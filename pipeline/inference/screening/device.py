@@ -226,7 +226,7 @@ def identify_device(
     quality = full_band_quality(records, models, noise, settings.line_hz)
     if quality.louder:
         quality, data = with_dependent_noise(quality, data, records, models, noise, settings.line_hz)
-        if quality.jitter is not None:
+        if quality.dependent is not None:
             fit = best_fit(data, sigma_v, [fit.x], prior) or fit
     try:
         posterior = sample(fit, sampler, seed)

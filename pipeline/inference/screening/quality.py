@@ -20,11 +20,10 @@ from scipy.fft import rfft
 
 from ...arrays import FloatArray
 from ...experiment.noise.lines import lines_removed, without_lines
-from ...experiment.noise.source import slope_v_per_s
 from ...experiment.noise.spectrum import NoiseSpectrum
 from ...experiment.record import Record
 from .compressed import BandData
-from .dependent_noise import Jitter, find_jitter
+from .dependent_noise import COLUMNS, DependentNoise, find_dependent_noise, most_significant
 from .whitening import on_grid, white_noise
 
 #: Excess of error^2 over 1 [sd] above which noise that depends on the signal is looked for: 1 white record in 4000.
@@ -40,7 +39,7 @@ class FullBandQuality:
     error, relative_error, error_all_noise : see the head of the module.
     louder : whether the noise may be louder than the silence shows.
     colour : "white" or "coloured", as the silence shows it.
-    jitter : the sampling jitter that the records show, if any.
+    dependent : the noise that depends on the signal, if the records show any.
     """
 
     error: float
@@ -48,7 +47,7 @@ class FullBandQuality:
     error_all_noise: float
     louder: bool
     colour: str
-    jitter: Jitter | None = None
+    dependent: DependentNoise | None = None
 
     def columns(self) -> dict[str, float | str | None]:
         """Columns of the devices table."""
@@ -57,7 +56,8 @@ class FullBandQuality:
             "relative_error": self.relative_error,
             "error_all_noise": self.error_all_noise,
             "noise_colour": self.colour,
-            "jitter_s": None if self.jitter is None else self.jitter.jitter_s,
+            **dict.fromkeys(COLUMNS.values()),
+            **({} if self.dependent is None else self.dependent.columns()),
         }
 
 
@@ -110,18 +110,16 @@ def with_dependent_noise(
     out, squares, found = [], [], []
     for item, record, model in zip(data, records, models_v):
         rest = without_lines(record.sense_v - model, record.sample_rate_hz, line_hz)
-        slope = slope_v_per_s(model, record.sample_rate_hz)
-        jitter = find_jitter(rest, slope, noise, float(item.band.frequency_hz[-1]))
-        dependent = np.zeros(noise.sigma_v.size)
-        if jitter is not None:
-            v = jitter.variances(slope)
-            dependent = v[[0, 2]].mean(axis=1)
+        dependent = find_dependent_noise(rest, model, noise, float(item.band.frequency_hz[-1]))
+        own_v2 = np.zeros(noise.sigma_v.size)
+        if dependent is not None:
+            v = dependent.variances(model, record.sample_rate_hz)
+            own_v2 = v[[0, 2]].mean(axis=1)
             own = item.noise or white_noise(noise.sigma_v, item.band)
             item = replace(item, noise=replace(own, dependent=on_grid(v, item.band)))
-            found.append(jitter)
-        squares.append(_mean_square(rest, noise, line_hz, dependent))
+            found.append(dependent)
+        squares.append(_mean_square(rest, noise, line_hz, own_v2))
         out.append(item)
     weight = [record.sense_v.shape[0] for record in records]
-    best = max(found, key=lambda jitter: jitter.significance, default=None)
     error = math.sqrt(float(np.average(squares, weights=weight)))
-    return replace(quality, error_all_noise=error, jitter=best), out
+    return replace(quality, error_all_noise=error, dependent=most_significant(found)), out

@@ -201,12 +201,14 @@ class CampaignAnswers:
     def noise(self) -> Noise:
         """sigma [V] of each channel, and where it comes from: "residual" without a silent record and repeats."""
         noise = self.problem.noise
+        dependent = {} if self.problem.dependent is None else self.problem.dependent.columns()
         return Noise(
             sigma=tuple(noise.sigma_v.tolist()),
             from_=noise.source if noise.independent else "residual",
             local_fit=True if noise.source == "local" else UNSET,
             coloured=True if noise.spectrum is not None and not noise.spectrum.white else UNSET,
-            jitter_s=UNSET if self.problem.jitter_s is None else self.problem.jitter_s,
+            jitter_s=dependent.get("jitter_s", UNSET),
+            gain_noise=dependent.get("gain_noise", UNSET),
         )
 
     @cached_property

@@ -18,6 +18,7 @@ from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit, fit_with_columns
 from ...inference.general.residuals import CampaignResiduals
 from ...inference.general.variation import RecordVariation
+from ...inference.screening.dependent_noise import DependentNoise
 from ..where.partition import (
     CampaignPartition,
     RecordPartition,
@@ -46,7 +47,7 @@ class CampaignProblem:
     noise : level of each channel, (S,) [V].
     threads : signatures that are computed, and records that are integrated, in parallel.
     corrected : where the records differ: the measured campaign and the variation for which ``campaign`` was corrected.
-    jitter_s : timing jitter [s] that ``noise`` contains, if any.
+    dependent : noise that depends on the signal and is contained in ``noise``, if any.
     """
 
     def __init__(
@@ -56,9 +57,9 @@ class CampaignProblem:
         noise: NoiseLevel,
         threads: int = 1,
         corrected: tuple[Campaign, RecordVariation] | None = None,
-        jitter_s: float | None = None,
+        dependent: DependentNoise | None = None,
     ) -> None:
-        self.jitter_s = jitter_s
+        self.dependent = dependent
         self.campaign = campaign
         self.measured = campaign if corrected is None else corrected[0]
         self.variation = None if corrected is None else corrected[1]

@@ -28,8 +28,8 @@ from ...criticism.problem import Problem
 from ...criticism.selection import ForwardSelection, forward_selection
 from ...criticism.verdict import verdict_of
 from ...experiment.noise.level import noise_level, repeats_of
+from ...inference.general.dependent_noise import campaign_dependent_noise, with_dependent_noise
 from ...inference.general.deviation_columns import deviation_columns
-from ...inference.general.jitter import campaign_jitter, with_jitter
 from ...inference.general.residuals import CampaignResiduals
 from ...inference.general.variation import record_variation
 from ...inference.general.varied_fit import VariedFit, clips, fit_with_variation
@@ -77,19 +77,19 @@ def varied_problem(problem: CampaignProblem, found: VariedFit) -> CampaignProble
         found.noise,
         problem.threads,
         (problem.measured, found.variation),
-        problem.jitter_s,
+        problem.dependent,
     )
 
 
 def prepared(problem: CampaignProblem) -> CampaignProblem:
-    """The problem with timing jitter where the residual shows it, and with variation between the records where repeats do."""
+    """The problem with jitter or gain noise where the residual shows it, and with variation where repeats differ."""
     if not problem.fit(()).ok:
         return problem
     fit = problem.campaign_fit(())
-    jitter = campaign_jitter(fit, problem.campaign)
-    if jitter is not None:
-        noise = with_jitter(problem.noise, jitter, fit, problem.campaign)
-        problem = CampaignProblem(problem.campaign, problem.model, noise, problem.threads, jitter_s=jitter.jitter_s)
+    dependent = campaign_dependent_noise(fit, problem.campaign)
+    if dependent is not None:
+        noise = with_dependent_noise(problem.noise, dependent, fit, problem.campaign)
+        problem = CampaignProblem(problem.campaign, problem.model, noise, problem.threads, dependent=dependent)
     return _varied(problem, ()) if repeats_differ(problem) else problem
 
 
@@ -140,7 +140,9 @@ def selected(
             if plain is not None:
                 return plain
             noise = replace(noise_level(problem.measured), mixing=problem.noise.mixing)
-            equal = CampaignProblem(problem.measured, problem.model, noise, problem.threads, jitter_s=problem.jitter_s)
+            equal = CampaignProblem(
+                problem.measured, problem.model, noise, problem.threads, dependent=problem.dependent
+            )
             return equal, forward_selection(restricted(equal), (), rules)
         pairs = zip(before.of_deviations(1), after.of_deviations(1))
         if not any(new < _SMALLER * old for old, new in pairs) and clips(fit.model) == clipped:

@@ -1,4 +1,4 @@
-"""Noise that is not white: the whitened likelihood, the jitter that the residual shows, and honest intervals."""
+"""Noise that is not white: the whitened likelihood, the noise that depends on the signal, and honest intervals."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from pipeline.device.gyro import gyro_modes, to_cartesian
-from pipeline.experiment.noise.source import NoiseKind, noise_volts, slope_v_per_s
+from pipeline.experiment.noise.source import NoiseKind, noise_volts
 from pipeline.experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
 from pipeline.inference.screening.compressed import BandData, compress
-from pipeline.inference.screening.dependent_noise import find_jitter
+from pipeline.inference.screening.dependent_noise import factors, find_dependent_noise
 from pipeline.inference.screening.fit import maximise
 from pipeline.inference.screening.whitening import BandNoise, band_noise, on_grid, white_noise
 
@@ -45,7 +45,9 @@ def test_white_noise_given_as_a_spectrum_leaves_the_likelihood_unchanged(bench, 
     assert np.allclose(whitened.rest_chi2, plain.rest_chi2, rtol=1e-6)
 
 
-@pytest.mark.parametrize("kind", [NoiseKind("ar"), NoiseKind("jitter", jitter_s=6e-7)])
+@pytest.mark.parametrize(
+    "kind", [NoiseKind("ar"), NoiseKind("jitter", jitter_s=6e-7), NoiseKind("gain", gain_noise=2e-3)]
+)
 def test_whitened_data_of_noise_alone_are_independent_with_unit_variance(bench, clean, paper_device, kind):
     """sum |U^-1 d|^2 of noise is chi-square with 2 r degrees of freedom; as white noise of its mean level it is not."""
     band, expansion = bench.shared.band, _poles(bench, paper_device)
@@ -55,7 +57,8 @@ def test_whitened_data_of_noise_alone_are_independent_with_unit_variance(bench, 
         variance = SIGMA**2 * (1.0 - kind.coefficient**2) / np.abs(1.0 - kind.coefficient * turn) ** 2
         noise = BandNoise(np.stack([variance, variance]), np.zeros(2), np.zeros((3, 0)))
     else:
-        s = kind.jitter_s * slope_v_per_s(clean, RATE).T
+        size = kind.jitter_s if kind.kind == "jitter" else kind.gain_noise
+        s = size * factors(clean, RATE)[kind.kind].T
         v = on_grid(np.stack([s[0] ** 2, s[0] * s[1], s[1] ** 2]), band)
         white = white_noise(np.full(2, SIGMA), band)
         noise = BandNoise(white.variance, white.relative_sd, v)
@@ -68,27 +71,33 @@ def test_whitened_data_of_noise_alone_are_independent_with_unit_variance(bench, 
     assert chi2.ppf(1e-4, 12 * dof) < sum(found) < chi2.ppf(1.0 - 1e-4, 12 * dof)
 
 
-def test_jitter_is_measured_above_the_band_and_absent_from_white_noise(clean):
+@pytest.mark.parametrize("kind", [NoiseKind("jitter", jitter_s=3e-7), NoiseKind("gain", gain_noise=1e-3)])
+def test_dependent_noise_is_measured_above_the_band_and_told_by_its_kind(clean, kind):
+    noise = white_spectrum(np.full(2, SIGMA), RATE, 10_000)
+    found = find_dependent_noise(noise_volts(kind, SIGMA, clean, RATE, np.random.default_rng(3)), clean, noise, 700.0)
+    assert found is not None
+    assert found.kind == kind.kind
+    true = kind.jitter_s if kind.kind == "jitter" else kind.gain_noise
+    assert found.rms == pytest.approx(true, rel=0.05)
+    # One clock samples both channels, and one reference converts them.
+    assert found.covariance[0, 1] == pytest.approx(true**2, rel=0.15)
+
+
+def test_white_noise_shows_no_dependent_noise(clean):
     random = np.random.default_rng(3)
-    slope = slope_v_per_s(clean, RATE)
     noise = white_spectrum(np.full(2, SIGMA), RATE, 10_000)
     for _ in range(5):
-        assert find_jitter(noise_volts(NoiseKind(), SIGMA, clean, RATE, random), slope, noise, 700.0) is None
-    kind = NoiseKind("jitter", jitter_s=3e-7)
-    found = find_jitter(noise_volts(kind, SIGMA, clean, RATE, random), slope, noise, 700.0)
-    assert found is not None
-    assert found.jitter_s == pytest.approx(3e-7, rel=0.05)
-    # One clock samples both channels.
-    assert found.covariance_s2[0, 1] == pytest.approx(9e-14, rel=0.15)
+        volts = noise_volts(NoiseKind(), SIGMA, clean, RATE, random)
+        assert find_dependent_noise(volts, clean, noise, 700.0) is None
 
 
-def test_a_misfit_in_the_band_is_not_taken_for_jitter(bench, clean, paper_device):
+def test_a_misfit_in_the_band_is_not_taken_for_dependent_noise(bench, clean, paper_device):
     other = np.array(paper_device)
     other[3] *= 1.02
     wrong = bench.volts(other) - clean + SIGMA * np.random.default_rng(4).standard_normal(clean.shape)
     noise = white_spectrum(np.full(2, SIGMA), RATE, 10_000)
     assert np.sqrt(np.mean(wrong**2)) > 2.0 * SIGMA
-    assert find_jitter(wrong, slope_v_per_s(clean, RATE), noise, 700.0) is None
+    assert find_dependent_noise(wrong, clean, noise, 700.0) is None
 
 
 def test_the_sd_grows_with_the_density_of_the_noise_at_the_resonance(bench, clean, paper_device):

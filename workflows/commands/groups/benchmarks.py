@@ -18,7 +18,9 @@ def coverage(
     splits: Annotated[
         str, typer.Option(help="'population', or 'small': log-uniform from 0.02 to 0.5 Hz.")
     ] = "population",
-    noise: Annotated[str, typer.Option(help="'white' at 60 dB, or 'ar', '1/f', 'jitter' as in [noise].")] = "white",
+    noise: Annotated[
+        str, typer.Option(help="'white' at 60 dB, or 'ar', '1/f', 'jitter', 'gain' as in [noise].")
+    ] = "white",
     bad: Annotated[float, typer.Option(help="Share of bad samples (spikes, stuck samples) in each record.")] = 0.0,
     seed: Seed = 2026,
     workers: Workers = 0,
