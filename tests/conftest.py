@@ -1,6 +1,7 @@
 """One BLAS thread for all tests, set before numpy is loaded: the matrices are small and the cores are few."""
 
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,14 +39,28 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=place)
 
 
-@pytest.fixture
-def brief_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The standard campaign with records of 1 s."""
-    from workflows.simulate import standard_excitations
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The standard campaign, of ``simulate`` and of the study, with records of 1 s."""
+    from workflows import simulate
     from workflows.studies.hidden import draw
 
-    brief = [(name, role, replace(e, duration_s=1.0)) for name, role, e in standard_excitations(1)]
-    monkeypatch.setattr(draw, "standard_excitations", lambda seed: brief)
+    records = [(name, role, replace(e, duration_s=1.0)) for name, role, e in simulate.standard_excitations(1)]
+    for module in (simulate, draw):
+        monkeypatch.setattr(module, "standard_excitations", lambda seed: records)
+
+
+@pytest.fixture
+def brief_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The standard campaign with records of 1 s: a third of the time for the same SNR."""
+    brief(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def brief_records_of_module() -> Iterator[None]:
+    """The same for the fixtures of a module."""
+    with pytest.MonkeyPatch.context() as patch:
+        brief(patch)
+        yield
 
 
 @pytest.fixture

@@ -246,6 +246,7 @@ def test_adding_the_hidden_effect_explains_the_held_out_records() -> None:
     assert row["refine"]["ladder"][-1]["error_validate"] < 1.013
 
 
+@pytest.mark.usefixtures("brief_records")
 def test_a_fit_of_a_nonlinear_law_reaches_the_minimum() -> None:
     # The inverse gap is far from its estimate at the null, so the first signatures no longer hold at the minimum.
     hidden = hide("one", LIBRARY.index("electrostatic_softening") + 2 * len(LIBRARY), 4)

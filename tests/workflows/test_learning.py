@@ -9,6 +9,8 @@ from workflows.cli import call
 from workflows.learning import diagnose, refine
 from workflows.simulate import campaign_config, simulate
 
+pytestmark = pytest.mark.usefixtures("brief_records")
+
 USER_EFFECT = '''
 """Springs that soften with the fourth power of the motion."""
 from pipeline.device.effect import Effect

@@ -15,7 +15,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "notebook.md"
 
 
 @pytest.fixture(scope="module")
-def notebook(tmp_path_factory):
+def notebook(tmp_path_factory, brief_records_of_module):
     """Variables of the page's code after it ran in a folder that holds a campaign."""
     folder = tmp_path_factory.mktemp("notebook")
     # A device within the shipped limits, and an effect that is highly significant.

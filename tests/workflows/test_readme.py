@@ -45,6 +45,7 @@ def test_every_option_shown_is_in_the_help_of_its_command(arguments, capfd):
         assert option in help_text
 
 
+@pytest.mark.usefixtures("brief_records")
 def test_the_shown_commands_on_a_campaign_exit_with_0(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for arguments in lines():
@@ -54,6 +55,7 @@ def test_the_shown_commands_on_a_campaign_exit_with_0(tmp_path, monkeypatch, cap
     assert (tmp_path / "device.json").exists()
 
 
+@pytest.mark.usefixtures("brief_records")
 def test_the_python_example_of_the_readme_runs(tmp_path, monkeypatch, capfd):
     from pipeline.experiment.campaign import write_campaign
 
