@@ -35,7 +35,8 @@ class Identification:
 
     Parameters
     ----------
-    columns : the columns of the devices table that apply, in their units.
+    columns : the columns of the devices table that apply, in their units.  ``effects_scored`` tells whether the effects of the
+        library that the model lacks were scored: in-band only.
     reference : quantity -> comparison with the [reference] value of the campaign.
     """
 
@@ -79,7 +80,12 @@ def identify(
         for record in campaign.records
         for one in record.bad or ()
     ]
-    found: dict[str, Any] = {"device_id": campaign.device_id, **columns, **({"bad_samples": bad} if bad else {})}
+    found: dict[str, Any] = {
+        "device_id": campaign.device_id,
+        **columns,
+        "effects_scored": "effect_p_value" in columns,
+        **({"bad_samples": bad} if bad else {}),
+    }
     return Identification(found, reference_comparison(campaign.reference, columns))
 
 

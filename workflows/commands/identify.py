@@ -20,20 +20,29 @@ from pipeline.inference.identify import identify as identify_device
 from pipeline.inference.modal.fit import ModalFit, fit_modal
 from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
+from reports.limits import DEFAULT_LIMITS, load_limits
 from reports.words.noise import noise_words
 
 from ..config import load_config
 
 
-def identify(measurement: Path, model: Path | None, json: bool) -> None:
+def identify(measurement: Path, model: Path | None, limits: Path | None, json: bool) -> None:
     """See ``gyroscreen identify --help``."""
+    judged_by = DEFAULT_LIMITS if limits is None else load_limits(limits)
     found = with_its_campaign(measurement)
     if isinstance(found, ModalRecord):
+        if limits is not None:
+            raise UsageError(
+                "a modal record is not judged, so limits do not apply",
+                value=str(measurement),
+                allowed="--limits with a campaign or a record",
+                next_step="leave out --limits",
+            )
         route = identify_modal(found)
         columns = modal_columns(route, fit_modal(route, found.antialias))
         lines = _modal_text(found.name, columns)
     else:
-        gate = load_config(None).judging_gate()
+        gate = load_config(None).gate.gate(judged_by)
         result = identify_device(found, None if model is None else load_model(model), gate=gate)
         columns = {**result.columns, **({"reference": result.reference} if found.reference else {})}
         lines = _text(result)
@@ -114,6 +123,8 @@ def _text(result: Identification) -> list[str]:
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")
     if noise := noise_words(columns):
         lines.append(f"  noise: {noise}")
+    if not columns.get("effects_scored", True) and columns["status"] != "fit_failed":
+        lines.append("  effects of the library were not scored here: run gyroscreen diagnose")
     if bad := columns.get("bad_samples"):
         count = sum(one["samples"] for one in bad)
         lines.append(f"  {count} bad samples in {len(bad)} stretches were left out (gyroscreen check lists them)")

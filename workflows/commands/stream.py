@@ -113,7 +113,8 @@ def _columns(step: StreamStep) -> dict[str, Any]:
     estimate = s.estimate
     values: dict[str, Any] = {"time_s": s.duration_s, "status": estimate.status, "status_reason": estimate.reason}
     values |= {name: plain(value) for name, value in estimate.columns.items()}
-    values |= {"p_pass": plain(step.p_pass), "verdict": step.verdict}
+    # A test in seconds cannot wait for the scores of effects; ``identify`` of the whole record makes them.
+    values |= {"p_pass": plain(step.p_pass), "verdict": step.verdict, "effects_scored": False}
     if step.route is not None:
         values |= {"lattice_theta_deg": step.route.axes.mean_deg, "lattice_split_hz": step.route.arx_split_hz}
     return values

@@ -43,7 +43,7 @@ from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate
 from ..screening.virtual_device import physical_of, shared_record, virtual_volts
 from .coverage import COVERED, Share
 from .hidden.effects import draw_effect, peak_of
-from .hidden.study import append, rows_in
+from .hidden.study import append, make_folder, rows_in
 from .hidden.truth import clipped, hum, response
 
 NONE = "none"
@@ -168,11 +168,14 @@ def run_study(effects: Sequence[str], devices: int, seed: int, folder: Path, wor
 
     Raises
     ------
-    UsageError : no devices.
+    UsageError : no devices, or a folder that cannot be written.
+    ConfigError : an invalid seed.
     """
     if devices < 1:
         raise UsageError("no devices to study", value=devices, allowed="1 or more")
-    folder.mkdir(parents=True, exist_ok=True)
+    load_config(None, {"seed": seed})
+    worker_count(workers)
+    make_folder(folder)
     wanted = [(effect, number) for number in range(devices) for effect in effects]
     before = {(row["kind"], row["number"]) for row in rows_in(folder, effects, seed)}
     missing = [item for item in wanted if item not in before]

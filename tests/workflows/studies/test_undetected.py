@@ -5,6 +5,7 @@ import json
 import pytest
 
 from pipeline.errors import UsageError
+from workflows.cli import call
 from workflows.config import load_config
 from workflows.studies.coverage import COVERED
 from workflows.studies.undetected import NONE, by_effect, effects_of, figures, run_study, study_row
@@ -61,3 +62,23 @@ def test_thresholds_are_shares_of_the_width_of_the_limits():
     assert gate.bias_max["rate_bias_dps"] == pytest.approx(config.gate.bias_fraction * 40.0)
     assert gate.bias_max["quality1"] == pytest.approx(config.gate.bias_fraction * 1200.0)
     assert "f1_hz" not in gate.bias_max
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--devices", "-1"], "no devices to study: -1"),
+        (["--seed", "-1"], "seed is not valid: -1"),
+        (["--workers", "-2"], "invalid number of workers: -2"),
+        (["--effect", "gain"], "no such effect that the nightly fit lacks: 'gain'"),
+        (["--out", "{file}"], "the folder for the rows cannot be written: file exists"),
+        (["--out", "{file}/below"], "the folder for the rows cannot be written: not a directory"),
+    ],
+)
+def test_wrong_options_are_refused_before_the_first_device(options, message, tmp_path, capfd):
+    file = tmp_path / "file"
+    file.write_text("", encoding="utf-8")
+    given = [option.format(file=file) for option in options]
+    out = [] if "--out" in given else ["--out", str(tmp_path / "rows")]
+    assert call(["benchmark", "undetected", *out, *given]) == 2
+    assert message in capfd.readouterr().err

@@ -20,7 +20,7 @@ def identify(
         Path | None, typer.Option(help="With --stream: campaign with the instrument and noise.")
     ] = None,
     sigma_v: Annotated[float | None, typer.Option(help="With --stream: noise sd of the sense channels [V].")] = None,
-    limits: Annotated[Path | None, typer.Option(help="With --stream: limits and rule (TOML).")] = None,
+    limits: Annotated[Path | None, typer.Option(help="Limits (TOML) of the gate; with --stream also the rule.")] = None,
     decide: Annotated[bool, typer.Option("--decide", help="With --stream: stop once pass or fail is decided.")] = False,
     json: Json = False,
 ) -> None:
@@ -32,7 +32,7 @@ def identify(
         return
     from ..identify import identify as command
 
-    command(measurement, model, json)
+    command(measurement, model, limits, json)
 
 
 def check(campaign: CampaignFolder, json: Json = False) -> None:

@@ -8,9 +8,11 @@ Except for its times, a row depends on (seed, kind, number) only.
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from errno import EACCES
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -186,12 +188,32 @@ def append(folder: Path, row: Mapping[str, Any]) -> None:
         file.write(("\n" if cut_off else "") + json.dumps(row, default=float) + "\n")
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of the rows of a study.
+
+    Raises
+    ------
+    UsageError : it cannot be made, or nothing can be written to it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES))
+    except OSError as error:
+        raise UsageError(
+            f"the folder for the rows cannot be written: {(error.strerror or str(error)).lower()}",
+            value=str(folder),
+            allowed="a folder with write permission, or a new one",
+            next_step="choose another --out",
+        ) from None
+
+
 def run_study(plan: StudyPlan, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
     """Run the campaigns of ``plan`` that are missing in ``folder``; a campaign that failed to run is run again.
 
     Yields (campaigns done, campaigns planned), including those done before, each time a campaign finishes.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     wanted = [(kind, number) for kind, numbers in plan.numbers.items() for number in numbers]
     before = {(r["kind"], r["number"]) for r in rows_in(folder, tuple(plan.numbers), plan.seed) if not r["failed"]}
     missing = [item for item in wanted if item not in before]
