@@ -96,8 +96,11 @@ class FitTests:
         return tuple(sorted(score.name for score in self.scores if not score.detectable))
 
     def significant(self, alpha: float) -> tuple[Score, ...]:
-        """Candidates whose p-value, family-wise, is below ``alpha``; most significant first."""
-        return tuple(score for score in self.scores if score.p_value < alpha)
+        """Candidates whose p-value, family-wise, is below ``alpha``; most significant first.
+
+        A term that these data could not show is no evidence: the little of its signature that survives is not known.
+        """
+        return tuple(score for score in self.scores if score.p_value < alpha and score.detectable)
 
     def is_significant(self, delta_chi2: float, parameters: int, alpha: float) -> bool:
         """Whether a refit lowers chi2 as significantly as the score of its term had to, at ``alpha``."""
