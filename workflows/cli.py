@@ -101,3 +101,7 @@ def _failed(message: str, code: int) -> int:
         traceback.print_exc()
     print(message, file=sys.stderr)
     return code
+
+
+if __name__ == "__main__":
+    main()

@@ -56,11 +56,11 @@ CAMPAIGNS = {
 
 
 def is_number(node: ast.expr) -> bool:
-    """Whether an expression consists of numbers only."""
+    """Whether an expression is chosen and not derived: it consists of numbers only."""
     match node:
         case ast.Constant(value=value):
             return isinstance(value, int | float) and not isinstance(value, bool)
-        case ast.Tuple(elts=elements) | ast.List(elts=elements) | ast.Call(args=elements):
+        case ast.Tuple(elts=elements) | ast.List(elts=elements):
             return bool(elements) and all(is_number(element) for element in elements)
         case ast.UnaryOp(operand=operand):
             return is_number(operand)
