@@ -23,6 +23,9 @@ from typing import Literal
 
 SURVIVING_SHARE = 0.16
 
+#: Next step where the residual is louder than the noise and shows no effect: refine judges its structure in all records.
+LOUDER = "run gyroscreen refine, which tells noise that is louder than measured from a missing effect"
+
 Status = Literal["ok", "not_converged", "fit_failed", "misfit"]
 
 
@@ -119,7 +122,9 @@ def misfit_reason(
     effect = None if found is None else _significant(found, gate)
     if not goodness.error <= gate.error_max:
         reason = f"error {goodness.error:.4g} above {gate.error_max:g}: the model does not explain the records"
-        return reason if effect is None else f"{reason}; {effect}"
+        if found is None:
+            return reason
+        return f"{reason}; {effect or f'no effect of the library is significant: {LOUDER}'}"
     if effect is not None:
         return effect
     if found is not None and (biased := _biased(found, gate)) is not None:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from ...experiment.record import Campaign
-from ..gate import Gate, GoodnessOfFit, Status, status_of
+from ..gate import LOUDER, Gate, GoodnessOfFit, Status, status_of
 from .fit import CampaignFit
 from .resonances import resonance_excess
 from .starts import driven_band
@@ -88,6 +88,9 @@ def fit_status(
     status, reason = status_of(goodness, None if fit.theta_deg is None else fit.theta_deg[1], gate, failed)
     if status == "ok" and (misfit := structured_misfit(fit, campaign, gate)) is not None:
         return "misfit", misfit
+    loud = status == "misfit" and goodness is not None and not goodness.error <= gate.error_max
+    if loud and structured_misfit(fit, campaign, gate) is None:
+        reason = f"{reason}; the residual is as dense beside the resonances as at them: {LOUDER}"
     return status, reason
 
 
