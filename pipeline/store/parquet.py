@@ -48,10 +48,8 @@ def decode_table(data: bytes | pa.Buffer, schema: pa.Schema, where: str) -> pa.T
                 allowed="the columns of the view `columns`",
                 next_step="read it with the version that wrote it, or move it away",
             )
-    arrays = [
-        table.column(field.name) if field.name in table.schema.names else pa.nulls(table.num_rows, field.type)
-        for field in schema
-    ]
+    stored = dict(zip(table.column_names, table.columns, strict=True))
+    arrays = [stored[field.name] if field.name in stored else pa.nulls(table.num_rows, field.type) for field in schema]
     return pa.table(arrays, schema=schema)
 
 

@@ -45,7 +45,7 @@ def test_a_flipped_bit_fails_reading_and_verification(tmp_path: Path, name: str)
     store = make_run(tmp_path, "r", blocks=(0,))
     path = store.folder / name
     bits = 8 * path.stat().st_size
-    for bit in np.random.default_rng(1).choice(bits, min(bits, 120), replace=False):
+    for bit in np.random.default_rng(1).choice(bits, min(bits, 60), replace=False):
         sound = flip(path, int(bit))
         with pytest.raises(IntegrityError):
             read_run(tmp_path, "r")

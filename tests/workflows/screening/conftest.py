@@ -6,6 +6,8 @@ import dask
 import pytest
 from distributed import LocalCluster
 
+from workflows.screening import outcome
+
 
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
@@ -16,3 +18,9 @@ def scheduler() -> Iterator[str]:
         LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50) as local,
     ):
         yield local.scheduler_address
+
+
+@pytest.fixture
+def without_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs whose tables are compared write an empty page: drawing the figures takes longer than the devices."""
+    monkeypatch.setattr(outcome, "render_run_report", lambda *_, **__: "<!doctype html>")

@@ -51,10 +51,12 @@ def on_cluster(tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Path
     return run(tmp_path_factory.mktemp("batch"), "remote", "--scheduler", scheduler)
 
 
+@pytest.mark.usefixtures("without_page")
 def test_two_local_workers_and_other_blocks_give_the_table_of_a_cluster(on_cluster: Path, tmp_path: Path) -> None:
     assert digest(run(tmp_path, "two", "--workers", "2", block=3)) == digest(on_cluster)
 
 
+@pytest.mark.usefixtures("without_page")
 def test_a_run_that_is_killed_and_resumed_gives_the_same_table(
     on_cluster: Path, scheduler: str, tmp_path: Path
 ) -> None:
@@ -103,6 +105,7 @@ def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> Non
     assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
 
 
+@pytest.mark.usefixtures("without_page")
 def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(scheduler: str, tmp_path: Path) -> None:
     for seed in (1, 2):
         simulated = simulate(campaign_config(None), {}, ["offdiagonal_damping:c12=0.5"], seed)
@@ -122,6 +125,7 @@ def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(schedu
     assert "nothing" in rows["broken"]["status_reason"]
 
 
+@pytest.mark.usefixtures("without_page")
 def test_a_yield_below_the_target_has_exit_code_1_and_keeps_the_results(scheduler: str, tmp_path: Path) -> None:
     config = tmp_path / "gate.toml"
     config.write_text(

@@ -130,16 +130,17 @@ def test_an_effect_too_weak_for_a_single_device_is_found_from_all_devices(tmp_pa
     assert sum(row["missing_effect"] is not None for row in rows) <= 5
 
 
+@pytest.mark.usefixtures("without_page")
 def test_a_run_stopped_before_its_examination_is_resumed_to_the_same_table(tmp_path, scheduler, all_affected):
     config, _, _ = all_affected
-    config = msgspec.structs.replace(config, run=msgspec.structs.replace(config.run, devices=3))
+    config = msgspec.structs.replace(config, run=msgspec.structs.replace(config.run, devices=2, block=1))
     laid_out, results = plan(config), tmp_path / "results"
     store = start(laid_out, results)
     for block in laid_out.blocks:
         tables = virtual_block(config, block)
         store.commit_block(tables.index, tables.devices, tables.posterior)
     assert call(["run", "--resume", "latest", "--out", str(results), "--scheduler", scheduler, "--json"]) == 0
-    table = virtual_block(config, DeviceBlock(0, 0, 3)).devices
+    table = virtual_block(config, DeviceBlock(0, 0, 2)).devices
     found, columns = examine(
         table, config.diagnosis, lambda requests: (examine_device((config, ()), r) for r in reversed(requests))
     )
