@@ -7,7 +7,9 @@ Which one to raise:
 - :class:`MeasurementError`: a measurement cannot be read or is not a record (5);
 - :class:`IntegrityError`: stored results differ from what was committed (4);
 - :class:`IncompleteError`: a run stopped before its end and can be resumed (3);
-- :class:`GateError`: the run is complete, but a gate that the user set failed (1).
+- :class:`NegativeError`: the work was done, but its answer is negative (1);
+- :class:`GateError`: the run is complete, but a gate that the user set failed (1);
+- :class:`InterruptedRunError`: the user stopped a run, which can be resumed (130).
 
 Every message says what is wrong, which value was found, what is allowed and what to do next.
 """
@@ -63,10 +65,20 @@ class ConfigError(GyroscreenError):
     """A TOML file (run, population, limits, model, campaign) cannot be read or has a wrong key or value."""
 
 
-class GateError(GyroscreenError):
-    """A gate that the user set (yield target, strict convergence) failed."""
+class NegativeError(GyroscreenError):
+    """The work was done, but its answer is negative: nothing was identified, a fit failed, or a misfit is unexplained."""
 
     exit_code: ClassVar[int] = 1
+
+
+class GateError(NegativeError):
+    """A gate that the user set (yield target, strict convergence) failed."""
+
+
+class InterruptedRunError(GyroscreenError):
+    """The user interrupted a run; committed blocks are kept and it can be resumed."""
+
+    exit_code: ClassVar[int] = 130
 
 
 class IncompleteError(GyroscreenError):

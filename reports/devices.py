@@ -45,6 +45,10 @@ class Devices:
         """(B,) whether the identification is ok."""
         return np.array([status == "ok" for status in self.text("status")], dtype=np.bool_)
 
+    def identified(self) -> bool:
+        """Whether any device could be judged; without one there is no yield."""
+        return bool((self.is_ok() | self.has("pass") | self.has("fail")).any())
+
     def has(self, verdict: str) -> BoolArray:
         """(B,) whether the verdict is this one."""
         return np.array([one == verdict for one in self.text("verdict")], dtype=np.bool_)

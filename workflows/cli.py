@@ -2,8 +2,8 @@
 
 ``commands/groups`` declares the commands; each one imports its implementation when it runs, so that --help responds at once.
 
-Exit codes: 0 done; 1 a gate that the user set failed; 2 usage or configuration; 3 incomplete, can be resumed; 4 integrity;
-5 unreadable measurement; 70 an internal error; 130 interrupted.
+Exit codes: 0 done; 1 the answer is negative; 2 usage or configuration; 3 incomplete, can be resumed; 4 integrity;
+5 unreadable measurement; 70 an internal error; 130 interrupted.  docs/exit-codes.md lists what leads to each.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typer.exceptions import TyperException
 from pipeline.errors import GyroscreenError
 
 from .commands.groups import benchmarks, devices, models, screening
+from .interrupts import INTERRUPTED, repeat_lost_interrupts
 from .machine import keep_memory
 
 app = typer.Typer(
@@ -66,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Limits how long a thread waits for the interpreter when it returns from a compiled loop.
     sys.setswitchinterval(1e-3)
     keep_memory()
+    repeat_lost_interrupts()
     code = call(arguments)
     # Frozen objects are never collected, which DuckDB reports as a leak at exit.
     if "duckdb" not in sys.modules:
@@ -76,16 +78,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def call(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code.  Errors become one message on stderr."""
     try:
-        app(args=None if arguments is None else list(arguments), standalone_mode=False)
+        # typer turns a KeyboardInterrupt into the value 130; commands themselves return nothing.
+        if app(args=None if arguments is None else list(arguments), standalone_mode=False) == INTERRUPTED:
+            return _failed("interrupted", INTERRUPTED)
     except GyroscreenError as error:
-        return _failed(f"error: {error}", error.exit_code)
+        return _failed(f"{error}" if error.exit_code == INTERRUPTED else f"error: {error}", error.exit_code)
     except typer.Exit as exit_:
         return int(exit_.exit_code)
     except TyperException as error:
         text = error.format_message() if hasattr(error, "format_message") else str(error)
         return _failed(f"error: {text}; next: gyroscreen --help", 2)
     except (KeyboardInterrupt, typer.Abort):
-        return _failed("interrupted; completed work is kept; next: gyroscreen run --resume latest", 130)
+        return _failed("interrupted", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -28,6 +28,7 @@ from ..common_errors import (
 )
 from ..devices import Devices
 from ..limits import Limits
+from ..words.night import status_cause
 from ..words.quantities import cause_sentence, main_cause, process_sentence, stage_sentence, undecided_sentence
 from ..yields import (
     GroupYield,
@@ -101,6 +102,7 @@ class RunContent:
     run_id: str
     headline: Headline
     total: Yield
+    identified: bool
     common: bool
     measurement: Measurement
     clusters: tuple[Clustering, ...]
@@ -153,7 +155,7 @@ def run_content(
     total = with_common(yield_of_verdicts(verdicts), given)
     bars = pareto(devices, limits)
     stages = stage_losses(devices, limits)
-    statuses = status_counts(devices)
+    statuses, identified = status_counts(devices), devices.identified()
     lots, wafers = devices.text("lot"), devices.wafers()
     clusters = tuple(
         clustering_with_common(clustering(verdicts, names, by), names, given)
@@ -164,13 +166,14 @@ def run_content(
     return RunContent(
         run_id=str(manifest.get("run_id", "")),
         headline=Headline(
-            main_cause(total, bars),
+            main_cause(total, bars) if identified or not statuses else f"{status_cause(statuses)}",
             cause_sentence(bars),
             stage_sentence(stages),
             undecided_sentence(total, statuses),
             process_sentence(clusters),
         ),
         total=total,
+        identified=identified,
         common=given is not None,
         measurement=_measurement(devices, given),
         clusters=clusters,

@@ -109,10 +109,10 @@ def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
     return tuple(
         (key, name)
         for key, name, there in (
-            ("causes", "Causes of loss", True),
-            ("yield", "Yield", True),
-            ("wafers", "Wafers", bool(content.wafers)),
-            ("distributions", "Theta and split", True),
+            ("causes", "Causes of loss", content.identified),
+            ("yield", "Yield", content.identified),
+            ("wafers", "Wafers", content.identified and bool(content.wafers)),
+            ("distributions", "Theta and split", content.identified),
             ("lot-effects", "Effects this lot needs", content.needed is not None),
             ("trim", "Electronic tuning", content.trim is not None),
             ("calibration", "Calibration", True),

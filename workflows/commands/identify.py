@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.device.model import load_model
-from pipeline.errors import UsageError
+from pipeline.errors import NegativeError, UsageError
 from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.checks.check import CheckReport
 from pipeline.experiment.files.modal_record import ModalRecord
@@ -47,6 +47,20 @@ def identify(measurement: Path, model: Path | None, limits: Path | None, json: b
         columns = {**result.columns, **({"reference": result.reference} if found.reference else {})}
         lines = _text(result)
     print(json_.dumps(plain(columns)) if json else "\n".join(lines))
+    require_identified(columns.get("status"), columns.get("status_reason"), measurement)
+
+
+def require_identified(status: str | None, reason: str | None, measurement: Path) -> None:
+    """Raise NegativeError if the status of a device says that its numbers cannot be used."""
+    if status not in ("fit_failed", "misfit"):
+        return
+    why = f" ({reason})" if reason else ""
+    searched = f"gyroscreen diagnose {measurement} searches for the missing effect"
+    raise NegativeError(
+        f"the device has the status {status}{why}",
+        allowed="ok or not_converged",
+        next_step=searched if status == "misfit" else f"gyroscreen check {measurement}",
+    )
 
 
 def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:

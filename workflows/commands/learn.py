@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.problem import FitResult
 from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
-from pipeline.errors import UsageError
+from pipeline.errors import NegativeError, UsageError
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
@@ -68,6 +68,24 @@ def _answer(
     print(to_json(found.answer) if json else found)
     if page is not None and not json:
         print(page)
+    _require_positive(found)
+
+
+def _require_positive(found: Result) -> None:
+    """Raise NegativeError where the fit of compare failed, or refine ends with a failed fit or an unknown misfit."""
+    answer = found.answer
+    if isinstance(answer, ComparisonAnswer) and not answer.fit_ok:
+        raise NegativeError(
+            "the fit failed" + (f" ({answer.why})" if answer.why else ""),
+            next_step="gyroscreen check the campaign, or start from another --model",
+        )
+    if isinstance(found, RefinementResult) and found.verdict in ("fit_failed", "unknown"):
+        raise NegativeError(
+            "the misfit could not be explained",
+            value=found.verdict,
+            allowed="adequate or class",
+            next_step="see the ladder above; your own effects are tried with --effects FOLDER",
+        )
 
 
 def _fitted(campaign: Campaign) -> Campaign:

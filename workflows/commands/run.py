@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json as json_
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from pipeline.errors import UsageError
+from pipeline.errors import InterruptedRunError, UsageError
+from pipeline.store.run import RunStore
 
 from ..config import load_config, to_toml_table
 from ..screening.batch import run_batch
-from ..screening.outcome import RunResult, check_targets
+from ..screening.outcome import RunResult, check_identified, check_targets
 from ..screening.plan import RunPlan, plan, resume, start, without_none
+from .groups.options import DEFAULT_RESULTS
 
 
 def run(
@@ -48,9 +51,25 @@ def run(
             _show_plan(planned, json)
             return
         store = start(planned, out)
-    result = run_batch(planned, store, out, workers, scheduler, quiet=json)
+    try:
+        result = run_batch(planned, store, out, workers, scheduler, quiet=json)
+    except KeyboardInterrupt:
+        raise _interrupted(planned, store, out) from None
     print(json_.dumps(result.to_dict()) if json else _summary(result, out))
+    check_identified(result)
     check_targets(planned.config.targets, result)
+
+
+def _interrupted(planned: RunPlan, store: RunStore, out: Path) -> InterruptedRunError:
+    stored = store.manifest.rows("devices")
+    return InterruptedRunError(
+        f"interrupted; {stored} of {planned.devices} devices are stored",
+        next_step=f"gyroscreen run --resume {store.run_id}{_option(out, '--out')}",
+    )
+
+
+def _option(results: Path, name: str) -> str:
+    return "" if results == DEFAULT_RESULTS else f" {name} {shlex.quote(str(results))}"
 
 
 def _show_plan(planned: RunPlan, json: bool) -> None:
@@ -65,15 +84,19 @@ def _show_plan(planned: RunPlan, json: bool) -> None:
 def _summary(result: RunResult, out: Path) -> str:
     verdicts = ", ".join(f"{count} {name}" for name, count in result.verdicts.items())
     statuses = ", ".join(f"{count} {name}" for name, count in result.statuses.items() if count)
-    low, high = result.yield_interval
-    where = "" if out == Path("results") else f" --results {out}"
+    if result.yield_share is None or result.yield_interval is None:
+        shown = f"no yield: no device could be identified ({verdicts})"
+    else:
+        low, high = result.yield_interval
+        share = f"yield {100 * result.yield_share:.1f} %"
+        shown = f"{share} (95 % interval {100 * low:.1f} to {100 * high:.1f} %): {verdicts}"
     lines = [
-        f"yield {100 * result.yield_share:.1f} % (95 % interval {100 * low:.1f} to {100 * high:.1f} %): {verdicts}",
+        shown,
         f"main cause of loss: {result.main_cause or 'none'}",
         f"status: {statuses}; {result.devices} devices in {result.seconds:.1f} s",
         *([f"effects missing in the model: {', '.join(result.lot_effects)}"] if result.lot_effects else []),
         f"results: {result.folder}",
         f"report:  {result.report}",
-        f'query:   gyroscreen query "SELECT verdict, count(*) AS n FROM devices GROUP BY verdict"{where}',
+        f'query:   gyroscreen query "SELECT verdict, count(*) AS n FROM devices GROUP BY verdict"{_option(out, "--results")}',
     ]
     return "\n".join(lines)

@@ -17,7 +17,7 @@ from reports.limits import DEFAULT_LIMITS, load_limits
 
 from ..streaming.growing import record_blocks
 from ..streaming.stream import StreamStep, bench_of, follow
-from .identify import rounded
+from .identify import require_identified, rounded
 
 _HEAD = "  time s   theta deg            split Hz                 P(conform)  verdict    lattice: theta, split"
 
@@ -99,6 +99,7 @@ def stream(
         print(f"undecided after {last.snapshot.duration_s:.4g} s of drive")
     else:
         print(f"{decided.verdict} after {decided.snapshot.duration_s:.4g} s of drive")
+    require_identified(last.snapshot.estimate.status, last.snapshot.estimate.reason, source)
 
 
 def _first_fit(campaign: Campaign, folder: Path) -> Path:

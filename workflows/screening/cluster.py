@@ -16,6 +16,8 @@ from distributed import Client, LocalCluster, as_completed
 
 from pipeline.errors import IncompleteError, UsageError
 
+from ..interrupts import deaf_children
+
 In = TypeVar("In")
 Out = TypeVar("Out")
 
@@ -48,19 +50,18 @@ def cluster(workers: int, scheduler: str | None) -> Iterator[Client]:
         finally:
             client.close()
         return
-    with (
-        dask.config.set({"distributed.worker.preload-nanny": [], "distributed.nanny.pre-spawn-environ": _THREADS}),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address="127.0.0.1:0",
-            memory_limit=_MEMORY_LIMIT,
-            silence_logs=50,
-        ) as local,
-        Client(local, set_as_default=False) as client,
-    ):
-        yield client
+    with dask.config.set({"distributed.worker.preload-nanny": [], "distributed.nanny.pre-spawn-environ": _THREADS}):
+        with deaf_children():
+            local = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",
+                memory_limit=_MEMORY_LIMIT,
+                silence_logs=50,
+            )
+        with local, Client(local, set_as_default=False) as client:
+            yield client
 
 
 def in_parallel(

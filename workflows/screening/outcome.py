@@ -8,14 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import GateError
+from pipeline.errors import GateError, NegativeError
 from pipeline.store.read import read_run
 from pipeline.store.run import RunStore, open_run
 from populations.draw import draw
 from reports.common_errors import given_common, with_common
 from reports.devices import Devices
 from reports.run import lot_effects as lot_report
+from reports.run.health import status_counts
 from reports.run.page import render_run_report
+from reports.words.night import status_cause
 from reports.words.physics import RunPhysics
 from reports.yields import yield_of_verdicts
 
@@ -27,15 +29,18 @@ from .virtual_device import virtual_model
 
 @dataclass(frozen=True)
 class RunResult:
-    """Folder of a run, its devices by verdict and status, its yield with the 95 % interval, and its duration [s]."""
+    """Folder of a run, its devices by verdict and status, its yield with the 95 % interval, and its duration [s].
+
+    There is no yield if no device has the status "ok"; ``main_cause`` is then the most frequent status and its reason.
+    """
 
     run_id: str
     folder: Path
     devices: int
     verdicts: dict[str, int]
     statuses: dict[str, int]
-    yield_share: float
-    yield_interval: tuple[float, float]
+    yield_share: float | None
+    yield_interval: tuple[float, float] | None
     lot_effects: tuple[str, ...]
     main_cause: str | None
     seconds: float
@@ -50,7 +55,7 @@ class RunResult:
             "verdicts": self.verdicts,
             "statuses": self.statuses,
             "yield": self.yield_share,
-            "yield_interval": list(self.yield_interval),
+            "yield_interval": None if self.yield_interval is None else list(self.yield_interval),
             "lot_effects": list(self.lot_effects),
             "main_cause": self.main_cause,
             "seconds": round(self.seconds, 3),
@@ -99,6 +104,9 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
     found = with_common(yield_of_verdicts([str(v) for v in devices.column("verdict").to_pylist()]), given)
     causes = _counts(c for cell in devices.column("failed_limits").to_pylist() if cell for c in str(cell).split(","))
     main = max(causes, key=lambda name: causes[name]) if causes else None
+    identified = Devices(devices).identified()
+    if not identified:
+        main = status_cause(status_counts(Devices(devices)))
     interval = (found.clopper_pearson.low, found.clopper_pearson.high)
     seconds = time.monotonic() - started
     examined = lot_effects(store)
@@ -113,8 +121,8 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
         devices.num_rows,
         verdicts,
         statuses,
-        verdicts["pass"] / max(devices.num_rows, 1),
-        interval,
+        verdicts["pass"] / devices.num_rows if identified else None,
+        interval if identified else None,
         needed,
         main,
         time.monotonic() - started,
@@ -130,6 +138,22 @@ def _counts(values: Iterable[Any], always: tuple[str, ...] = ()) -> dict[str, in
     return out
 
 
+def check_identified(result: RunResult) -> None:
+    """Check that the night has an answer.
+
+    Raises
+    ------
+    NegativeError : no device could be identified.
+    """
+    if result.yield_share is None:
+        raise NegativeError(
+            f"no device could be identified, so there is no yield; {result.main_cause or 'the run has no devices'}",
+            value=result.statuses,
+            allowed="at least one device with the status ok",
+            next_step=f"see {result.report}; check drive, band and noise of the configuration, or the measurements",
+        )
+
+
 def check_targets(targets: TargetsTable, result: RunResult) -> None:
     """Check the gates that the user set on the whole run.
 
@@ -137,10 +161,10 @@ def check_targets(targets: TargetsTable, result: RunResult) -> None:
     ------
     GateError : the yield is below targets.yield_min, or a device did not converge under targets.strict_convergence.
     """
-    if targets.yield_min is not None and result.yield_share < targets.yield_min:
+    if targets.yield_min is not None and (result.yield_share is None or result.yield_share < targets.yield_min):
         raise GateError(
             "the yield is below targets.yield_min",
-            value=round(result.yield_share, 4),
+            value=None if result.yield_share is None else round(result.yield_share, 4),
             allowed=f"at least {targets.yield_min:g}",
             next_step=f"see {result.report}",
         )

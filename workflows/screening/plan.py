@@ -16,6 +16,7 @@ from pipeline.store.provenance import provenance
 from pipeline.store.run import RunStore, create_run, open_run
 
 from ..config import RunConfig, config_of_run, to_toml_table
+from .band import check_band
 from .block import DeviceBlock, blocks_of
 from .campaign_block import campaign_folders, declared_id
 from .settings import population
@@ -43,6 +44,7 @@ def plan(config: RunConfig) -> RunPlan:
         population(config)
         virtual_model(config)
         shared_record(config)
+        check_band(config)
         return RunPlan(config, config.run.devices, blocks_of(config, config.run.devices), ())
     root = Path(config.source.path or ".")
     folders = campaign_folders(root)
