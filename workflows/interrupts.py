@@ -45,8 +45,15 @@ def repeat_lost_interrupts() -> None:
         if not issubclass(lost.exc_type, KeyboardInterrupt):
             usual(lost)
             return
-        again = threading.Timer(_SOON_S, _thread.interrupt_main)
+        again = threading.Timer(_SOON_S, _interrupt_main)
         again.daemon = True
         again.start()
 
     sys.unraisablehook = hook
+
+
+def _interrupt_main() -> None:
+    if hasattr(signal, "pthread_kill"):  # wakes a thread that waits, too
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:
+        _thread.interrupt_main()

@@ -28,7 +28,7 @@ def test_limits_narrower_than_what_an_effect_could_do_refuse_the_device(campaign
     assert (code, wide["status"], wide["effects_scored"]) == (0, "ok", True)
     # The gate allows a twentieth of the width.
     code, narrow = _identified(capfd, campaign, tmp_path, 10.0 * wide["split_hz_bias_bound"])
-    assert narrow["status"] == "misfit"
+    assert (code, narrow["status"]) == (1, "misfit")
     assert "could bias split_hz" in narrow["status_reason"]
     assert narrow["split_hz"] == wide["split_hz"]
 

@@ -46,11 +46,12 @@ def test_every_option_shown_is_in_the_help_of_its_command(arguments, capfd):
 
 
 @pytest.mark.usefixtures("brief_records")
-def test_the_shown_commands_on_a_campaign_exit_with_0(tmp_path, monkeypatch, capfd):
+def test_the_shown_commands_on_a_campaign_work(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for arguments in lines():
         if arguments[0] in ("simulate", "check", "identify", "model") and "--stream" not in arguments:
-            assert call(arguments) == 0, arguments
+            # The campaign has an effect that the model of identify lacks: a misfit.
+            assert call(arguments) == (1 if arguments[0] == "identify" else 0), arguments
     assert (tmp_path / "campaign" / "campaign.toml").exists()
     assert (tmp_path / "device.json").exists()
 

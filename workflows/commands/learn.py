@@ -18,7 +18,7 @@ from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
-from pipeline.learning.answers import ComparisonAnswer, to_json
+from pipeline.learning.answers import Answer, ComparisonAnswer, RefinementAnswer, to_json
 
 from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
@@ -68,21 +68,20 @@ def _answer(
     print(to_json(found.answer) if json else found)
     if page is not None and not json:
         print(page)
-    _require_positive(found)
+    _require_positive(found.answer)
 
 
-def _require_positive(found: Result) -> None:
+def _require_positive(answer: Answer) -> None:
     """Raise NegativeError where the fit of compare failed, or refine ends with a failed fit or an unknown misfit."""
-    answer = found.answer
     if isinstance(answer, ComparisonAnswer) and not answer.fit_ok:
         raise NegativeError(
             "the fit failed" + (f" ({answer.why})" if answer.why else ""),
             next_step="gyroscreen check the campaign, or start from another --model",
         )
-    if isinstance(found, RefinementResult) and found.verdict in ("fit_failed", "unknown"):
+    if isinstance(answer, RefinementAnswer) and answer.verdict in ("fit_failed", "unknown"):
         raise NegativeError(
-            "the misfit could not be explained",
-            value=found.verdict,
+            "the misfit could not be explained" if answer.verdict == "unknown" else f"a fit failed ({answer.why})",
+            value=answer.verdict,
             allowed="adequate or class",
             next_step="see the ladder above; your own effects are tried with --effects FOLDER",
         )

@@ -1,0 +1,50 @@
+"""Runs in the process of the test whose devices are rows of given status: no cluster, no physics, no figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from pipeline.store.schema import devices_table
+from workflows.screening import batch, outcome
+from workflows.screening.block import BlockTables, DeviceBlock
+
+CONFIG = "[run]\ndevices = {devices}\nblock = 2\n[diagnosis]\nenabled = false\n"
+
+
+def stub_block(status: str = "ok", reason: str | None = None) -> Callable[..., BlockTables]:
+    """A block whose devices all have ``status``; those with status "ok" pass."""
+
+    def block(source: Any, at: DeviceBlock) -> BlockTables:
+        n, verdict = at.count, "pass" if status == "ok" else "undecided"
+        names = [f"{at.first + i:06d}" for i in range(n)]
+        columns = {"status": [status] * n, "status_reason": [reason] * n, "verdict": [verdict] * n}
+        return BlockTables(at.index, devices_table({"device_id": names, **columns}), None, {status: n})
+
+    return block
+
+
+def stub_runs(patch: pytest.MonkeyPatch, block: Callable[..., BlockTables] | None = None, page: bool = False) -> None:
+    """Runs compute ``block`` (default: all ok) one after the other; the page of a run is empty unless ``page``."""
+
+    @contextmanager
+    def cluster(*_: Any, **__: Any) -> Iterator[Any]:
+        yield SimpleNamespace()
+
+    patch.setattr(batch, "cluster", cluster)
+    patch.setattr(batch, "in_parallel", lambda _, f, given, items, *__: (f(given, item) for item in items))
+    patch.setattr(batch, "block_task", block or stub_block())
+    if not page:
+        patch.setattr(outcome, "render_run_report", lambda *_, **__: "<!doctype html>")
+
+
+def run_arguments(folder: Path, devices: int = 4, text: str = "") -> list[str]:
+    """Arguments of a run of ``devices`` below ``folder``; ``text`` is appended to its configuration."""
+    config = folder / "fab.toml"
+    config.write_text(CONFIG.format(devices=devices) + text, encoding="utf-8")
+    return ["run", str(config), "--out", str(folder / "results")]
