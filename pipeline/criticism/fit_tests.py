@@ -52,6 +52,8 @@ class Rules:
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
     max_named : largest number of terms that a diagnosis may name.
+    settled_share : candidates that promise less than this share of what a refit has reached are not refitted.  With 1, the first
+        rung of the paper's modal record is loop_delay, although the refit of pickoff_pole is better.
     class_refits : number of rivals of a term that are refitted in its place.
     draws, seed : of the simulated nulls.
     """
@@ -62,6 +64,7 @@ class Rules:
     least_share: float = 0.15
     least_expected: float = 0.01
     max_named: int = 3
+    settled_share: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
     seed: int = 0

@@ -5,7 +5,7 @@ One budget of false alarms, ``Rules.alpha`` per family of candidates, decides ev
 1. A score must be significant at ``alpha`` among all candidates.
 2. Its refit must lower chi2 as significantly, and the held-out data must agree (``refit_test`` has five reasons to refuse).
 3. Of the accepted refits, the one with the smallest chi2 + 2 k is added (Akaike 1974; k parameters).  Candidates are refitted
-   in the order of what their scores promise, until none promises more than the best refit has reached.
+   in the order of what their scores promise, until none promises ``settled_share`` of what the best refit has reached.
 4. A term is removed when the fit without it is not worse at ``alpha``.
 5. Where no single candidate is significant but structure is left, a pair that is significant at ``alpha`` is added.
 
@@ -156,7 +156,7 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
 
 
 def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules: Rules) -> _Pass:
-    """Refit the significant candidates, the most promising first, until none promises more than the best refit has reached.
+    """Refit the significant candidates, the most promising first, until none can be expected to exceed the best refit.
 
     Without a significant candidate, the best pair is tried.  ``at_limit`` holds the scores of terms whose refit ended at a
     limit; while their scan peaks at the same grid point it would do so again.
@@ -168,9 +168,9 @@ def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules
     failed: dict[str, str] = {}
     limited: dict[str, Score] = {}
     best, reached = None, -np.inf
-    for score in sorted(significant, key=_promise, reverse=True):
+    for score in sorted(significant, key=lambda score: _gain(tests.fit, score, score.delta_chi2), reverse=True):
         name = score.name
-        if _promise(score) <= reached:
+        if _gain(tests.fit, score, score.delta_chi2) < rules.settled_share * reached:
             break
         if name in at_limit and _same_point(score, at_limit[name]):
             reasons[name] = AT_LIMIT
@@ -180,7 +180,7 @@ def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules
             continue
         fit = cache.fit((*tests.fit.terms, name), tests.fit)
         test = refit_test(tests, score.parameters, fit, (name,), rules)
-        gain = test.delta_chi2 - 2.0 * score.parameters
+        gain = _gain(tests.fit, score, test.delta_chi2)
         if test.outcome == "failed":
             failed[name] = test.reason
         elif test.outcome != "accepted":
@@ -191,9 +191,10 @@ def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules
     return _Pass(() if best is None else (best,), reasons, failed, limited)
 
 
-def _promise(score: Score) -> float:
-    """Expected decrease of chi2, less 2 for each parameter (Akaike 1974), so that terms of different size compare."""
-    return score.delta_chi2 - 2.0 * score.parameters
+def _gain(fit: FitResult, score: Score, delta_chi2: float) -> float:
+    """Decrease of chi2 [sigma^2] less 2 for each parameter (Akaike 1974), so that terms of different size compare."""
+    variance = 1.0 if fit.noise_known else max(fit.chi2 / max(fit.dof, 1), 1e-300)
+    return delta_chi2 / variance - 2.0 * score.parameters
 
 
 def _same_point(now: Score, before: Score) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.criticism.budget import DETECTABLE_SNR
 from pipeline.criticism.verdict import TermClass
 from pipeline.experiment.campaign import write_campaign
 from pipeline.experiment.files.readers import read_columns, write_columns
@@ -15,7 +16,7 @@ from pipeline.experiment.noise.measure import Hum, measured
 from pipeline.inference.general.fit import fit_campaign
 from pipeline.learning.campaign.answers import campaign_answers, separating_text
 from pipeline.learning.next_experiment.experiments import Experiment, experiments
-from pipeline.learning.next_experiment.separating import LEAST, separating_record
+from pipeline.learning.next_experiment.separating import separating_record
 from workflows.cli import call
 from workflows.simulate import campaign_config, simulate
 
@@ -60,7 +61,7 @@ def test_the_predicted_snr_is_that_of_refits_on_old_and_new_records(drifting):
         refit = fit_campaign(other.model, whole, problem.noise, other.values)
         rises.append(refit.chi2 - fits[right].chi2)
     # The smaller SNR of the two ways round is predicted; the new rows are linearized at the fit of the old ones.
-    assert proposal.snr > LEAST
+    assert proposal.snr > DETECTABLE_SNR
     assert proposal.snr == pytest.approx(np.sqrt(min(rises)), rel=0.05)
 
 
