@@ -17,10 +17,10 @@ from typing import Any
 
 import emcee
 import numpy as np
-from arviz_stats.base.array import array_stats
 
 from ...arrays import FloatArray
 from .compressed import Compressed
+from .convergence import mean_ess, split_chains, split_rhat
 from .fit import Fit
 from .likelihood import log_likelihood
 
@@ -73,10 +73,8 @@ def _t_draws(count: int, size: int, random: Any) -> FloatArray:
 
 def diagnose(draws: FloatArray) -> tuple[float, float]:
     """Largest split R-hat [1] across ensembles and smallest ESS [draws] of the mean, over parameters of draws (E, n, P)."""
-    series = np.moveaxis(draws, -1, 0)
-    rhat = array_stats.rhat(series, chain_axis=-2, draw_axis=-1, method="split")
-    ess = array_stats.ess(series, chain_axis=-2, draw_axis=-1, method="mean")
-    return float(np.max(rhat)), float(np.min(ess))
+    chains = split_chains(draws)
+    return float(np.max(split_rhat(chains))), float(np.min(mean_ess(chains)))
 
 
 def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) -> Posterior:

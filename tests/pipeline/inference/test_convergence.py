@@ -1,0 +1,41 @@
+"""R-hat and ESS against arviz_stats, and against the closed form of an autoregressive process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from arviz_stats.base.array import array_stats
+from scipy.signal import lfilter
+
+from pipeline.inference.screening.convergence import mean_ess, split_chains, split_rhat
+
+
+def autoregressive(a, shape, random):
+    """Stationary x[k] = a x[k-1] + e[k] along the second axis."""
+    e = random.standard_normal(shape)
+    e[:, 0] /= np.sqrt(1.0 - a**2)
+    return lfilter([1.0], [1.0, -a], e, axis=1)
+
+
+@pytest.mark.parametrize("a", [0.0, 0.6, 0.95, -0.4])
+@pytest.mark.parametrize("shape", [(4, 1250, 12), (5, 101, 3), (4, 8, 2)])
+def test_rhat_and_ess_equal_those_of_arviz(a, shape):
+    draws = autoregressive(a, shape, np.random.default_rng(5))
+    draws[0] += 0.3
+    series, chains = np.moveaxis(draws, -1, 0), split_chains(draws)
+    np.testing.assert_allclose(split_rhat(chains), array_stats.rhat(series, method="split"), rtol=1e-12)
+    np.testing.assert_allclose(mean_ess(chains), array_stats.ess(series, method="mean"), rtol=1e-9)
+
+
+def test_the_ess_of_an_autoregressive_process_is_n_times_1_minus_a_over_1_plus_a():
+    a = 0.7
+    draws = autoregressive(a, (4, 20_000, 40), np.random.default_rng(6))
+    found = mean_ess(split_chains(draws)) / (80_000 * (1.0 - a) / (1.0 + a))
+    # The sd of one estimate is about 4 %; the mean of 40 is known to 0.6 %, with a bias of the truncation of 1 %.
+    assert np.mean(found) == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_chain_that_does_not_move_has_no_rhat_and_equal_means_give_one():
+    still = np.zeros((4, 100, 1))
+    assert np.isnan(split_rhat(split_chains(still))).all()
+    assert mean_ess(split_chains(still)) == 400.0
