@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pipeline.arrays import FloatArray
+from pipeline.criticism.budget import DETECTABLE_SNR
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import ConfigError, UsageError
 from pipeline.experiment.excitation import Chirp, drive_samples
@@ -244,6 +245,15 @@ def test_adding_the_hidden_effect_explains_the_held_out_records() -> None:
     assert row["refine"]["ladder"][0]["error_validate"] > 1.01
     # 1.3 % is two sd of the noise level that one second of silence gives.
     assert row["refine"]["ladder"][-1]["error_validate"] < 1.013
+    assert row["refine"]["snr_left"] < DETECTABLE_SNR
+
+
+@pytest.mark.usefixtures("brief_records")
+def test_without_the_hidden_effect_a_fit_leaves_the_snr_that_was_drawn() -> None:
+    hidden = hide("one", LIBRARY.index("cubic_stiffness"), 2026)
+    problem = campaign_answers(hidden.campaign).problem
+    problem.fit(())
+    assert study.snr_left(problem.campaign_fit(()), hidden) == pytest.approx(hidden.snr[0], rel=0.15)
 
 
 @pytest.mark.usefixtures("brief_records")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.criticism.budget import DETECTABLE_SNR
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 
 from ..coverage import Share
@@ -64,10 +65,15 @@ def look_alikes(name: str, model: Model = DEFAULT_COMPARE_MODEL) -> tuple[frozen
     return tuple(frozenset(like.effects) for like in model.effect(name).look_alikes)
 
 
-def look_alike(row: Row, step: str, model: Model = DEFAULT_COMPARE_MODEL) -> bool:
-    """Whether ``step`` named a look-alike of the one hidden effect."""
+def look_alike(row: Row, model: Model = DEFAULT_COMPARE_MODEL) -> bool:
+    """Whether ``refine`` added a declared look-alike of the one hidden effect that reproduces its noise-free records.
+
+    What it does not reproduce must be too weak to be detected.  Where the records differ, there is no noise-free record to
+    compare with, and nothing is excused.
+    """
     (hidden,) = row["hidden"]
-    return set(row[step]["effects"]) in look_alikes(hidden, model)
+    left = row["refine"].get("snr_left", np.inf)
+    return set(row["refine"]["effects"]) in look_alikes(hidden, model) and left < DETECTABLE_SNR
 
 
 def confirmed(row: Row) -> bool:
@@ -159,7 +165,7 @@ def _foreign(name: str, rows: Sequence[Row], model: Model) -> dict[str, Any]:
     """Campaigns whose effect is not offered, with and without those in which a look-alike stands for it."""
     if not rows:
         return {}
-    fair = [r for r in rows if _unknown_and_unconfirmed(r) or not look_alike(r, "refine", model)]
+    fair = [r for r in rows if _unknown_and_unconfirmed(r) or not look_alike(r, model)]
     return {
         f"{name}: unknown, no confirmed rung (at least 90 %)": share(fair, _unknown_and_unconfirmed),
         f"{name}: a look-alike stands for it, excused": len(rows) - len(fair),

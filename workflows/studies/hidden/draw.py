@@ -8,7 +8,7 @@ Shapes: N samples; records (N, 2).  Units: volts.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from zlib import crc32
 
@@ -51,6 +51,7 @@ class Hidden:
     left_out : library effects that are not offered to the learning loop.
     campaign : the records.
     model : the model from which the loop starts; its library holds the candidates.
+    noise_free_v : the driven records (N, 2) [V] without noise, by name; empty where each record has its own deviations.
     """
 
     kind: str
@@ -63,6 +64,7 @@ class Hidden:
     left_out: tuple[str, ...]
     campaign: Campaign
     model: Model = DEFAULT_COMPARE_MODEL
+    noise_free_v: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def stream(seed: int, kind: str, number: int, purpose: str) -> np.random.Generator:
@@ -160,16 +162,19 @@ def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL
         bench = BenchRecords(stream(seed, kind, number, "bench"))
         disturbed = [_disturbed(model, effects, values, r.drive_v.shape[0], s) for r, s in zip(empty, streams)]
         measured = bench.measured(empty, values, partial(_clean_record, model, effects), disturbed, streams)
+        noise_free: dict[str, FloatArray] = {}
     else:
         clean = _clean(model, effects, values, empty)
-        measured = tuple(
+        both = [
             _measured(r, clean.get(r.name), model, effects, values, KINDS[kind].noise, own)
             for r, own in zip(empty, streams)
-        )
+        ]
+        measured = tuple(record for record, _ in both)
+        noise_free = {record.name: volts for record, volts in both if record.name in clean}
     campaign = Campaign(f"{kind}-{number}", measured, INSTRUMENT, _ANGULAR_GAIN, 1.0)
     foreign = kind in ("left-out", "bench-foreign", "lone-foreign")
     left_out = tuple(name for name in effects if foreign and name not in OUTSIDE)
-    return Hidden(kind, number, seed, effects, values, tuple(sizes), tuple(snr), left_out, campaign, model)
+    return Hidden(kind, number, seed, effects, values, tuple(sizes), tuple(snr), left_out, campaign, model, noise_free)
 
 
 def _empty(seed: int) -> tuple[Record, ...]:
@@ -254,15 +259,17 @@ def _measured(
     values: Mapping[str, float],
     kind: Noise,
     random: np.random.Generator,
-) -> Record:
-    """The record with offset, noise and disturbances added, then converted."""
+) -> tuple[Record, FloatArray]:
+    """The record with offset, noise and disturbances added, then converted; and its volts (N, 2) without noise and offset."""
     samples = record.drive_v.shape[0]
-    volts = record.sense_v if clean is None else clipped(clean, values)
-    volts = volts + _OFFSET_V * random.standard_normal(2) + noise(kind, clean is None, samples, random)
+    noise_free = record.sense_v if clean is None else clipped(clean, values)
+    volts = noise_free + _OFFSET_V * random.standard_normal(2) + noise(kind, clean is None, samples, random)
     if values.get("adc_saturation.clips_noise", 0.0):
         volts = clipped(volts, values)
-    volts = volts + _disturbed(model, effects, values, samples, random)
+    disturbed = _disturbed(model, effects, values, samples, random)
+    volts = volts + disturbed
     adc = INSTRUMENT.adc
     assert adc is not None
     half = 2.0 ** (adc.bits - 1)
-    return replace(record, sense_v=np.clip(np.rint(volts / adc.lsb_v), -half, half - 1.0) * adc.lsb_v)
+    converted = np.clip(np.rint(volts / adc.lsb_v), -half, half - 1.0) * adc.lsb_v
+    return replace(record, sense_v=converted), noise_free + disturbed

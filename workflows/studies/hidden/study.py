@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import dask
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.criticism.fit_tests import Rules
@@ -25,13 +26,14 @@ from pipeline.criticism.problem import Problem
 from pipeline.criticism.selection import forward_selection
 from pipeline.criticism.verdict import TermClass
 from pipeline.errors import GyroscreenError, UsageError
+from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.campaign.problem import CampaignProblem
 
 from ...learning import DiagnosisResult, RefinementResult
 from ...machine import worker_count
 from ...screening.cluster import cluster, in_parallel
-from .draw import Hidden, hide
+from .draw import SIGMA_V, Hidden, hide
 from .kinds import KINDS
 from .restricted import RestrictedProblem
 
@@ -122,6 +124,8 @@ def run_loop(hidden: Hidden) -> dict[str, Any]:
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, selection))
         row["refine"] = {**_refined(RefinementResult(answers, ladder).to_dict()), **_sum(shared, own)}
+        if ladder.selection.tests and hidden.noise_free_v:
+            row["refine"]["snr_left"] = snr_left(answers.problem.campaign_fit(ladder.selection.last.fit.terms), hidden)
         row["refine"]["class_delta_chi2"] = [_largest_rise(problem, ladder, one) for one in ladder.classes]
     return row
 
@@ -132,6 +136,18 @@ def _largest_rise(problem: Problem, ladder: Ladder, one: TermClass) -> float | N
     swapped = [tuple(other if name == one.term else name for name in last.terms) for other in one.members[1:]]
     fits = [problem.fit(terms, last) for terms in swapped]
     return max([fit.chi2 - last.chi2 for fit in fits], default=0.0) if all(fit.ok for fit in fits) else None
+
+
+def snr_left(fit: CampaignFit, hidden: Hidden) -> float:
+    """SNR of what a fit does not reproduce of the noise-free fit records:  sqrt(max(|(f - y_free) / sigma|^2 - P, 0)).
+
+    P parameters that follow the noise add P to the square.
+    """
+    energy = 0.0
+    for record in fit.of_role("fit"):
+        d = record.predicted_v - hidden.noise_free_v[record.name]
+        energy += float(np.sum(((d - d.mean(axis=0)) / SIGMA_V) ** 2))
+    return float(np.sqrt(max(energy - fit.x.size, 0.0)))
 
 
 def _timed(step: Callable[[], _Found]) -> tuple[_Found, dict[str, float]]:
