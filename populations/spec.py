@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from pipeline.errors import ConfigError
-from pipeline.toml_files import check_known, converted, load, table
+from pipeline.toml_files import check_known, converted, decode, load, table
 
 from .irregularity import Irregularity, IrregularityParameter, find
 from .layout import die_centres
@@ -101,6 +101,11 @@ def load_spec(path: Path | None = None) -> PopulationSpec:
     source = DEFAULT if path is None else path
     spec = load(source, PopulationSpec, "population", f"start from a copy of {DEFAULT.name} in populations/specs")
     return _checked(spec, source.resolve().parent, source.name)
+
+
+def spec_from_toml(text: str, where: str) -> PopulationSpec:
+    """The population in ``text``, as :meth:`PopulationSpec.to_toml` writes it; raises as :func:`load_spec`."""
+    return _checked(decode(text.encode(), PopulationSpec, where), Path(), where)
 
 
 def _checked(spec: PopulationSpec, base: Path, where: str) -> PopulationSpec:

@@ -5,6 +5,7 @@ Units are the ends of the keys' names.  A key that is left out has the value of 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     hum: HumTable = HumTable()
     demodulation: RunDemodulationTable = RunDemodulationTable()
     systematic: SystematicTable = SystematicTable()
+    effect_folders: tuple[str, ...] = ()
     identification: IdentificationTable = IdentificationTable()
     posterior: PosteriorTable = PosteriorTable()
     gate: GateTable = GateTable()
@@ -94,10 +96,31 @@ def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -
     """
     source = path or DEFAULT_CONFIG
     config = load(source, RunConfig, "run configuration", "run without it: gyroscreen run")
-    changed = msgspec.to_builtins(config.run) | dict(overrides or {})
-    config = msgspec.structs.replace(config, run=converted(changed, RunTable, "[run]"))
+    config = changed_config(config, overrides or {})
+    config = config if path is None else _with_absolute_paths(config, path.absolute().parent)
     _check(config, source.name)
     return config
+
+
+def changed_config(config: RunConfig, overrides: Mapping[str, Any]) -> RunConfig:
+    """``config`` with the [run] keys in ``overrides`` replaced; ConfigError for a value that cannot be used."""
+    changed = msgspec.to_builtins(config.run) | dict(overrides)
+    return msgspec.structs.replace(config, run=converted(changed, RunTable, "[run]"))
+
+
+def _with_absolute_paths(config: RunConfig, base: Path) -> RunConfig:
+    """Paths in the file are relative to ``base``, its folder."""
+    source = config.source
+    if source.spec.endswith(".toml"):
+        source = msgspec.structs.replace(source, spec=_absolute(base, source.spec))
+    if source.path is not None:
+        source = msgspec.structs.replace(source, path=_absolute(base, source.path))
+    folders = tuple(_absolute(base, folder) for folder in config.effect_folders)
+    return msgspec.structs.replace(config, source=source, effect_folders=folders)
+
+
+def _absolute(base: Path, path: str) -> str:
+    return os.path.normpath(base / path)
 
 
 def _check(config: RunConfig, where: str) -> None:

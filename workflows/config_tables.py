@@ -52,11 +52,13 @@ class RunTable(Struct, frozen=True, forbid_unknown_fields=True):
 class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
     """A population (``spec``: a shipped name or a TOML file; ``values``: its named assumptions), or measured campaigns.
 
-    ``path`` is the folder that contains the campaign folders.
+    ``path`` is the folder that contains the campaign folders.  Paths are relative to the configuration file.  ``spec_toml`` is
+    the text of the population, which a run writes into its run.toml; it takes precedence over ``spec``.
     """
 
     kind: Literal["population", "campaigns"] = "population"
     spec: str = "cloverleaf"
+    spec_toml: str | None = None
     values: dict[str, float] = {}
     path: str | None = None
 

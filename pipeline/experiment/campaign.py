@@ -167,10 +167,11 @@ def _same_shape(records: Sequence[Record]) -> None:
             )
 
 
-def read_campaign(path: Path) -> Campaign:
+def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
     """All records of a campaign, corrected as [channels] states, with their roles.
 
-    ``path`` is the folder or its campaign.toml; file names are relative to that folder.  If ``sample_rate_hz`` is not stated,
+    ``path`` is the folder or its campaign.toml; file names are relative to that folder.  ``text`` is used in place of the content
+    of campaign.toml.  If ``sample_rate_hz`` is not stated,
     the time column of the first record determines it for all.
 
     Raises
@@ -178,8 +179,8 @@ def read_campaign(path: Path) -> Campaign:
     ConfigError : a wrong key or value in campaign.toml.
     MeasurementError : a file is missing or is not a record.
     """
-    file = existing(existing(path) / "campaign.toml") if path.is_dir() else existing(path)
-    document = toml.decode(toml.read_bytes(file), CampaignTable, file.name)
+    file = path / "campaign.toml" if path.is_dir() else path
+    document = toml.decode(toml.read_bytes(existing(file)) if text is None else text, CampaignTable, file.name)
     check_phase(document.demodulation, document.systematic, file.name)
     rate = document.instrument.sample_rate_hz
     records: list[Record] = []

@@ -13,10 +13,10 @@ import tomli_w
 from pipeline.errors import InterruptedRunError, UsageError
 from pipeline.store.run import RunStore
 
-from ..config import load_config, to_toml_table
+from ..config import RunConfig, changed_config, load_config, to_toml_table
 from ..screening.batch import run_batch
 from ..screening.outcome import RunResult, check_identified, check_targets
-from ..screening.plan import RunPlan, plan, resume, start, without_none
+from ..screening.plan import RunPlan, config_of, plan, resume, start, without_none
 from .groups.options import DEFAULT_RESULTS
 
 
@@ -36,16 +36,10 @@ def run(
         raise UsageError(
             "--workers is negative", value=workers, allowed="0 (one per core) or more", next_step="correct --workers"
         )
+    overrides: dict[str, Any] = {k: v for k, v in (("devices", devices), ("seed", seed)) if v is not None}
     if resume_run is not None:
-        if config is not None or devices is not None or seed is not None:
-            raise UsageError(
-                "--resume continues a run with its own configuration",
-                allowed="--resume without CONFIG, --devices and --seed",
-                next_step="leave them out, or start a new run without --resume",
-            )
-        planned, store = resume(out, resume_run)
+        planned, store = resume(out, resume_run, _wanted(config, overrides, out, resume_run))
     else:
-        overrides: dict[str, Any] = {k: v for k, v in (("devices", devices), ("seed", seed)) if v is not None}
         planned = plan(load_config(config, overrides))
         if dry_run:
             _show_plan(planned, json)
@@ -58,6 +52,13 @@ def run(
     print(json_.dumps(result.to_dict()) if json else _summary(result, out))
     check_identified(result)
     check_targets(planned.config.targets, result)
+
+
+def _wanted(config: Path | None, overrides: dict[str, Any], out: Path, run_id: str) -> RunConfig | None:
+    """What the user asks --resume for: CONFIG, or the run's own configuration with --devices and --seed."""
+    if config is not None:
+        return load_config(config, overrides)
+    return changed_config(config_of(out, run_id), overrides) if overrides else None
 
 
 def _interrupted(planned: RunPlan, store: RunStore, out: Path) -> InterruptedRunError:
@@ -74,6 +75,7 @@ def _option(results: Path, name: str) -> str:
 
 def _show_plan(planned: RunPlan, json: bool) -> None:
     table = without_none(to_toml_table(planned.config))
+    table["source"].pop("spec_toml", None)
     if json:
         print(json_.dumps({"devices": planned.devices, "blocks": len(planned.blocks), "config": table}))
         return

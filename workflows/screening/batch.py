@@ -15,24 +15,23 @@ from pipeline.errors import IncompleteError
 from pipeline.store.run import RunStore
 from reports.run.lot_effects import FILE
 
-from ..config import RunConfig
 from ..machine import worker_count
 from .block import BlockTables, DeviceBlock, virtual_block
 from .campaign_block import campaign_block
 from .cluster import cluster, in_parallel
-from .lot.device import DeviceExamination, Request, examine_device
+from .lot.device import DeviceExamination, Request, Source, examine_device
 from .lot.effects import examine
 from .outcome import RunResult, finish
 from .plan import RunPlan
 from .progress import progress
 
 
-def block_task(source: tuple[RunConfig, tuple[Path, ...]], block: DeviceBlock) -> BlockTables:
+def block_task(source: Source, block: DeviceBlock) -> BlockTables:
     """One block of virtual or measured devices; runs in a worker."""
-    config, folders = source
+    config, campaigns = source
     if config.source.kind == "population":
         return virtual_block(config, block)
-    return campaign_block(config, block, folders[block.first : block.first + block.count])
+    return campaign_block(config, block, campaigns[block.first : block.first + block.count])
 
 
 def run_blocks(planned: RunPlan, store: RunStore, workers: int, scheduler: str | None, quiet: bool) -> None:
@@ -48,7 +47,7 @@ def run_blocks(planned: RunPlan, store: RunStore, workers: int, scheduler: str |
     count = min(count, len(left)) if examined else count
     store.log({"event": "start", "workers": count, "scheduler": scheduler, "blocks": len(left)})
     with cluster(count, scheduler) as client, progress(planned.devices, finished, quiet) as advance:
-        for tables in in_parallel(client, block_task, (config, planned.folders), left):
+        for tables in in_parallel(client, block_task, (config, planned.campaigns), left):
             store.commit_block(tables.index, tables.devices, tables.posterior)
             store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
             advance(tables.devices.num_rows)
@@ -62,7 +61,7 @@ def _examine(planned: RunPlan, store: RunStore, client: Client, quiet: bool) -> 
     def examine_devices(requests: Sequence[Request]) -> Iterator[DeviceExamination]:
         store.log({"event": "examine", "devices": len(requests)})
         with progress(len(requests), 0, quiet, "examining") as advance:
-            for examination in in_parallel(client, examine_device, (planned.config, planned.folders), requests):
+            for examination in in_parallel(client, examine_device, (planned.config, planned.campaigns), requests):
                 advance(1)
                 yield examination
 

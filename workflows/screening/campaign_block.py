@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.common_tables import DeviceTable
+from pipeline.experiment.record import Campaign
 from pipeline.inference.estimate import reference_comparison
 from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.device import DeviceResult, failed_result
@@ -31,6 +32,18 @@ class _CampaignHead(Struct):
     device: DeviceTable = DeviceTable()
 
 
+@dataclass(frozen=True)
+class CampaignSource:
+    """A campaign folder, and the run's copy of its campaign.toml (``None``: it could not be read when the run started)."""
+
+    folder: Path
+    text: bytes | None = None
+
+    def read(self) -> Campaign:
+        """The campaign as the run knows it; raises as :func:`read_campaign`."""
+        return read_campaign(self.folder, self.text)
+
+
 def campaign_folders(path: Path) -> tuple[Path, ...]:
     """Folders directly below ``path`` that contain a campaign.toml, sorted by name."""
     return tuple(sorted(file.parent for file in path.glob(f"*/{FILE}")))
@@ -45,11 +58,11 @@ def declared_id(folder: Path) -> str:
     return head.device.id or folder.name
 
 
-def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceResult]:
-    device_id = folder.name
+def _identified(config: RunConfig, source: CampaignSource, n: int) -> tuple[str, DeviceResult]:
+    device_id = source.folder.name
     seed = device_seed(config, CAMPAIGN_STREAM, n)
     try:
-        campaign = with_systematic(config, read_campaign(folder))
+        campaign = with_systematic(config, source.read())
         device_id = campaign.device_id
         result = identify_campaign(
             campaign, settings_of(config), config.posterior.settings(), config.judging_gate(), seed
@@ -68,10 +81,10 @@ def _identified(config: RunConfig, folder: Path, n: int) -> tuple[str, DeviceRes
     return device_id, result
 
 
-def campaign_block(config: RunConfig, block: DeviceBlock, folders: Sequence[Path]) -> BlockTables:
-    """Read, identify and judge the campaigns in ``folders``, which are the devices of ``block``."""
+def campaign_block(config: RunConfig, block: DeviceBlock, campaigns: Sequence[CampaignSource]) -> BlockTables:
+    """Read, identify and judge ``campaigns``, which are the devices of ``block``."""
     with threadpool_limits(limits=1):
-        found = [_identified(config, folder, block.first + i) for i, folder in enumerate(folders)]
+        found = [_identified(config, source, block.first + i) for i, source in enumerate(campaigns)]
         return tables_of(
             block.index,
             [device_id for device_id, _ in found],

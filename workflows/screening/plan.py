@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import tomli_w
 
 from pipeline.errors import ConfigError
@@ -18,19 +19,25 @@ from pipeline.store.run import RunStore, create_run, open_run
 from ..config import RunConfig, config_of_run, to_toml_table
 from .band import check_band
 from .block import DeviceBlock, blocks_of
-from .campaign_block import campaign_folders, declared_id
-from .settings import population
+from .campaign_block import CampaignSource, campaign_folders, declared_id
+from .inputs import FILE as INPUTS
+from .inputs import InputFile, Inputs, check_copies, collected, differences, read_inputs, with_records, with_stored_code
+from .settings import population, spec_text
 from .virtual_device import shared_record, virtual_model
+
+#: Differences that a message shows.
+_SHOWN = 8
 
 
 @dataclass(frozen=True, eq=False)
 class RunPlan:
-    """Configuration, number of devices and blocks of a run, and the campaign folders if the devices are measured."""
+    """Configuration, number of devices and blocks of a run, the campaigns if the devices are measured, and all inputs."""
 
     config: RunConfig
     devices: int
     blocks: tuple[DeviceBlock, ...]
-    folders: tuple[Path, ...]
+    campaigns: tuple[CampaignSource, ...]
+    inputs: Inputs
 
 
 def plan(config: RunConfig) -> RunPlan:
@@ -41,11 +48,13 @@ def plan(config: RunConfig) -> RunPlan:
     ConfigError : population, effects, limits or campaigns cannot be used.
     """
     if config.source.kind == "population":
+        source = msgspec.structs.replace(config.source, spec_toml=spec_text(config.source))
+        config = msgspec.structs.replace(config, source=source)
         population(config)
         virtual_model(config)
         shared_record(config)
         check_band(config)
-        return RunPlan(config, config.run.devices, blocks_of(config, config.run.devices), ())
+        return RunPlan(config, config.run.devices, blocks_of(config, config.run.devices), (), collected(config, ()))
     root = Path(config.source.path or ".")
     folders = campaign_folders(root)
     if not folders:
@@ -66,7 +75,18 @@ def plan(config: RunConfig) -> RunPlan:
                 next_step=f"change [device] id in {names[name].name} or {folder.name}",
             )
         names[name] = folder
-    return RunPlan(config, len(folders), blocks_of(config, len(folders)), folders)
+    inputs = collected(config, folders)
+    return measured_plan(config, folders, inputs)
+
+
+def measured_plan(config: RunConfig, folders: Sequence[Path], inputs: Inputs) -> RunPlan:
+    """The plan of a run on the campaigns in ``folders``, each with the campaign.toml that is among ``inputs``."""
+    texts = (inputs.text(file) for file in inputs.of("campaign"))
+    campaigns = tuple(
+        CampaignSource(folder, None if text is None else text.encode())
+        for folder, text in zip(folders, texts, strict=True)
+    )
+    return RunPlan(config, len(folders), blocks_of(config, len(folders)), campaigns, inputs)
 
 
 def new_run_id(seed: int) -> str:
@@ -77,8 +97,10 @@ def new_run_id(seed: int) -> str:
 def start(planned: RunPlan, results: Path) -> RunStore:
     """Create the folder of a new run below ``results``."""
     seed = planned.config.run.seed
-    toml = tomli_w.dumps(without_none(to_toml_table(planned.config)))
-    return create_run(results, new_run_id(seed), toml, provenance(seed))
+    toml = tomli_w.dumps(without_none(to_toml_table(planned.config)), multiline_strings=True)
+    store = create_run(results, new_run_id(seed), toml, provenance(seed))
+    store.write_file(INPUTS, with_records(planned.inputs).to_json())
+    return store
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,22 +113,62 @@ def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def resume(results: Path, run_id: str) -> tuple[RunPlan, RunStore]:
-    """The plan and the folder of a run that stopped, from its own run.toml; ``run_id`` may be "latest".
+def config_of(results: Path, run_id: str) -> RunConfig:
+    """The configuration of a run, from its run.toml; ``run_id`` may be "latest"; raises as :func:`resume`."""
+    store = open_run(results, None if run_id == "latest" else run_id)
+    return config_of_run(store.config_toml, f"run.toml of {store.run_id}")
+
+
+def resume(results: Path, run_id: str, wanted: RunConfig | None = None) -> tuple[RunPlan, RunStore]:
+    """The plan and the folder of a run that stopped, from the inputs that it stored; ``run_id`` may be "latest".
+
+    ``wanted`` is what the user asks for; ``None``: whatever the run was started with.
 
     Raises
     ------
     UsageError : there is no such run.
-    ConfigError : its run.toml was edited and can no longer be used.
+    ConfigError : its run.toml was edited and can no longer be used; a record has changed, or ``wanted`` is something else.
     """
     store = open_run(results, None if run_id == "latest" else run_id)
     before, now = store.manifest.provenance, provenance(0)
-    changed = [key for key in ("versions", "simd", "python") if before.get(key) != now[key]]
-    if changed:
-        store.log({"event": "resumed elsewhere", "changed": changed})
+    elsewhere = [key for key in ("versions", "simd", "python") if before.get(key) != now[key]]
+    if elsewhere:
+        store.log({"event": "resumed elsewhere", "changed": elsewhere})
         print(
-            f"warning: {', '.join(changed)} changed since the run started; the last digits of its table may differ",
+            f"warning: {', '.join(elsewhere)} changed since the run started; the last digits of its table may differ",
             file=sys.stderr,
         )
     config = config_of_run(store.config_toml, f"run.toml of {store.run_id}")
-    return plan(config), store
+    data = store.page(INPUTS)
+    if data is None:  # a run that was stopped before it stored them, or one of an older version
+        planned = plan(config)
+        store.write_file(INPUTS, with_records(planned.inputs).to_json())
+        return planned, store
+    inputs = read_inputs(data, f"{INPUTS} of {store.run_id}")
+    changed = inputs.changed()
+    if wanted is not None:
+        _require_same(config, plan(wanted), inputs, changed)
+    check_copies(inputs, changed)
+    for file in changed:
+        print(f"warning: {file.path} has changed since the run started; the run uses its own copy", file=sys.stderr)
+    used = with_stored_code(config, inputs)
+    if used.source.kind == "campaigns":
+        folders = [Path(file.path).parent for file in inputs.of("campaign")]
+        return measured_plan(used, folders, inputs), store
+    return replace(plan(used), inputs=inputs), store
+
+
+def _require_same(stored: RunConfig, wanted: RunPlan, inputs: Inputs, changed: Sequence[InputFile]) -> None:
+    known = {file.path for file in inputs.files}
+    found = [
+        *differences(stored, wanted.config),
+        *(f"{file.what} {file.path} has changed" for file in changed),
+        *(f"{file.what} {file.path} is new" for file in wanted.inputs.files if file.path not in known),
+    ]
+    if found:
+        more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+        raise ConfigError(
+            f"the run was started with other inputs ({'; '.join(found[:_SHOWN])}{more})",
+            allowed="--resume with the inputs that the run was started with, or without CONFIG, --devices and --seed",
+            next_step="leave them out to continue with the run's own copies, or start a new run without --resume",
+        )

@@ -19,9 +19,10 @@ from pipeline.inference.estimate import RateSettings
 from pipeline.inference.screening.device import IdentificationSettings
 from pipeline.inference.screening.mismatch import BROAD, MismatchPrior, prior_from
 from populations.draw import draw
-from populations.spec import PopulationSpec, load_spec
+from populations.spec import PopulationSpec, load_spec, spec_from_toml
 
 from ..config import RunConfig
+from ..config_tables import SourceTable
 
 #: The effects that the mismatches of the nightly model describe.
 MISMATCHES = ("electrode_mismatch", "updown_tilt")
@@ -35,12 +36,31 @@ def device_seed(config: RunConfig, stream: int, n: int) -> np.random.SeedSequenc
     return np.random.SeedSequence(config.run.seed, spawn_key=(stream, n))
 
 
+#: What identifies a population: spec, spec_toml and values of [source].
+_Key = tuple[str, str | None, tuple[tuple[str, float], ...]]
+
+
+def spec_path(source: SourceTable) -> Path:
+    """The file that ``spec`` of [source] names: a shipped one or the user's."""
+    path = Path(source.spec)
+    return path if path.suffix == ".toml" else Path(populations.__file__).parent / "specs" / f"{source.spec}.toml"
+
+
+def spec_text(source: SourceTable) -> str:
+    """The text of the population without ``values``, as a run stores it; raises as :func:`population`."""
+    return load_spec(spec_path(source)).to_toml() if source.spec_toml is None else source.spec_toml
+
+
+def _key(source: SourceTable) -> _Key:
+    return str(spec_path(source)), source.spec_toml, tuple(sorted(source.values.items()))
+
+
 @lru_cache(maxsize=4)
-def _population(spec: str, values: tuple[tuple[str, float], ...]) -> PopulationSpec:
-    path = Path(spec)
-    if path.suffix != ".toml":
-        path = Path(populations.__file__).parent / "specs" / f"{spec}.toml"
-    found = load_spec(path)
+def _population(key: _Key) -> PopulationSpec:
+    path, text, values = key
+    found = (
+        load_spec(Path(path)) if text is None else spec_from_toml(text, f"population of the run ({Path(path).name})")
+    )
     return found.with_values(dict(values)) if values else found
 
 
@@ -51,12 +71,12 @@ def population(config: RunConfig) -> PopulationSpec:
     ------
     ConfigError : the population cannot be read.
     """
-    return _population(config.source.spec, tuple(sorted(config.source.values.items())))
+    return _population(_key(config.source))
 
 
 @lru_cache(maxsize=4)
-def _mismatch_prior(spec: str, values: tuple[tuple[str, float], ...], effects: frozenset[str]) -> MismatchPrior:
-    drawn = draw(_population(spec, values), _PRIOR_SEED, 0, _PRIOR_DEVICES).effects
+def _mismatch_prior(key: _Key, effects: frozenset[str]) -> MismatchPrior:
+    drawn = draw(_population(key), _PRIOR_SEED, 0, _PRIOR_DEVICES).effects
     nothing = np.zeros(_PRIOR_DEVICES)
     mismatch = drawn.get("electrode_mismatch", {}) if "electrode_mismatch" in effects else {}
     tilt = drawn.get("updown_tilt", {}) if "updown_tilt" in effects else {}
@@ -76,7 +96,7 @@ def mismatch_prior(config: RunConfig) -> MismatchPrior | None:
         return None
     if not effects <= set(config.experiment.effects):
         return BROAD
-    return _mismatch_prior(config.source.spec, tuple(sorted(config.source.values.items())), effects)
+    return _mismatch_prior(_key(config.source), effects)
 
 
 def settings_of(config: RunConfig) -> IdentificationSettings:

@@ -70,7 +70,8 @@ def checked_model(config: RunConfig) -> Model:
     ConfigError : an effect that does not exist or that the population does not draw; an unknown parameter in a size.
     """
     named = config.experiment.effects
-    model = Model(effects=tuple(dict.fromkeys((*SCREENING_MODEL.effects, *named, *config.effects))))
+    effects = tuple(dict.fromkeys((*SCREENING_MODEL.effects, *named, *config.effects)))
+    model = Model(effects=effects, effect_folders=config.effect_folders)
     for name, table in config.effects.items():
         effect = model.effect(name)
         own = [member.name for member in effect.members(model.built.shape)]

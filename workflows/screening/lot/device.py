@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,7 +24,6 @@ from pipeline.device.gyro import PHYSICAL
 from pipeline.device.model import mains_effects
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.bad_samples import without_bad_samples
-from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
 from pipeline.experiment.noise.lines import hum_line
 from pipeline.experiment.noise.spectrum import noise_spectrum
@@ -42,12 +40,13 @@ from populations.draw import draw
 from reports.decision import decide
 
 from ...config import RunConfig
+from ..campaign_block import CampaignSource
 from ..settings import population, rate_of
 from ..virtual_device import shared_record, virtual_records
 
 _DRAWS, _STREAM = 400, 109
 
-Source = tuple[RunConfig, tuple[Path, ...]]
+Source = tuple[RunConfig, tuple[CampaignSource, ...]]
 
 
 @dataclass(frozen=True)
@@ -138,9 +137,9 @@ def _failed(request: Request, why: str) -> DeviceExamination:
 
 def measurement_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, float | None]:
     """Records of a device, their noise level, and the mains frequency in its model [Hz], if any."""
-    config, folders = source
+    config, campaigns = source
     if config.source.kind == "campaigns":
-        campaign = without_bad_samples(read_campaign(folders[number]))
+        campaign = without_bad_samples(campaigns[number].read())
         silent = campaign.with_role("noise")
         line = hum_line(silent[0].sense_v, campaign.instrument.sample_rate_hz) if silent else None
         return campaign, noise_level(campaign, line), line

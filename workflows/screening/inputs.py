@@ -1,0 +1,216 @@
+"""The inputs of a run: everything that it was computed from, stored with it.
+
+    inputs.json = {"files": [{"what", "path", "sha256", "bytes"}, ..], "texts": {sha256: text, ..}}
+
+Population, irregularity and effect files and each campaign.toml are stored as text, records by their hash alone.  run.toml holds
+the rest: limits, rule and the population with its defaults.  A run that is resumed uses these copies.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from pipeline.errors import ConfigError, GyroscreenError, IntegrityError
+from pipeline.toml_files import decode
+from populations.spec import spec_from_toml
+
+from ..config import RunConfig
+from .campaign_block import FILE as CAMPAIGN
+from .settings import population, spec_path
+
+FILE = "inputs.json"
+_MOST_TEXT = 1 << 20
+_SHOWN = 5
+
+
+class InputFile(Struct, frozen=True):
+    """A file: "population", "irregularity", "effect", "campaign" or "record"; its absolute path, SHA-256 and size.
+
+    ``sha256`` is empty where the file could not be read.
+    """
+
+    what: str
+    path: str
+    sha256: str
+    bytes: int
+
+    def now(self) -> str:
+        """SHA-256 of the file as it is now."""
+        return _file(self.what, Path(self.path), {}).sha256
+
+
+class Inputs(Struct, frozen=True):
+    """All files, and the text of those that are stored, by SHA-256."""
+
+    files: tuple[InputFile, ...] = ()
+    texts: dict[str, str] = {}
+
+    def text(self, file: InputFile) -> str | None:
+        """The stored content of a file, or ``None``."""
+        return self.texts.get(file.sha256)
+
+    def of(self, *what: str) -> tuple[InputFile, ...]:
+        """The files of these kinds."""
+        return tuple(file for file in self.files if file.what in what)
+
+    def changed(self) -> tuple[InputFile, ...]:
+        """The files that are no longer what they were."""
+        return tuple(file for file in self.files if file.now() != file.sha256)
+
+    def to_json(self) -> bytes:
+        """Content of inputs.json."""
+        return msgspec.json.encode(self)
+
+
+class _RecordFile(Struct):
+    file: str = ""
+
+
+class _Records(Struct):
+    record: list[_RecordFile] = []
+
+
+def _file(what: str, path: Path, texts: dict[str, str]) -> InputFile:
+    """``path`` with its hash; its text goes to ``texts`` unless it is a record, too large or no text."""
+    digest, size = "", 0
+    # Only regular files: reading a pipe would wait forever.
+    with suppress(OSError, UnicodeDecodeError):
+        if path.is_file():
+            with path.open("rb") as file:
+                digest, size = hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
+            if what != "record" and size <= _MOST_TEXT:
+                texts[digest] = path.read_bytes().decode()
+    return InputFile(what, str(path.absolute()), digest, size)
+
+
+def _code(folders: Iterable[str]) -> list[Path]:
+    return [path for folder in folders for path in sorted(Path(folder).glob("*.py"))]
+
+
+def collected(config: RunConfig, campaigns: Sequence[Path]) -> Inputs:
+    """The inputs of a run with this configuration on the campaigns in these folders (none: a population), but for records."""
+    texts: dict[str, str] = {}
+    wanted = [("effect", path) for path in _code(config.effect_folders)]
+    if config.source.kind == "population":
+        wanted.append(("population", spec_path(config.source)))
+        wanted += [("irregularity", path) for path in _code(population(config).irregularity_folders)]
+    wanted += [("campaign", folder / CAMPAIGN) for folder in campaigns]
+    return Inputs(tuple(_file(what, path, texts) for what, path in wanted), texts)
+
+
+def with_records(inputs: Inputs) -> Inputs:
+    """``inputs`` with the hashes of the records that the campaigns name."""
+    records = [
+        _file("record", Path(file.path).parent / name, {})
+        for file in inputs.of("campaign")
+        for name in _records(inputs.text(file) or "")
+    ]
+    return Inputs((*inputs.files, *records), inputs.texts)
+
+
+def _records(text: str) -> list[str]:
+    try:
+        return [entry.file for entry in decode(text.encode(), _Records, CAMPAIGN).record if entry.file]
+    except GyroscreenError:  # the row of this device states the reason
+        return []
+
+
+def read_inputs(data: bytes, where: str) -> Inputs:
+    """The inputs that a run stored; IntegrityError where ``data`` is not inputs.json."""
+    try:
+        return msgspec.json.decode(data, type=Inputs)
+    except msgspec.DecodeError as error:
+        raise IntegrityError(f"{where} cannot be read ({error})", next_step="run `gyroscreen verify`") from None
+
+
+def check_copies(inputs: Inputs, changed: Sequence[InputFile]) -> None:
+    """Check that the run holds a copy of every file that has changed; of records it holds none.
+
+    Raises
+    ------
+    ConfigError : a record has changed or is missing.
+    """
+    lost = [file for file in changed if inputs.text(file) is None]
+    if lost:
+        shown = [
+            f"{file.path}: sha256 {file.sha256[:12]} -> {file.now()[:12] or 'unreadable'}" for file in lost[:_SHOWN]
+        ]
+        raise ConfigError(
+            f"{len(lost)} files have changed since the run started ({'; '.join(shown)})",
+            allowed="the records that the run was started with",
+            next_step="restore them, or start a new run",
+        )
+
+
+def with_stored_code(config: RunConfig, inputs: Inputs) -> RunConfig:
+    """``config`` with the run's own effects and irregularities where the user's files have changed.
+
+    The copies are written to a temporary folder that lives as long as the process.
+    """
+    moved = {folder: _unpacked(folder, inputs) for folder in _changed_folders(config, inputs)}
+    if not moved:
+        return config
+    source = config.source
+    if source.spec_toml is not None:
+        text = source.spec_toml
+        for folder, copy in moved.items():
+            text = text.replace(msgspec.json.encode(folder).decode(), msgspec.json.encode(copy).decode())
+        source = msgspec.structs.replace(source, spec_toml=text)
+    folders = tuple(moved.get(folder, folder) for folder in config.effect_folders)
+    return msgspec.structs.replace(config, source=source, effect_folders=folders)
+
+
+def _changed_folders(config: RunConfig, inputs: Inputs) -> list[str]:
+    """Folders with code whose files are not those that the run was started with."""
+    stored = inputs.of("effect", "irregularity")
+    changed = []
+    for folder in dict.fromkeys((*config.effect_folders, *(str(Path(file.path).parent) for file in stored))):
+        before = {file.path: file.sha256 for file in stored if str(Path(file.path).parent) == folder}
+        if before and before != {file.path: file.sha256 for file in (_file("effect", p, {}) for p in _code([folder]))}:
+            changed.append(folder)
+    return changed
+
+
+def _unpacked(folder: str, inputs: Inputs) -> str:
+    copy = Path(tempfile.mkdtemp(prefix="gyroscreen-inputs-"))
+    atexit.register(shutil.rmtree, copy, ignore_errors=True)
+    for file in inputs.of("effect", "irregularity"):
+        text = inputs.text(file)
+        if str(Path(file.path).parent) == folder and text is not None:
+            (copy / Path(file.path).name).write_bytes(text.encode())
+    return str(copy)
+
+
+def differences(stored: RunConfig, wanted: RunConfig) -> list[str]:
+    """The keys in which two configurations differ, each with both values; the number of workers does not count."""
+    before, after = (dict(_flat(config)) for config in (stored, wanted))
+    names = sorted(before.keys() | after.keys())
+    return [
+        f"{name}: {before.get(name)!r} -> {after.get(name)!r}" for name in names if before.get(name) != after.get(name)
+    ]
+
+
+def _flat(config: RunConfig) -> Iterator[tuple[str, object]]:
+    plain = msgspec.to_builtins(config)
+    plain["run"].pop("workers")
+    text = plain["source"].pop("spec_toml")
+    if text is not None:
+        plain["population"] = msgspec.to_builtins(spec_from_toml(text, "population of the run"))
+    yield from _leaves("", plain)
+
+
+def _leaves(prefix: str, value: object) -> Iterator[tuple[str, object]]:
+    if isinstance(value, dict) and value:
+        for name, one in value.items():
+            yield from _leaves(f"{prefix}.{name}" if prefix else str(name), one)
+    else:
+        yield prefix, value
