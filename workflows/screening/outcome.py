@@ -147,8 +147,7 @@ def check_identified(result: RunResult) -> None:
     """
     if result.yield_share is None:
         raise NegativeError(
-            f"no device could be identified, so there is no yield; {result.main_cause or 'the run has no devices'}",
-            value=result.statuses,
+            f"no device could be identified, so there is no yield ({result.main_cause or 'the run has no devices'})",
             allowed="at least one device with the status ok",
             next_step=f"see {result.report}; check drive, band and noise of the configuration, or the measurements",
         )
