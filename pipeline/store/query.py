@@ -1,6 +1,7 @@
 """SQL on the results: DuckDB over the committed files, locked.
 
-Views ``devices`` and ``posterior`` (all runs, with ``run_id``), ``runs`` and ``columns``.  The files come
+Views ``devices`` and ``posterior`` (of the latest run, of a named one or of all, with ``run_id``), ``runs`` (all) and
+``columns``.  The files come
 from the manifests, never from a glob; their SHA-256 is checked before the first row is read (those of
 ``posterior`` when the statement names it), the page checksums while reading, so no answer is computed
 from damaged files.  The connection has no access to other files, the network or Python variables, its
@@ -30,6 +31,7 @@ from .views import columns_view, runs_view, view_schema
 __all__ = ["FORMATS", "query", "write_table"]
 
 MAX_ANSWER_BYTES = 1 << 30
+LATEST, ALL = "latest", "all"
 _LOCKS = (
     "python_enable_replacements = false",
     "autoinstall_known_extensions = false",
@@ -40,13 +42,16 @@ _LOCKS = (
 _COLUMNS_QUERY = "`SELECT name, unit, meaning FROM columns` lists all columns"
 
 
-def query(sql: str, results: Path, *, timeout_s: float = 60.0, memory_limit: str = "2GB") -> pa.Table:
-    """Answer one SELECT on all runs of a results folder.
+def query(
+    sql: str, results: Path, *, run: str = LATEST, timeout_s: float = 60.0, memory_limit: str = "2GB"
+) -> pa.Table:
+    """Answer one SELECT on a run of a results folder, or on all of them.
 
     Parameters
     ----------
     sql : one statement of DuckDB's dialect that only reads (SELECT, WITH, FROM, DESCRIBE, SUMMARIZE).
     results : folder of all runs.
+    run : id of the run that ``devices`` and ``posterior`` contain, "latest" or "all".
     timeout_s : longest time the statement may take [s].
     memory_limit : most memory that DuckDB may take, as DuckDB writes it.
 
@@ -57,24 +62,32 @@ def query(sql: str, results: Path, *, timeout_s: float = 60.0, memory_limit: str
 
     Raises
     ------
-    UsageError : no runs; not one SELECT; SQL that DuckDB rejects or that exceeds the memory limit; a
+    UsageError : no runs or no such run; not one SELECT; SQL that DuckDB rejects or that exceeds the memory limit; a
         result above 1 GiB; the time limit is exceeded.
     IntegrityError : results differ from what was committed.
     """
     if not timeout_s > 0.0:
         raise UsageError("the timeout is not a positive time", value=timeout_s, allowed="more than 0 s")
-    find_run(results)
-    manifests = list_runs(results)
+    find_run(results, None if run in (LATEST, ALL) else run)
+    runs = list_runs(results)
+    manifests = chosen_runs(runs, run)
     _check_files(results, manifests, "devices")
     if "posterior" in sql.lower():
         _check_files(results, manifests, "posterior")
     with _connection(memory_limit) as connection:
         connection.register("devices", _dataset(results, manifests, "devices"))
         connection.register("posterior", _dataset(results, manifests, "posterior"))
-        connection.register("runs", runs_view(manifests))
+        connection.register("runs", runs_view(runs))
         connection.register("columns", columns_view())
         connection.execute("SET lock_configuration = true")
         return _with_units(_answer(connection, _one_select(connection, sql), sql, timeout_s))
+
+
+def chosen_runs(runs: Sequence[Manifest], run: str) -> tuple[Manifest, ...]:
+    """The runs, oldest first, that ``run`` names: an id, "latest" or "all"."""
+    if run == ALL:
+        return tuple(runs)
+    return tuple(runs[-1:] if run == LATEST else (one for one in runs if one.run_id == run))
 
 
 @contextmanager

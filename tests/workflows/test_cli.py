@@ -123,6 +123,23 @@ def test_wrong_sql_gives_one_message(sql, words, tmp_path, capfd):
         assert word in captured.err
 
 
+def test_a_query_counts_one_run_and_names_it_where_there_are_several(tmp_path, capfd):
+    from pipeline.store.provenance import provenance
+    from pipeline.store.run import create_run
+    from pipeline.store.schema import devices_table
+
+    for name in ("r1", "r2"):
+        store = create_run(tmp_path, name, "", provenance(1))
+        store.commit_block(0, devices_table({"device_id": ["D1"], "wafer": ["W1"]}), None)
+    arguments = ["query", "SELECT wafer, count(*) AS n FROM devices GROUP BY wafer", "--results", str(tmp_path)]
+    for more, n, named in (([], 1, True), (["--run", "r1"], 1, False), (["--run", "all"], 2, False)):
+        assert call([*arguments, "--format", "csv", *more]) == 0
+        shown = capfd.readouterr()
+        assert shown.out.splitlines()[1] == f'"W1",{n}'
+        assert ("run r2, the latest of 2" in shown.err) is named
+    assert call([*arguments, "--run", "r3"]) == 2
+
+
 def test_the_version_is_that_of_the_distribution(capfd):
     assert call(["--version"]) == 0
     assert capfd.readouterr().out == f"gyroscreen {metadata.version('gyroscreen')}\n"

@@ -4,26 +4,35 @@ from __future__ import annotations
 
 import json as json_
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Literal, cast
 
 from pipeline.errors import IntegrityError, UsageError
+from pipeline.store.manifest import Manifest
+from pipeline.store.query import LATEST, write_table
 from pipeline.store.query import query as run_query
-from pipeline.store.query import write_table
 from pipeline.store.read import list_runs
 from pipeline.store.verify import verify as verify_results
 
 FORMATS = ("table", "csv", "json", "parquet")
 
 
-def query(sql: str, results: Path, format: str) -> None:
+def query(sql: str, results: Path, format: str, run: str) -> None:
     """See ``gyroscreen query --help``."""
     if format not in FORMATS:
         raise UsageError("unknown --format", value=format, allowed=", ".join(FORMATS), next_step="choose one of these")
-    table = run_query(sql, results)
+    table = run_query(sql, results, run=run)
+    _name_run(list_runs(results), run)
     write_table(table, cast(Literal["table", "csv", "json", "parquet"], format), sys.stdout.buffer)
     sys.stdout.flush()
+
+
+def _name_run(runs: Sequence[Manifest], run: str) -> None:
+    """Say which run was queried where the folder has several and the user named none."""
+    if run == LATEST and len(runs) > 1:
+        print(f"run {runs[-1].run_id}, the latest of {len(runs)}; others: --run ID, all: --run all", file=sys.stderr)
 
 
 def report(run: str | None, results: Path, out: Path | None) -> None:
@@ -34,7 +43,7 @@ def report(run: str | None, results: Path, out: Path | None) -> None:
     if not runs:
         raise UsageError("the folder contains no run", value=str(results), next_step="gyroscreen run")
     known = [manifest.run_id for manifest in runs]
-    chosen = run or known[-1]
+    chosen = known[-1] if run in (None, LATEST) else run
     if chosen not in known:
         raise UsageError(
             "no such run", value=chosen, allowed=", ".join(known[-5:]), next_step="name one of the latest runs"

@@ -32,15 +32,29 @@ def written(table: pa.Table, format: str) -> str:
 
 
 def test_run_id_distinguishes_devices_of_the_same_name(results: Path) -> None:
-    answer = query("SELECT run_id, count(*) AS n FROM devices GROUP BY run_id ORDER BY run_id", results)
+    answer = query("SELECT run_id, count(*) AS n FROM devices GROUP BY run_id ORDER BY run_id", results, run="all")
     assert answer.to_pylist() == [{"run_id": "one", "n": 12}, {"run_id": "two", "n": 8}]
-    draws = query("SELECT count(*) AS n FROM posterior WHERE run_id = 'two'", results)
+    draws = query("SELECT count(*) AS n FROM posterior WHERE run_id = 'two'", results, run="all")
     assert draws.to_pylist() == [{"n": 40}]
+
+
+def test_devices_and_draws_are_those_of_the_latest_run_unless_another_is_named(results: Path, tmp_path: Path) -> None:
+    make_run(tmp_path, "one")
+    make_run(tmp_path, "two", blocks=(0, 1), seed=8)
+    counted = "SELECT count(*) AS n, (SELECT count(*) FROM posterior) AS draws FROM devices"
+    for run, expected in (("latest", (8, 40)), ("one", (12, 60)), ("all", (20, 100))):
+        assert query(counted, tmp_path, run=run).to_pylist() == [{"n": expected[0], "draws": expected[1]}]
+    assert query(counted, tmp_path) == query(counted, tmp_path, run="latest")
+    assert query("SELECT run_id FROM runs", tmp_path).num_rows == 2
+    for view in ("devices", "posterior", "runs"):
+        assert "run_id" in query(f"FROM {view}", tmp_path).column_names
+    with pytest.raises(UsageError, match="no such run"):
+        query(counted, tmp_path, run="three")
 
 
 def test_values_are_those_committed_with_their_units(results: Path) -> None:
     columns = read_run(results, "one").devices.schema.names
-    answer = query(f"SELECT {', '.join(columns)} FROM devices WHERE run_id = 'one' ORDER BY device_id", results)
+    answer = query(f"SELECT {', '.join(columns)} FROM devices ORDER BY device_id", results, run="one")
     committed = read_run(results, "one").devices
     assert answer.to_pydict() == committed.to_pydict()
     assert answer.schema.field("split_hz").metadata == committed.schema.field("split_hz").metadata

@@ -35,11 +35,12 @@ def query(
     sql: Annotated[str, typer.Argument(help="One SELECT on the views devices, posterior, runs, columns.")],
     results: Results = DEFAULT_RESULTS,
     format: Annotated[str, typer.Option(help="table, csv, json or parquet.")] = "table",
+    run: Annotated[str, typer.Option(help="Id of the run to query, 'latest' or 'all'.")] = "latest",
 ) -> None:
-    """Run one SQL query on the results."""
+    """Run one SQL query on the results of a run."""
     from ..results import query as command
 
-    command(sql, results, format)
+    command(sql, results, format, run)
 
 
 def report(
