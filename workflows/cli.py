@@ -21,6 +21,7 @@ from typer.exceptions import TyperException
 from pipeline.errors import GyroscreenError
 
 from .commands.groups import benchmarks, devices, models, screening
+from .console import survive_any_encoding
 from .interrupts import INTERRUPTED, repeat_lost_interrupts
 from .machine import keep_memory
 
@@ -67,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Limits how long a thread waits for the interpreter when it returns from a compiled loop.
     sys.setswitchinterval(1e-3)
     keep_memory()
+    survive_any_encoding()
     repeat_lost_interrupts()
     code = call(arguments)
     # Frozen objects are never collected, which DuckDB reports as a leak at exit.

@@ -76,7 +76,7 @@ class ModalTable(msgspec.Struct, forbid_unknown_fields=True):
     mode: Annotated[list[ModeTable], Meta(min_length=1)]
     name: str | None = None
     rate_dps: float | None = None
-    antialias: AntiAliasTable | None = None
+    antialias: AntiAliasTable | Literal[False] | None = None
     device: DeviceTable = DeviceTable()
     demodulation: DemodulationTable = DemodulationTable()
     reference: References = {}
@@ -148,7 +148,7 @@ def decode_modal_record(text: bytes, path: Path) -> ModalRecord | None:
         R1=np.array([_matrix(mode.R1, shape, f"R1 of mode {k}", where) for k, mode in enumerate(modes, 1)]),
         R0=np.array([_matrix(mode.R0, shape, f"R0 of mode {k}", where) for k, mode in enumerate(modes, 1)]),
         sd=_deviations(modes, shape, where),
-        antialias=None if document.antialias is None else document.antialias.built(),
+        antialias=document.antialias.built() if document.antialias else None,
         rate_dps=document.rate_dps,
         angular_gain=document.device.angular_gain,
         phase_error_deg=document.demodulation.phase_error_deg,
