@@ -13,6 +13,7 @@ import pytest
 from pipeline.store.schema import devices_table
 from workflows.screening import batch, outcome
 from workflows.screening.block import BlockTables, DeviceBlock
+from workflows.screening.guard import unguarded
 
 CONFIG = "[run]\ndevices = {devices}\nblock = 2\n[diagnosis]\nenabled = false\n"
 
@@ -36,9 +37,13 @@ def stub_runs(patch: pytest.MonkeyPatch, block: Callable[..., BlockTables] | Non
     def cluster(*_: Any, **__: Any) -> Iterator[Any]:
         yield SimpleNamespace()
 
+    def in_turn(_: Any, function: Any, given: Any, items: Any, *__: Any) -> Iterator[Any]:
+        return ((item, function(given, item, unguarded)) for item in items)
+
+    made = block or stub_block()
     patch.setattr(batch, "cluster", cluster)
-    patch.setattr(batch, "in_parallel", lambda _, f, given, items, *__: (f(given, item) for item in items))
-    patch.setattr(batch, "block_task", block or stub_block())
+    patch.setattr(batch, "guarded_in_parallel", in_turn)
+    patch.setattr(batch, "block_task", lambda config, item, _: made((config, item.campaigns), item.block))
     if not page:
         patch.setattr(outcome, "render_run_report", lambda *_, **__: "<!doctype html>")
 

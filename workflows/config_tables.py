@@ -41,12 +41,16 @@ GATED = (
 
 
 class RunTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """Number of devices, seed, devices per block, and workers (0: one per core)."""
+    """Number of devices, seed, devices per block, and workers (0: one per core).
+
+    ``device_limit_s`` is the time limit of a device [s]; absent: 20 times the median, at least 60 s.
+    """
 
     devices: Annotated[int, Meta(ge=1, le=10_000_000)] = 200
     seed: Annotated[int, Meta(ge=0)] = 1
     block: Annotated[int, Meta(ge=1, le=10_000)] = 25
     workers: Annotated[int, Meta(ge=0, le=1024)] = 0
+    device_limit_s: Positive | None = None
 
 
 class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):

@@ -26,7 +26,7 @@ SURVIVING_SHARE = 0.16
 #: Next step where the residual is louder than the noise and shows no effect: refine judges its structure in all records.
 LOUDER = "run gyroscreen refine, which tells noise that is louder than measured from a missing effect"
 
-Status = Literal["ok", "not_converged", "fit_failed", "misfit"]
+Status = Literal["ok", "not_converged", "fit_failed", "misfit", "lost"]
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,7 @@ _DECISION = (
     _text("verdict", "pass, fail or undecided"),
     _text("failed_limits", "failed limits, comma separated"),
     _text("cause", "main cause of the loss"),
-    _text("status", "ok, not_converged, fit_failed or misfit"),
+    _text("status", "ok, not_converged, fit_failed or misfit; lost: the device ended its worker or ran out of time"),
     _text("status_reason", "why the status is not ok"),
     _text("reference", "reference values compared with the posterior, as quantity z=difference/combined sd"),
 )

@@ -56,7 +56,7 @@ def _without_worker(tmp: Path, patch: pytest.MonkeyPatch) -> list[str]:
         raise IncompleteError("no worker is left")
 
     stub_runs(patch)
-    patch.setattr(batch, "in_parallel", in_parallel)
+    patch.setattr(batch, "guarded_in_parallel", in_parallel)
     return run_arguments(tmp)
 
 

@@ -6,7 +6,7 @@ plan -> blocks -> [dask: draw or read, identify, judge] -> commit -> examine mis
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from distributed import Client
@@ -15,27 +15,43 @@ from pipeline.errors import IncompleteError
 from pipeline.store.run import RunStore
 from reports.run.lot_effects import FILE
 
+from ..config import RunConfig
 from ..machine import worker_count
-from .block import BlockTables, DeviceBlock, virtual_block
-from .campaign_block import campaign_block
-from .cluster import cluster, in_parallel
-from .lot.device import DeviceExamination, Request, Source, examine_device
+from .block import BlockTables
+from .cluster import cluster
+from .dispatch import guarded_in_parallel
+from .guard import Begin
+from .lot.device import DeviceExamination, Request
 from .lot.effects import examine
 from .outcome import RunResult, finish
+from .parts import (
+    BLOCK_FAULTS,
+    EXAMINE_FAULTS,
+    Assembly,
+    BlockItem,
+    ExamineItem,
+    block_items,
+    block_task,
+    examine_task,
+)
 from .plan import RunPlan
 from .progress import progress
 
-
-def block_task(source: Source, block: DeviceBlock) -> BlockTables:
-    """One block of virtual or measured devices; runs in a worker."""
-    config, campaigns = source
-    if config.source.kind == "population":
-        return virtual_block(config, block)
-    return campaign_block(config, block, campaigns[block.first : block.first + block.count])
+BlockTask = Callable[[RunConfig, BlockItem, Begin], BlockTables]
 
 
-def run_blocks(planned: RunPlan, store: RunStore, workers: int, scheduler: str | None, quiet: bool) -> None:
-    """Run the blocks that are not committed yet, commit each when it is done, and examine the misfits."""
+def run_blocks(
+    planned: RunPlan,
+    store: RunStore,
+    workers: int,
+    scheduler: str | None,
+    quiet: bool,
+    task: BlockTask | None = None,
+) -> None:
+    """Run the blocks that are not committed yet, commit each when it is done, and examine the misfits.
+
+    ``task`` is what a worker does with a block; ``None``: :func:`block_task`.
+    """
     config = planned.config
     done = store.committed_blocks()
     left = [block for block in planned.blocks if block.index not in done]
@@ -47,10 +63,16 @@ def run_blocks(planned: RunPlan, store: RunStore, workers: int, scheduler: str |
     count = min(count, len(left)) if examined else count
     store.log({"event": "start", "workers": count, "scheduler": scheduler, "blocks": len(left)})
     with cluster(count, scheduler) as client, progress(planned.devices, finished, quiet) as advance:
-        for tables in in_parallel(client, block_task, (config, planned.campaigns), left):
-            store.commit_block(tables.index, tables.devices, tables.posterior)
-            store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
-            advance(tables.devices.num_rows)
+        limit_s = config.run.device_limit_s
+        items, whole = block_items(left, planned.campaigns), Assembly({block.index: block for block in left})
+        for item, part in guarded_in_parallel(client, task or block_task, config, items, BLOCK_FAULTS, limit_s):
+            tables = whole.add(item.block, part)
+            if item.block.lost:
+                store.log({"event": "lost", "devices": list(BLOCK_FAULTS.devices(item)), "reason": item.block.lost})
+            if tables is not None:
+                store.commit_block(tables.index, tables.devices, tables.posterior)
+                store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
+            advance(part.devices.num_rows)
         if not examined:
             _examine(planned, store, client, quiet)
 
@@ -61,7 +83,12 @@ def _examine(planned: RunPlan, store: RunStore, client: Client, quiet: bool) -> 
     def examine_devices(requests: Sequence[Request]) -> Iterator[DeviceExamination]:
         store.log({"event": "examine", "devices": len(requests)})
         with progress(len(requests), 0, quiet, "examining") as advance:
-            for examination in in_parallel(client, examine_device, (planned.config, planned.campaigns), requests):
+            campaigns = planned.campaigns
+            items = [ExamineItem(r, {r.number: campaigns[r.number]} if campaigns else {}) for r in requests]
+            limit_s = planned.config.run.device_limit_s
+            for _, examination in guarded_in_parallel(
+                client, examine_task, planned.config, items, EXAMINE_FAULTS, limit_s
+            ):
                 advance(1)
                 yield examination
 

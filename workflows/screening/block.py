@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.arrays import FloatArray
 from pipeline.errors import GyroscreenError
 from pipeline.inference.estimate import quantities
-from pipeline.inference.screening.device import DeviceResult, failed_result
+from pipeline.inference.screening.device import DeviceResult, failed_result, lost_result
 from pipeline.inference.systematic import Identified, common_nodes
 from pipeline.quantities import MODEL, NAMES
 from pipeline.store.schema import devices_table, posterior_table
@@ -26,6 +26,7 @@ from reports.decision import conforms, decide
 from reports.limits import Limits
 
 from ..config import RunConfig
+from .guard import Begin, unguarded
 from .settings import TRIM_STREAM, device_seed, population, rate_of
 from .trimming import trimmed_columns
 from .virtual_device import identify_virtual, physical_of
@@ -36,11 +37,15 @@ _DRAWS_GIVEN_COMMON = 200
 
 @dataclass(frozen=True)
 class DeviceBlock:
-    """Block ``index`` contains the devices first .. first + count - 1 of the run."""
+    """Block ``index`` contains the devices first .. first + count - 1 of the run.
+
+    ``lost`` says why they were given up; empty if they are to be identified.
+    """
 
     index: int
     first: int
     count: int
+    lost: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +68,20 @@ def _identified(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> 
     # One device that fails must not stop the run; its row states the reason.
     try:
         return identify_virtual(config, drawn, i, angular_gain)
-    except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+    except (GyroscreenError, ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError) as error:
         return failed_result(f"{type(error).__name__}: {error}")
+
+
+def _results(
+    config: RunConfig, block: DeviceBlock, drawn: Draw, angular_gain: float, begin: Begin
+) -> list[DeviceResult]:
+    if block.lost:
+        return [lost_result(block.lost)] * block.count
+    results = []
+    for i in range(block.count):
+        begin(block.first + i)
+        results.append(_identified(config, drawn, i, angular_gain))
+    return results
 
 
 def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[str, FloatArray]:
@@ -171,13 +188,13 @@ def _with_trim(
     return out
 
 
-def virtual_block(config: RunConfig, block: DeviceBlock) -> BlockTables:
-    """Draw, simulate, identify and judge the virtual devices of ``block``."""
+def virtual_block(config: RunConfig, block: DeviceBlock, begin: Begin = unguarded) -> BlockTables:
+    """Draw, simulate, identify and judge the virtual devices of ``block``; ``begin`` is called before each."""
     with threadpool_limits(limits=1):
         spec = population(config)
         drawn = draw(spec, config.run.seed, block.first, block.count)
         gain = float(spec.angular_gain)
-        results = [_identified(config, drawn, i, gain) for i in range(block.count)]
+        results = _results(config, block, drawn, gain, begin)
         truth = truth_columns(config, drawn, gain)
         limits = config.judged_by()
         results = _with_trim(config, limits, results, drawn, gain)

@@ -16,12 +16,13 @@ from pipeline.experiment.files.common_tables import DeviceTable
 from pipeline.experiment.record import Campaign
 from pipeline.inference.estimate import reference_comparison
 from pipeline.inference.screening.campaign import identify_campaign
-from pipeline.inference.screening.device import DeviceResult, failed_result
+from pipeline.inference.screening.device import DeviceResult, failed_result, lost_result
 from pipeline.inference.systematic import rate_settings
 from pipeline.toml_files import decode, read_bytes
 
 from ..config import RunConfig
 from .block import BlockTables, DeviceBlock, tables_of
+from .guard import Begin, unguarded
 from .settings import CAMPAIGN_STREAM, device_seed, settings_of, with_systematic
 from .trimming import trimmed_columns
 
@@ -75,16 +76,24 @@ def _identified(config: RunConfig, source: CampaignSource, n: int) -> tuple[str,
             rate = rate_settings(campaign)
             more = trimmed_columns(config.trim, config.judged_by(), result, None, rate, seed.spawn(1)[0])
             result = replace(result, columns={**result.columns, **more})
-    except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+    except (GyroscreenError, ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError) as error:
         # One unreadable campaign must not stop the run; its row states the reason.
         result = failed_result(f"{error}")
     return device_id, result
 
 
-def campaign_block(config: RunConfig, block: DeviceBlock, campaigns: Sequence[CampaignSource]) -> BlockTables:
-    """Read, identify and judge ``campaigns``, which are the devices of ``block``."""
+def campaign_block(
+    config: RunConfig, block: DeviceBlock, campaigns: Sequence[CampaignSource], begin: Begin = unguarded
+) -> BlockTables:
+    """Read, identify and judge ``campaigns``, which are the devices of ``block``; ``begin`` before each."""
     with threadpool_limits(limits=1):
-        found = [_identified(config, source, block.first + i) for i, source in enumerate(campaigns)]
+        found = []
+        for number, source in enumerate(campaigns, block.first):
+            if block.lost:
+                found.append((declared_id(source.folder), lost_result(block.lost)))
+                continue
+            begin(number)
+            found.append(_identified(config, source, number))
         return tables_of(
             block.index,
             [device_id for device_id, _ in found],

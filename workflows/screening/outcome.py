@@ -98,7 +98,7 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
     tables = read_run(results, store.run_id)
     devices = tables.devices
     verdicts = _counts(devices.column("verdict").to_pylist(), ("pass", "fail", "undecided"))
-    statuses = _counts(devices.column("status").to_pylist(), ("ok", "not_converged", "misfit", "fit_failed"))
+    statuses = _counts(devices.column("status").to_pylist(), ("ok", "not_converged", "misfit", "fit_failed", "lost"))
     rule = config_of_run(tables.config_toml, f"run.toml of {store.run_id}").judged_by().rule
     given = given_common(Devices(devices), tables.posterior, rule)
     found = with_common(yield_of_verdicts([str(v) for v in devices.column("verdict").to_pylist()]), given)
@@ -167,7 +167,7 @@ def check_targets(targets: TargetsTable, result: RunResult) -> None:
             allowed=f"at least {targets.yield_min:g}",
             next_step=f"see {result.report}",
         )
-    failed = result.statuses["not_converged"] + result.statuses["fit_failed"]
+    failed = sum(result.statuses[status] for status in ("not_converged", "fit_failed", "lost"))
     if targets.strict_convergence and failed:
         raise GateError(
             "devices without a converged posterior",

@@ -39,7 +39,8 @@ from reports.yields import clopper_pearson
 from ..config import RunConfig, load_config
 from ..config_tables import NoiseTable
 from ..machine import worker_count
-from ..screening.cluster import cluster, in_parallel
+from ..screening.cluster import cluster
+from ..screening.dispatch import in_parallel
 from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
 from ..screening.virtual_device import identify_virtual, physical_of, shared_record, virtual_records
 from .spoil import spoilt

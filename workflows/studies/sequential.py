@@ -43,7 +43,8 @@ from reports.limits import Limits
 
 from ..config import RunConfig, load_config
 from ..machine import worker_count
-from ..screening.cluster import cluster, in_parallel
+from ..screening.cluster import cluster
+from ..screening.dispatch import in_parallel
 from ..screening.settings import mismatch_prior, population, rate_of
 from ..screening.virtual_device import physical_of, shared_record, virtual_records
 from ..streaming.stream import verdicts_of

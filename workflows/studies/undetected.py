@@ -38,7 +38,8 @@ from populations.draw import Draw, draw
 
 from ..config import RunConfig, load_config
 from ..machine import worker_count
-from ..screening.cluster import cluster, in_parallel
+from ..screening.cluster import cluster
+from ..screening.dispatch import in_parallel
 from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
 from ..screening.virtual_device import physical_of, shared_record, virtual_volts
 from .coverage import COVERED, Share

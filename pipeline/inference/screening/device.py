@@ -160,9 +160,17 @@ def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> F
 
 def failed_result(reason: str, columns: dict[str, Value] | None = None) -> DeviceResult:
     """The result of a device that could not be identified, with the columns that are known nevertheless."""
-    estimate = Estimate("fit_failed", reason)
-    status: dict[str, Value] = {"status": estimate.status, "status_reason": reason}
-    return DeviceResult({**(columns or {}), **status}, estimate, None)
+    return _without_estimate(Estimate("fit_failed", reason), columns or {})
+
+
+def lost_result(reason: str) -> DeviceResult:
+    """The result of a device that ended its worker or exceeded its time limit."""
+    return _without_estimate(Estimate("lost", reason), {})
+
+
+def _without_estimate(estimate: Estimate, columns: dict[str, Value]) -> DeviceResult:
+    status: dict[str, Value] = {"status": estimate.status, "status_reason": estimate.reason}
+    return DeviceResult({**columns, **status}, estimate, None)
 
 
 def identify_device(

@@ -46,7 +46,8 @@ from ..virtual_device import shared_record, virtual_records
 
 _DRAWS, _STREAM = 400, 109
 
-Source = tuple[RunConfig, tuple[CampaignSource, ...]]
+#: Configuration of the run, and the campaigns by number of the device if the devices are measured.
+Source = tuple[RunConfig, Mapping[int, CampaignSource]]
 
 
 @dataclass(frozen=True)
@@ -126,11 +127,12 @@ def examine_device(source: Source, request: Request) -> DeviceExamination:
     with threadpool_limits(limits=1):
         try:
             return _examined(source, request)
-        except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
-            return _failed(request, f"{error}")
+        except (GyroscreenError, ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError) as error:
+            return failed_examination(request, f"{error}")
 
 
-def _failed(request: Request, why: str) -> DeviceExamination:
+def failed_examination(request: Request, why: str) -> DeviceExamination:
+    """The result of an examination that failed, with its reason."""
     empty = np.zeros(0)
     return DeviceExamination(request.number, request.terms, why, {}, empty, empty, empty, reason=why)
 
@@ -171,7 +173,7 @@ def _examined(source: Source, request: Request) -> DeviceExamination:
         first = FitResult(True, (), {name: (value, 0.0) for name, value in start.items()}, (), ())
         fit = view.fit(request.terms, first)
         if not fit.ok:
-            return _failed(request, fit.why or "the fit with these effects did not converge")
+            return failed_examination(request, fit.why or "the fit with these effects did not converge")
         fitted = view.campaign_fit(request.terms)
         if request.alone:
             effects, sizes, reason = diagnosis_texts(diagnose(view, request.terms))

@@ -32,7 +32,8 @@ from pipeline.learning.campaign.problem import CampaignProblem
 
 from ...learning import DiagnosisResult, RefinementResult
 from ...machine import worker_count
-from ...screening.cluster import cluster, in_parallel
+from ...screening.cluster import cluster
+from ...screening.dispatch import in_parallel
 from .draw import SIGMA_V, Hidden, hide
 from .kinds import KINDS
 from .restricted import RestrictedProblem

@@ -52,7 +52,7 @@ def examined(tmp_path, devices, text):
     config = config_of(tmp_path, devices, text)
     table = virtual_block(config, DeviceBlock(0, 0, devices)).devices
     found, columns = examine(
-        table, config.diagnosis, lambda requests: (examine_device((config, ()), r) for r in requests)
+        table, config.diagnosis, lambda requests: (examine_device((config, {}), r) for r in requests)
     )
     rows = [row | columns.get(row["device_id"], {}) for row in table.to_pylist()]
     return config, found, pa.Table.from_pylist(rows, schema=table.schema)
@@ -143,7 +143,7 @@ def test_a_run_stopped_before_its_examination_is_resumed_to_the_same_table(tmp_p
     assert call(["run", "--resume", "latest", "--out", str(results), "--scheduler", scheduler, "--json"]) == 1
     table = virtual_block(config, DeviceBlock(0, 0, 2)).devices
     found, columns = examine(
-        table, config.diagnosis, lambda requests: (examine_device((config, ()), r) for r in reversed(requests))
+        table, config.diagnosis, lambda requests: (examine_device((config, {}), r) for r in reversed(requests))
     )
     rows = [row | columns.get(row["device_id"], {}) for row in table.to_pylist()]
     assert table_digest(read_run(results).devices) == table_digest(pa.Table.from_pylist(rows, schema=table.schema))

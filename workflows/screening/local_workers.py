@@ -1,0 +1,112 @@
+"""Worker processes of a local run, kept alive: one that ends, or takes too much memory, is replaced at once.
+
+dask's own nanny does not replace a worker that ends while it starts, which a queued device that crashes makes it do.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+
+from .faults import Sign
+from .worker_process import SIGNS, name_of
+
+_LOOK_S = 0.1
+#: A worker that ends sooner than this after its start is not replaced before [s]: its environment may be broken.
+_LEAST_LIFE_S = 1.0
+_THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+class LocalWorkers:
+    """``count`` worker processes of the scheduler at ``address``, each with one thread and ``memory_bytes`` of memory."""
+
+    def __init__(self, address: str, count: int, memory_bytes: int) -> None:
+        self._command = [sys.executable, "-m", "workflows.screening.worker_process", address, str(memory_bytes)]
+        self._memory_bytes = memory_bytes
+        self._ended: dict[str, str] = {}
+        self._signs = tempfile.TemporaryDirectory(prefix="gyroscreen-")
+        self._done = threading.Event()
+        self._processes = [self._start() for _ in range(count)]
+        self._started = [time.monotonic()] * count
+        self._thread = threading.Thread(target=self._keep, daemon=True)
+        self._thread.start()
+
+    def why(self, name: str) -> str:
+        """Why the worker ``name`` ended; empty if it is not known."""
+        until = time.monotonic() + 5.0 * _LOOK_S
+        while name not in self._ended and time.monotonic() < until:
+            time.sleep(0.02)
+        return self._ended.get(name, "")
+
+    def sign(self, name: str) -> Sign | None:
+        """The last sign of life of the worker ``name``."""
+        with suppress(OSError, ValueError):
+            key, device, limit_s, since = (Path(self._signs.name) / name).read_text().split()
+            return Sign(key, int(device), float(limit_s), float(since))
+        return None
+
+    def end(self, name: str) -> None:
+        """End the worker ``name``; it is replaced."""
+        for process in self._processes:
+            if name_of(process.pid) == name:
+                process.kill()
+
+    def close(self) -> None:
+        """End all workers."""
+        self._done.set()
+        self._thread.join()
+        for process in self._processes:
+            process.kill()
+        for process in self._processes:
+            process.wait()
+        self._signs.cleanup()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        debug = bool(os.environ.get("GYROSCREEN_DEBUG"))
+        return subprocess.Popen(
+            self._command,
+            env={
+                **os.environ,
+                **_THREADS,
+                SIGNS: self._signs.name,
+                "PYTHONPATH": os.pathsep.join(path or str(Path.cwd()) for path in sys.path),
+            },
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=None if debug else subprocess.DEVNULL,
+            start_new_session=True,  # the driver answers Ctrl-C, not the workers
+        )
+
+    def _keep(self) -> None:
+        while not self._done.wait(_LOOK_S):
+            for i, process in enumerate(self._processes):
+                code = process.poll()
+                if code is None:
+                    self._check_memory(process)
+                elif time.monotonic() - self._started[i] > _LEAST_LIFE_S:
+                    self._ended.setdefault(name_of(process.pid), _ending(code))
+                    self._processes[i], self._started[i] = self._start(), time.monotonic()
+
+    def _check_memory(self, process: subprocess.Popen[bytes]) -> None:
+        with suppress(psutil.Error):
+            if psutil.Process(process.pid).memory_info().rss > self._memory_bytes:
+                limit = f"more memory than the {self._memory_bytes / 2**30:g} GiB of a worker"
+                self._ended[name_of(process.pid)] = limit
+                process.kill()
+
+
+def _ending(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    with suppress(ValueError):
+        return f"signal {signal.Signals(-code).name}"
+    return f"signal {-code}"

@@ -1,0 +1,49 @@
+"""A worker process of a local run: ``python -m workflows.screening.worker_process ADDRESS MEMORY_BYTES``."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import dask
+from distributed import Worker
+
+#: Environment variable that names the folder where the workers of a local run leave their signs of life.
+SIGNS = "GYROSCREEN_SIGNS"
+_PR_SET_PDEATHSIG = 1
+#: The driver ends a worker that takes too much memory; nothing is written to disk, and no worker waits for memory.
+_MEMORY = {f"distributed.worker.memory.{key}": False for key in ("target", "spill", "pause", "terminate")}
+
+
+def name_of(pid: int) -> str:
+    """Name of the worker with this process id."""
+    return f"local-{pid}"
+
+
+def leave_sign(folder: str, key: str, device: int, limit_s: float) -> None:
+    """State in the worker's file which device starts; a message would wait for the interpreter, which the device may hold."""
+    (Path(folder) / name_of(os.getpid())).write_text(f"{key} {device} {limit_s} {time.monotonic()}")
+
+
+async def _serve(address: str, memory_bytes: int) -> None:
+    worker = Worker(address, nthreads=1, memory_limit=memory_bytes, name=name_of(os.getpid()), dashboard=False)
+    async with worker:
+        await worker.finished()
+
+
+def main() -> None:
+    """Work until the scheduler is gone; end with the driver, even if that is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    with dask.config.set({**_MEMORY, "distributed.worker.daemon": False}):
+        asyncio.run(_serve(sys.argv[1], int(sys.argv[2])))
+
+
+if __name__ == "__main__":
+    main()

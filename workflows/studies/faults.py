@@ -1,0 +1,113 @@
+"""A stub device with faults on demand: it shows that a night ends whatever one device does, without any physics.
+
+A stub takes ``seconds`` and has the row of its number; the faults are by device number.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.store.schema import devices_table
+
+from ..config import RunConfig
+from ..screening.block import BlockTables
+from ..screening.guard import Begin
+from ..screening.parts import BlockItem
+
+_CHUNK, _CHUNKS = 2**27, 40
+
+
+def _segfault() -> None:
+    ctypes.string_at(0)
+
+
+def _loop() -> None:
+    """An endless loop in compiled code that holds the interpreter."""
+    deque(itertools.repeat(None), maxlen=0)
+
+
+def _allocate() -> None:
+    """Takes 5 GB within a second."""
+    held = []
+    for _ in range(_CHUNKS):
+        held.append(bytearray(b"x") * _CHUNK)
+        time.sleep(0.02)
+
+
+def _raise() -> None:
+    raise KeyError("a defect of the program")
+
+
+def _die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _stop() -> None:
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+FAULTS: Mapping[str, Callable[[], None]] = {
+    "segfault": _segfault,
+    "loop": _loop,
+    "allocate": _allocate,
+    "raise": _raise,
+    "die": _die,
+    "stop": _stop,
+}
+
+
+@dataclass(frozen=True)
+class Stub:
+    """What a worker does with a block of stubs.
+
+    Parameters
+    ----------
+    seconds : duration of a device [s].
+    faults : number of a device -> name of its fault.
+    once : folder that remembers faults, where each is to happen only once.
+    """
+
+    seconds: float = 0.0
+    faults: Mapping[int, str] = field(default_factory=dict)
+    once: Path | None = None
+
+    __name__ = "stub"
+
+    def __call__(self, config: RunConfig, item: BlockItem, begin: Begin) -> BlockTables:
+        """The tables of the block."""
+        block = item.block
+        numbers = range(block.first, block.first + block.count)
+        if not block.lost:
+            for number in numbers:
+                begin(number)
+                time.sleep(self.seconds)
+                self._fault(number)
+        status = "lost" if block.lost else "ok"
+        columns: dict[str, Sequence[Any]] = {
+            "device_id": [f"stub-{number:08d}" for number in numbers],
+            "theta_deg": [(0.37 * number) % 90.0 for number in numbers],
+            "verdict": ["undecided" if block.lost else "pass"] * block.count,
+            "status": [status] * block.count,
+            "status_reason": [block.lost or None] * block.count,
+        }
+        return BlockTables(block.index, devices_table(columns), None, {status: block.count})
+
+    def _fault(self, number: int) -> None:
+        name = self.faults.get(number)
+        if name is None:
+            return
+        if self.once is not None:
+            seen = self.once / f"{name}-{number}"
+            if seen.exists():
+                return
+            seen.touch()
+        FAULTS[name]()
