@@ -5,13 +5,8 @@ A stub takes ``seconds`` and has the row of its number; the faults are by device
 
 from __future__ import annotations
 
-import ctypes
-import itertools
-import os
-import signal
 import time
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,47 +17,7 @@ from ..config import RunConfig
 from ..screening.block import BlockTables
 from ..screening.guard import Begin
 from ..screening.parts import BlockItem
-
-_CHUNK, _CHUNKS = 2**27, 40
-
-
-def _segfault() -> None:
-    ctypes.string_at(0)
-
-
-def _loop() -> None:
-    """An endless loop in compiled code that holds the interpreter."""
-    deque(itertools.repeat(None), maxlen=0)
-
-
-def _allocate() -> None:
-    """Takes 5 GB within a second."""
-    held = []
-    for _ in range(_CHUNKS):
-        held.append(bytearray(b"x") * _CHUNK)
-        time.sleep(0.02)
-
-
-def _raise() -> None:
-    raise KeyError("a defect of the program")
-
-
-def _die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def _stop() -> None:
-    os.kill(os.getpid(), signal.SIGSTOP)
-
-
-FAULTS: Mapping[str, Callable[[], None]] = {
-    "segfault": _segfault,
-    "loop": _loop,
-    "allocate": _allocate,
-    "raise": _raise,
-    "die": _die,
-    "stop": _stop,
-}
+from .fault_kinds import FAULTS
 
 
 @dataclass(frozen=True)

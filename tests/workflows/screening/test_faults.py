@@ -1,43 +1,93 @@
 """A device that ends its worker costs its own row: stub devices with faults on demand, and the rules without processes."""
 
+import json
+import subprocess
+import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import psutil
 import pytest
 
-from pipeline.store.run import RunStore, create_run
-from workflows.config import load_config
-from workflows.screening.batch import run_blocks
+from pipeline.errors import IncompleteError
+from workflows.screening import dispatch
+from workflows.screening.cluster import cluster
+from workflows.screening.dispatch import guarded_in_parallel
 from workflows.screening.faults import Faults, Sign, TimeLimit, Try, after_exception, after_loss
-from workflows.screening.plan import RunPlan, plan
-from workflows.studies.faults import Stub
+from workflows.studies.fault_kinds import faulty_numbers
+
+NUMBERS: Faults[range] = Faults(devices=lambda item: item, part=lambda _, devices: devices, lost=lambda item, why: item)
 
 
-def stub_run(tmp: Path, devices: int, block: int, limit_s: float = 2.0) -> tuple[RunPlan, RunStore]:
-    """The plan and the folder of a run of stubs, without examination."""
-    config = tmp / "stub.toml"
-    config.write_text(
-        f"[run]\ndevices = {devices}\nblock = {block}\ndevice_limit_s = {limit_s}\n[diagnosis]\nenabled = false\n"
-    )
-    return plan(load_config(config)), create_run(tmp / "out", "stub", "", {})
+def test_a_crash_a_loop_in_compiled_code_and_a_defect_cost_only_their_devices() -> None:
+    lost: dict[int, str] = {}
 
+    def given_up(item: range, why: str) -> range:
+        lost[item.start] = why
+        return range(0)
 
-def lost_rows(store: RunStore, devices: int) -> dict[int, str]:
-    """Reason by number of the devices that were lost; all others are there once and ok."""
-    rows = store.devices().select(["device_id", "status", "status_reason"]).to_pylist()
-    assert [row["device_id"] for row in rows] == [f"stub-{n:08d}" for n in range(devices)]
-    assert {row["status"] for row in rows} <= {"ok", "lost"}
-    return {int(row["device_id"][5:]): row["status_reason"] for row in rows if row["status"] == "lost"}
-
-
-def test_a_crash_a_loop_in_compiled_code_and_a_defect_cost_the_rows_of_their_devices(tmp_path: Path) -> None:
-    planned, store = stub_run(tmp_path, 12, 6)
-    run_blocks(planned, store, 2, None, True, Stub(0.0, {1: "segfault", 8: "loop", 10: "raise"}))
-    lost = lost_rows(store, 12)
-    assert set(lost) == {1, 8, 10}
+    faults = {1: "segfault", 8: "loop", 10: "raise"}
+    rules = replace(NUMBERS, lost=given_up)
+    with cluster(2, None) as client:
+        items = [range(6), range(6, 12)]
+        found = [n for _, part in guarded_in_parallel(client, faulty_numbers, faults, items, rules, 1.0) for n in part]
+    assert sorted(found) == [n * n for n in range(12) if n not in faults]
+    assert set(lost) == set(faults)
     assert "SIGSEGV" in lost[1]
     assert "time limit" in lost[8]
     assert "KeyError" in lost[10]
+
+
+def test_a_worker_that_is_stopped_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dispatch, "_SILENT_S", 2.0)
+    monkeypatch.setattr(dispatch, "_LOOK_S", 0.5)
+    with cluster(1, None) as client:
+        items = [range(2), range(2, 4)]
+        started = guarded_in_parallel(client, faulty_numbers, {1: "slow", 3: "slow"}, items, NUMBERS)
+        found = [next(started)]
+        for process in psutil.Process().children():
+            process.suspend()
+        found += started
+    assert sorted(n for _, part in found for n in part) == [0, 1, 4, 9]
+
+
+def _work_without(scheduler: subprocess.Popen[bytes], address: str) -> None:
+    """Work on ``scheduler``, which is killed after the first result."""
+    numbers, slow = [range(n, n + 1) for n in range(40)], dict.fromkeys(range(40), "slow")
+    with cluster(0, address) as client:
+        for _ in guarded_in_parallel(client, faulty_numbers, slow, numbers, NUMBERS, None, 1.0):
+            scheduler.kill()
+
+
+def test_a_scheduler_that_is_lost_ends_the_run_with_one_message(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(dispatch, "_LOOK_S", 0.2)
+    file = tmp_path / "scheduler.json"
+    options = ("--scheduler-file", str(file), "--no-dashboard")
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", *options], **quiet
+    )
+    worker = None
+    try:
+        until = time.monotonic() + 60.0
+        while not file.exists() and time.monotonic() < until:
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        worker = subprocess.Popen(
+            [sys.executable, "-m", "workflows.screening.worker_process", address, "1000000000"], **quiet
+        )
+        with pytest.raises(IncompleteError, match=r"scheduler is lost.*--resume"):
+            _work_without(scheduler, address)
+    finally:
+        for process in (scheduler, worker):
+            if process is not None:
+                process.kill()
+                process.wait()
+    captured = capfd.readouterr()
+    assert captured.out + captured.err == ""
 
 
 @dataclass(frozen=True)
