@@ -14,6 +14,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import stat
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,10 +37,14 @@ def read_bytes(
     ``what`` names the kind of file in the message; ``next_step`` says what to do if it does not exist.
     """
     try:
-        if path.stat().st_size > _MAX_BYTES:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
+            # Reading a pipe or a device may wait forever.
+            raise error(f"{what} is not a regular file", value=str(path), next_step="check that this is the right file")
+        if found.st_size > _MAX_BYTES:
             raise error(
                 f"{what} is too large",
-                value=f"{path}: {path.stat().st_size} bytes",
+                value=f"{path}: {found.st_size} bytes",
                 allowed=f"{_MAX_BYTES} bytes",
                 next_step="check that this is the right file",
             )
@@ -91,6 +96,17 @@ def converted(tree: Any, kind: type[T], where: str) -> T:
     ------
     ConfigError : a wrong key or value.
     """
+    try:
+        return _converted(tree, kind, where)
+    except RecursionError:
+        raise ConfigError(
+            f"{where} is nested too deeply",
+            allowed="tables and lists as documented",
+            next_step="remove nested brackets",
+        ) from None
+
+
+def _converted(tree: Any, kind: type[T], where: str) -> T:
     try:
         found = msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:

@@ -28,7 +28,10 @@ Kind = Literal["config", "devices", "posterior", "page"]
 
 @dataclass(frozen=True)
 class FileEntry:
-    """One committed file; ``block`` and ``rows`` belong to tables."""
+    """One committed file; ``block`` and ``rows`` belong to tables.
+
+    ``next_sha256`` is set while a page is replaced: it may then have either content.
+    """
 
     name: str
     kind: Kind
@@ -36,6 +39,7 @@ class FileEntry:
     sha256: str
     block: int | None = None
     rows: int | None = None
+    next_sha256: str | None = None
 
 
 def in_block_order(files: Iterable[FileEntry]) -> tuple[FileEntry, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import pyarrow as pa
 
@@ -16,6 +18,9 @@ from .schema import devices_schema, posterior_schema
 
 CONFIG = "run.toml"
 PREFIX = "run="
+#: How often a reader starts again because a writer replaced files while it read.
+_TRIES = 20
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +83,23 @@ def find_run(results: Path, run_id: str | None = None) -> Path:
     return folder
 
 
+def settled(folder: Path, read: Callable[[Manifest], T]) -> T:
+    """``read(manifest)`` of a run; repeated with the new manifest where a writer replaced files in between.
+
+    Raises
+    ------
+    IntegrityError : something is not what was committed.
+    """
+    for _ in range(_TRIES):
+        manifest = read_manifest(folder)
+        try:
+            return read(manifest)
+        except IntegrityError:
+            if read_manifest(folder) == manifest:
+                raise
+    return read(read_manifest(folder))
+
+
 def read_file(folder: Path, entry: FileEntry) -> bytes:
     """Bytes of a committed file.
 
@@ -94,7 +116,7 @@ def read_file(folder: Path, entry: FileEntry) -> bytes:
             f"{path} was committed and cannot be read ({error.strerror})", next_step=next_step
         ) from None
     found = sha256(data)
-    if found != entry.sha256:
+    if found not in (entry.sha256, entry.next_sha256):
         raise IntegrityError(
             f"{path} is not what was committed",
             value=f"{len(data)} bytes, sha256 {found}",
@@ -165,10 +187,12 @@ def read_run(results: Path, run_id: str | None = None) -> RunTables:
     IntegrityError : something is not what was committed.
     """
     folder = find_run(results, run_id)
-    manifest = read_manifest(folder)
-    return RunTables(
-        devices=read_table(folder, manifest, "devices"),
-        posterior=read_table(folder, manifest, "posterior"),
-        manifest=manifest,
-        config_toml=read_config(folder, manifest),
+    return settled(
+        folder,
+        lambda manifest: RunTables(
+            devices=read_table(folder, manifest, "devices"),
+            posterior=read_table(folder, manifest, "posterior"),
+            manifest=manifest,
+            config_toml=read_config(folder, manifest),
+        ),
     )

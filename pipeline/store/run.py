@@ -30,7 +30,7 @@ from .digest import table_digest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest, encode, read_manifest
 from .parquet import encode_table
-from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_file, read_table, stored_devices
+from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_file, read_table, settled, stored_devices
 
 LOG = "log.jsonl"
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -71,12 +71,16 @@ class RunStore:
 
     def devices(self) -> pa.Table:
         """The committed ``devices`` in block order; IntegrityError where one is not what was committed."""
-        return read_table(self.folder, self.manifest, "devices")
+        return settled(self.folder, lambda manifest: read_table(self.folder, manifest, "devices"))
 
     def page(self, name: str) -> bytes | None:
         """A page of the run as it was written, or ``None`` where there is none; IntegrityError if it has changed."""
-        entry = next((entry for entry in self.manifest.of_kind("page") if entry.name == name), None)
-        return None if entry is None else read_file(self.folder, entry)
+
+        def read(manifest: Manifest) -> bytes | None:
+            entry = next((entry for entry in manifest.of_kind("page") if entry.name == name), None)
+            return None if entry is None else read_file(self.folder, entry)
+
+        return settled(self.folder, read)
 
     def commit_block(self, block: int, devices: pa.Table, posterior: pa.Table | None) -> None:
         """Commit the tables of one block, atomically; a block that is already committed is left unchanged.
@@ -176,9 +180,11 @@ class RunStore:
         with self._writing():
             manifest = self.manifest
             others = tuple(entry for entry in manifest.files if entry.name != name)
-            if len(others) < len(manifest.files):
-                # Between two renames a listed page would differ from its hash, so remove it from the manifest first.
-                self._put_manifest(replace(manifest, files=others))
+            before = next((entry for entry in manifest.files if entry.name == name), None)
+            if before is not None:
+                # Readers find the old page or the new one until the manifest lists the new one alone.
+                either = replace(before, next_sha256=files.sha256(data))
+                self._put_manifest(replace(manifest, files=(*others, either)))
             files.replace_file(self.folder, name, data)
             entry = FileEntry(name, "page", len(data), files.sha256(data))
             self._put_manifest(replace(manifest, files=(*others, entry)))

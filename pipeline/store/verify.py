@@ -18,6 +18,7 @@ import pyarrow as pa
 from ..errors import IntegrityError, UsageError
 from .digest import table_digest
 from .files import STAGED
+from .lock import NAME as LOCK
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Manifest, in_block_order, read_manifest
 from .parquet import decode_table
@@ -124,7 +125,7 @@ def _verify_run(folder: Path) -> VerifyReport:
     except IntegrityError as error:
         finding = _damage(folder / MANIFEST, error)
         return VerifyReport((finding,), runs=1, files=0, bytes=0, devices=0, draws=0)
-    findings = list(_strays(folder, {entry.name for entry in manifest.files} | {MANIFEST, LOG}))
+    findings = list(_strays(folder, {entry.name for entry in manifest.files} | {MANIFEST, LOG, LOCK}))
     findings += _structure(folder, manifest)
     devices = [devices_schema().empty_table()]
     draws = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Meta, Struct
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.modal_record import read_modal_record
-from pipeline.toml_files import MAY_BE_INFINITE, converted, decode, load, table
-from workflows.config import load_config
+from pipeline.toml_files import MAY_BE_INFINITE, converted, decode, load, read_bytes, table
+from workflows.config import RunConfig, load_config
 
 
 class Inner(Struct, frozen=True, forbid_unknown_fields=True):
@@ -150,3 +151,16 @@ def test_common_errors_that_cannot_be_integrated_are_refused(tmp_path, text, nam
     (tmp_path / "run.toml").write_text(text)
     with pytest.raises(ConfigError, match=named):
         load_config(tmp_path / "run.toml")
+
+
+@pytest.mark.parametrize("depth", [10, 300, 700, 100_000])
+def test_deep_brackets_are_one_error(depth: int) -> None:
+    for text in (b"a = " + b"[" * depth, b"[device]\nid = " + b"[" * depth + b"]" * depth):
+        with pytest.raises(ConfigError):
+            decode(text, RunConfig, "x.toml")
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "campaign.toml")
+    with pytest.raises(GyroscreenError, match="not a regular file"):
+        read_bytes(tmp_path / "campaign.toml")

@@ -12,6 +12,7 @@ from pathlib import Path
 from distributed import Client
 
 from pipeline.errors import IncompleteError
+from pipeline.store.lock import one_writer
 from pipeline.store.run import RunStore
 from reports.run.lot_effects import FILE
 
@@ -120,13 +121,15 @@ def run_batch(
     ------
     IncompleteError : the run stopped before its end; committed blocks are kept.
     KeyboardInterrupt : as IncompleteError.
+    UsageError : another process works on the run.
     """
     started = time.monotonic()
-    try:
-        run_blocks(planned, store, workers, scheduler, quiet)
-    except (KeyboardInterrupt, IncompleteError):
-        store.log({"event": "stopped"})
-        if store.committed_blocks():
-            store.finish("stopped", {})
-        raise
-    return finish(store, results, started)
+    with one_writer(store.folder):
+        try:
+            run_blocks(planned, store, workers, scheduler, quiet)
+        except (KeyboardInterrupt, IncompleteError):
+            store.log({"event": "stopped"})
+            if store.committed_blocks():
+                store.finish("stopped", {})
+            raise
+        return finish(store, results, started)

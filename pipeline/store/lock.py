@@ -1,0 +1,76 @@
+"""One writer per run: ``writer.lock`` names the process that works on a run.
+
+The lock is that of the operating system (flock), so it ends with its process, even by kill -9: a file without a holder is
+stale and is taken over.  On a network file system the lock holds across hosts where the file system passes locks on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from ..errors import UsageError
+
+if sys.platform != "win32":
+    import fcntl
+
+NAME = "writer.lock"
+
+
+@contextmanager
+def one_writer(folder: Path) -> Iterator[None]:
+    """Hold the lock of a run's folder.
+
+    Raises
+    ------
+    UsageError : another process holds it.
+    """
+    if sys.platform == "win32":
+        yield  # Without file locks the caller must ensure that each run has one writer.
+        return
+    path = folder / NAME
+    handle = _acquired(path)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()
+        os.close(handle)
+
+
+def _acquired(path: Path) -> int:
+    """Descriptor of the lock file, locked, with this process as its content."""
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise UsageError(
+                f"another process works on the run {path.parent.name.removeprefix('run=')}",
+                value=_holder(path),
+                allowed="one writer per run",
+                next_step="wait for it, or end it and then resume the run",
+            ) from None
+        # The former holder may have removed the file between the two calls; the lock would be on nothing.
+        with suppress(OSError):
+            if os.fstat(handle).st_ino == path.stat().st_ino:
+                break
+        os.close(handle)
+    me = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
+    os.ftruncate(handle, 0)
+    os.pwrite(handle, json.dumps(me).encode(), 0)
+    return handle
+
+
+def _holder(path: Path) -> str:
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        me = json.loads(path.read_bytes())
+        return f"process {me['pid']} on {me['host']} since {me['since']}"
+    return "unknown process"
