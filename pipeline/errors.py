@@ -97,3 +97,13 @@ class MeasurementError(GyroscreenError):
     """A measurement cannot be read or is not a record."""
 
     exit_code: ClassVar[int] = 5
+
+
+def printable(text: str) -> str:
+    """``text`` with control characters escaped: they would break lines of a table or be obeyed by a terminal."""
+    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
+
+
+def printable_lines(text: str) -> str:
+    """The same for each line of ``text``."""
+    return "\n".join(printable(line) for line in text.split("\n"))

@@ -18,7 +18,7 @@ from typing import Annotated
 import typer
 from typer.exceptions import TyperException
 
-from pipeline.errors import GyroscreenError
+from pipeline.errors import GyroscreenError, printable_lines
 
 from .commands.groups import benchmarks, devices, models, screening
 from .console import survive_any_encoding
@@ -105,7 +105,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
 def _failed(message: str, code: int) -> int:
     if os.environ.get("GYROSCREEN_DEBUG"):
         traceback.print_exc()
-    print(message, file=sys.stderr)
+    print(printable_lines(message), file=sys.stderr)
     return code
 
 

@@ -60,7 +60,10 @@ TAU = 2.0 * math.pi
 
 
 def to_cartesian(physical: FloatArray) -> FloatArray:
-    """Cartesian parameters (..., 12) from physical parameters (..., 12); units at the head of the module."""
+    """Cartesian parameters (..., 12) from physical parameters (..., 12); units at the head of the module.
+
+    The logarithms of gains that are not positive, which no device has, are nan.
+    """
     f1, f2, f3, zeta1, zeta2, zeta3, theta_deg, c12, g_r, g_z, s, d = np.moveaxis(physical, -1, 0)
     omega1, omega2, omega3 = TAU * f1, TAU * f2, TAU * f3
     double = np.deg2rad(2.0 * theta_deg)
@@ -68,6 +71,8 @@ def to_cartesian(physical: FloatArray) -> FloatArray:
     eps = (omega1 - omega2) * (omega1 + omega2) / (2.0 * omega0)
     c11, c22 = 2.0 * zeta1 * omega1, 2.0 * zeta2 * omega2
     delta = (c11 - c22) / 2.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ln_r, ln_z = np.log(g_r), np.log(g_z)
     return np.stack(
         [
             omega0,
@@ -78,8 +83,8 @@ def to_cartesian(physical: FloatArray) -> FloatArray:
             delta * np.sin(double) + c12 * np.cos(double),
             omega3,
             2.0 * zeta3 * omega3,
-            np.log(g_r),
-            np.log(g_z),
+            ln_r,
+            ln_z,
             s,
             d,
         ],

@@ -23,7 +23,7 @@ from .gate import Gate
 from .general.fit import fit_campaign
 from .general.goodness import campaign_status
 from .screening.campaign import identify_campaign, is_inband
-from .screening.device import IdentificationSettings
+from .screening.device import IdentificationSettings, failed_result
 from .screening.mismatch import BROAD, NIGHTLY_MODEL
 from .screening.sample import SamplerSettings
 from .systematic import with_common_errors
@@ -72,7 +72,11 @@ def identify(
     campaign = without_bad_samples(campaign)
     if model is None and is_inband(campaign) and noise_level(campaign).known:
         stream = np.random.SeedSequence(seed)
-        columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns
+        try:
+            columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+            # Records that no device could have made; as for a device of a run.
+            columns = failed_result(f"{type(error).__name__}: {error}").columns
     else:
         columns = _general_columns(campaign, model, settings, gate)
     bad = [

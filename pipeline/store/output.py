@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, Literal, get_args
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from ..errors import UsageError
+from ..errors import UsageError, printable
 from .files import replace_file
 from .parquet import encode_table
 
@@ -55,7 +55,7 @@ def _text(table: pa.Table) -> bytes:
         unit = (field.metadata or {}).get(b"unit", b"").decode()
         cells = [_cell(value) for value in table.column(len(columns)).to_pylist()]
         number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type) or pa.types.is_decimal(field.type)
-        heads = [_printable(field.name), f"[{unit}]" if unit not in ("", "1") else ""]
+        heads = [printable(field.name), f"[{unit}]" if unit not in ("", "1") else ""]
         width = max(len(word) for word in (*heads, *cells))
         align = str.rjust if number else str.ljust
         columns.append([*(align(head, width) for head in heads), "-" * width, *(align(cell, width) for cell in cells)])
@@ -70,12 +70,7 @@ def _cell(value: Any) -> str:
         return "-"
     if isinstance(value, float):
         return f"{value:.8g}"
-    return _printable(value if isinstance(value, str) else str(_plain(value)))
-
-
-def _printable(text: str) -> str:
-    """Escape control characters: they would break lines or be interpreted by the terminal."""
-    return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
+    return printable(value if isinstance(value, str) else str(_plain(value)))
 
 
 def _csv(table: pa.Table) -> bytes:

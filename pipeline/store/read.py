@@ -34,11 +34,18 @@ class RunTables:
 
 
 def run_folders(results: Path) -> tuple[Path, ...]:
-    """Folders of runs (``run=<id>`` with a manifest), by name; anything else in the results folder is no run."""
+    """Folders of runs (``run=<id>`` with a manifest), by name; anything else in the results folder is no run.
+
+    Nor is a link: what it leads to lies elsewhere, and would be changed from here.
+    """
     if not results.is_dir():
         return ()
     return tuple(
-        sorted(path for path in results.iterdir() if path.name.startswith(PREFIX) and (path / MANIFEST).exists())
+        sorted(
+            path
+            for path in results.iterdir()
+            if path.name.startswith(PREFIX) and not path.is_symlink() and (path / MANIFEST).exists()
+        )
     )
 
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +23,7 @@ from typing import Any, Literal
 import msgspec
 import pyarrow as pa
 
-from ..errors import ConfigError, IncompleteError, UsageError
+from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
 from . import files
 from .block import amended, block_file, check_block, other_name, require_unique
 from .digest import table_digest
@@ -114,23 +114,25 @@ class RunStore:
                     next_step="start a new run",
                 )
             entries = []
-            for kind, table in tables.items():
-                data = memoryview(encode_table(table))
-                name = block_file(kind, block)
-                files.stage(self.folder, name, data)
-                entries.append(FileEntry(name, kind, data.nbytes, files.sha256(data), block=block, rows=table.num_rows))
-            for entry in entries:
-                files.publish(self.folder, entry.name)
-            files.fsync_folder(self.folder)
-            self._put_manifest(
-                replace(
-                    manifest,
-                    files=(*manifest.files, *entries),
-                    status="running",
-                    finished=None,
-                    devices_digest=None,
+            with self._without_strays([block_file(kind, block) for kind in tables]):
+                for kind, table in tables.items():
+                    data = memoryview(encode_table(table))
+                    name = block_file(kind, block)
+                    files.stage(self.folder, name, data)
+                    digest = files.sha256(data)
+                    entries.append(FileEntry(name, kind, data.nbytes, digest, block=block, rows=table.num_rows))
+                for entry in entries:
+                    files.publish(self.folder, entry.name)
+                files.fsync_folder(self.folder)
+                self._put_manifest(
+                    replace(
+                        manifest,
+                        files=(*manifest.files, *entries),
+                        status="running",
+                        finished=None,
+                        devices_digest=None,
+                    )
                 )
-            )
 
     def amend_devices(self, values: Mapping[str, Mapping[str, Any]]) -> None:
         """Set columns of single devices in committed blocks, atomically: all, or none if the process dies.
@@ -230,6 +232,19 @@ class RunStore:
     def _writing(self) -> Iterator[None]:
         with _disk(self.folder), files.writing(self.folder):
             yield
+
+    @contextmanager
+    def _without_strays(self, names: Sequence[str]) -> Iterator[None]:
+        """Remove the files ``names`` again if writing fails before the manifest lists them."""
+        try:
+            yield
+        except OSError:
+            with suppress(OSError, IntegrityError):
+                listed = {entry.name for entry in self.manifest.files}
+                for name in (name for name in names if name not in listed):
+                    (self.folder / name).unlink(missing_ok=True)
+                    (self.folder / f".{name}{files.STAGED}").unlink(missing_ok=True)
+            raise
 
     def _put_manifest(self, manifest: Manifest) -> None:
         files.replace_file(self.folder, MANIFEST, _encoded(manifest))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.device.model import load_model
-from pipeline.errors import NegativeError, UsageError
+from pipeline.errors import NegativeError, UsageError, printable_lines
 from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.checks.check import CheckReport
 from pipeline.experiment.files.modal_record import ModalRecord
@@ -46,7 +46,7 @@ def identify(measurement: Path, model: Path | None, limits: Path | None, json: b
         result = identify_device(found, None if model is None else load_model(model), gate=gate)
         columns = {**result.columns, **({"reference": result.reference} if found.reference else {})}
         lines = _text(result)
-    print(json_.dumps(plain(columns)) if json else "\n".join(lines))
+    print(json_.dumps(plain(columns)) if json else printable_lines("\n".join(lines)))
     require_identified(columns.get("status"), columns.get("status_reason"), measurement)
 
 
@@ -158,7 +158,7 @@ def check(campaign: Path, json: bool) -> None:
     if json:
         print(json_.dumps(report.to_dict()))
         return
-    print("\n".join(_check_text(report)))
+    print(printable_lines("\n".join(_check_text(report))))
 
 
 def _check_text(report: CheckReport) -> list[str]:

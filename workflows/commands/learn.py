@@ -13,12 +13,12 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.problem import FitResult
 from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
-from pipeline.errors import NegativeError, UsageError
+from pipeline.errors import NegativeError, UsageError, printable_lines
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
-from pipeline.learning.answers import Answer, ComparisonAnswer, RefinementAnswer, to_json
+from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
 
 from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
@@ -65,25 +65,28 @@ def _answer(
             found = found.with_drive_files(out)
         if _has_fit(found):
             page = _write_page(measured, found, out, folders)
-    print(to_json(found.answer) if json else found)
+    print(to_json(found.answer) if json else printable_lines(str(found)))
     if page is not None and not json:
         print(page)
     _require_positive(found.answer)
 
 
-def _require_positive(answer: Answer) -> None:
+def _require_positive(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAnswer) -> None:
     """Raise NegativeError where the fit of compare failed, or refine ends with a failed fit or an unknown misfit."""
-    if isinstance(answer, ComparisonAnswer) and not answer.fit_ok:
+    failed = (isinstance(answer, ComparisonAnswer) and not answer.fit_ok) or (
+        isinstance(answer, RefinementAnswer) and answer.verdict == "fit_failed"
+    )
+    if failed:
         raise NegativeError(
             "the fit failed" + (f" ({answer.why})" if answer.why else ""),
             next_step="gyroscreen check the campaign, or start from another --model",
         )
-    if isinstance(answer, RefinementAnswer) and answer.verdict in ("fit_failed", "unknown"):
+    if isinstance(answer, RefinementAnswer) and answer.verdict == "unknown":
         raise NegativeError(
-            "the misfit could not be explained" if answer.verdict == "unknown" else f"a fit failed ({answer.why})",
+            "a misfit remains that no effect of the library explains",
             value=answer.verdict,
             allowed="adequate or class",
-            next_step="see the ladder above; your own effects are tried with --effects FOLDER",
+            next_step="see where it lies with --out FOLDER; try effects of your own with --effects FOLDER",
         )
 
 

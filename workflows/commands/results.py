@@ -5,11 +5,12 @@ from __future__ import annotations
 import json as json_
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Literal, cast
 
-from pipeline.errors import IntegrityError, UsageError
+from pipeline.errors import IncompleteError, IntegrityError, UsageError
 from pipeline.store.manifest import Manifest
 from pipeline.store.query import LATEST, write_table
 from pipeline.store.query import query as run_query
@@ -37,7 +38,7 @@ def _name_run(runs: Sequence[Manifest], run: str) -> None:
 
 def report(run: str | None, results: Path, out: Path | None) -> None:
     """See ``gyroscreen report --help``."""
-    from ..screening.outcome import write_report
+    from ..screening.outcome import rendered_report, store_report, write_report
 
     runs = list_runs(results)
     if not runs:
@@ -48,8 +49,13 @@ def report(run: str | None, results: Path, out: Path | None) -> None:
         raise UsageError(
             "no such run", value=chosen, allowed=", ".join(known[-5:]), next_step="name one of the latest runs"
         )
-    page, path = write_report(results, chosen)
-    if out is not None:
+    if out is None:
+        path = write_report(results, chosen)
+    else:
+        page = rendered_report(results, chosen)
+        # The results may be read-only; the user asks for a page elsewhere.
+        with suppress(IncompleteError):
+            store_report(results, chosen, page)
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             out.write_text(page, encoding="utf-8")

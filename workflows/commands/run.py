@@ -10,7 +10,7 @@ from typing import Any
 
 import tomli_w
 
-from pipeline.errors import InterruptedRunError, UsageError
+from pipeline.errors import InterruptedRunError, UsageError, printable_lines
 from pipeline.store.run import RunStore
 
 from ..config import RunConfig, changed_config, load_config, to_toml_table
@@ -49,7 +49,7 @@ def run(
         result = run_batch(planned, store, out, workers, scheduler, quiet=json)
     except KeyboardInterrupt:
         raise _interrupted(planned, store, out) from None
-    print(json_.dumps(result.to_dict()) if json else _summary(result, out))
+    print(json_.dumps(result.to_dict()) if json else printable_lines(_summary(result, out)))
     check_identified(result)
     check_targets(planned.config.targets, result)
 

@@ -63,18 +63,32 @@ class RunResult:
         }
 
 
-def write_report(results: Path, run_id: str) -> tuple[str, Path]:
-    """Render the report of a run and store it in the run's folder; returns the page and its path."""
+def write_report(results: Path, run_id: str) -> Path:
+    """Render the report of a run and store it in the run's folder; returns its path."""
+    return store_report(results, run_id, rendered_report(results, run_id))
+
+
+def store_report(results: Path, run_id: str, page: str) -> Path:
+    """Store the page in the run's folder; returns its path.
+
+    Raises
+    ------
+    IncompleteError : the folder cannot be written.
+    """
+    store = open_run(results, run_id)
+    store.write_file("report.html", page.encode("utf-8"))
+    return store.folder / "report.html"
+
+
+def rendered_report(results: Path, run_id: str) -> str:
+    """The report of a run as HTML."""
     tables = read_run(results, run_id)
     config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
     summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
-    store = open_run(results, run_id)
-    found = lot_effects(store)
-    page = render_run_report(
+    found = lot_effects(open_run(results, run_id))
+    return render_run_report(
         tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)
     )
-    store.write_file("report.html", page.encode("utf-8"))
-    return page, store.folder / "report.html"
 
 
 def physics_of(config: RunConfig) -> RunPhysics:
@@ -113,7 +127,7 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
     needed = () if examined is None else tuple(sorted({effect.effect for effect in examined.effects}))
     summary = {"verdicts": verdicts, "statuses": statuses, "lot_effects": list(needed), "seconds": round(seconds, 3)}
     store.finish("complete", summary)
-    _, path = write_report(results, store.run_id)
+    path = write_report(results, store.run_id)
     store.log({"event": "finish", "verdicts": verdicts, "statuses": statuses})
     return RunResult(
         store.run_id,

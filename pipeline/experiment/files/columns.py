@@ -27,6 +27,8 @@ RATE_TOLERANCE = 1e-4
 JITTER_TOLERANCE = 0.05
 #: Fewest samples of a record.
 MIN_SAMPLES = 16
+#: Volts and seconds; even the counts of a 40-bit converter are fewer.  Squares of squares stay far from overflow.
+LARGEST = 1e12
 
 _NAME = re.compile(r"(drive|sense)([1-9][0-9]*)_V")
 _ALIKE = re.compile(r"(drive|sense|time)\D*(\d*)", re.IGNORECASE)
@@ -109,6 +111,14 @@ def _numbers(name: str, key: str, values: NDArray[Any]) -> FloatArray:
             value=float(numbers[bad[0]]),
             allowed="finite numbers (rows are counted from 0)",
             next_step="cut the record with start and stop in its [[record]], or measure again; missing samples are not filled in",
+        )
+    large = np.flatnonzero(np.abs(numbers) > LARGEST)
+    if large.size:
+        raise MeasurementError(
+            f"{name}: column {key} has {large.size} values beyond any measurement, the first in row {large[0]}",
+            value=float(numbers[large[0]]),
+            allowed=f"at most {LARGEST:g} (rows are counted from 0)",
+            next_step="check the file format and the unit of the column",
         )
     return numbers
 

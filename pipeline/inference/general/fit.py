@@ -211,7 +211,7 @@ def _campaign_fit(
         relative_error=relative,
         misfit=misfit,
         converged=result.converged,
-        fit_ok=bool(result.converged and determined),
+        fit_ok=bool(result.converged and determined and np.all(np.isfinite(covariance))),
         theta_deg=(values["theta_deg"], sd.get("theta_deg", 0.0)) if model.plant.kind == "gyro" else None,
         split_hz=_split_hz(model, values, covariance) if model.plant.kind == "gyro" else None,
     )

@@ -102,13 +102,17 @@ def fit_result(
     if fitted.theta_deg is not None and fitted.split_hz is not None:
         derived = {"theta_deg": fitted.theta_deg, "split_hz": fitted.split_hz}
     blocks = tuple(_block(record, fitted, campaign) for record in campaign.with_role("fit"))
+    jacobians = _jacobians(fitted, sensitivities, spectra, free)
     ok = fitted.converged and bool(np.isfinite(fitted.chi2))
+    why = "" if ok else f"it stopped before it converged, at {100 * (fitted.relative_error['fit'] or 0):.3g} % error"
+    if ok and not all(bool(np.isfinite(block).all()) for block in jacobians):
+        ok, why = False, "a change of the parameters found gives no device"
     return FitResult(
         ok,
         terms,
         fitted.parameters,
         blocks,
-        _jacobians(fitted, sensitivities, spectra, free),
+        jacobians,
         derived=derived,
         held=tuple(_block(record, fitted, campaign) for record in campaign.with_role("validate")),
         columns=columns,
@@ -118,7 +122,7 @@ def fit_result(
         nuisances=sum(block.nuisances for block in blocks),
         error={k: v for k, v in fitted.error.items() if v is not None and noise_known},
         relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
-        why="" if ok else f"it stopped before it converged, at {100 * (fitted.relative_error['fit'] or 0):.3g} % error",
+        why=why,
         noise_bounded=not noise_known,
         error_given=fitted.noise.independent,
         misfit=structured_misfit(fitted, campaign) or "",
