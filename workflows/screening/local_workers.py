@@ -30,7 +30,9 @@ class LocalWorkers:
     """``count`` worker processes of the scheduler at ``address``, each with one thread and ``memory_bytes`` of memory."""
 
     def __init__(self, address: str, count: int, memory_bytes: int) -> None:
-        self._command = [sys.executable, "-m", "workflows.screening.worker_process", address, str(memory_bytes)]
+        # -P: the working folder is not searched for imports; a pipeline.py of the user would hide the package.
+        module = ["-P", "-m", "workflows.screening.worker_process"]
+        self._command = [sys.executable, *module, address, str(memory_bytes)]
         self._memory_bytes = memory_bytes
         self._ended: dict[str, str] = {}
         self._signs = tempfile.TemporaryDirectory(prefix="gyroscreen-")
