@@ -63,10 +63,10 @@ def staged_files(folder: Path) -> tuple[Path, ...]:
 
 
 @contextmanager
-def writing(folder: Path) -> Iterator[None]:
+def writing(folder: Path, clean: bool = True) -> Iterator[None]:
     """Lock a run's folder for writing; a second writer waits.  The lock ends with its process, even by kill -9.
 
-    Leftovers found under the lock have no owner and are removed.
+    Leftovers found under the lock have no owner; with ``clean`` they are removed, which reads the whole folder.
     """
     if sys.platform == "win32":
         yield  # Without file locks the caller must ensure that each run has one writer.
@@ -74,8 +74,9 @@ def writing(folder: Path) -> Iterator[None]:
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
-        for path in staged_files(folder):
-            path.unlink()
+        if clean:
+            for path in staged_files(folder):
+                path.unlink()
         yield
     finally:
         os.close(handle)

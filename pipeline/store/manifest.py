@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
@@ -139,29 +138,3 @@ def decode(data: bytes, where: str) -> Manifest:
         raise IntegrityError(
             f"{where} lacks what a manifest holds ({error})", next_step="run `gyroscreen verify`"
         ) from None
-
-
-def read_manifest(folder: Path) -> Manifest:
-    """Read and check the manifest of a run's folder.
-
-    Raises
-    ------
-    IntegrityError : it is missing, unreadable or damaged, or belongs to another run.
-    """
-    path = folder / NAME
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise IntegrityError(
-            f"{path} cannot be read ({error.strerror})",
-            next_step="move the folder out of the results folder, or restore it from a copy",
-        ) from None
-    manifest = decode(data, str(path))
-    if folder.name != f"run={manifest.run_id}":
-        raise IntegrityError(
-            f"{path} belongs to another run",
-            value=manifest.run_id,
-            allowed=folder.name.removeprefix("run="),
-            next_step=f"rename the folder to run={manifest.run_id}",
-        )
-    return manifest

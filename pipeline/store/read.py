@@ -11,8 +11,9 @@ import pyarrow as pa
 
 from ..errors import IntegrityError, UsageError
 from .files import sha256
+from .journal import read_manifest
 from .manifest import NAME as MANIFEST
-from .manifest import FileEntry, Kind, Manifest, read_manifest
+from .manifest import FileEntry, Kind, Manifest
 from .parquet import decode_table, stored_columns
 from .schema import devices_schema, posterior_schema
 

@@ -3,8 +3,9 @@
     DIR/run=<run_id>/  devices-00000.parquet  posterior-00000.parquet  manifest.json  run.toml  log.jsonl
     report.html
 
-Commit of a block: stage, fsync, rename the tables; then stage, fsync, rename the manifest that lists them
-with their SHA-256. The manifest decides: a table that it does not list is not part of the run.
+Commit of a block: stage, fsync, rename the tables; then append a line that lists them with their SHA-256 to the journal
+and fsync it. At checkpoints and at the end manifest.json is written by rename and takes over the journal. Manifest and
+journal decide: a table that they do not list is not part of the run.
 Long because every way of writing to a run follows the same commit protocol and shares its lock.
 """
 
@@ -15,7 +16,7 @@ import secrets
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -27,8 +28,9 @@ from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
 from . import files
 from .block import amended, block_file, check_block, other_name, require_unique
 from .digest import table_digest
+from .journal import Journal, journal_name, read_manifest
 from .manifest import NAME as MANIFEST
-from .manifest import FileEntry, Kind, Manifest, encode, read_manifest
+from .manifest import FileEntry, Kind, Manifest, encode
 from .parquet import encode_table
 from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_file, read_table, settled, stored_devices
 
@@ -43,12 +45,14 @@ def _now() -> str:
 
 @dataclass(frozen=True)
 class RunStore:
-    """A run's folder, open for writing; it keeps no state: every answer comes from the manifest on disk.
+    """A run's folder, open for writing; every answer comes from the manifest and the journal on disk.
 
+    ``journal`` only saves reading again what has not changed.
     Any number of processes may hold one; writes wait for each other.
     """
 
     folder: Path
+    journal: Journal = field(default_factory=Journal, repr=False, compare=False)
 
     @property
     def run_id(self) -> str:
@@ -103,11 +107,11 @@ class RunStore:
             {"devices": devices} if posterior is None else {"devices": devices, "posterior": posterior}
         )
         check_block(block, tables)
-        with self._writing():
-            manifest = self.manifest
-            if block in manifest.blocks():
+        with self._writing(clean=self.journal.lines == 0):
+            self.journal.refresh(self.folder)
+            if block in self.journal.blocks:
                 return
-            if manifest.status == "complete":
+            if self.journal.status == "complete":
                 raise UsageError(
                     f"run {self.run_id} is complete and accepts no further blocks",
                     value=block,
@@ -124,15 +128,9 @@ class RunStore:
                 for entry in entries:
                     files.publish(self.folder, entry.name)
                 files.fsync_folder(self.folder)
-                self._put_manifest(
-                    replace(
-                        manifest,
-                        files=(*manifest.files, *entries),
-                        status="running",
-                        finished=None,
-                        devices_digest=None,
-                    )
-                )
+                self.journal.append(self.folder, entries)
+            if self.journal.long:
+                self._put_manifest(self.manifest)
 
     def amend_devices(self, values: Mapping[str, Mapping[str, Any]]) -> None:
         """Set columns of single devices in committed blocks, atomically: all, or none if the process dies.
@@ -229,8 +227,8 @@ class RunStore:
             file.write(line)
 
     @contextmanager
-    def _writing(self) -> Iterator[None]:
-        with _disk(self.folder), files.writing(self.folder):
+    def _writing(self, clean: bool = True) -> Iterator[None]:
+        with _disk(self.folder), files.writing(self.folder, clean):
             yield
 
     @contextmanager
@@ -247,7 +245,12 @@ class RunStore:
             raise
 
     def _put_manifest(self, manifest: Manifest) -> None:
-        files.replace_file(self.folder, MANIFEST, _encoded(manifest))
+        """Write a checkpoint; the journal before it is then stale."""
+        before = journal_name(files.sha256((self.folder / MANIFEST).read_bytes()))
+        data = _encoded(manifest)
+        files.replace_file(self.folder, MANIFEST, data)
+        if before != journal_name(files.sha256(data)):
+            (self.folder / before).unlink(missing_ok=True)
 
 
 def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping[str, Any]) -> RunStore:

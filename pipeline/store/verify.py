@@ -17,10 +17,11 @@ import pyarrow as pa
 
 from ..errors import IntegrityError, UsageError
 from .digest import table_digest
-from .files import STAGED
+from .files import STAGED, sha256
+from .journal import journal_name, read_manifest
 from .lock import NAME as LOCK
 from .manifest import NAME as MANIFEST
-from .manifest import FileEntry, Manifest, in_block_order, read_manifest
+from .manifest import FileEntry, Manifest, in_block_order
 from .parquet import decode_table
 from .read import PREFIX, read_file, run_folders, stored_devices
 from .run import LOG
@@ -125,7 +126,7 @@ def _verify_run(folder: Path) -> VerifyReport:
     except IntegrityError as error:
         finding = _damage(folder / MANIFEST, error)
         return VerifyReport((finding,), runs=1, files=0, bytes=0, devices=0, draws=0)
-    findings = list(_strays(folder, {entry.name for entry in manifest.files} | {MANIFEST, LOG, LOCK}))
+    findings = list(_strays(folder, {entry.name for entry in manifest.files} | {MANIFEST, LOG, LOCK, _journal(folder)}))
     findings += _structure(folder, manifest)
     devices = [devices_schema().empty_table()]
     draws = 0
@@ -154,6 +155,11 @@ def _verify_run(folder: Path) -> VerifyReport:
         devices=whole.num_rows,
         draws=draws,
     )
+
+
+def _journal(folder: Path) -> str:
+    """Name of the journal that belongs to the manifest; another one is the rest of an interrupted checkpoint."""
+    return journal_name(sha256((folder / MANIFEST).read_bytes()))
 
 
 def _verify_file(folder: Path, entry: FileEntry) -> pa.Table | None:
