@@ -136,7 +136,7 @@ class TermParameter:
     ----------
     name, unit : of the parameter.
     null : value at which the term has no effect.
-    reach : largest |value - null| of its declared range.
+    reach : largest |value - null| of its declared range for which its column holds.
     side : +1 or -1 where the null is a boundary and only values above or below exist, else 0.
     """
 

@@ -106,7 +106,7 @@ class Score:
     log_p_single : log of its own p-value, the scan over its grid included.
     p_value : family-wise, over all candidates.
     surviving_share : share of the norm of its signature that the baseline does not absorb.
-    snr_at_reach : SNR at the end of its declared range; infinite where none is declared.
+    snr_at_reach : SNR at the end of its range (``TermParameter.reach``); infinite where none is declared.
     detectable : the SNR at the end of its range is large enough for a detection.
     """
 

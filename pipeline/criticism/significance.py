@@ -33,13 +33,9 @@ from scipy.special import betainc, betaln, erfcx, gamma, gammaincc, gammaln, log
 from ..arrays import FloatArray
 from .budget import DETECTABLE_SNR
 from .problem import Candidate, LocalCandidate
-from .scores import Cell, Projected, Score, cells_of, delta_chi2s, inverse_of
+from .scores import ABSORBED, Cell, Projected, Score, cells_of, delta_chi2s, inverse_of
 
 DRAWS = 20_000
-#: Signatures are computed at a fit that may still move and are right to about this share, so less of one that survives is not
-#: known.  The smallest share of an effect that was found is 0.09; 0.0002 to 0.006 of a delay survive where the starts of the
-#: records differ, and with 1e-6 here 3 of 6 such campaigns promised to show a delay.
-_KNOWN_SHARE = 0.01
 #: Probability at which the effective number of trials of a scan is matched.
 _CALIBRATED = 0.01
 #: Draws at a time, so that intermediate results stay in the processor's cache.
@@ -282,7 +278,7 @@ def _visibility(projected: Projected, candidate: Candidate, cells: Sequence[Cell
         left = np.sqrt(np.maximum(np.diag(projected.gram)[cell.columns], 0.0))
         spread = np.sqrt(np.maximum(np.diag(projected.covariance)[cell.columns], 1e-300))
         reach = np.array([parameter.reach for parameter in candidate.parameters])
-        visible = left > _KNOWN_SHARE
+        visible = left > ABSORBED
         if not visible.any():
             continue
         share = max(share, float(left.max()))

@@ -176,7 +176,8 @@ class CandidateAnswer(Answer, frozen=True, eq=False, rename={"class_": "class"})
     estimate : its parameters by one Gauss-Newton step.
     error_after : error on the fitted data with the effect in the model.
     class_ : number of its class.
-    detectable, snr_at_reach : whether these data could have shown it, and the SNR at the end of its declared range.
+    detectable, snr_at_reach : whether these data could have shown it, and the SNR at the end of its declared range, or where
+        it changes the records by as much as they are.
     surviving_share : share of its signature that the model's own parameters do not absorb.
     F, F_dof, share_of_chi2, p_single, relative_error_after : of a modal record.
     """

@@ -47,13 +47,14 @@ class Tangent:
     model : of the fit.
     groups : for each drive group the indices of its records and its simulated records.
     rows : takes an index of a record and volts (k, N, S) to rows (k, 2 F S).
-    peak_v : the largest measured sample [V].
+    peak_v, norm_v : largest sample, and norm, of the measured records [V].
     """
 
     model: Model
     groups: tuple[tuple[tuple[int, ...], Base], ...]
     rows: Callable[[int, FloatArray], FloatArray]
     peak_v: float
+    norm_v: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +154,8 @@ def tangent_of(
         for places, group in tasks.groups
     )
     peak_v = max(float(np.max(np.abs(record.sense_v))) for record in records)
-    return Tangent(fitted.model, groups, rows, peak_v)
+    norm_v = float(np.sqrt(sum(float(np.sum((r.sense_v - r.sense_v.mean(axis=0)) ** 2)) for r in records)))
+    return Tangent(fitted.model, groups, rows, peak_v, norm_v)
 
 
 def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArray]]] | None:
@@ -170,27 +172,36 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
         grid[members[0].name] = tuple(1.0 / (at.peak_v * share) for share in _CLIP_LEVELS)
     columns: list[list[FloatArray]] = [[] for _ in range(sum(len(places) for places, _ in at.groups))]
     found: list[Signature] = []
+    energy: list[FloatArray] = []
     hints: dict[str, float] = {}
     try:
         for number, (places, base) in enumerate(at.groups):
-            for signature in signatures(base, name, grid=grid or None, step_hints=hints):
+            for j, signature in enumerate(signatures(base, name, grid=grid or None, step_hints=hints)):
                 hints = signature.steps
                 if number == 0:
                     found.append(replace(signature, columns=np.zeros(0)))
+                    energy.append(np.zeros(signature.columns.shape[0]))
+                energy[j] = energy[j] + np.sum(signature.columns**2, axis=(1, 2, 3))
                 for k, (place, source) in enumerate(zip(places, response_sources(base.group, base.starts))):
                     own = at.rows(place, signature.columns[:, k]) if source == k else columns[places[source]][-1]
                     columns[place].append(own)
     except ConfigError:
         return None
-    return _candidate(effect, members, found, angle), columns
+    size_v = np.sqrt(np.min(energy, axis=0))
+    most = np.divide(at.norm_v, size_v, out=np.full(size_v.size, np.inf), where=size_v > 0.0)
+    return _candidate(effect, members, found, angle, most), columns
 
 
 def _candidate(
-    effect: Effect, members: Sequence[Parameter], found: Sequence[Signature], angle: str | None
+    effect: Effect, members: Sequence[Parameter], found: Sequence[Signature], angle: str | None, most: FloatArray
 ) -> Candidate:
-    """The candidate whose columns are those of ``found`` in sequence; the directions of one grid point share a cell."""
+    """The candidate whose columns are those of ``found`` in sequence; the directions of one grid point share a cell.
+
+    ``most`` (k,): |value - null| at which each column is as large as the records; beyond it, it says nothing of its effect.
+    """
     own = [m for m in members if m.name in found[0].names]
     parameters = [TermParameter.with_range(effect.full_name(m), m.unit, m.null, m.low, m.high) for m in own]
+    parameters = [replace(p, reach=min(p.reach, float(limit))) for p, limit in zip(parameters, most)]
     together = len(_AXES_DEG) if angle is not None and len(found) % len(_AXES_DEG) == 0 and len(found) > 1 else 1
     if together > 1:
         parameters = [replace(p, name=f"{p.name} at {a:g} deg") for a in _AXES_DEG for p in parameters]
