@@ -12,16 +12,25 @@ from threadpoolctl import threadpool_limits
 from populations.draw import draw
 
 from ..config import load_config
+from ..machine import worker_count
 from ..screening.block import DeviceBlock, virtual_block
 from ..screening.settings import population
 from ..screening.virtual_device import identify_virtual
 from ..studies.coverage import Share, figures, run_study
+from ..studies.fault_study import commits as cost_of_commits
+from ..studies.fault_study import killed_workers
 from ..studies.near_limits import DeviceShare
 
 
 def coverage(devices: int, splits: str, noise: str, bad: float, seed: int, workers: int, json: bool) -> None:
     """See ``gyroscreen benchmark coverage --help``."""
     show(figures(run_study(devices, splits, seed, workers, noise, bad)), json)
+
+
+def faults(blocks: int, kills: int, seconds: float, commits: int, seed: int, workers: int, json: bool) -> None:
+    """See ``gyroscreen benchmark faults --help``."""
+    found = killed_workers(blocks, kills, seconds, worker_count(workers), seed) if blocks else {}
+    show(found | (cost_of_commits(commits) if commits else {}), json)
 
 
 def show(found: dict[str, Any], json: bool) -> None:

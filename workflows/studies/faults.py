@@ -5,6 +5,7 @@ A stub takes ``seconds`` and has the row of its number; the faults are by device
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,11 +30,13 @@ class Stub:
     seconds : duration of a device [s].
     faults : number of a device -> name of its fault.
     once : folder that remembers faults, where each is to happen only once.
+    count : folder where a byte is written for each device computed.
     """
 
     seconds: float = 0.0
     faults: Mapping[int, str] = field(default_factory=dict)
     once: Path | None = None
+    count: Path | None = None
 
     __name__ = "stub"
 
@@ -46,6 +49,9 @@ class Stub:
                 begin(number)
                 time.sleep(self.seconds)
                 self._fault(number)
+                if self.count is not None:
+                    with (self.count / str(os.getpid())).open("ab", buffering=0) as file:
+                        file.write(b".")
         status = "lost" if block.lost else "ok"
         columns: dict[str, Sequence[Any]] = {
             "device_id": [f"stub-{number:08d}" for number in numbers],

@@ -16,6 +16,7 @@ from workflows.screening.cluster import cluster
 from workflows.screening.dispatch import guarded_in_parallel
 from workflows.screening.faults import Faults, Sign, TimeLimit, Try, after_exception, after_loss
 from workflows.studies.fault_kinds import faulty_numbers
+from workflows.studies.fault_study import commits
 
 NUMBERS: Faults[range] = Faults(devices=lambda item: item, part=lambda _, devices: devices, lost=lambda item, why: item)
 
@@ -153,3 +154,9 @@ def test_the_limit_is_20_medians_and_at_least_a_minute() -> None:
     limit.seconds.extend([7.0, 8.0])
     assert limit.now_s == pytest.approx(140.0)
     assert TimeLimit(5.0).now_s == 5.0
+
+
+def test_the_cost_of_commits_is_measured() -> None:
+    found = commits(20)
+    assert found["blocks"] == 20
+    assert found["growth of peak memory, MB"] < 50.0

@@ -67,6 +67,25 @@ def throughput(devices: Devices = 100, json: Json = False) -> None:
 
 
 @app.command()
+def faults(
+    blocks: Annotated[int, typer.Option(help="Blocks of four stub devices.")] = 1000,
+    kills: Annotated[int, typer.Option(help="Workers killed at random moments.")] = 60,
+    seconds: Annotated[float, typer.Option(help="Duration of a stub device [s].")] = 0.5,
+    commits: Annotated[int, typer.Option(help="Blocks committed to measure the cost of a commit.")] = 10_000,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    json: Json = False,
+) -> None:
+    """Workers killed over a night of stub devices, and the cost of a commit.
+
+    Prints whether each device has exactly one row, what was computed twice, and commit time and memory against the block.
+    """
+    from ..benchmark import faults as command
+
+    command(blocks, kills, seconds, commits, seed, workers, json)
+
+
+@app.command()
 def sequential(
     devices: Devices = 500,
     near: Annotated[int, typer.Option(help="Devices near whose true values limits are put; the first ones.")] = 150,

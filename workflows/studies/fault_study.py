@@ -1,0 +1,93 @@
+"""Kills of workers and cost of commits over blocks of stub devices: figures of `gyroscreen benchmark faults`."""
+
+from __future__ import annotations
+
+import random
+import resource
+import statistics
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from pipeline.store.run import RunStore, create_run
+
+from ..config import RunConfig
+from ..config_tables import DiagnosisTable, RunTable
+from ..screening.batch import run_blocks
+from ..screening.block import DeviceBlock, blocks_of
+from ..screening.guard import unguarded
+from ..screening.inputs import Inputs
+from ..screening.parts import BlockItem
+from ..screening.plan import RunPlan
+from .faults import Stub
+
+_DEVICES = 4
+
+
+def killed_workers(blocks: int, kills: int, seconds: float, workers: int, seed: int) -> dict[str, Any]:
+    """Figures of a run of ``blocks`` whose workers are killed at ``kills`` random moments; a device takes ``seconds``."""
+    config = RunConfig(run=RunTable(devices=blocks * _DEVICES, block=_DEVICES), diagnosis=DiagnosisTable(enabled=False))
+    planned = RunPlan(config, blocks * _DEVICES, blocks_of(config, blocks * _DEVICES), (), Inputs((), {}))
+    with tempfile.TemporaryDirectory(prefix="gyroscreen-faults-") as folder:
+        counted = Path(folder) / "count"
+        counted.mkdir()
+        store = create_run(Path(folder), "faults", "", {})
+        done, killed = threading.Event(), [0]
+        expected = blocks * _DEVICES * seconds / workers
+        random_ = random.Random(seed)
+        killer = threading.Thread(target=_kill, args=(done, killed, kills, expected, random_), daemon=True)
+        started = time.monotonic()
+        killer.start()
+        try:
+            run_blocks(planned, store, workers, None, True, Stub(seconds, count=counted))
+        finally:
+            done.set()
+            killer.join()
+        computed = sum(file.stat().st_size for file in counted.iterdir())
+        rows = store.devices()
+        ids = rows.column("device_id").to_pylist()
+        return {
+            "devices": len(ids),
+            "each device once": ids == [f"stub-{n:08d}" for n in range(blocks * _DEVICES)],
+            "workers killed": killed[0],
+            "devices lost": rows.column("status").to_pylist().count("lost"),
+            "extra devices computed / devices": computed / len(ids) - 1.0,
+            "seconds": time.monotonic() - started,
+        }
+
+
+def _kill(done: threading.Event, killed: list[int], kills: int, expected_s: float, random_: random.Random) -> None:
+    """Kill a random worker process of this process, ``kills`` times at random intervals."""
+    while killed[0] < kills and not done.wait(random_.expovariate(kills / expected_s)):
+        own = [one for one in psutil.Process().children() if "worker_process" in " ".join(one.cmdline())]
+        if own:
+            random_.choice(own).kill()
+            killed[0] += 1
+
+
+def commits(blocks: int) -> dict[str, Any]:
+    """Duration of a commit at the start and at the end of ``blocks``, and how the memory of the process grows."""
+    with tempfile.TemporaryDirectory(prefix="gyroscreen-faults-") as folder:
+        store: RunStore = create_run(Path(folder), "commits", "", {})
+        seconds, memory = [], []
+        for index in range(blocks):
+            item = BlockItem(DeviceBlock(index, index * _DEVICES, _DEVICES))
+            tables = Stub()(RunConfig(), item, unguarded)
+            started = time.perf_counter()
+            store.commit_block(index, tables.devices, None)
+            seconds.append(time.perf_counter() - started)
+            if index == min(blocks // 10, 1000):
+                memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+        part = max(blocks // 10, 1)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return {
+            "blocks": blocks,
+            "median commit, first tenth, ms": 1e3 * statistics.median(seconds[:part]),
+            "median commit, last tenth, ms": 1e3 * statistics.median(seconds[-part:]),
+            "mean commit, ms": 1e3 * statistics.fmean(seconds),
+            "growth of peak memory, MB": (peak - memory[0]) / 1024.0,
+        }
