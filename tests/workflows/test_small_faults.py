@@ -32,8 +32,9 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "results"
 
 
-@pytest.mark.parametrize("late", ["manifest.json", "devices-00007.parquet"])
+@pytest.mark.parametrize("late", ["journal", "devices-00007.parquet"])
 def test_a_commit_that_fails_late_leaves_no_stray_file(late, tmp_path, monkeypatch):
+    from pipeline.store import journal
     from pipeline.store.provenance import provenance
     from pipeline.store.run import create_run
 
@@ -47,6 +48,12 @@ def test_a_commit_that_fails_late_leaves_no_stray_file(late, tmp_path, monkeypat
 
     before = sorted(path.name for path in store.folder.iterdir())
     table = devices_table({"device_id": ["D1"]})
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if late == "journal":
+        monkeypatch.setattr(journal, "_write", full)
     monkeypatch.setattr(files, "publish", failing)
     with pytest.raises(IncompleteError):
         store.commit_block(7, table, None)

@@ -76,7 +76,7 @@ def faults(
     workers: Workers = 0,
     json: Json = False,
 ) -> None:
-    """Workers killed over a night of stub devices, and the cost of a commit.
+    """Workers that die in a night; the cost of a commit.
 
     Prints whether each device has exactly one row, what was computed twice, and commit time and memory against the block.
     """
