@@ -2,11 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from pipeline.errors import UsageError
+from populations.draw import draw
 from workflows.cli import call
-from workflows.config import load_config
+from workflows.config import RunConfig, load_config
+from workflows.screening.settings import population
+from workflows.screening.virtual_device import identify_virtual
 from workflows.studies.coverage import COVERED
 from workflows.studies.undetected import NONE, by_effect, effects_of, figures, run_study, study_row
 
@@ -82,3 +86,12 @@ def test_wrong_options_are_refused_before_the_first_device(options, message, tmp
     out = [] if "--out" in given else ["--out", str(tmp_path / "rows")]
     assert call(["benchmark", "undetected", *out, *given]) == 2
     assert message in capfd.readouterr().err
+
+
+def test_a_device_with_a_strongly_damped_mode_has_finite_bounds():
+    """Device 168 of the default run: the up-down mode decays by e^-700 and more within the record."""
+    config = RunConfig()
+    spec = population(config)
+    columns = identify_virtual(config, draw(spec, 1, 168, 1), 0, float(spec.angular_gain)).columns
+    assert columns["status"] == "ok"
+    assert np.isfinite([columns[name] for name in columns if name.endswith("_bias_bound")]).all()

@@ -117,7 +117,9 @@ class LinearDevice:
     def forced(self, force: ComplexArray, grid: Grid) -> ComplexArray:
         """Volts behind the filter (K, S, W) in response to envelopes of K forces (K, 3, n) [V/s]."""
         span = self.band.samples / self.band.sample_rate_hz
-        left = grid.powers(1j * grid.omega - self.poles) * np.exp(self.poles * span)[:, None]
+        # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
+        decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
+        left = grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]
         ends = (force @ left.T) * (0.5 * span / grid.points)
         modal = self.parts[:, None] @ np.moveaxis(ends, 2, 0)[..., None]
         q_end = 2.0 * modal[..., 0].real.sum(axis=0)
