@@ -1,7 +1,7 @@
 """The false alarms that the learning code may make, and the SNRs that follow from them: one place for every test.
 
 a name            P(a term is named | none is present)      = ALPHA,        over all candidates of one step
-a region, a kind of variation between the records           = ALPHA,        over all of them
+a region; repeats that are called different                 = ALPHA,        over all regions; over all pairs
 a structure left  P(noise is called structured: "unknown")  = ALPHA_LEFT,   a milder fault than a wrong name
 detectable        z(ALPHA / 2 / 20 terms) + z(0.1) = 3.8 + 1.3 = 5 sigma: found nine times in ten
 clear             8 sigma: no other support is needed, because a size that is wrong by 3 sd still is significant

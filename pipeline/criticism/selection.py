@@ -168,9 +168,10 @@ def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules
     failed: dict[str, str] = {}
     limited: dict[str, Score] = {}
     best, reached = None, -np.inf
-    for score in sorted(significant, key=lambda score: _gain(tests.fit, score, score.delta_chi2), reverse=True):
+    promised = {score.name: _gain(tests.fit, score, score.delta_chi2) for score in significant}
+    for score in sorted(significant, key=lambda score: promised[score.name], reverse=True):
         name = score.name
-        if _gain(tests.fit, score, score.delta_chi2) < rules.settled_share * reached:
+        if promised[name] < rules.settled_share * reached:
             break
         if name in at_limit and _same_point(score, at_limit[name]):
             reasons[name] = AT_LIMIT

@@ -64,7 +64,7 @@ class DependentNoise:
 
     def factor(self, volts: FloatArray, rate_hz: float) -> FloatArray:
         """c (N, S) of model ``volts`` (N, S) [V]."""
-        return factors(volts, rate_hz)[self.kind]
+        return factor_of(self.kind, volts, rate_hz)
 
     def variances(self, volts: FloatArray, rate_hz: float) -> FloatArray:
         """v (3, N) [V^2] of the channel pairs (0, 0), (0, 1), (1, 1) at model ``volts`` (N, S) [V]."""
@@ -72,9 +72,9 @@ class DependentNoise:
         return np.stack([t[0, 0] * c[0] ** 2, t[0, 1] * c[0] * c[1], t[1, 1] * c[1] ** 2])
 
 
-def factors(volts: FloatArray, rate_hz: float) -> dict[DependentKind, FloatArray]:
-    """c (N, S) of each kind at model ``volts`` (N, S) [V]."""
-    return {"jitter": slope_v_per_s(volts, rate_hz), "gain": volts}
+def factor_of(kind: DependentKind, volts: FloatArray, rate_hz: float) -> FloatArray:
+    """c (N, S) of a kind at model ``volts`` (N, S) [V]."""
+    return slope_v_per_s(volts, rate_hz) if kind == "jitter" else volts
 
 
 def find_dependent_noise(
@@ -89,8 +89,8 @@ def find_dependent_noise(
     noise : of the silence.
     signal_hz : highest frequency of the band of the signal [Hz].
     """
-    every = factors(volts, noise.sample_rate_hz).items()
-    found = [_find(kind, residual_v, c, noise, signal_hz) for kind, c in every]
+    rate = noise.sample_rate_hz
+    found = [_find(kind, residual_v, factor_of(kind, volts, rate), noise, signal_hz) for kind in COLUMNS]
     return most_significant(one for one in found if one is not None)
 
 

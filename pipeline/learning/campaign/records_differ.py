@@ -115,9 +115,8 @@ def selected(
     """
     selection = forward_selection(restricted(problem), (), rules)
     if problem.variation is None:
-        if not selection.tests or verdict_of(selection, (), rules) != "unknown" or len(problem.records) < 2:
-            return problem, selection
-        if repeats_of(problem.campaign):
+        decided = not selection.tests or verdict_of(selection, (), rules) != "unknown"
+        if decided or len(problem.records) < 2 or repeats_of(problem.campaign):
             return problem, selection
         last = problem.campaign_fit(selection.last.fit.terms)
         if record_variation(last, problem.campaign, threads=problem.threads).spread.is_zero:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...arrays import RANK
 from ...criticism.problem import TermParameter
 from ...criticism.regression import Term
 from ...device.effect import Effect
@@ -21,6 +20,8 @@ GAUGES = (
     "up-down tilt about the other axis (absorbed by updown_gain)",
     "linear part of electrostatic softening (absorbed by the frequencies and theta)",
 )
+#: Relative change of residues and poles by one scale of its parameters below which an effect changes nothing.
+_NOTHING = 1e-9
 #: Sense angles [deg] that are tried for an additional mode.
 _ANGLES_DEG = (-90.0, -45.0, 0.0, 45.0, 90.0)
 
@@ -67,7 +68,7 @@ def _term(
         np.abs(changed.c - at_null.c).max() / rows.norms.max(),
         np.abs(changed.poles / at_null.poles - 1.0).max(),
     )
-    if max(moved) < RANK:
+    if max(moved) < _NOTHING:
         return None
     if np.any(changed.present != at_null.present):
         scanned = {name: _of_missing_mode(name, tried, rows, at_null) for name, tried in scanned.items()}

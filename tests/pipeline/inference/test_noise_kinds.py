@@ -10,7 +10,7 @@ from pipeline.device.gyro import gyro_modes, to_cartesian
 from pipeline.experiment.noise.source import NoiseKind, noise_volts
 from pipeline.experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
 from pipeline.inference.screening.compressed import BandData, compress
-from pipeline.inference.screening.dependent_noise import factors, find_dependent_noise
+from pipeline.inference.screening.dependent_noise import factor_of, find_dependent_noise
 from pipeline.inference.screening.fit import maximise
 from pipeline.inference.screening.whitening import BandNoise, band_noise, on_grid, white_noise
 
@@ -58,7 +58,7 @@ def test_whitened_data_of_noise_alone_are_independent_with_unit_variance(bench, 
         noise = BandNoise(np.stack([variance, variance]), np.zeros(2), np.zeros((3, 0)))
     else:
         size = kind.jitter_s if kind.kind == "jitter" else kind.gain_noise
-        s = size * factors(clean, RATE)[kind.kind].T
+        s = size * factor_of(kind.kind, clean, RATE).T
         v = on_grid(np.stack([s[0] ** 2, s[0] * s[1], s[1] ** 2]), band)
         white = white_noise(np.full(2, SIGMA), band)
         noise = BandNoise(white.variance, white.relative_sd, v)
