@@ -34,6 +34,7 @@ from ...learning import DiagnosisResult, RefinementResult
 from ...machine import worker_count
 from ...screening.cluster import cluster
 from ...screening.dispatch import in_parallel
+from . import strengths
 from .draw import SIGMA_V, Hidden, hide
 from .kinds import KINDS
 from .restricted import RestrictedProblem
@@ -144,10 +145,8 @@ def snr_left(fit: CampaignFit, hidden: Hidden) -> float:
 
     P parameters that follow the noise add P to the square.
     """
-    energy = 0.0
-    for record in fit.of_role("fit"):
-        d = record.predicted_v - hidden.noise_free_v[record.name]
-        energy += float(np.sum(((d - d.mean(axis=0)) / SIGMA_V) ** 2))
+    left = strengths.row([r.predicted_v - hidden.noise_free_v[r.name] for r in fit.of_role("fit")])
+    energy = float(left @ left) / SIGMA_V**2
     return float(np.sqrt(max(energy - fit.x.size, 0.0)))
 
 
