@@ -13,14 +13,14 @@ from .manifest import FileEntry, Kind
 from .schema import devices_schema, devices_table, duplicates, posterior_schema, require_schema
 
 
-def block_file(kind: Kind, block: int) -> str:
-    """File name of a block's table."""
-    return f"{kind}-{block:05d}.parquet"
+def block_file(kind: Kind, block: int, last: int | None = None) -> str:
+    """File name of a block's table, or of that of the blocks up to ``last``."""
+    return f"{kind}-{block:05d}{'' if last is None else f'-{last:05d}'}.parquet"
 
 
 def other_name(entry: FileEntry) -> str:
     """File name for the amended version of a committed devices table; the old file stays until the manifest changes."""
-    plain = block_file("devices", entry.block or 0)
+    plain = block_file("devices", entry.block or 0, entry.last)
     return plain if entry.name != plain else plain.replace(".parquet", "-amended.parquet")
 
 

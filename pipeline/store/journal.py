@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -22,8 +22,8 @@ from .files import fsync_folder, sha256
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Manifest, Status, decode
 
-#: Checkpoints: when the journal has this many lines, or as many as the manifest has files.
-_LEAST_LINES = 256
+#: Checkpoints: when the journal has this many lines, or an eighth of the files of the manifest, which a checkpoint writes anew.
+_LEAST_LINES, _FILES_PER_LINE = 256, 8
 
 
 def journal_name(manifest_sha256: str) -> str:
@@ -115,7 +115,7 @@ def _hash(before: str, entries: Sequence[FileEntry]) -> str:
 
 
 def _json(entries: Sequence[FileEntry]) -> str:
-    return json.dumps([asdict(entry) for entry in entries], sort_keys=True, ensure_ascii=False)
+    return json.dumps([entry.to_dict() for entry in entries], sort_keys=True, ensure_ascii=False)
 
 
 def _line(entries: Sequence[FileEntry], digest: str) -> bytes:
@@ -183,7 +183,7 @@ class Journal:
     @property
     def long(self) -> bool:
         """Whether it is time for a checkpoint; the cost of checkpoints per commit is then constant."""
-        return self.lines >= max(_LEAST_LINES, self.files)
+        return self.lines >= max(_LEAST_LINES, self.files // _FILES_PER_LINE)
 
     def _added(self, entries: Iterable[FileEntry]) -> None:
         self.status = "running"

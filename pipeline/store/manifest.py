@@ -29,6 +29,7 @@ Kind = Literal["config", "devices", "posterior", "page"]
 class FileEntry:
     """One committed file; ``block`` and ``rows`` belong to tables.
 
+    A table of several blocks has those from ``block`` to ``last``.
     ``next_sha256`` is set while a page is replaced: it may then have either content.
     """
 
@@ -39,6 +40,16 @@ class FileEntry:
     block: int | None = None
     rows: int | None = None
     next_sha256: str | None = None
+    last: int | None = None
+
+    def span(self) -> range:
+        """Numbers of the blocks of a table."""
+        first = self.block or 0
+        return range(first, (first if self.last is None else self.last) + 1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; ``last`` only where there is one, as files written before it existed have none."""
+        return {name: value for name, value in asdict(self).items() if name != "last" or value is not None}
 
 
 def in_block_order(files: Iterable[FileEntry]) -> tuple[FileEntry, ...]:
@@ -80,7 +91,7 @@ class Manifest:
 
     def blocks(self) -> frozenset[int]:
         """Numbers of the committed blocks."""
-        return frozenset(f.block for f in self.files if f.kind == "devices" and f.block is not None)
+        return frozenset(n for f in self.files if f.kind == "devices" and f.block is not None for n in f.span())
 
     def rows(self, kind: Kind) -> int:
         """Number of rows of one table over all blocks."""
@@ -99,7 +110,7 @@ def encode(manifest: Manifest) -> bytes:
     ------
     TypeError, ValueError : provenance or summary hold values that JSON cannot represent, such as NaN.
     """
-    content = asdict(manifest)
+    content = {**asdict(manifest), "files": [entry.to_dict() for entry in manifest.files]}
     return _canonical({**content, "sha256": sha256(_canonical(content))})
 
 

@@ -51,8 +51,3 @@ def decode_table(data: bytes | pa.Buffer, schema: pa.Schema, where: str) -> pa.T
     stored = dict(zip(table.column_names, table.columns, strict=True))
     arrays = [stored[field.name] if field.name in stored else pa.nulls(table.num_rows, field.type) for field in schema]
     return pa.table(arrays, schema=schema)
-
-
-def stored_columns(data: bytes) -> frozenset[str]:
-    """Names of the columns in the Parquet bytes of a table."""
-    return frozenset(pq.read_schema(pa.BufferReader(data)).names)

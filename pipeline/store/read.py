@@ -14,7 +14,7 @@ from .files import sha256
 from .journal import read_manifest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest
-from .parquet import decode_table, stored_columns
+from .parquet import decode_table
 from .schema import devices_schema, posterior_schema
 
 CONFIG = "run.toml"
@@ -166,19 +166,6 @@ def read_table(folder: Path, manifest: Manifest, kind: Kind) -> pa.Table:
     schema = devices_schema() if kind == "devices" else posterior_schema()
     blocks = [schema.empty_table(), *(read_block(folder, entry) for entry in manifest.of_kind(kind))]
     return pa.concat_tables(blocks).combine_chunks()
-
-
-def stored_devices(folder: Path, manifest: Manifest, devices: pa.Table) -> pa.Table:
-    """``devices`` with the columns that the run's files hold: one registered later is not part of its digest.
-
-    Raises
-    ------
-    IntegrityError : a file is not what was committed.
-    """
-    stored: set[str] = set()
-    for entry in manifest.of_kind("devices"):
-        stored |= stored_columns(read_file(folder, entry))
-    return devices.select([name for name in devices.column_names if name in stored]) if stored else devices
 
 
 def read_run(results: Path, run_id: str | None = None) -> RunTables:

@@ -4,8 +4,8 @@
     report.html
 
 Commit of a block: stage, fsync, rename the tables; then append a line that lists them with their SHA-256 to the journal
-and fsync it. At checkpoints and at the end manifest.json is written by rename and takes over the journal. Manifest and
-journal decide: a table that they do not list is not part of the run.
+and fsync it. At checkpoints and at the end manifest.json is written by rename and takes over the journal, and small block files
+are merged (see checkpoint.py). Manifest and journal decide: a table that they do not list is not part of the run.
 Long because every way of writing to a run follows the same commit protocol and shares its lock.
 """
 
@@ -14,8 +14,8 @@ from __future__ import annotations
 import re
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,13 +26,14 @@ import pyarrow as pa
 
 from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
 from . import files
-from .block import amended, block_file, check_block, other_name, require_unique
-from .digest import table_digest
-from .journal import Journal, journal_name, read_manifest
+from .block import amended, block_file, check_block, other_name
+from .checkpoint import checkpoint, encoded, put_manifest, sweep
+from .journal import Journal, read_manifest
 from .manifest import NAME as MANIFEST
-from .manifest import FileEntry, Kind, Manifest, encode
+from .manifest import FileEntry, Kind, Manifest
 from .parquet import encode_table
-from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_file, read_table, settled, stored_devices
+from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_file, read_table, settled
+from .stream import streamed
 
 LOG = "log.jsonl"
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -118,19 +119,17 @@ class RunStore:
                     next_step="start a new run",
                 )
             entries = []
-            with self._without_strays([block_file(kind, block) for kind in tables]):
-                for kind, table in tables.items():
-                    data = memoryview(encode_table(table))
-                    name = block_file(kind, block)
-                    files.stage(self.folder, name, data)
-                    digest = files.sha256(data)
-                    entries.append(FileEntry(name, kind, data.nbytes, digest, block=block, rows=table.num_rows))
-                for entry in entries:
-                    files.publish(self.folder, entry.name)
-                files.fsync_folder(self.folder)
-                self.journal.append(self.folder, entries)
+            for kind, table in tables.items():
+                data = memoryview(encode_table(table))
+                name = block_file(kind, block)
+                files.stage(self.folder, name, data)
+                entries.append(FileEntry(name, kind, data.nbytes, files.sha256(data), block=block, rows=table.num_rows))
+            for entry in entries:
+                files.publish(self.folder, entry.name)
+            files.fsync_folder(self.folder)
+            self.journal.append(self.folder, entries)
             if self.journal.long:
-                self._put_manifest(self.manifest)
+                checkpoint(self.folder, self.manifest)
 
     def amend_devices(self, values: Mapping[str, Mapping[str, Any]]) -> None:
         """Set columns of single devices in committed blocks, atomically: all, or none if the process dies.
@@ -146,26 +145,13 @@ class RunStore:
         """
         with self._writing():
             manifest = self.manifest
-            entries, replaced = [], []
-            for entry in manifest.of_kind("devices"):
-                table = read_block(self.folder, entry)
-                changed = amended(table, values)
-                if changed is table:
-                    entries.append(entry)
-                    continue
-                data = memoryview(encode_table(changed))
-                name = other_name(entry)
-                files.stage(self.folder, name, data)
-                files.publish(self.folder, name)
-                entries.append(replace(entry, name=name, bytes=data.nbytes, sha256=files.sha256(data)))
-                replaced.append(entry.name)
-            if not replaced:
+            now = [_amended(self.folder, entry, values) for entry in manifest.of_kind("devices")]
+            if now == list(manifest.of_kind("devices")):
                 return
             files.fsync_folder(self.folder)
             others = tuple(entry for entry in manifest.files if entry.kind != "devices")
-            self._put_manifest(replace(manifest, files=(*others, *entries), devices_digest=None))
-            for name in replaced:
-                (self.folder / name).unlink(missing_ok=True)
+            put_manifest(self.folder, replace(manifest, files=(*others, *now), devices_digest=None))
+            sweep(self.folder)
 
     def write_file(self, name: str, data: bytes) -> None:
         """Write or replace a page of the run (report.html) and record it in the manifest.
@@ -184,10 +170,10 @@ class RunStore:
             if before is not None:
                 # Readers find the old page or the new one until the manifest lists the new one alone.
                 either = replace(before, next_sha256=files.sha256(data))
-                self._put_manifest(replace(manifest, files=(*others, either)))
+                put_manifest(self.folder, replace(manifest, files=(*others, either)))
             files.replace_file(self.folder, name, data)
             entry = FileEntry(name, "page", len(data), files.sha256(data))
-            self._put_manifest(replace(manifest, files=(*others, entry)))
+            put_manifest(self.folder, replace(manifest, files=(*others, entry)))
 
     def finish(self, status: Literal["complete", "stopped"], summary: Mapping[str, Any]) -> None:
         """Close the run: store the digest of the whole ``devices`` table, the summary and the time.
@@ -207,16 +193,18 @@ class RunStore:
                     value=missing[:10],
                     next_step="resume it: gyroscreen run --resume",
                 )
-            devices = read_table(self.folder, manifest, "devices")
-            require_unique(devices, f"run {self.run_id}")
-            self._put_manifest(
-                replace(
-                    manifest,
-                    status=status,
-                    finished=_now(),
-                    summary=dict(summary),
-                    devices_digest=table_digest(stored_devices(self.folder, manifest, devices)),
+            if status == "complete":
+                manifest = checkpoint(self.folder, manifest, rest=True)
+            found = streamed(self.folder, manifest)
+            if found.twice:
+                raise IntegrityError(
+                    f"run {self.run_id} lists a device more than once",
+                    value=found.twice[:5],
+                    allowed="one row a device",
                 )
+            put_manifest(
+                self.folder,
+                replace(manifest, status=status, finished=_now(), summary=dict(summary), devices_digest=found.digest),
             )
 
     def log(self, event: Mapping[str, Any]) -> None:
@@ -229,28 +217,24 @@ class RunStore:
     @contextmanager
     def _writing(self, clean: bool = True) -> Iterator[None]:
         with _disk(self.folder), files.writing(self.folder, clean):
-            yield
+            try:
+                yield
+            except OSError:
+                sweep(self.folder)
+                raise
 
-    @contextmanager
-    def _without_strays(self, names: Sequence[str]) -> Iterator[None]:
-        """Remove the files ``names`` again if writing fails before the manifest lists them."""
-        try:
-            yield
-        except OSError:
-            with suppress(OSError, IntegrityError):
-                listed = {entry.name for entry in self.manifest.files}
-                for name in (name for name in names if name not in listed):
-                    (self.folder / name).unlink(missing_ok=True)
-                    (self.folder / f".{name}{files.STAGED}").unlink(missing_ok=True)
-            raise
 
-    def _put_manifest(self, manifest: Manifest) -> None:
-        """Write a checkpoint; the journal before it is then stale."""
-        before = journal_name(files.sha256((self.folder / MANIFEST).read_bytes()))
-        data = _encoded(manifest)
-        files.replace_file(self.folder, MANIFEST, data)
-        if before != journal_name(files.sha256(data)):
-            (self.folder / before).unlink(missing_ok=True)
+def _amended(folder: Path, entry: FileEntry, values: Mapping[str, Mapping[str, Any]]) -> FileEntry:
+    """A file with the cells ``values`` replaced, published beside the old one; ``entry`` itself if it has none of them."""
+    table = read_block(folder, entry)
+    changed = amended(table, values)
+    if changed is table:
+        return entry
+    data = memoryview(encode_table(changed))
+    name = other_name(entry)
+    files.stage(folder, name, data)
+    files.publish(folder, name)
+    return replace(entry, name=name, bytes=data.nbytes, sha256=files.sha256(data))
 
 
 def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping[str, Any]) -> RunStore:
@@ -292,7 +276,7 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
         ) from None
     try:
         files.replace_file(nascent, CONFIG, config)
-        files.replace_file(nascent, MANIFEST, _encoded(manifest))
+        files.replace_file(nascent, MANIFEST, encoded(manifest))
         if folder.exists():
             raise FileExistsError
         nascent.rename(folder)
@@ -338,14 +322,4 @@ def _disk(folder: Path) -> Iterator[None]:
             f"cannot write to the run ({error.strerror})",
             value=str(folder),
             next_step="free disk space or fix permissions, then gyroscreen run --resume; committed blocks are kept",
-        ) from None
-
-
-def _encoded(manifest: Manifest) -> bytes:
-    try:
-        return encode(manifest)
-    except (TypeError, ValueError) as error:
-        raise UsageError(
-            f"provenance or summary of run {manifest.run_id} is not JSON ({error})",
-            allowed="strings, finite numbers, lists and tables of these",
         ) from None
