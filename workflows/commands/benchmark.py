@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json as json_
 import resource
+import tempfile
 import time
+from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -17,6 +19,7 @@ from ..screening.block import DeviceBlock, virtual_block
 from ..screening.settings import population
 from ..screening.virtual_device import identify_virtual
 from ..studies.coverage import Share, figures, run_study
+from ..studies.driver_kills import killed_drivers
 from ..studies.fault_study import commits as cost_of_commits
 from ..studies.fault_study import killed_workers
 from ..studies.near_limits import DeviceShare
@@ -27,9 +30,23 @@ def coverage(devices: int, splits: str, noise: str, bad: float, seed: int, worke
     show(figures(run_study(devices, splits, seed, workers, noise, bad)), json)
 
 
-def faults(blocks: int, kills: int, seconds: float, commits: int, seed: int, workers: int, json: bool) -> None:
+def faults(
+    blocks: int,
+    kills: int,
+    seconds: float,
+    commits: int,
+    driver_kills: int,
+    out: Path | None,
+    seed: int,
+    workers: int,
+    json: bool,
+) -> None:
     """See ``gyroscreen benchmark faults --help``."""
-    found = killed_workers(blocks, kills, seconds, worker_count(workers), seed) if blocks else {}
+    count = worker_count(workers)
+    found = killed_workers(blocks, kills, seconds, count, seed) if blocks and kills else {}
+    if blocks and driver_kills:
+        with tempfile.TemporaryDirectory(prefix="gyroscreen-faults-") as folder:
+            found |= killed_drivers(blocks, driver_kills, seconds, count, seed, out or Path(folder))
     show(found | (cost_of_commits(commits) if commits else {}), json)
 
 

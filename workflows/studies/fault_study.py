@@ -16,28 +16,23 @@ import psutil
 from pipeline.store.run import RunStore, create_run
 
 from ..config import RunConfig
-from ..config_tables import DiagnosisTable, RunTable
 from ..screening.batch import run_blocks
-from ..screening.block import DeviceBlock, blocks_of
+from ..screening.block import DeviceBlock
 from ..screening.guard import unguarded
-from ..screening.inputs import Inputs
 from ..screening.parts import BlockItem
-from ..screening.plan import RunPlan
+from .driver_kills import DEVICES, stub_plan
 from .faults import Stub
-
-_DEVICES = 4
 
 
 def killed_workers(blocks: int, kills: int, seconds: float, workers: int, seed: int) -> dict[str, Any]:
     """Figures of a run of ``blocks`` whose workers are killed at ``kills`` random moments; a device takes ``seconds``."""
-    config = RunConfig(run=RunTable(devices=blocks * _DEVICES, block=_DEVICES), diagnosis=DiagnosisTable(enabled=False))
-    planned = RunPlan(config, blocks * _DEVICES, blocks_of(config, blocks * _DEVICES), (), Inputs((), {}))
+    planned = stub_plan(blocks)
     with tempfile.TemporaryDirectory(prefix="gyroscreen-faults-") as folder:
         counted = Path(folder) / "count"
         counted.mkdir()
         store = create_run(Path(folder), "faults", "", {})
         done, killed = threading.Event(), [0]
-        expected = blocks * _DEVICES * seconds / workers
+        expected = blocks * DEVICES * seconds / workers
         random_ = random.Random(seed)
         killer = threading.Thread(target=_kill, args=(done, killed, kills, expected, random_), daemon=True)
         started = time.monotonic()
@@ -52,7 +47,7 @@ def killed_workers(blocks: int, kills: int, seconds: float, workers: int, seed: 
         ids = rows.column("device_id").to_pylist()
         return {
             "devices": len(ids),
-            "each device once": ids == [f"stub-{n:08d}" for n in range(blocks * _DEVICES)],
+            "each device once": ids == [f"stub-{n:08d}" for n in range(blocks * DEVICES)],
             "workers killed": killed[0],
             "devices lost": rows.column("status").to_pylist().count("lost"),
             "extra devices computed / devices": computed / len(ids) - 1.0,
@@ -63,10 +58,17 @@ def killed_workers(blocks: int, kills: int, seconds: float, workers: int, seed: 
 def _kill(done: threading.Event, killed: list[int], kills: int, expected_s: float, random_: random.Random) -> None:
     """Kill a random worker process of this process, ``kills`` times at random intervals."""
     while killed[0] < kills and not done.wait(random_.expovariate(kills / expected_s)):
-        own = [one for one in psutil.Process().children() if "worker_process" in " ".join(one.cmdline())]
+        own = [one for one in psutil.Process().children() if _is_worker(one)]
         if own:
             random_.choice(own).kill()
             killed[0] += 1
+
+
+def _is_worker(process: psutil.Process) -> bool:
+    try:
+        return "worker_process" in " ".join(process.cmdline())
+    except psutil.Error:  # it has just ended
+        return False
 
 
 def commits(blocks: int) -> dict[str, Any]:
@@ -75,7 +77,7 @@ def commits(blocks: int) -> dict[str, Any]:
         store: RunStore = create_run(Path(folder), "commits", "", {})
         seconds, memory = [], []
         for index in range(blocks):
-            item = BlockItem(DeviceBlock(index, index * _DEVICES, _DEVICES))
+            item = BlockItem(DeviceBlock(index, index * DEVICES, DEVICES))
             tables = Stub()(RunConfig(), item, unguarded)
             started = time.perf_counter()
             store.commit_block(index, tables.devices, None)

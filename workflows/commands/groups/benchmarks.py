@@ -72,17 +72,21 @@ def faults(
     kills: Annotated[int, typer.Option(help="Workers killed at random moments.")] = 60,
     seconds: Annotated[float, typer.Option(help="Duration of a stub device [s].")] = 0.5,
     commits: Annotated[int, typer.Option(help="Blocks committed to measure the cost of a commit.")] = 10_000,
+    driver_kills: Annotated[int, typer.Option(help="Kills of the driver in a run of the same blocks.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder that keeps the run of --driver-kills; again: goes on.")
+    ] = None,
     seed: Seed = 1,
     workers: Workers = 0,
     json: Json = False,
 ) -> None:
-    """Workers that die in a night; the cost of a commit.
+    """Workers and drivers that die in a night; the cost of a commit.
 
     Prints whether each device has exactly one row, what was computed twice, and commit time and memory against the block.
     """
     from ..benchmark import faults as command
 
-    command(blocks, kills, seconds, commits, seed, workers, json)
+    command(blocks, kills, seconds, commits, driver_kills, out, seed, workers, json)
 
 
 @app.command()
