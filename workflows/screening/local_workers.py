@@ -32,7 +32,7 @@ class LocalWorkers:
     def __init__(self, address: str, count: int, memory_bytes: int) -> None:
         # -P: the working folder is not searched for imports; a pipeline.py of the user would hide the package.
         module = ["-P", "-m", "workflows.screening.worker_process"]
-        self._command = [sys.executable, *module, address, str(memory_bytes)]
+        self._command = [sys.executable, *module, address, str(memory_bytes), str(os.getpid())]
         self._memory_bytes = memory_bytes
         self._ended: dict[str, str] = {}
         self._signs = tempfile.TemporaryDirectory(prefix="gyroscreen-")

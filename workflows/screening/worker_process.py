@@ -1,4 +1,4 @@
-"""A worker process of a local run: ``python -m workflows.screening.worker_process ADDRESS MEMORY_BYTES``."""
+"""A worker process of a local run: ``python -m workflows.screening.worker_process ADDRESS MEMORY_BYTES DRIVER_PID``."""
 
 from __future__ import annotations
 
@@ -41,6 +41,8 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != int(sys.argv[3]):  # killed before the call, while this process was still importing
+            return
     with dask.config.set({**_MEMORY, "distributed.worker.daemon": False}):
         asyncio.run(_serve(sys.argv[1], int(sys.argv[2])))
 
