@@ -22,30 +22,31 @@ from typing import Any, TypeVar
 import msgspec
 
 from .errors import ConfigError, GyroscreenError, MeasurementError
+from .input_limits import TOML_BYTES, TOML_KEY_CHARS, check_path, check_toml
 from .toml_faults import MAY_BE_INFINITE as MAY_BE_INFINITE
 from .toml_faults import first_fault
 
 T = TypeVar("T", bound=msgspec.Struct)
-_MAX_BYTES = 2**24
 
 
 def read_bytes(
     path: Path, what: str = "the file", next_step: str = "", error: type[GyroscreenError] = MeasurementError
 ) -> bytes:
-    """The content of a TOML file of at most 16 MiB; ``error`` is raised if it cannot be read.
+    """The content of a TOML file; ``error`` is raised if it cannot be read or is larger than ``TOML_BYTES``.
 
     ``what`` names the kind of file in the message; ``next_step`` says what to do if it does not exist.
     """
+    check_path(path, what, error)
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode) and not stat.S_ISDIR(found.st_mode):
             # Reading a pipe or a device may wait forever.
             raise error(f"{what} is not a regular file", value=str(path), next_step="check that this is the right file")
-        if found.st_size > _MAX_BYTES:
+        if found.st_size > TOML_BYTES:
             raise error(
                 f"{what} is too large",
                 value=f"{path}: {found.st_size} bytes",
-                allowed=f"{_MAX_BYTES} bytes",
+                allowed=f"{TOML_BYTES} bytes",
                 next_step="check that this is the right file",
             )
         return path.read_bytes()
@@ -78,7 +79,17 @@ def decode(text: bytes, kind: type[T], where: str) -> T:
     ConfigError : not TOML, or a wrong key or value.
     """
     try:
-        tree = msgspec.toml.decode(text)
+        plain = text.decode()
+        if len(text) > TOML_BYTES:  # text that was not read from a file
+            raise ConfigError(
+                f"{where} is too large",
+                value=f"{len(text)} bytes",
+                allowed=f"{TOML_BYTES} bytes",
+                next_step="check that this is the right file",
+            )
+        check_toml(plain, where, ConfigError)
+        tree = msgspec.toml.decode(plain)
+        _check_keys(tree, where)
     except (ValueError, RecursionError) as error:  # msgspec.DecodeError, UnicodeDecodeError
         raise ConfigError(
             f"{where} is not TOML",
@@ -87,6 +98,21 @@ def decode(text: bytes, kind: type[T], where: str) -> T:
             next_step="correct the line named",
         ) from error
     return converted(tree, kind, where)
+
+
+def _check_keys(tree: Any, where: str) -> None:
+    """Check the length of the keys of ``tree``; quoted ones may hold anything.  Messages show keys in full."""
+    for name in tree if isinstance(tree, dict) else ():
+        if len(name) > TOML_KEY_CHARS:
+            raise ConfigError(
+                f"{where}: a key is too long",
+                value=name[:40],
+                allowed=f"at most {TOML_KEY_CHARS} characters",
+                next_step="shorten it",
+            )
+    for value in tree.values() if isinstance(tree, dict) else tree:
+        if isinstance(value, dict | list):
+            _check_keys(value, where)
 
 
 def converted(tree: Any, kind: type[T], where: str) -> T:

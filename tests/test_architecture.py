@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "workflows": {"pipeline", "populations", "reports"},
 }
 #: What every part of pipeline may import.
-BASE = {"errors", "arrays", "axial", "toml_files", "quantities", "threads", "plain"}
+BASE = {"errors", "input_limits", "arrays", "axial", "toml_files", "quantities", "threads", "plain"}
 #: The parts of pipeline, and the other parts that each may import.
 PARTS = {
     "device": set(),

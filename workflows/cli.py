@@ -8,6 +8,7 @@ Exit codes: 0 done; 1 the answer is negative; 2 usage or configuration; 3 incomp
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import sys
@@ -24,6 +25,9 @@ from .commands.groups import benchmarks, devices, models, screening
 from .console import survive_any_encoding
 from .interrupts import INTERRUPTED, repeat_lost_interrupts
 from .machine import keep_memory
+
+#: What the file system says about a path that it refuses; nothing was written then.
+_REFUSED = (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS)
 
 app = typer.Typer(
     name="gyroscreen",
@@ -95,11 +99,20 @@ def call(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in _REFUSED:
+            return _failed(_defect(error), 70)
+        shown = str(error.filename)[:200]
+        reason = (error.strerror or "").lower()
+        return _failed(f"error: a path cannot be used: {reason}: {shown!r}; next: check the path and permissions", 2)
     except Exception as error:
         # No input should lead here: an error that is not typed is a defect of gyroscreen.
-        text = f"internal error: {type(error).__name__}: {error}"
-        return _failed(f"{text}; next: run again with --debug and report it", 70)
+        return _failed(_defect(error), 70)
     return 0
+
+
+def _defect(error: Exception) -> str:
+    return f"internal error: {type(error).__name__}: {error}; next: run again with --debug and report it"
 
 
 def _failed(message: str, code: int) -> int:

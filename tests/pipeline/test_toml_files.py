@@ -15,6 +15,7 @@ from msgspec import Meta, Struct
 from pipeline.errors import ConfigError, GyroscreenError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.modal_record import read_modal_record
+from pipeline.input_limits import TOML_BYTES
 from pipeline.toml_files import MAY_BE_INFINITE, converted, decode, load, read_bytes, table
 from workflows.config import RunConfig, load_config
 
@@ -22,6 +23,12 @@ from workflows.config import RunConfig, load_config
 class Inner(Struct, frozen=True, forbid_unknown_fields=True):
     count: Annotated[int, Meta(ge=1, le=64)]
     share: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.5
+
+
+class Texts(Struct):
+    a: str
+    b: str
+    c: str
 
 
 class Outer(Struct, frozen=True, forbid_unknown_fields=True):
@@ -158,6 +165,29 @@ def test_deep_brackets_are_one_error(depth: int) -> None:
     for text in (b"a = " + b"[" * depth, b"[device]\nid = " + b"[" * depth + b"]" * depth):
         with pytest.raises(ConfigError):
             decode(text, RunConfig, "x.toml")
+
+
+#: Each took up to 4 GB, or a minute, in the parser.
+_EXPENSIVE = {
+    "too many parts": ("a." * 50_000 + "a = 1", "a . " * 50_000 + "a = 1", "[" + "a." * 8 + "a]", "'b.c'." * 9),
+    "nested too deeply": ("x = " + "[" * 17, "x = " + "{ a = " * 17, "a = '''[[[\n[['''\nb = " + "[" * 100_000),
+    "too long": ("a" * 129 + " = 1", '"' + "a " * 100 + '" = 1', "a = " + "1" * 5000),
+    "too large": ("#" * (TOML_BYTES + 1),),
+    "not TOML": ('"' + '\\"' * 500_000, '"""' + '\\"""' * 250_000),
+}
+
+
+@pytest.mark.parametrize(("what", "texts"), _EXPENSIVE.items(), ids=_EXPENSIVE)
+def test_shapes_that_cost_memory_are_refused_before_they_are_parsed(what: str, texts: tuple[str, ...]) -> None:
+    for text in texts:
+        with pytest.raises(ConfigError, match=what):
+            decode(text.encode(), RunConfig, "x.toml")
+
+
+def test_brackets_and_dots_in_strings_and_comments_do_not_count() -> None:
+    deep, dotted = "[{" * 50, "x." * 50
+    text = f'a = "{deep}{dotted}\\""  # {deep}\nb = \'\'\'{deep}\n\'\'\'\'\'\nc = """{deep}\\"""""\n'
+    assert decode(text.encode(), Texts, "x.toml").b == deep + "\n''"
 
 
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from pipeline.errors import NegativeError, UsageError, printable_lines
 from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.checks.check import CheckReport
 from pipeline.experiment.files.modal_record import ModalRecord
+from pipeline.experiment.files.readers import existing
 from pipeline.experiment.record import Campaign
 from pipeline.identification.route import RouteResult, identify_modal
 from pipeline.inference.identify import Identification
@@ -68,6 +69,7 @@ def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:
 
     The campaign.toml in the folder of the record then gives the instrument and the silent records.
     """
+    existing(measurement)
     beside = measurement.parent / "campaign.toml"
     if measurement.suffix != ".toml" and measurement.is_file() and beside.is_file():
         campaign = read_campaign(beside)

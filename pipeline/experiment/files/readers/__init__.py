@@ -17,6 +17,7 @@ from types import ModuleType
 import numpy as np
 
 from ....errors import ConfigError, MeasurementError, UsageError
+from ....input_limits import check_path
 from ...record import Record
 from ..columns import assemble
 from .table import Columns
@@ -54,7 +55,18 @@ def existing(path: Path) -> Path:
     ------
     MeasurementError : it does not; the message names the most similar file beside it.
     """
-    if path.exists():
+    check_path(path, "a measurement", MeasurementError)
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise MeasurementError(
+            f"a path cannot be used: {(error.strerror or str(error)).lower()}",
+            value=str(path),
+            next_step="check the path and permissions",
+        ) from error
+    else:
         return path
     try:
         neighbours = sorted(entry.name for entry in path.parent.iterdir())

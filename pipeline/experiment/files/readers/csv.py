@@ -8,18 +8,15 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 
 from ....errors import MeasurementError
-from .table import MAX_VALUES, Columns, allow
-
-#: Longest text of one value [bytes]: a file holds at least its size divided by this many values.
-_MAX_BYTES_PER_VALUE = 32
-_MAX_HEADER_BYTES = 65_536
+from ....input_limits import CSV_BYTES_PER_VALUE, CSV_HEADER_BYTES, RECORD_VALUES
+from .table import Columns, allow
 
 
 def _dialect(path: Path) -> tuple[str, str]:
     """Delimiter and decimal mark, from the first two lines."""
     with path.open("rb") as file:
-        header = file.readline(_MAX_HEADER_BYTES).decode("utf-8-sig")
-        first = file.readline(_MAX_HEADER_BYTES).decode("utf-8")
+        header = file.readline(CSV_HEADER_BYTES).decode("utf-8-sig")
+        first = file.readline(CSV_HEADER_BYTES).decode("utf-8")
     delimiter = max(",;\t", key=header.count)
     if header.count(delimiter) == 0:
         raise MeasurementError(
@@ -39,7 +36,7 @@ def read(path: Path) -> Columns:
     MeasurementError : no header, a column name that occurs twice, or more values than the file can hold.
     """
     size = path.stat().st_size
-    allow(size // _MAX_BYTES_PER_VALUE, 2**62)
+    allow(size // CSV_BYTES_PER_VALUE, 2**62)
     delimiter, decimal = _dialect(path)
     table = pa_csv.read_csv(
         path,
@@ -47,7 +44,7 @@ def read(path: Path) -> Columns:
         parse_options=pa_csv.ParseOptions(delimiter=delimiter),
         convert_options=pa_csv.ConvertOptions(decimal_point=decimal, strings_can_be_null=False),
     )
-    if table.num_rows * table.num_columns > MAX_VALUES:
+    if table.num_rows * table.num_columns > RECORD_VALUES:
         allow(table.num_rows * table.num_columns, size)
     if len(set(table.column_names)) != table.num_columns:
         raise MeasurementError(

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from ....errors import MeasurementError
+from ....input_limits import RECORD_VALUES
 from . import hdf5
-from .table import MAX_VALUES, Columns, allow, vector
+from .table import Columns, allow, vector
 
 _HEADER = 128
 _COMPRESSED, _MATRIX = 15, 14
@@ -32,7 +33,7 @@ _COMPLEX_FLAG = 0x0800
 _DTYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 #: Largest size of a file or of an inflated element [bytes]: the values, plus room for names and dimensions.
-_MAX_BYTES = 8 * MAX_VALUES + 2**20
+_MAX_BYTES = 8 * RECORD_VALUES + 2**20
 
 Value = NDArray[Any] | dict[str, NDArray[Any]] | None
 
@@ -71,7 +72,7 @@ def _inflated(body: bytes) -> bytes:
     stream = zlib.decompressobj()
     data = stream.decompress(body, _MAX_BYTES)
     if stream.unconsumed_tail:
-        allow(MAX_VALUES + 1, len(body))
+        allow(RECORD_VALUES + 1, len(body))
     if not stream.eof:
         raise _damaged("incomplete deflated element")
     return data
@@ -136,7 +137,7 @@ def read(path: Path) -> Columns:
     if start[:8] == _HDF5_MAGIC or start[512:520] == _HDF5_MAGIC:
         return hdf5.read(path)
     if size > _MAX_BYTES:
-        allow(MAX_VALUES + 1, size)
+        allow(RECORD_VALUES + 1, size)
     orders = {b"IM": "<", b"MI": ">"}
     if start[126:128] not in orders or start[:4] == b"\0\0\0\0":
         raise _damaged("header of an unknown version")

@@ -1,4 +1,4 @@
-"""The result of every reader, and the limits on its size.
+"""The result of every reader, and the check of its size.
 
 A reader is a module with ``read(path) -> Columns`` and ``write(path, columns)``.  It may raise any exception;
 ``readers.read_columns`` converts all of them to :class:`MeasurementError`.  Sizes are checked before memory is allocated,
@@ -13,14 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....errors import MeasurementError
+from ....input_limits import RECORD_EXPANSION, RECORD_VALUES
 
 #: Column name -> vector (N,) as stored in the file; ``columns.assemble`` checks and converts it.
 Columns = dict[str, NDArray[Any]]
-
-#: Largest number of values read from one file: 268 MB as float64, or eleven minutes of five columns at 10 kHz.
-MAX_VALUES = 2**25
-#: Largest number of values per byte of file; deflate expands by less than this factor.
-MAX_EXPANSION = 1100
 
 
 def allow(values: int, file_bytes: int) -> None:
@@ -30,18 +26,18 @@ def allow(values: int, file_bytes: int) -> None:
     ------
     MeasurementError : there are too many.
     """
-    if not 0 <= values <= MAX_VALUES:
+    if not 0 <= values <= RECORD_VALUES:
         raise MeasurementError(
             "the file holds too many values",
             value=values,
-            allowed=f"at most {MAX_VALUES} values per record",
+            allowed=f"at most {RECORD_VALUES} values per record",
             next_step="split the record, or remove columns that are not needed",
         )
-    if values > MAX_EXPANSION * max(file_bytes, 1):
+    if values > RECORD_EXPANSION * max(file_bytes, 1):
         raise MeasurementError(
             "the file states more values than its size can hold",
             value=values,
-            allowed=f"at most {MAX_EXPANSION * file_bytes} in {file_bytes} bytes",
+            allowed=f"at most {RECORD_EXPANSION * file_bytes} in {file_bytes} bytes",
             next_step="the file is damaged: copy it again from its source",
         )
 

@@ -207,7 +207,7 @@ def test_absurd_sizes_are_refused_before_memory_is_allocated(tmp_path, form, mon
                 file.create_dataset(name, shape=(2**36,), chunks=(1024,), dtype="f8")
         path = tmp_path / "r.h5"
     else:
-        monkeypatch.setattr(table, "MAX_VALUES", 1000)
+        monkeypatch.setattr(table, "RECORD_VALUES", 1000)
         path = write_columns(tmp_path, "r", columns(), form)
     with pytest.raises(MeasurementError, match="too many values"):
         read_record(path, FS)
