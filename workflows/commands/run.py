@@ -17,6 +17,7 @@ from ..config import RunConfig, changed_config, load_config, to_toml_table
 from ..screening.batch import run_batch
 from ..screening.outcome import RunResult, check_identified, check_targets
 from ..screening.plan import RunPlan, config_of, plan, resume, start, without_none
+from ..screening.scheduler import Scheduler
 from .groups.options import DEFAULT_RESULTS
 
 
@@ -26,7 +27,7 @@ def run(
     seed: int | None,
     out: Path,
     workers: int,
-    scheduler: str | None,
+    scheduler: Scheduler | None,
     resume_run: str | None,
     dry_run: bool,
     json: bool,

@@ -37,6 +37,7 @@ from .parts import (
 )
 from .plan import RunPlan
 from .progress import progress
+from .scheduler import Scheduler
 
 BlockTask = Callable[[RunConfig, BlockItem, Begin], BlockTables]
 
@@ -45,7 +46,7 @@ def run_blocks(
     planned: RunPlan,
     store: RunStore,
     workers: int,
-    scheduler: str | None,
+    scheduler: Scheduler | None,
     quiet: bool,
     task: BlockTask | None = None,
 ) -> None:
@@ -62,7 +63,8 @@ def run_blocks(
     finished = planned.devices - sum(block.count for block in left)
     count = worker_count(workers or config.run.workers)
     count = min(count, len(left)) if examined else count
-    store.log({"event": "start", "workers": count, "scheduler": scheduler, "blocks": len(left)})
+    address = None if scheduler is None else scheduler.address
+    store.log({"event": "start", "workers": count, "scheduler": address, "blocks": len(left)})
     with cluster(count, scheduler) as client, progress(planned.devices, finished, quiet) as advance:
         limit_s = config.run.device_limit_s
         items, whole = block_items(left, planned.campaigns), Assembly({block.index: block for block in left})
@@ -104,7 +106,7 @@ def run_batch(
     store: RunStore,
     results: Path,
     workers: int = 0,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     quiet: bool = True,
 ) -> RunResult:
     """Run a plan, or the rest of it, up to the report.
@@ -114,7 +116,7 @@ def run_batch(
     planned, store : the plan and the folder of the run.
     results : folder that contains the runs.
     workers : local worker processes; 0: as the configuration says.
-    scheduler : address of a dask scheduler to use instead.
+    scheduler : dask scheduler whose workers are used instead.
     quiet : show no progress.
 
     Raises

@@ -14,6 +14,7 @@ from pipeline.errors import UsageError
 
 from ..interrupts import deaf_children
 from .local_workers import LocalWorkers
+from .scheduler import Scheduler
 
 _MEMORY_BYTES = 2**31
 #: ``dispatch`` decides what to do with a task whose worker ended, and replaces workers that do not respond.
@@ -39,7 +40,7 @@ def _quiet() -> Iterator[None]:
 
 
 @contextmanager
-def cluster(workers: int, scheduler: str | None) -> Iterator[Client]:
+def cluster(workers: int, scheduler: Scheduler | None) -> Iterator[Client]:
     """A client of ``scheduler``, or of ``workers`` local processes with one thread each.
 
     Raises
@@ -47,20 +48,8 @@ def cluster(workers: int, scheduler: str | None) -> Iterator[Client]:
     UsageError : the scheduler does not respond.
     """
     if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout="5s", set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise UsageError(
-                f"the dask scheduler does not respond ({type(error).__name__})",
-                value=scheduler,
-                allowed="tcp://host:port of a running scheduler",
-                next_step="start one with `dask scheduler`, or run locally without --scheduler",
-            ) from None
-        with _quiet():
-            try:
-                yield client
-            finally:
-                client.close()
+        with _quiet(), _connected(scheduler) as client:
+            yield client
         return
     with _quiet(), dask.config.set(_LOCAL):
         with deaf_children():
@@ -72,6 +61,31 @@ def cluster(workers: int, scheduler: str | None) -> Iterator[Client]:
                 yield client
         finally:
             processes.close()
+
+
+@contextmanager
+def _connected(scheduler: Scheduler) -> Iterator[Client]:
+    try:
+        client = Client(scheduler.address, security=scheduler.security, timeout="5s", set_as_default=False)
+    except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
+        raise UsageError(
+            f"no connection to the dask scheduler ({_reason(error)})",
+            value=scheduler.address,
+            allowed="tcp://host:port of a running scheduler, or tls://host:port and certificates of its authority",
+            next_step="start one with `dask scheduler`, or run locally without --scheduler",
+        ) from None
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def _reason(error: BaseException) -> str:
+    """The first cause of a failed connection, in one line; dask tries until its time is over, and reports that."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}"[:200] if text else type(error).__name__
 
 
 def local_workers(client: Client) -> LocalWorkers | None:

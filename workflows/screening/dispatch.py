@@ -23,7 +23,7 @@ from pipeline.errors import GyroscreenError, IncompleteError
 from .cluster import local_workers
 from .faults import LOSSES, Faults, Sign, TimeLimit, Try, after_exception, after_loss
 from .guard import guarded
-from .worker_process import SIGNS, leave_sign
+from .worker_process import SIGNS, leave_sign, send_sign
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -87,7 +87,7 @@ def _task(function: Callable[..., Any], constant: Any, item: Any, key: str, topi
         if folder is not None:
             leave_sign(folder, key, device, limit)
         else:
-            worker.log_event(topic, {"key": key, "device": device, "limit": limit})
+            send_sign(worker, topic, {"key": key, "device": device, "limit": limit})
 
     seconds: list[float] = []
     with guarded(report, limit_s, seconds) as begin:

@@ -8,14 +8,19 @@ import os
 import signal
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import dask
 from distributed import Worker
+from distributed.utils import sync
 
 #: Environment variable that names the folder where the workers of a local run leave their signs of life.
 SIGNS = "GYROSCREEN_SIGNS"
 _PR_SET_PDEATHSIG = 1
+#: How long a device waits for a scheduler that does not answer [s].
+_SIGN_S = 5.0
 #: The driver ends a worker that takes too much memory; nothing is written to disk, and no worker waits for memory.
 _MEMORY = {f"distributed.worker.memory.{key}": False for key in ("target", "spill", "pause", "terminate")}
 
@@ -28,6 +33,13 @@ def name_of(pid: int) -> str:
 def leave_sign(folder: str, key: str, device: int, limit_s: float) -> None:
     """State in the worker's file which device starts; a message would wait for the interpreter, which the device may hold."""
     (Path(folder) / name_of(os.getpid())).write_text(f"{key} {device} {limit_s} {time.monotonic()}")
+
+
+def send_sign(worker: Worker, topic: str, sign: dict[str, Any]) -> None:
+    """Tell the scheduler under ``topic`` which device starts, and wait until it knows: the device may hold the interpreter."""
+    # A scheduler that is lost is the driver's matter.
+    with suppress(OSError, TimeoutError, RuntimeError):
+        sync(worker.loop, worker.scheduler.log_event, topic=topic, msg=sign, callback_timeout=_SIGN_S)
 
 
 async def _serve(address: str, memory_bytes: int) -> None:

@@ -1,20 +1,18 @@
 """A device that ends its worker costs its own row: stub devices with faults on demand, and the rules without processes."""
 
-import json
 import subprocess
-import sys
-import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import psutil
 import pytest
 
 from pipeline.errors import IncompleteError
+from tests.dask_processes import scheduler_and_worker
 from workflows.screening import dispatch
 from workflows.screening.cluster import cluster
 from workflows.screening.dispatch import guarded_in_parallel
 from workflows.screening.faults import Faults, Sign, TimeLimit, Try, after_exception, after_loss
+from workflows.screening.scheduler import Scheduler
 from workflows.studies.fault_kinds import faulty_numbers
 from workflows.studies.fault_study import commits
 
@@ -56,37 +54,20 @@ def test_a_worker_that_is_stopped_is_replaced(monkeypatch: pytest.MonkeyPatch) -
 def _work_without(scheduler: subprocess.Popen[bytes], address: str) -> None:
     """Work on ``scheduler``, which is killed after the first result."""
     numbers, slow = [range(n, n + 1) for n in range(40)], dict.fromkeys(range(40), "slow")
-    with cluster(0, address) as client:
+    with cluster(0, Scheduler(address)) as client:
         for _ in guarded_in_parallel(client, faulty_numbers, slow, numbers, NUMBERS, None, 1.0):
             scheduler.kill()
 
 
 def test_a_scheduler_that_is_lost_ends_the_run_with_one_message(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(dispatch, "_LOOK_S", 0.2)
-    file = tmp_path / "scheduler.json"
-    options = ("--scheduler-file", str(file), "--no-dashboard")
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    scheduler = subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", *options], **quiet
-    )
-    worker = None
-    try:
-        until = time.monotonic() + 60.0
-        while not file.exists() and time.monotonic() < until:
-            time.sleep(0.05)
-        address = json.loads(file.read_text())["address"]
-        worker = subprocess.Popen(
-            [sys.executable, "-m", "workflows.screening.worker_process", address, "1000000000"], **quiet
-        )
-        with pytest.raises(IncompleteError, match=r"scheduler is lost.*--resume"):
-            _work_without(scheduler, address)
-    finally:
-        for process in (scheduler, worker):
-            if process is not None:
-                process.kill()
-                process.wait()
+    with (
+        scheduler_and_worker() as (address, scheduler),
+        pytest.raises(IncompleteError, match=r"scheduler is lost.*--resume"),
+    ):
+        _work_without(scheduler, address)
     captured = capfd.readouterr()
     assert captured.out + captured.err == ""
 

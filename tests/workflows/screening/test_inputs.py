@@ -16,14 +16,13 @@ from pipeline.experiment.campaign import write_campaign
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
 from pipeline.store.schema import devices_table
-from populations.draw import draw
 from populations.irregularity import find
 from populations.spec import DEFAULT
+from tests.drawn_devices import drawn_block
 from tests.pipeline.experiment.checks.planted_faults import healthy
 from tests.stub_runs import CONFIG, stub_runs
 from workflows.cli import call
 from workflows.screening.block import BlockTables, DeviceBlock
-from workflows.screening.settings import population
 
 Block = Callable[[Any, DeviceBlock], BlockTables]
 IRREGULARITY = """
@@ -51,13 +50,6 @@ EFFECT = Effect(
     parameters=(Parameter("d", "1/s", 0.0, 10.0, "own damping", scale=1.0),), force=force, plants=("gyro",),
 )
 '''
-
-
-def drawn_block(source: Any, at: DeviceBlock) -> BlockTables:
-    """The devices as the population draws them, without physics."""
-    drawn = draw(population(source[0]), source[0].run.seed, at.first, at.count)
-    columns = {"status": ["ok"] * at.count, "verdict": ["pass"] * at.count, "true_f1_hz": drawn.true["f1_hz"]}
-    return BlockTables(at.index, devices_table({"device_id": list(drawn.device_id), **columns}), None, {"ok": at.count})
 
 
 def measured_block(source: Any, at: DeviceBlock) -> BlockTables:

@@ -20,15 +20,23 @@ def run(
     resume: Annotated[str | None, typer.Option(help="Id of an incomplete run, or 'latest'.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and print the configuration; run nothing.")] = False,
     json: Json = False,
+    tls_ca: Annotated[Path | None, typer.Option("--tls-ca", help="With --scheduler: its authority (PEM).")] = None,
+    tls_cert: Annotated[Path | None, typer.Option("--tls-cert", help="Certificate of this client (PEM).")] = None,
+    tls_key: Annotated[Path | None, typer.Option("--tls-key", help="Key of this client (PEM).")] = None,
+    insecure: Annotated[
+        bool, typer.Option("--insecure", help="Use a scheduler on another machine without encryption.")
+    ] = False,
 ) -> None:
     """Identify and judge a batch of devices.
 
     The devices are drawn from a population and simulated, or they are measured campaigns.  The run writes its results and a
     report.
     """
+    from ...screening.scheduler import scheduler_of
     from ..run import run as command
 
-    command(config, devices, seed, out, workers, scheduler, resume, dry_run, json)
+    chosen = scheduler_of(scheduler, tls_ca, tls_cert, tls_key, insecure)
+    command(config, devices, seed, out, workers, chosen, resume, dry_run, json)
 
 
 def query(

@@ -1,0 +1,27 @@
+"""Devices as the population draws them, without physics: as a block, and as a task of a worker process."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pipeline.store.schema import devices_table
+from populations.draw import draw
+from workflows.config import RunConfig
+from workflows.screening.block import BlockTables, DeviceBlock
+from workflows.screening.guard import Begin
+from workflows.screening.parts import BlockItem
+from workflows.screening.settings import population
+
+
+def drawn_block(source: Any, at: DeviceBlock) -> BlockTables:
+    """The frequencies of the devices; each passes."""
+    drawn = draw(population(source[0]), source[0].run.seed, at.first, at.count)
+    columns = {"status": ["ok"] * at.count, "verdict": ["pass"] * at.count, "true_f1_hz": drawn.true["f1_hz"]}
+    return BlockTables(at.index, devices_table({"device_id": list(drawn.device_id), **columns}), None, {"ok": at.count})
+
+
+def drawn_task(config: RunConfig, item: BlockItem, begin: Begin) -> BlockTables:
+    """The same as a task of a worker."""
+    for device in range(item.block.first, item.block.first + item.block.count):
+        begin(device)
+    return drawn_block((config, item.campaigns), item.block)

@@ -1,0 +1,119 @@
+"""Scheduler and workers in processes of their own, with TLS; and which connections are refused."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pipeline.errors import UsageError
+from pipeline.store.digest import table_digest
+from pipeline.store.read import read_run
+from tests.dask_processes import scheduler_and_worker
+from tests.drawn_devices import drawn_block, drawn_task
+from tests.stub_runs import run_arguments, stub_runs
+from workflows.cli import call
+from workflows.screening import batch, outcome
+from workflows.screening.scheduler import Scheduler, scheduler_of
+
+_KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
+
+
+def openssl(folder: Path, *arguments: str) -> None:
+    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an authority (ca.pem), a certificate of it (own.pem, own-key.pem), and one of nobody (other.pem, ..)."""
+    folder = tmp_path_factory.mktemp("certificates")
+    for name in ("ca", "other"):
+        openssl(
+            folder, "req", "-x509", *_KEY, "-keyout", f"{name}-key.pem", "-out", f"{name}.pem", "-subj", f"/CN={name}"
+        )
+    openssl(folder, "req", *_KEY[:-2], "-keyout", "own-key.pem", "-out", "own.csr", "-subj", "/CN=gyroscreen")
+    signed = ("-CA", "ca.pem", "-CAkey", "ca-key.pem", "-CAcreateserial", "-days", "2", "-out", "own.pem")
+    openssl(folder, "x509", "-req", "-in", "own.csr", *signed)
+    return folder
+
+
+def options(certificates: Path, name: str = "own", ca: str = "ca") -> list[str]:
+    """TLS options of gyroscreen; those of dask differ in the name of ``ca``."""
+    files = {ca: "ca.pem", "cert": f"{name}.pem", "key": f"{name}-key.pem"}
+    return [word for kind, file in files.items() for word in (f"--tls-{kind}", str(certificates / file))]
+
+
+@pytest.fixture(scope="module")
+def encrypted(certificates: Path) -> Iterator[str]:
+    """Address of a scheduler with TLS, with one worker."""
+    with scheduler_and_worker(options(certificates, ca="ca-file")) as (address, _):
+        yield address
+
+
+def test_workers_behind_tls_give_the_table_of_a_local_run(encrypted, certificates, tmp_path):
+    assert encrypted.startswith("tls://")
+    (tmp_path / "tls").mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        stub_runs(patch, drawn_block)
+        assert call(run_arguments(tmp_path, devices=12)) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "block_task", drawn_task)
+        patch.setattr(outcome, "render_run_report", lambda *_, **__: "<!doctype html>")
+        remote = ["--scheduler", encrypted, *options(certificates)]
+        assert call([*run_arguments(tmp_path / "tls", devices=12), *remote]) == 0
+    tables = [read_run(folder / "results").devices for folder in (tmp_path, tmp_path / "tls")]
+    assert tables[0].num_rows == 12
+    assert table_digest(tables[0]) == table_digest(tables[1])
+
+
+@pytest.mark.parametrize("name", ["other", None])
+def test_a_client_without_a_certificate_of_the_authority_is_refused(name, encrypted, certificates, tmp_path, capfd):
+    plain = encrypted.replace("tls://", "tcp://")
+    who = ["--scheduler", plain] if name is None else ["--scheduler", encrypted, *options(certificates, name)]
+    assert call(["run", "--devices", "1", "--out", str(tmp_path), *who]) == 2
+    message = capfd.readouterr().err
+    assert message.startswith("error: no connection to the dask scheduler")
+    assert message.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp://10.0.0.1:8786", "10.0.0.1:8786", "tcp://0.0.0.0:1", "ws://[2001:db8::1]:8786"]
+)
+def test_a_plain_connection_to_another_machine_is_refused_unless_it_is_asked_for(address, tmp_path, capfd):
+    assert call(["run", "--devices", "1", "--out", str(tmp_path), "--scheduler", address]) == 2
+    message = capfd.readouterr().err
+    assert "would not be encrypted" in message
+    assert "--insecure" in message.partition("next: ")[2]
+    assert list(tmp_path.iterdir()) == []
+    asked = scheduler_of(address, insecure=True)
+    assert asked is not None
+    assert asked.security is None
+
+
+def test_this_machine_needs_no_certificates_and_certificates_mean_tls(certificates):
+    for address in ("tcp://127.0.0.1:8786", "tcp://[::1]:8786", "tcp://localhost:8786"):
+        assert scheduler_of(address) == Scheduler(address)
+    ca, own, key = (certificates / name for name in ("ca.pem", "own.pem", "own-key.pem"))
+    chosen = scheduler_of("tcp://10.0.0.1:8786", ca, own, key)
+    assert chosen is not None
+    assert chosen.address == "tls://10.0.0.1:8786"
+    assert chosen.security is not None
+    assert chosen.security.require_encryption
+    assert scheduler_of(None) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"ca": "ca.pem"}, "--tls-ca alone"),
+        ({"ca": "ca.pem", "certificate": "own.pem", "key": "other-key.pem"}, "cannot be used"),
+        ({"ca": "own.csr", "certificate": "own.pem", "key": "own-key.pem"}, "cannot be used"),
+        ({"ca": "ca.pem", "certificate": "none.pem", "key": "own-key.pem"}, "no such file"),
+        ({}, "no certificates"),
+    ],
+)
+def test_certificates_that_cannot_be_used_are_refused(given, words, certificates):
+    with pytest.raises(UsageError, match=words):
+        scheduler_of("tls://10.0.0.1:8786", **{kind: certificates / name for kind, name in given.items()})
