@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy.special import stdtrit
 
 from pipeline.arrays import FloatArray
 
@@ -90,7 +90,7 @@ class EffectiveNumber:
 def _student_ratio(n: int, groups: int, level: float) -> float:
     """t_{n-1} / t_{G-1} at the two-sided ``level``."""
     tail = 0.5 * (1.0 + level)
-    return float(stats.t.ppf(tail, n - 1.0)) / float(stats.t.ppf(tail, groups - 1.0))
+    return float(stdtrit(n - 1.0, tail) / stdtrit(groups - 1.0, tail))
 
 
 def effective_number(

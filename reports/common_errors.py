@@ -14,12 +14,12 @@ Shapes: K common errors, B devices.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
-from scipy import optimize, special
+from scipy import special
 
 from pipeline.arrays import BoolArray, FloatArray
 
@@ -67,6 +67,12 @@ def given_common(devices: Devices, posterior: pa.Table | None, rule: Rule) -> Gi
     return GivenCommon(p_pass, rule)
 
 
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    from scipy.optimize import brentq  # loading it takes a quarter of a second
+
+    return float(brentq(function, low, high, xtol=1e-14))
+
+
 def mixed_clopper_pearson(count: FloatArray, n: FloatArray, method: str, level: float = LEVEL) -> Interval:
     """The interval of the mixture of Clopper-Pearson distributions of counts (K,) of n (K,), which may be effective numbers."""
     tail = 0.5 * (1.0 - level)
@@ -83,8 +89,8 @@ def mixed_clopper_pearson(count: FloatArray, n: FloatArray, method: str, level: 
 
     # A share of at least the tail without any pass (or without any loss) takes the interval to its end.
     return Interval(
-        0.0 if low(0.0) >= 0.0 else float(optimize.brentq(low, 0.0, 1.0, xtol=1e-14)),
-        1.0 if high(1.0 - 1e-15) <= 0.0 else float(optimize.brentq(high, 0.0, 1.0, xtol=1e-14)),
+        0.0 if low(0.0) >= 0.0 else _root(low, 0.0, 1.0),
+        1.0 if high(1.0 - 1e-15) <= 0.0 else _root(high, 0.0, 1.0),
         method,
         level,
     )
@@ -99,8 +105,8 @@ def mixed_wilson(count: FloatArray, n: float, level: float = LEVEL) -> Interval:
         return float(np.mean(special.ndtr(score)))
 
     edge = 1e-12
-    low = 0.0 if above(edge) <= 1.0 - tail else optimize.brentq(lambda p: above(p) - (1.0 - tail), edge, 1.0 - edge)
-    high = 1.0 if above(1.0 - edge) >= tail else optimize.brentq(lambda p: above(p) - tail, edge, 1.0 - edge)
+    low = 0.0 if above(edge) <= 1.0 - tail else _root(lambda p: above(p) - (1.0 - tail), edge, 1.0 - edge)
+    high = 1.0 if above(1.0 - edge) >= tail else _root(lambda p: above(p) - tail, edge, 1.0 - edge)
     return Interval(float(low), float(high), "Wilson, common errors included", level)
 
 

@@ -9,11 +9,12 @@ for a normal process and a normal measurement.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import integrate, stats
+from scipy.special import ndtr
 
 from pipeline.arrays import BoolArray, FloatArray
 
@@ -55,14 +56,17 @@ def normal_risk(
     """
 
     def accepted(x: float) -> float:
-        high, low = stats.norm.cdf((np.asarray(acceptance)[::-1] - x) / measurement_sd)
+        high, low = ndtr((np.asarray(acceptance)[::-1] - x) / measurement_sd)
         return float(high - low)
 
+    def density(x: float) -> float:
+        return math.exp(-0.5 * (x / process_sd) ** 2) / (process_sd * math.sqrt(2.0 * math.pi))
+
     def wrong_pass(x: float) -> float:
-        return float(stats.norm.pdf(x, scale=process_sd)) * accepted(x)
+        return density(x) * accepted(x)
 
     def wrong_fail(x: float) -> float:
-        return float(stats.norm.pdf(x, scale=process_sd)) * (1.0 - accepted(x))
+        return density(x) * (1.0 - accepted(x))
 
     # The probability beyond ten sd is below the resolution of a double.
     reach = 10.0 * process_sd
@@ -72,7 +76,9 @@ def normal_risk(
 
 
 def _integral(integrand: Callable[[float], float], low: float, high: float) -> float:
-    return float(integrate.quad(integrand, low, high, epsabs=1e-13, epsrel=1e-12, limit=200)[0]) if high > low else 0.0
+    from scipy.integrate import quad
+
+    return float(quad(integrand, low, high, epsabs=1e-13, epsrel=1e-12, limit=200)[0]) if high > low else 0.0
 
 
 def expected_risk(p_pass: FloatArray, verdicts: Sequence[str]) -> Risk:

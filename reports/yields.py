@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal, stats
+from scipy.special import betaincinv, ndtri
 
 from pipeline.arrays import FloatArray
 from pipeline.errors import UsageError
@@ -98,8 +98,8 @@ def clopper_pearson(count: float, n: float, level: float = LEVEL) -> Interval:
     Clopper and Pearson 1934, Biometrika 26:404.
     """
     tail = 0.5 * (1.0 - level)
-    low = float(stats.beta.ppf(tail, count, n - count + 1.0)) if count > 0 else 0.0
-    high = float(stats.beta.ppf(1.0 - tail, count + 1.0, n - count)) if count < n else 1.0
+    low = float(betaincinv(count, n - count + 1.0, tail)) if count > 0 else 0.0
+    high = float(betaincinv(count + 1.0, n - count, 1.0 - tail)) if count < n else 1.0
     return Interval(low, high, "Clopper-Pearson", level)
 
 
@@ -110,7 +110,7 @@ def wilson(count: float, n: float, level: float = LEVEL) -> Interval:
     """
     if n <= 0:
         return Interval(0.0, 1.0, "Wilson", level)
-    z = float(stats.norm.ppf(0.5 * (1.0 + level)))
+    z = float(ndtri(0.5 * (1.0 + level)))
     share, z2 = count / n, z * z
     centre = (share + z2 / (2.0 * n)) / (1.0 + z2 / n)
     half = z / (1.0 + z2 / n) * np.sqrt(share * (1.0 - share) / n + z2 / (4.0 * n * n))
@@ -165,7 +165,7 @@ def poisson_binomial(probability: FloatArray) -> FloatArray:
     factors = [np.array([1.0 - p, p]) for p in probability]
     while len(factors) > 1:
         # Products of equal degree are cheap and accurate.
-        pairs = [signal.convolve(a, b) for a, b in zip(factors[::2], factors[1::2], strict=False)]
+        pairs = [np.convolve(a, b) for a, b in zip(factors[::2], factors[1::2], strict=False)]
         factors = pairs + ([factors[-1]] if len(factors) % 2 else [])
     return np.clip(factors[0], 0.0, 1.0) if factors else np.ones(1)
 

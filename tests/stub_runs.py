@@ -43,9 +43,10 @@ def stub_runs(patch: pytest.MonkeyPatch, block: Callable[..., BlockTables] | Non
     made = block or stub_block()
     patch.setattr(batch, "cluster", cluster)
     patch.setattr(batch, "guarded_in_parallel", in_turn)
+    patch.setattr("workflows.screening.lot.run.guarded_in_parallel", in_turn)
     patch.setattr(batch, "block_task", lambda config, item, _: made((config, item.campaigns), item.block))
     if not page:
-        patch.setattr(outcome, "render_run_report", lambda *_, **__: "<!doctype html>")
+        patch.setattr(outcome, "rendered_report", lambda *_, **__: "<!doctype html>")
 
 
 def run_arguments(folder: Path, devices: int = 4, text: str = "") -> list[str]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..arrays import FloatArray
 
@@ -56,7 +56,7 @@ def prevalence(sizes: FloatArray, sds: FloatArray, weights: FloatArray) -> TermS
     best = [_mixture(a, sd, w, share) for share in shares]
     value = np.array([log_likelihood for log_likelihood, _, _ in best])
     top = int(np.argmax(value))
-    inside = shares[value > value[top] - 0.5 * float(chi2.ppf(0.95, 1))]
+    inside = shares[value > value[top] - 0.5 * float(chdtri(1, 0.05))]
     _, mean, spread = best[top]
     variance = sd**2 + spread**2
     r = _responsibility(a, sd, shares[top], mean, spread) * w

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..arrays import RANK, BoolArray, FloatArray
 from .significance import log_any, log_tail
@@ -172,7 +172,7 @@ def _single_units(whole: Evidence, terms: Sequence[SharedTerm]) -> tuple[FloatAr
         both, rank = _delta_chi2s(whole, (*term.columns, *terms[best].columns))
         added, larger = both - delta_chi2s[best], rank > ranks[best]
         if larger.any():
-            excess.append(float(np.median(added[larger] / chi2.median((rank - ranks[best])[larger]))))
+            excess.append(float(np.median(added[larger] / chdtri((rank - ranks[best])[larger], 0.5))))
     return log_p, max(1.0, float(np.median(excess)) if excess else 1.0)
 
 

@@ -13,9 +13,6 @@ Shapes: N samples, D drives, K bad samples.  Volts.
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
-from scipy.signal import correlate
-from scipy.sparse.linalg import spsolve
 
 from ..arrays import BoolArray, FloatArray, IntArray
 
@@ -62,12 +59,16 @@ class Arx:
 
     def sizes(self, y: FloatArray) -> FloatArray:
         """s (N,) [V]: size of a spike at each sample."""
-        return np.asarray(correlate(self.errors(y), self.a, "full", "direct") / self.norms)
+        return np.asarray(np.convolve(self.errors(y), self.a[::-1]) / self.norms)
 
     def interpolated(self, y: FloatArray, bad: IntArray) -> FloatArray:
         """y (N,) with the samples ``bad`` (K,) replaced so that sum e^2 is least."""
         if not bad.size:
             return y
+        # Loading scipy.sparse takes 0.1 s, and few records have bad samples.
+        from scipy import sparse
+        from scipy.sparse.linalg import spsolve
+
         p, count = self.a.size - 1, y.size - self.a.size + 1
         rows, columns = (
             bad[:, None] + np.arange(p + 1) - p,

@@ -22,8 +22,8 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import stats
 from scipy.ndimage import maximum_filter1d
+from scipy.special import bdtrc, ndtri, stdtrit
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import MeasurementError
@@ -208,7 +208,7 @@ def _without_clipping(y: FloatArray, found: BoolArray, scale: FloatArray) -> Boo
     groups = _stretches(maximum_filter1d(found, 2 * ORDER + 1))
     near = maximum_filter1d(_at_level(y, ~found, scale), 2 * ORDER + 1)
     alike = sum(bool(np.any(near[a:b] & found[a:b])) for a, b in groups)
-    if not alike or stats.binom.sf(alike - 1, len(groups), float(np.mean(near))) > _CLIPS:
+    if not alike or bdtrc(alike - 1, len(groups), float(np.mean(near))) > _CLIPS:
         return found
     return np.asarray(found & ~near)
 
@@ -236,23 +236,23 @@ def _local_scale(size: FloatArray, bad: BoolArray, floor: float) -> FloatArray:
 def _student_tails() -> tuple[FloatArray, FloatArray]:
     """1/nu from 0.001 to 0.5, and the ratio of the 99 to the 50 % quantile of |t_nu|."""
     inverse = np.linspace(1e-3, 0.5, 200)
-    return inverse, np.asarray(stats.t.ppf(0.995, 1.0 / inverse) / stats.t.ppf(0.75, 1.0 / inverse))
+    return inverse, np.asarray(stdtrit(1.0 / inverse, 0.995) / stdtrit(1.0 / inverse, 0.75))
 
 
 def _threshold(unit: FloatArray) -> float:
     """Level that noise like ``unit`` (N,), in local sds, exceeds in a record with probability ``ALPHA``."""
     quantile = 1.0 - 0.5 * ALPHA / unit.size
     # A spike raises s around it too, so it must not count for the tail of the noise.
-    far = maximum_filter1d(unit, 2 * ORDER + 1) < stats.norm.ppf(quantile)
+    far = maximum_filter1d(unit, 2 * ORDER + 1) < ndtri(quantile)
     if np.count_nonzero(far) < _FAR * unit.size:
-        return float(stats.norm.ppf(quantile))
+        return float(ndtri(quantile))
     half, high = np.quantile(unit[far], [0.5, 0.99])
     # Quantised noise has a scale that is bounded by the LSB rather than measured.
     if half < 0.3:
-        return float(stats.norm.ppf(quantile))
+        return float(ndtri(quantile))
     inverse, ratios = _student_tails()
     nu = 1.0 / float(np.interp(high / half, ratios, inverse))
-    return float(stats.t.ppf(quantile, nu)) * float(half) / float(stats.t.ppf(0.75, nu))
+    return float(stdtrit(nu, quantile)) * float(half) / float(stdtrit(nu, 0.75))
 
 
 def _runs(y: FloatArray) -> IntArray:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
-from scipy.signal import lfilter, lfiltic
 
 from ..arrays import FloatArray
 
@@ -107,6 +106,9 @@ def advanced(y: FloatArray, shift_s: float, sample_rate_hz: float) -> FloatArray
 
 def _predicted(y: FloatArray, count: int) -> FloatArray:
     """The next ``count`` samples after y (N,), by linear prediction from its last samples (Makhoul, Proc. IEEE 63 (1975) 561)."""
+    # Loading scipy.signal takes 0.7 s, and few campaigns need it.
+    from scipy.signal import lfilter, lfiltic
+
     last = y[-min(_FITTED, y.size) :]
     level = last.mean()
     window = np.lib.stride_tricks.sliding_window_view(last - level, _ORDER + 1)

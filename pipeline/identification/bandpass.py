@@ -27,6 +27,9 @@ _PIECE_S = 0.05
 def bandpass_sections(sample_rate_hz: float, low_hz: float, high_hz: float) -> FloatArray:
     """G_bp, eq. (12), as second-order sections (4, 6), read-only; frequencies [Hz].
 
+    Poles of the Chebyshev lowpass, moved to the band and through the bilinear transform z = (2 f_s + s) / (2 f_s - s)
+    (Oppenheim and Schafer, Discrete-Time Signal Processing, ch. 7), whose frequencies are warped before.
+
     Raises
     ------
     IdentificationError : the band does not lie between 0 and f_s / 2.
@@ -38,12 +41,24 @@ def bandpass_sections(sample_rate_hz: float, low_hz: float, high_hz: float) -> F
             allowed=f"0 < low < high < {sample_rate_hz / 2.0:g} Hz",
             next_step="choose another band or a record with a higher sample rate",
         )
-    # Loading scipy.signal takes a third of a second.
-    from scipy.signal import cheby1
-
-    sections = cheby1(_POLE_PAIRS, _RIPPLE_DB, [low_hz, high_hz], btype="bandpass", fs=sample_rate_hz, output="sos")
+    ripple = np.sqrt(10.0 ** (0.1 * _RIPPLE_DB) - 1.0)
+    mu = np.arcsinh(1.0 / ripple) / _POLE_PAIRS
+    angle = np.pi * (np.arange(_POLE_PAIRS) + 0.5) / _POLE_PAIRS
+    lowpass = -np.sinh(mu) * np.sin(angle) + 1j * np.cosh(mu) * np.cos(angle)
+    rate = 2.0 * sample_rate_hz
+    low, high = rate * np.tan(np.pi * np.array([low_hz, high_hz]) / sample_rate_hz)
+    half = 0.5 * (high - low) * lowpass
+    root = np.sqrt(half**2 - low * high)
+    s = np.concatenate([half + root, half - root])
+    gain = np.real(np.prod(-lowpass * (high - low) * rate) / np.prod(rate - s)) / np.sqrt(1.0 + ripple**2)
+    z = (rate + s) / (rate - s)
+    z = z[z.imag > 0.0]
+    one = np.ones(_POLE_PAIRS)
+    # Each section has a zero at 0 Hz and one at f_s / 2.
+    sections = np.stack([one, 0.0 * one, -one, one, -2.0 * z.real, np.abs(z) ** 2], axis=1)
+    sections[:, :3] *= gain ** (1.0 / _POLE_PAIRS)
     sections.setflags(write=False)
-    return np.asarray(sections)
+    return sections
 
 
 @njit(cache=True, fastmath={"contract", "nsz"})

@@ -33,7 +33,7 @@ def decode_table(data: bytes | pa.Buffer, schema: pa.Schema, where: str) -> pa.T
     IntegrityError : not Parquet, a damaged page, or a column that is not registered or of another type.
     """
     try:
-        table = pq.read_table(pa.BufferReader(data), page_checksum_verification=True)
+        table = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True).read()
     except (pa.ArrowException, OSError) as error:
         first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise IntegrityError(

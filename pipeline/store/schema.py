@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 
 from ..errors import IntegrityError, UsageError
 from ..quantities import MODEL, QUANTITIES, Quantity
+from .column import column_array
 
 TYPES: dict[str, pa.DataType] = {
     "string": pa.string(),
@@ -254,21 +255,9 @@ def build_table(
     rows = len(ids)
     schema = arrow_schema(columns)
     return pa.table(
-        [_array(values.get(name), field.type, rows, name) for name, field in zip(schema.names, schema)],
+        [column_array(values.get(name), field.type, rows, name) for name, field in zip(schema.names, schema)],
         schema=schema,
     )
-
-
-def _array(values: Sequence[Any] | np.ndarray[Any, Any] | None, kind: pa.DataType, rows: int, name: str) -> pa.Array:
-    if values is None:
-        return pa.nulls(rows, kind)
-    if len(values) != rows:
-        raise UsageError(f"column {name} has the wrong length", value=len(values), allowed=f"{rows} values")
-    try:
-        # from_pandas: NaN and None become null (see the head of this module).
-        return pa.array(values, type=kind, from_pandas=True)
-    except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
-        raise UsageError(f"column {name} holds values of the wrong type ({error})", allowed=str(kind)) from None
 
 
 def require_schema(table: pa.Table, schema: pa.Schema, where: str) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import bdtr
 
 from pipeline.arrays import FloatArray
 from pipeline.axial import difference, in_arc
@@ -104,12 +104,13 @@ def _coverage(devices: Devices, quantity: str) -> Coverage | None:
         return None
     within = in_arc(truth, low, high) if quantity in AXES else (truth >= low) & (truth <= high)
     inside = int(np.sum(within & usable))
+    expected = np.searchsorted(bdtr(np.arange(n + 1), n, NOMINAL), [0.025, 0.975])
     return Coverage(
         quantity,
         n,
         inside,
         clopper_pearson(inside, n),
-        (float(stats.binom.ppf(0.025, n, NOMINAL)) / n, float(stats.binom.ppf(0.975, n, NOMINAL)) / n),
+        (float(expected[0]) / n, float(expected[1]) / n),
         float(np.median(z)),
         float(np.sqrt(np.mean(z**2))),
         float(np.mean(np.abs(z) > 3.0)),

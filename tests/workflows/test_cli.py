@@ -170,3 +170,25 @@ def test_help_imports_no_numerical_package():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_worker_imports_no_report_and_no_statistics_package():
+    heavy = (
+        "scipy.stats",
+        "scipy.signal",
+        "scipy.optimize",
+        "pandas",
+        "matplotlib",
+        "emcee",
+        "pipeline.learning",
+        "reports.run",
+    )
+    code = (
+        "import sys; from pathlib import Path; from workflows.config import load_config;"
+        "from workflows.screening.parts import BlockItem, block_task; from workflows.screening.plan import plan;"
+        "planned = plan(load_config(None, {'devices': 1}));"
+        "tables = block_task(planned.config, BlockItem(planned.blocks[0]), lambda device: None);"
+        f"print(tables.statuses['ok'], [name for name in {heavy} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "1 []"

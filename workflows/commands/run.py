@@ -6,7 +6,7 @@ import json as json_
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
@@ -14,11 +14,12 @@ from pipeline.errors import InterruptedRunError, UsageError, printable_lines
 from pipeline.store.run import RunStore
 
 from ..config import RunConfig, changed_config, load_config, to_toml_table
-from ..screening.batch import run_batch
-from ..screening.outcome import RunResult, check_identified, check_targets
 from ..screening.plan import RunPlan, config_of, plan, resume, start, without_none
 from ..screening.scheduler import Scheduler
 from .groups.options import DEFAULT_RESULTS
+
+if TYPE_CHECKING:
+    from ..screening.outcome import RunResult
 
 
 def run(
@@ -46,6 +47,10 @@ def run(
             _show_plan(planned, json)
             return
         store = start(planned, out)
+    # A dry run does without the cluster and the report.
+    from ..screening.batch import run_batch
+    from ..screening.outcome import check_identified, check_targets
+
     try:
         result = run_batch(planned, store, out, workers, scheduler, quiet=json)
     except KeyboardInterrupt:

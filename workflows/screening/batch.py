@@ -6,10 +6,8 @@ plan -> blocks -> [dask: draw or read, identify, judge] -> commit -> examine mis
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
-
-from distributed import Client
 
 from pipeline.errors import IncompleteError
 from pipeline.store.lock import one_writer
@@ -22,18 +20,13 @@ from .block import BlockTables
 from .cluster import cluster
 from .dispatch import guarded_in_parallel
 from .guard import Begin
-from .lot.device import DeviceExamination, Request
-from .lot.effects import examine
 from .outcome import RunResult, finish
 from .parts import (
     BLOCK_FAULTS,
-    EXAMINE_FAULTS,
     Assembly,
     BlockItem,
-    ExamineItem,
     block_items,
     block_task,
-    examine_task,
 )
 from .plan import RunPlan
 from .progress import progress
@@ -77,28 +70,10 @@ def run_blocks(
                 store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
             advance(part.devices.num_rows)
         if not examined:
-            _examine(planned, store, client, quiet)
+            # It imports the learning half, which blocks do without.
+            from .lot.run import examine_run
 
-
-def _examine(planned: RunPlan, store: RunStore, client: Client, quiet: bool) -> None:
-    """Find the effects that misfits lack; add them to the devices table and store the findings in the run's folder."""
-
-    def examine_devices(requests: Sequence[Request]) -> Iterator[DeviceExamination]:
-        store.log({"event": "examine", "devices": len(requests)})
-        with progress(len(requests), 0, quiet, "examining") as advance:
-            campaigns = planned.campaigns
-            items = [ExamineItem(r, {r.number: campaigns[r.number]} if campaigns else {}) for r in requests]
-            limit_s = planned.config.run.device_limit_s
-            for _, examination in guarded_in_parallel(
-                client, examine_task, planned.config, items, EXAMINE_FAULTS, limit_s
-            ):
-                advance(1)
-                yield examination
-
-    found, columns = examine(store.devices(), planned.config.diagnosis, examine_devices)
-    store.amend_devices(columns)
-    store.write_file(FILE, found.to_json())
-    store.log({"event": "examined", "effects": [effect.effect for effect in found.effects]})
+            examine_run(planned, store, client, quiet)
 
 
 def run_batch(

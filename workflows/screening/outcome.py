@@ -16,7 +16,6 @@ from reports.common_errors import given_common, with_common
 from reports.devices import Devices
 from reports.run import lot_effects as lot_report
 from reports.run.health import status_counts
-from reports.run.page import render_run_report
 from reports.words.night import status_cause
 from reports.words.physics import RunPhysics
 from reports.yields import yield_of_verdicts
@@ -82,6 +81,8 @@ def store_report(results: Path, run_id: str, page: str) -> Path:
 
 def rendered_report(results: Path, run_id: str) -> str:
     """The report of a run as HTML."""
+    from reports.run.page import render_run_report  # it loads matplotlib
+
     tables = read_run(results, run_id)
     config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
     summary = dict(population(config).assumptions()) if config.source.kind == "population" else None

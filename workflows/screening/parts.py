@@ -1,4 +1,7 @@
-"""Blocks of devices as items of work: divided where a device ends its worker, and put together again before the commit."""
+"""Blocks of devices as items of work: divided where a device ends its worker, and put together again before the commit.
+
+Workers load this module, so it imports nothing that identification does not need.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ from .block import BlockTables, DeviceBlock, virtual_block
 from .campaign_block import CampaignSource, campaign_block
 from .faults import Faults
 from .guard import Begin
-from .lot.device import DeviceExamination, Request, examine_device, failed_examination
 
 
 @dataclass(frozen=True)
@@ -21,15 +23,6 @@ class BlockItem:
 
     block: DeviceBlock
     campaigns: tuple[CampaignSource, ...] = ()
-
-
-@dataclass(frozen=True)
-class ExamineItem:
-    """A device to examine, with its campaign if it is measured; ``lost`` says why it was given up."""
-
-    request: Request
-    campaigns: Mapping[int, CampaignSource]
-    lost: str = ""
 
 
 def block_items(blocks: Sequence[DeviceBlock], campaigns: tuple[CampaignSource, ...]) -> list[BlockItem]:
@@ -44,14 +37,6 @@ def block_task(config: RunConfig, item: BlockItem, begin: Begin) -> BlockTables:
     return campaign_block(config, item.block, item.campaigns, begin)
 
 
-def examine_task(config: RunConfig, item: ExamineItem, begin: Begin) -> DeviceExamination:
-    """The examination of one device; runs in a worker."""
-    if item.lost:
-        return failed_examination(item.request, item.lost)
-    begin(item.request.number)
-    return examine_device((config, item.campaigns), item.request)
-
-
 def _part(item: BlockItem, span: range) -> BlockItem:
     block = replace(item.block, first=span.start, count=len(span))
     offset = span.start - item.block.first
@@ -62,11 +47,6 @@ BLOCK_FAULTS: Faults[BlockItem] = Faults(
     devices=lambda item: range(item.block.first, item.block.first + item.block.count),
     part=_part,
     lost=lambda item, reason: replace(item, block=replace(item.block, lost=reason)),
-)
-EXAMINE_FAULTS: Faults[ExamineItem] = Faults(
-    devices=lambda item: range(item.request.number, item.request.number + 1),
-    part=lambda item, _: item,
-    lost=lambda item, reason: replace(item, lost=reason),
 )
 
 

@@ -28,7 +28,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from ...arrays import BoolArray, ComplexArray, FloatArray
 from ...errors import ConfigError
@@ -142,6 +141,8 @@ def _solve(
     mean: float, anisotropy: complex, electrodes: Electrodes, target: Target, present: FloatArray
 ) -> tuple[FloatArray, float]:
     """Planned u = V^2 (E,) [V^2] and the distance |a' - a_t| [(rad/s)^2], from m, a and u_0 (E,)."""
+    from scipy.optimize import lsq_linear  # loading it takes a quarter of a second, and few runs trim
+
     half = 0.5 * np.array(electrodes.gain_per_v2)
     # In units of the gain of the strongest pair, so that the scale of K does not affect the conditioning.
     unit = float(half.max())

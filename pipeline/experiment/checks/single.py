@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import coherence, csd, welch
 
 from ..antialias import filter_response
 from ..instrument import Instrument
@@ -36,6 +35,8 @@ def single_lag(record: Record, sense: int, instrument: Instrument) -> tuple[floa
     segment = min(2048, u.size // 8)
     if segment < 64 or not np.any(u != u[0]):
         return None
+    from scipy.signal import coherence, csd, welch  # loading it takes 0.7 s; campaigns with two drives do without it
+
     rate = record.sample_rate_hz
     f, cross = csd(u, y, rate, nperseg=segment)
     _, power = welch(u, rate, nperseg=segment)

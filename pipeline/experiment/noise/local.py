@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import rfft
-from scipy.stats import gamma
+from scipy.special import gammainccinv, gammaincinv, gammaln
 
 from ...arrays import FloatArray
 from ..record import Record
@@ -77,23 +77,23 @@ def _window_variances(record: Record) -> tuple[FloatArray, int]:
 def _covariance(windows: int, shape: int) -> FloatArray:
     """Covariance (2, 2) of ln s at the quantiles ``_LOWER`` and ``_LEVEL`` of ``windows`` quiet ones."""
     p = np.array([_LOWER, _LEVEL])
-    unit = gamma(shape, scale=1.0 / shape)
-    slope = unit.ppf(p) * unit.pdf(unit.ppf(p))
+    # x f(x) of a gamma variable of mean 1 at its quantiles x = y / shape.
+    y = gammaincinv(shape, p)
+    slope = np.exp(shape * np.log(y) - y - gammaln(shape))
     both = np.minimum.outer(p, p) - np.outer(p, p)
     return np.asarray(both / windows / np.outer(slope, slope))
 
 
 def _level(v: FloatArray, shape: int) -> tuple[float, bool]:
     """The level [V^2] of the windows v (K,) of one channel, and whether most of them are quiet."""
-    unit = gamma(shape, scale=1.0 / shape)
+    quantiles, most = gammaincinv(shape, [_LOWER, _LEVEL]) / shape, gammainccinv(shape, _TAIL) / shape
     kept = v
     for _ in range(_PASSES):
-        low, level = np.quantile(kept, [_LOWER, _LEVEL]) / unit.ppf([_LOWER, _LEVEL])
-        kept = v[v < level * unit.isf(_TAIL)]
+        low, level = np.quantile(kept, [_LOWER, _LEVEL]) / quantiles
+        kept = v[v < level * most]
     covariance = _covariance(kept.size, shape)
     sd = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
-    most = 2 * kept.size > v.size
-    return float(level), bool(most and np.log(level / max(low, 1e-300)) < _AGREE * sd)
+    return float(level), bool(2 * kept.size > v.size and np.log(level / max(low, 1e-300)) < _AGREE * sd)
 
 
 def local_noise(records: Sequence[Record]) -> LocalNoise:
@@ -103,7 +103,7 @@ def local_noise(records: Sequence[Record]) -> LocalNoise:
     for v, shape in found:
         each = [_level(own, shape) for own in v.T]
         levels.append([level if quiet else np.inf for level, quiet in each])
-        bounds.append(np.median(v, axis=0) / gamma.ppf(0.5, shape, scale=1.0 / shape))
+        bounds.append(np.median(v, axis=0) / (gammaincinv(shape, 0.5) / shape))
         sds.append(np.sqrt(_covariance(v.shape[0], shape)[1, 1]))
     level, sd = np.array(levels), np.array(sds)[:, None]
     dof = 2.0 / sd**2

@@ -19,7 +19,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.signal import lfilter
 
 from ...arrays import FloatArray
 
@@ -67,6 +66,9 @@ def noise_volts(
     """Noise (N, S) [V] of level ``sigma_v`` [V] on pick-off ``volts`` (N, S), which matter for jitter and gain noise only."""
     samples, senses = volts.shape
     if kind.kind == "ar":
+        # Loading scipy.signal takes 0.7 s, and few runs need it.
+        from scipy.signal import lfilter
+
         # The start-up dies out as a^k; after 40/(1 - |a|) samples it is below 1e-17.
         settle = int(40.0 / (1.0 - abs(kind.coefficient))) + 1
         fresh = random.standard_normal((samples + settle, senses))

@@ -20,8 +20,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import rfft
 from scipy.linalg import cho_solve
-from scipy.special import digamma
-from scipy.stats import gamma
+from scipy.special import digamma, gammaincc
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ..instrument import Adc
@@ -179,7 +178,7 @@ def _coloured(y: FloatArray, bins: FloatArray, bands: _Bands) -> bool:
     """Whether the score test rejects a constant ln density, given estimates y (B,)."""
     root = np.sqrt(bins / _LOSS)
     z = root * (y - np.sum(bins * y) / np.sum(bins))
-    return bool(gamma.sf(z @ bands.score @ z / bands.scale, bands.shape) < _ALPHA)
+    return bool(gammaincc(bands.shape, z @ bands.score @ z / bands.scale) < _ALPHA)
 
 
 def _without_line_bins(power: FloatArray, bands: _Bands) -> BoolArray:

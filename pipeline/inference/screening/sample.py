@@ -1,21 +1,22 @@
-"""Posterior samples with emcee in independent ensembles, and their convergence.
+"""Posterior samples in independent ensembles, and their convergence.
 
 The prior is uniform in the cartesian parameters (logarithms for the gains) where damping is positive semidefinite.  It is
 rotation-invariant, so it prefers no orientation of the axes.
 
 Where the Laplace approximation N(x^, V) is close (relative importance ESS of its draws above one half), the moves are
 independence Metropolis-Hastings with a multivariate t proposal.  Elsewhere (boundaries, curved posteriors) a mixture of stretch
-and differential-evolution moves runs until it converges or reaches the largest number of steps.
+and differential-evolution moves of emcee runs until it converges or reaches the
+largest number of steps.
 
 Shapes: E ensembles, n walkers, L kept steps, 12 parameters.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import emcee
 import numpy as np
 
 from ...arrays import FloatArray
@@ -27,6 +28,9 @@ from .likelihood import log_likelihood
 _FREEDOM = 20.0
 _PROBE = 256
 _MAX_STEPS = 6000
+_LogDensity = Callable[[FloatArray], FloatArray]
+#: (log density, start (n, P), steps, random stream) -> points (L, n, P), accepted share
+_Chain = Callable[[_LogDensity, FloatArray, int, Any], tuple[FloatArray, float]]
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,39 @@ def diagnose(draws: FloatArray) -> tuple[float, float]:
     return float(np.max(split_rhat(chains))), float(np.min(mean_ess(chains)))
 
 
+def _independence_chain(
+    log_density: _LogDensity, start: FloatArray, steps: int, random: Any
+) -> tuple[FloatArray, float]:
+    """Independence Metropolis-Hastings with the t proposal from start (n, P); points (L, n, P) and the accepted share.
+
+    A proposal y of x is accepted with the probability min(1, pi(y) t(x) / (pi(x) t(y))) (Hastings, Biometrika 57 (1970) 97).
+    The random numbers are those of emcee's MHMove.
+    """
+    points, accepted = np.empty((steps, *start.shape)), 0
+    x, log_weight = start, log_density(start) - _log_t(start)
+    for step in range(steps):
+        random.random_sample()  # emcee draws which of its moves it makes
+        y = _t_draws(start.shape[0], start.shape[1], random)
+        proposed = log_density(y) - _log_t(y)
+        better = np.log(random.rand(start.shape[0])) < proposed - log_weight
+        x, log_weight = np.where(better[:, None], y, x), np.where(better, proposed, log_weight)
+        points[step] = x
+        accepted += int(np.count_nonzero(better))
+    return points, accepted / (steps * start.shape[0])
+
+
+def _ensemble_chain(log_density: _LogDensity, start: FloatArray, steps: int, random: Any) -> tuple[FloatArray, float]:
+    """Stretch and differential-evolution moves from start (n, P); points (L, n, P) and the accepted share."""
+    # emcee imports scipy.stats and h5py, one second of processor time, and most devices do without it.
+    import emcee
+
+    moves = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
+    sampler = emcee.EnsembleSampler(*start.shape, log_density, moves=moves, vectorize=True)
+    sampler.random_state = random.get_state()
+    sampler.run_mcmc(start, steps, skip_initial_state_check=True)
+    return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction))
+
+
 def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) -> Posterior:
     """Sample the posterior around ``fit``.
 
@@ -100,6 +137,22 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
         points = fit.x + unit @ factor.T
         return log_likelihood(points, *likelihood.arrays)
 
+    def run(name: str, chain: _Chain, steps: int, thin: int) -> Posterior:
+        burn = settings.burn if thin == 1 else steps
+        units, accepted = [], []
+        for stream in streams[: settings.ensembles]:
+            random = np.random.RandomState()
+            random.set_state(stream.get_state())
+            start = _t_draws(settings.walkers, size, stream)
+            inside = np.isfinite(log_posterior(start))
+            points, share = chain(log_posterior, np.where(inside[:, None], start, 1e-3 * start), burn + steps, random)
+            # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
+            units.append(np.swapaxes(points[burn + thin - 1 :: thin], 0, 1).reshape(-1, size))
+            accepted.append(share)
+        unit = np.stack(units)
+        rhat, ess = diagnose(unit)
+        return Posterior(fit.x + unit @ factor.T, rhat, ess, float(np.mean(accepted)), importance, name)
+
     streams = [np.random.RandomState(np.random.MT19937(child)) for child in seed.spawn(settings.ensembles + 1)]
     probe = _t_draws(_PROBE, size, streams[-1])
     log_weight = log_posterior(probe) - _log_t(probe)
@@ -107,19 +160,10 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
     importance = float(weight.sum() ** 2 / np.sum(weight**2) / _PROBE)
 
     if importance > 0.5:
-
-        def propose(unit: FloatArray, random: Any) -> tuple[FloatArray, FloatArray]:
-            trial = _t_draws(unit.shape[0], size, random)
-            return trial, _log_t(unit) - _log_t(trial)
-
-        moves: Any = emcee.moves.MHMove(propose)
-        return _run(log_posterior, moves, "laplace", settings, streams, fit, factor, importance, settings.steps, 1)
-    mixture = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
+        return run("laplace", _independence_chain, settings.steps, 1)
     steps, posterior = 1000, None
     while posterior is None or (steps <= _MAX_STEPS and not_converged_reason(posterior, settings) is not None):
-        posterior = _run(
-            log_posterior, mixture, "ensemble", settings, streams, fit, factor, importance, steps, steps // 50
-        )
+        posterior = run("ensemble", _ensemble_chain, steps, steps // 50)
         steps *= 3
     return posterior
 
@@ -132,34 +176,3 @@ def not_converged_reason(posterior: Posterior, settings: SamplerSettings) -> str
         f"R-hat {posterior.rhat:.4g} (at most {settings.rhat_max:g}),"
         f" ESS {posterior.ess:.0f} (at least {settings.ess_min:g})"
     )
-
-
-def _run(
-    log_posterior: Any,
-    moves: Any,
-    name: str,
-    settings: SamplerSettings,
-    streams: list[Any],
-    fit: Fit,
-    factor: FloatArray,
-    importance: float,
-    steps: int,
-    thin: int,
-) -> Posterior:
-    size = fit.x.size
-    burn = settings.burn if thin == 1 else steps
-    chains, accepted = [], []
-    for stream in streams[: settings.ensembles]:
-        sampler = emcee.EnsembleSampler(settings.walkers, size, log_posterior, moves=moves, vectorize=True)
-        sampler.random_state = stream.get_state()
-        start = _t_draws(settings.walkers, size, stream)
-        inside = np.isfinite(log_posterior(start))
-        start = np.where(inside[:, None], start, 1e-3 * start)
-        sampler.run_mcmc(start, burn + steps, skip_initial_state_check=True)
-        # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
-        chain = np.swapaxes(sampler.get_chain(discard=burn, thin=thin), 0, 1)
-        chains.append(chain.reshape(-1, size))
-        accepted.append(float(np.mean(sampler.acceptance_fraction)))
-    units = np.stack(chains)
-    rhat, ess = diagnose(units)
-    return Posterior(fit.x + units @ factor.T, rhat, ess, float(np.mean(accepted)), importance, name)

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import sosfilt
 
 from ...arrays import FloatArray
 from ...errors import MeasurementError
@@ -132,6 +131,8 @@ def feed(stream: Stream, drive_v: FloatArray, sense_v: FloatArray) -> Stream:
         drive_v, sense_v = drive_v[:-1], sense_v[:-1]
         if not quiet:
             return replace(stream, samples=samples, last_silent=last_silent)
+    from scipy.signal import sosfilt  # loading it takes 0.7 s, and only streams need it
+
     sections = bandpass_sections(stream.instrument.sample_rate_hz, stream.settings.low_hz, stream.settings.high_hz)
     both, delay = sosfilt(np.array(sections), np.concatenate([sense_v, drive_v], axis=1), axis=0, zi=stream.delay)
     after = replace(stream, samples=samples, delay=np.asarray(delay), last_silent=last_silent)

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ...criticism.budget import ALPHA
 from ...criticism.fit_tests import Rules
@@ -64,7 +64,7 @@ def repeats_differ(problem: CampaignProblem) -> bool:
         left = difference - c @ d
         level = max(1.0, float(left @ left) / left.size)
         explained = float(difference @ difference) - float(left @ left)
-        if chi2.sf(explained / level, c.shape[1]) < ALPHA / len(pairs):
+        if chdtrc(c.shape[1], explained / level) < ALPHA / len(pairs):
             return True
     return False
 

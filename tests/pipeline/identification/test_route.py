@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import cheby1, sosfreqz
 
 from pipeline.axial import difference
 from pipeline.experiment.files.modal_record import ModalRecord, read_modal_record
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
 from pipeline.identification.axes import axes, gains_from_updown
-from pipeline.identification.bandpass import bandpass, window_slice
+from pipeline.identification.bandpass import bandpass, bandpass_sections, window_slice
 from pipeline.identification.failure import IdentificationError
 from pipeline.identification.modes import modes_from_fractions
 from pipeline.identification.phase import correct_phase, correct_phase_hinf
@@ -155,6 +156,19 @@ def test_bandpass_keeps_the_band_and_stops_offset_hum_and_harmonics() -> None:
         assert low <= np.abs(out[10_000:]).max() <= high, frequency
     with pytest.raises(IdentificationError, match="band does not fit"):
         bandpass(np.zeros((10, 1)), 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "low_hz", "high_hz"), [(10_000.0, 400.0, 700.0), (10_000.0, 10.0, 4900.0), (2000.0, 3.0, 5.0)]
+)
+def test_bandpass_is_the_chebyshev_filter_of_scipy(rate_hz: float, low_hz: float, high_hz: float) -> None:
+    frequency = np.linspace(0.7 * low_hz, min(1.2 * high_hz, 0.49 * rate_hz), 60)
+    expected = cheby1(4, 0.5, [low_hz, high_hz], btype="bandpass", fs=rate_hz, output="sos")
+    found = [
+        sosfreqz(sections, frequency, fs=rate_hz)[1]
+        for sections in (bandpass_sections(rate_hz, low_hz, high_hz), expected)
+    ]
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
 def test_what_is_not_a_gyro_is_refused(silent_noise: Record) -> None:

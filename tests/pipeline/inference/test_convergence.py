@@ -1,13 +1,15 @@
-"""R-hat and ESS against arviz_stats, and against the closed form of an autoregressive process."""
+"""R-hat and ESS against arviz_stats and the closed form of an autoregressive process; independence chains against emcee."""
 
 from __future__ import annotations
 
+import emcee
 import numpy as np
 import pytest
 from arviz_stats.base.array import array_stats
 from scipy.signal import lfilter
 
 from pipeline.inference.screening.convergence import mean_ess, split_chains, split_rhat
+from pipeline.inference.screening.sample import _independence_chain, _log_t, _t_draws
 
 
 def autoregressive(a, shape, random):
@@ -39,3 +41,21 @@ def test_a_chain_that_does_not_move_has_no_rhat_and_equal_means_give_one():
     still = np.zeros((4, 100, 1))
     assert np.isnan(split_rhat(split_chains(still))).all()
     assert mean_ess(split_chains(still)) == 400.0
+
+
+def test_an_independence_chain_is_that_of_emcee():
+    def log_density(x):
+        return -0.5 * np.sum(x**2, axis=1) - 0.1 * np.abs(x[:, 0]) ** 3
+
+    def propose(x, random):
+        y = _t_draws(x.shape[0], x.shape[1], random)
+        return y, _log_t(x) - _log_t(y)
+
+    start, random = np.random.default_rng(7).normal(size=(40, 5)), np.random.RandomState(8)
+    sampler = emcee.EnsembleSampler(40, 5, log_density, moves=emcee.moves.MHMove(propose), vectorize=True)
+    sampler.random_state = random.get_state()
+    sampler.run_mcmc(start, 30, skip_initial_state_check=True)
+    points, accepted = _independence_chain(log_density, start, 30, random)
+    np.testing.assert_array_equal(points, sampler.get_chain())
+    assert 0.5 < accepted < 1.0
+    assert accepted == pytest.approx(np.mean(sampler.acceptance_fraction))

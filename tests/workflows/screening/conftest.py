@@ -23,4 +23,4 @@ def scheduler() -> Iterator[str]:
 @pytest.fixture
 def without_page(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs whose tables are compared write an empty page: drawing the figures takes longer than the devices."""
-    monkeypatch.setattr(outcome, "render_run_report", lambda *_, **__: "<!doctype html>")
+    monkeypatch.setattr(outcome, "rendered_report", lambda *_: "<!doctype html>")

@@ -55,6 +55,7 @@ def _work_without(scheduler: subprocess.Popen[bytes], address: str) -> None:
     """Work on ``scheduler``, which is killed after the first result."""
     numbers, slow = [range(n, n + 1) for n in range(40)], dict.fromkeys(range(40), "slow")
     with cluster(0, Scheduler(address)) as client:
+        client.wait_for_workers(1, timeout=60)
         for _ in guarded_in_parallel(client, faulty_numbers, slow, numbers, NUMBERS, None, 1.0):
             scheduler.kill()
 

@@ -1,0 +1,66 @@
+"""The examination of a run's misfits on its workers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from distributed import Client
+
+from pipeline.store.run import RunStore
+from reports.run.lot_effects import FILE
+
+from ...config import RunConfig
+from ..campaign_block import CampaignSource
+from ..dispatch import guarded_in_parallel
+from ..faults import Faults
+from ..guard import Begin
+from ..plan import RunPlan
+from ..progress import progress
+from .device import DeviceExamination, Request, examine_device, failed_examination
+from .effects import examine
+
+
+@dataclass(frozen=True)
+class ExamineItem:
+    """A device to examine, with its campaign if it is measured; ``lost`` says why it was given up."""
+
+    request: Request
+    campaigns: Mapping[int, CampaignSource]
+    lost: str = ""
+
+
+def examine_task(config: RunConfig, item: ExamineItem, begin: Begin) -> DeviceExamination:
+    """The examination of one device; runs in a worker."""
+    if item.lost:
+        return failed_examination(item.request, item.lost)
+    begin(item.request.number)
+    return examine_device((config, item.campaigns), item.request)
+
+
+EXAMINE_FAULTS: Faults[ExamineItem] = Faults(
+    devices=lambda item: range(item.request.number, item.request.number + 1),
+    part=lambda item, _: item,
+    lost=lambda item, reason: replace(item, lost=reason),
+)
+
+
+def examine_run(planned: RunPlan, store: RunStore, client: Client, quiet: bool) -> None:
+    """Find the effects that misfits lack; add them to the devices table and store the findings in the run's folder."""
+
+    def examine_devices(requests: Sequence[Request]) -> Iterator[DeviceExamination]:
+        store.log({"event": "examine", "devices": len(requests)})
+        with progress(len(requests), 0, quiet, "examining") as advance:
+            campaigns = planned.campaigns
+            items = [ExamineItem(r, {r.number: campaigns[r.number]} if campaigns else {}) for r in requests]
+            limit_s = planned.config.run.device_limit_s
+            for _, examination in guarded_in_parallel(
+                client, examine_task, planned.config, items, EXAMINE_FAULTS, limit_s
+            ):
+                advance(1)
+                yield examination
+
+    found, columns = examine(store.devices(), planned.config.diagnosis, examine_devices)
+    store.amend_devices(columns)
+    store.write_file(FILE, found.to_json())
+    store.log({"event": "examined", "effects": [effect.effect for effect in found.effects]})
