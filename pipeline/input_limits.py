@@ -26,7 +26,7 @@ RECORD_VALUES = 2**25
 RECORD_EXPANSION = 1100
 #: Longest text of one value of a CSV file [bytes]: a file holds at least its size divided by this many values.
 CSV_BYTES_PER_VALUE = 32
-#: Longest header line of a CSV file [bytes]: 2,000 column names.
+#: Longest preamble and header of a text table [bytes]: 2,000 column names.
 CSV_HEADER_BYTES = 65_536
 #: Most columns of a record file: a hundred channels of metadata beside those of the largest plant.
 RECORD_COLUMNS = 1024

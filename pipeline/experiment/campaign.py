@@ -7,7 +7,7 @@
     [systematic]     sds of errors that the devices of a tester share: phase_error_sd_deg, angular_gain_sd, gain_sd (relative),
                      clock_sd_ppm, temperature_sd_c with tcf_ppm_per_c
     [reference]      quantity = [value, sd]
-    [columns]        drive1_V = "V1"      name in the files of a column that is named differently there
+    [columns]        drive1_V = "V1"      column of the files by name, number or table with unit, gain, offset (``files.mapping``)
     [channels]       corrections of the files (``check`` prints these lines), applied in this order:
                      drive_offset_v = [5.0, 5.0]  subtracted from the drive columns of the files
                      sense_polarity = [1, -1]     factor of each sense column; drive_polarity likewise
@@ -34,7 +34,7 @@ from .. import toml_files as toml
 from ..arrays import FloatArray
 from ..errors import MeasurementError, UsageError
 from .files.channels import correct
-from .files.columns import MIN_SAMPLES, assemble
+from .files.columns import assemble
 from .files.common_tables import (
     DemodulationTable,
     DeviceTable,
@@ -44,19 +44,21 @@ from .files.common_tables import (
     check_phase,
     references,
 )
+from .files.mapping import Source
 from .files.modal_record import ModalRecord, decode_modal_record
-from .files.readers import existing, read_columns, read_record, write_columns
+from .files.readers import existing, read_columns, read_records, write_columns
 from .instrument import Instrument
 from .record import Campaign, Channels, Record, Role
 from .systematic import EXACT
 
 Sign = Literal[-1, 1]
+FileName = Annotated[str, Meta(min_length=1)]
 
 
 class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[[record]]``: a file, its role, its conditions [deg/s, V], and its samples ``start`` to ``stop`` (exclusive)."""
+    """``[[record]]``: a file or files, role, conditions [deg/s, V], and its samples ``start`` to ``stop`` (exclusive)."""
 
-    file: Annotated[str, Meta(min_length=1)]
+    file: FileName | Annotated[list[FileName], Meta(min_length=1, max_length=8)]
     name: str | None = None
     role: Role | None = None
     rate_dps: float | None = None
@@ -88,7 +90,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     instrument: InstrumentTable = InstrumentTable()
     systematic: SystematicTable = SystematicTable()
     reference: References = {}
-    columns: dict[str, str] = {}
+    columns: dict[str, Source] = {}
     channels: ChannelsTable = ChannelsTable()
 
 
@@ -99,33 +101,38 @@ def _roles(declared: Sequence[Role | None]) -> list[Role]:
     return [role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)]
 
 
-def _cut(record: Record, start: int, stop: int | None, where: str) -> Record:
-    count = record.drive_v.shape[0]
-    end = count if stop is None else stop
-    if end > count or end - start < MIN_SAMPLES:
-        raise MeasurementError(
-            f"{where}: start and stop do not lie within the record",
-            value=[start, end],
-            allowed=f"0 <= start, start + {MIN_SAMPLES} <= stop <= {count}",
-            next_step="correct start and stop of this [[record]]",
+def _records_of(
+    folder: Path, entry: RecordTable, role: Role, rate: float | None, document: CampaignTable
+) -> list[Record]:
+    """The record of an entry; more than one where samples are missing."""
+    names = [entry.file] if isinstance(entry.file, str) else entry.file
+    files = [read_columns(existing(folder / name)) for name in names]
+    found = assemble(names[0], files, rate, document.columns, entry.start, entry.stop)
+    name = entry.name if entry.name is not None else names[0]
+    return [
+        dataclasses.replace(
+            record,
+            name=name + record.name.removeprefix(names[0]),
+            role=role,
+            at_rest=record.at_rest and entry.at_rest,
+            rate_dps=entry.rate_dps,
+            bias_v=entry.bias_v,
+            temperature_c=entry.temperature_c,
+            file=names[0],
         )
-    return dataclasses.replace(record, drive_v=record.drive_v[start:end], sense_v=record.sense_v[start:end])
+        for record in found
+    ]
 
 
-def _record_of(folder: Path, entry: RecordTable, role: Role, rate: float | None, document: CampaignTable) -> Record:
-    path = existing(folder / entry.file)
-    whole = assemble(entry.file, read_columns(path), rate, document.columns)
-    record = _cut(correct(whole, _channels(document.channels)), entry.start, entry.stop, entry.file)
-    return dataclasses.replace(
-        record,
-        name=entry.name if entry.name is not None else entry.file,
-        role=role,
-        at_rest=record.at_rest and entry.at_rest,
-        rate_dps=entry.rate_dps,
-        bias_v=entry.bias_v,
-        temperature_c=entry.temperature_c,
-        file=entry.file,
-    )
+def _with_all_drives(records: Sequence[Record]) -> list[Record]:
+    """The records, with zeros as the drives of those whose files have no drive columns."""
+    drives = max((record.drive_v.shape[1] for record in records), default=0) or 1
+    return [
+        dataclasses.replace(record, drive_v=np.zeros((record.sense_v.shape[0], drives)))
+        if record.drive_v.shape[1] == 0
+        else record
+        for record in records
+    ]
 
 
 def _at_temperatures(records: Sequence[Record], tcf_ppm_per_c: float) -> tuple[Record, ...]:
@@ -171,8 +178,7 @@ def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
     """All records of a campaign, corrected as [channels] states, with their roles.
 
     ``path`` is the folder or its campaign.toml; file names are relative to that folder.  ``text`` is used in place of the content
-    of campaign.toml.  If ``sample_rate_hz`` is not stated,
-    the time column of the first record determines it for all.
+    of campaign.toml.  If ``sample_rate_hz`` is not stated, the time column of the first record determines it for all.
 
     Raises
     ------
@@ -185,15 +191,9 @@ def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
     rate = document.instrument.sample_rate_hz
     records: list[Record] = []
     for entry, role in zip(document.record, _roles([entry.role for entry in document.record])):
-        records.append(
-            _record_of(
-                file.parent,
-                entry,
-                role,
-                rate if rate is not None or not records else records[0].sample_rate_hz,
-                document,
-            )
-        )
+        known = rate if rate is not None or not records else records[0].sample_rate_hz
+        records += _records_of(file.parent, entry, role, known, document)
+    records = [correct(record, _channels(document.channels)) for record in _with_all_drives(records)]
     _same_shape(records)
     systematic = document.systematic.built()
     return Campaign(
@@ -224,8 +224,9 @@ def read_measurement(path: Path) -> Campaign | ModalRecord:
     if path.suffix.lower() == ".toml":
         modal = decode_modal_record(toml.read_bytes(path), path)
         return modal if modal is not None else read_campaign(path)
-    record = dataclasses.replace(read_record(path, None), role="fit")
-    return Campaign(device_id=path.stem, records=(record,), instrument=Instrument(sample_rate_hz=record.sample_rate_hz))
+    found = [dataclasses.replace(record, role="fit") for record in read_records(path, None)]
+    records = tuple(_with_all_drives(found))
+    return Campaign(device_id=path.stem, records=records, instrument=Instrument(records[0].sample_rate_hz))
 
 
 def _vectors(record: Record) -> dict[str, FloatArray]:

@@ -5,6 +5,7 @@ Shapes: N samples, D drives, S senses.  Units: volts, seconds, hertz; rates in d
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -26,10 +27,12 @@ class Clock:
     ----------
     sample_rate_hz : (N - 1) / (t[N-1] - t[0]) [Hz].
     jitter_samples : largest distance of a time stamp from the uniform grid, in samples.
+    start_s : time stamp of the first sample [s].
     """
 
     sample_rate_hz: float
     jitter_samples: float
+    start_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ class Record:
     frequency_shift : relative shift of all natural frequencies [1] that follows from the declared temperature.
     clock : sample rate and jitter of its time column; ``None`` where there was no time column.
     file : file of its [[record]] in campaign.toml; ``None`` where it was not read from a campaign.
+    units : "drive<k>_V" or "sense<k>_V" -> the SI unit of its samples where that is not volts.
     bad : bad samples, which every fit leaves out; ``None`` where they were not sought (see ``experiment.bad_samples``).
     """
 
@@ -97,6 +101,7 @@ class Record:
     frequency_shift: float = 0.0
     clock: Clock | None = None
     file: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
     bad: tuple[BadStretch, ...] | None = None
 
     @property

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.errors import MeasurementError
-from pipeline.experiment.files.columns import MIN_SAMPLES, assemble
+from pipeline.experiment.files.columns import MIN_SAMPLES, assemble, only
 from pipeline.experiment.files.readers import FORMATS, existing, read_record
 from pipeline.experiment.record import Record
 
@@ -150,7 +150,7 @@ def _block(
                 next_step="correct the line, or stop the record before it",
             ) from None
     columns: dict[str, FloatArray] = {c: np.ascontiguousarray(numbers[:, k]) for k, c in enumerate(table.columns)}
-    record = assemble(where, columns, sample_rate_hz)
+    record = only(assemble(where, [columns], sample_rate_hz))
     first, last = float(columns["time_s"][0]), float(columns["time_s"][-1])
     if last_time is not None and abs((first - last_time) * record.sample_rate_hz - 1.0) > 0.1:
         raise MeasurementError(

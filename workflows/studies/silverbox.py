@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.device.model import Model, PlantSpec
-from pipeline.experiment.files.columns import assemble
+from pipeline.experiment.files.columns import assemble, only
 from pipeline.experiment.files.readers import existing, read_columns
 from pipeline.experiment.instrument import Hold, Instrument
 from pipeline.experiment.record import Campaign, Record, Role
@@ -40,7 +40,7 @@ def campaign_of(folder: Path, hold: Hold, train_samples: int | None = None) -> C
     MeasurementError : ``folder`` does not hold the file, or not its columns.
     """
     path = existing(folder / FILE)
-    whole = assemble(path.name, read_columns(path), RATE_HZ, {"drive1_V": "V1", "sense1_V": "V2"})
+    whole = only(assemble(path.name, [read_columns(path)], RATE_HZ, {"drive1_V": "V1", "sense1_V": "V2"}))
     records = []
     for name, role, start, stop in PARTS:
         last = stop if role != "fit" or train_samples is None else min(stop, start + train_samples)

@@ -135,7 +135,7 @@ GOOD = '[[record]]\nfile = "a.csv"\n'
         ("[channels]\nsense_order = [2]\n" + GOOD, ConfigError, ["permutation"]),
         ("[channels]\nlag_samples = 95\n" + GOOD, ConfigError, ["lag_samples"]),
         ("[columns]\nvolts = 'sense1_V'\n" + GOOD, MeasurementError, ["volts", "sense<k>_V"]),
-        ("[columns]\nsense1_V = 'sense1'\n" + GOOD, MeasurementError, ["did you mean 'sense1_V'"]),
+        ("[columns]\nsense1_V = 'sens1_V'\n" + GOOD, MeasurementError, ["did you mean 'sense1_V'"]),
         ("[[record]]\nfile = 'b.csv'\n", MeasurementError, ["b.csv", "did you mean a.csv"]),
         ("[[record]]\nfile = '../elsewhere.csv'\n", MeasurementError, ["elsewhere.csv"]),
         (GOOD + "start = 50\nstop = 200\n", MeasurementError, ["200", "stop <= 100"]),

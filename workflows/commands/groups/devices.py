@@ -35,6 +35,16 @@ def identify(
     command(measurement, model, limits, json)
 
 
+def init(
+    files: Annotated[list[Path], typer.Argument(help="Record files of one device, all with the same columns.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for campaign.toml; default: <first file>-campaign.")] = None,
+) -> None:
+    """Look at foreign files, write a commented campaign.toml, plot what was read."""
+    from ..init import init as command
+
+    command(files, out)
+
+
 def check(campaign: CampaignFolder, json: Json = False) -> None:
     """Check a campaign before any fit.
 
@@ -128,4 +138,4 @@ def paper(out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path
     command(out, json)
 
 
-COMMANDS = (identify, paper, check, simulate, compare, diagnose, refine, demo, effects)
+COMMANDS = (identify, paper, init, check, simulate, compare, diagnose, refine, demo, effects)

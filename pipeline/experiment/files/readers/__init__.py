@@ -19,7 +19,7 @@ import numpy as np
 from ....errors import ConfigError, MeasurementError, UsageError
 from ....input_limits import check_path
 from ...record import Record
-from ..columns import assemble
+from ..columns import assemble, only
 from .table import Columns
 
 #: Suffix -> module.  A module is imported only when it is needed, because each imports a library of its own.
@@ -27,6 +27,12 @@ FORMATS: dict[str, str] = {
     ".parquet": "parquet",
     ".csv": "csv",
     ".txt": "csv",
+    ".dat": "csv",
+    ".asc": "csv",
+    ".tsv": "csv",
+    ".tab": "csv",
+    ".prn": "csv",
+    ".lvm": "lvm",
     ".h5": "hdf5",
     ".hdf5": "hdf5",
     ".npz": "npz",
@@ -126,8 +132,8 @@ def read_columns(path: Path) -> Columns:
     return columns
 
 
-def read_record(path: Path, sample_rate_hz: float | None) -> Record:
-    """One record from one file.
+def read_records(path: Path, sample_rate_hz: float | None) -> tuple[Record, ...]:
+    """The record in a file; more than one where samples are missing.
 
     Parameters
     ----------
@@ -139,7 +145,12 @@ def read_record(path: Path, sample_rate_hz: float | None) -> Record:
     ------
     MeasurementError : the file cannot be read, or its columns are not a record.
     """
-    return assemble(path.name, read_columns(path), sample_rate_hz)
+    return assemble(path.name, [read_columns(path)], sample_rate_hz)
+
+
+def read_record(path: Path, sample_rate_hz: float | None) -> Record:
+    """The record in a file without gaps; arguments and errors as :func:`read_records`."""
+    return only(read_records(path, sample_rate_hz))
 
 
 def write_columns(folder: Path, stem: str, columns: Columns, form: str) -> Path:

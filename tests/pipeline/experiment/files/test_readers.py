@@ -110,7 +110,7 @@ def spoil_backwards(c):
 
 
 def spoil_jitter(c):
-    c["time_s"][70] += 0.2 / FS
+    c["time_s"][70] += 0.8 / FS
 
 
 def spoil_rate(c):
@@ -136,7 +136,7 @@ def spoil_numbering(c):
         (spoil_gap, ["3 samples are missing", "row 100", "stop = 100"]),
         (spoil_duplicate, ["twice", "row 50"]),
         (spoil_backwards, ["backwards", "row 60"]),
-        (spoil_jitter, ["not uniform", "row 70", "0.2 samples"]),
+        (spoil_jitter, ["not uniform", "row 70", "0.795 samples"]),
         (spoil_rate, ["sample_rate_hz = 9990.00999", "[instrument]"]),
         (spoil_alike, ["drive_3", "drive3_V"]),
         (spoil_missing, ["Sense2", "sense2_V"]),
@@ -160,7 +160,7 @@ def test_a_wrong_column_is_reported_with_its_row_and_a_remedy(tmp_path, spoil, w
         ("r.csv", "time_s,drive1_V,sense1_V\n0,1,2\n0.1,x,3\n", ["drive1_V", "does not hold numbers", "x"]),
         ("r.csv", "time_s,drive1_V,sense1_V\n0,1,2\n0.1,2\n", ["cannot be read as csv"]),
         ("r.csv", "", ["header"]),
-        ("r.csv", "1.0 2.0 3.0\n", ["header"]),
+        ("r.csv", "1.0 2.0 3.0\n", ["no column sense1_V", "column2"]),
         ("r.csv", "drive1_V,drive1_V,sense1_V\n1,2,3\n", ["twice"]),
         ("r.csv", "drive1_V,sense1_V\n1,2\n", ["too short"]),
         ("r.wav", "RIFF", ["known format", ".parquet"]),

@@ -1,0 +1,100 @@
+"""A commented campaign.toml for foreign files, with what was guessed, why, and what the files cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ...toml_files import encoded
+from .inspect import Column, Inspection
+from .units import UNITS
+
+#: Share of a single record that is fitted; the rest is held out.
+_FITTED = 0.5
+_UNKNOWN = """\
+# What the files cannot tell; correct it here before you trust a fit:
+[instrument]
+{rate}
+hold = "zoh"                    # how drive samples become volts: "zoh" steps, "foh" ramps, "bandlimited" (drive was recorded)
+bias_v = {bias}                    # bias of the drive electrodes [V]
+# antialias = {{ kind = "butterworth", order = 8, corner_hz = 4800.0 }}      # filter before the converter; absent: none
+# adc = {{ bits = 16, full_scale_v = 10.0 }}                                # converter; absent: none
+"""
+
+
+def campaign_template(name: str, paths: Sequence[str], found: Inspection, gyro: bool) -> str:
+    """The text of a campaign.toml.
+
+    Parameters
+    ----------
+    name : of the device.
+    paths : of the files, relative to the folder of campaign.toml.
+    found : what they seem to hold.
+    gyro : whether the device has two drives and two senses, as the gyro of the paper.
+    """
+    rate = (
+        f"sample_rate_hz = {found.sample_rate_hz:.12g}        # from the time column"
+        if found.sample_rate_hz is not None
+        else "sample_rate_hz = 1.0            # NOT STATED in the files: frequencies are in cycles per sample until it is"
+    )
+    parts = [
+        "# Written by `gyroscreen init`.  Each line says what was guessed and why; check it with `gyroscreen check`.",
+        "[device]",
+        f"id = {encoded(name)}",
+        *(["# angular_gain = 0.7             # I_p / I_0p, needed for rate biases in deg/s"] if gyro else []),
+        "",
+        _UNKNOWN.format(rate=rate, bias="5.0" if gyro else "0.0"),
+        *_columns(found),
+        *_records(paths, found),
+    ]
+    return "\n".join(parts)
+
+
+def _columns(found: Inspection) -> list[str]:
+    lines = ["[columns]                       # value = gain * column - offset, in SI units; add what nothing states"]
+    for use in ("time", "drive", "sense"):
+        for k, column in enumerate(found.of(use), 1):
+            key = "time_s" if use == "time" else f"{use}{k}_V"
+            if column.name != key:
+                lines.append(f"{key} = {_source(column)}      # {reason(column)}")
+            else:
+                lines.append(f"# {key}: {reason(column)}")
+    lines += [f"# not used: {encoded(c.name)} ({reason(c)})" for c in found.of("unused")]
+    return [*lines, ""]
+
+
+def _source(column: Column) -> str:
+    place = f"name = {encoded(column.name)}" if column.named else f"number = {column.number}"
+    if column.unit is None:
+        return encoded(column.name) if column.named else str(column.number)
+    return f'{{ {place}, unit = "{column.unit}" }}'
+
+
+def reason(column: Column) -> str:
+    """Why a column was taken for its use, its unit and its range."""
+    si = "" if column.unit is None or UNITS[column.unit][0] == column.unit else f", read in {UNITS[column.unit][0]}"
+    if column.use == "unused":
+        return f"{column.why}; {column.low:.4g} to {column.high:.4g}"
+    unit = f"in {column.unit}{si}" if column.unit is not None else "unit not stated, taken as V"
+    return f"{column.why}; {unit}; {column.low:.4g} to {column.high:.4g}"
+
+
+def _records(paths: Sequence[str], found: Inspection) -> list[str]:
+    lines: list[str] = []
+    divided = len(paths) == 1 and not found.silent[0] and found.samples[0] >= 256 and not found.gaps[0]
+    for k, path in enumerate(paths):
+        rest = "" if found.at_rest[k] else "at_rest = false                 # the senses move at the first sample\n"
+        gaps = f"# {found.gaps[k]} gaps: each piece becomes a record of its own\n" if found.gaps[k] else ""
+        if divided:
+            cut = int(_FITTED * found.samples[0])
+            entry = f"[[record]]\nfile = {encoded(path)}\nname = "
+            lines += [
+                "# One file: its first half is fitted, the second is held out.",
+                f'{entry}"first half"\nrole = "fit"\nstop = {cut}\n{rest}',
+                f'{entry}"second half"\nrole = "validate"\nstart = {cut}\nat_rest = false\n',
+            ]
+            continue
+        role = "noise" if found.silent[k] else "validate" if k == len(paths) - 1 and k > 0 else "fit"
+        why = {"noise": "no drive varies", "fit": "fitted", "validate": "held out; the fit never sees it"}[role]
+        head = f'{gaps}[[record]]\nfile = {encoded(path)}\nrole = "{role}"'
+        lines.append(f"{head}                   # {why}\n{rest}")
+    return lines

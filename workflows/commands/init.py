@@ -1,0 +1,73 @@
+"""gyroscreen init: look at foreign files, write a commented campaign.toml, plot what was read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.errors import GyroscreenError, UsageError, printable_lines
+from pipeline.experiment.campaign import read_campaign
+from pipeline.experiment.files.inspect import Inspection, inspect
+from pipeline.experiment.files.readers import existing, read_columns
+from pipeline.experiment.files.template import campaign_template, reason
+
+FILE, PICTURE = "campaign.toml", "columns.png"
+
+
+def init(files: Sequence[Path], out: Path | None) -> None:
+    """See ``gyroscreen init --help``."""
+    folder = out or Path(f"{existing(files[0]).stem}-campaign")
+    target = folder / FILE
+    if target.exists():
+        raise UsageError(
+            "the campaign exists already",
+            value=str(target),
+            next_step="choose another folder with --out, or move the old campaign.toml away",
+        )
+    found = inspect([(file.name, read_columns(file)) for file in files])
+    paths = [Path(os.path.relpath(file, folder)).as_posix() for file in files]
+    gyro = len(found.of("drive")) == len(found.of("sense")) == 2
+    _write(folder, target, campaign_template(folder.resolve().name, paths, found, gyro))
+    print(printable_lines("\n".join(_text(files, found))))
+    try:
+        campaign = read_campaign(folder)
+    except GyroscreenError as error:
+        print(f"{target} is written, but the records cannot be read with it yet: {error}")
+        return
+    from reports.learning.figures.columns import columns_png
+
+    try:
+        columns_png(campaign.records, folder / PICTURE)
+    except OSError as error:
+        raise _unwritable(folder / PICTURE, error) from None
+    print(printable_lines(f"{target}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"))
+    print(printable_lines(f"next: gyroscreen check {folder}"))
+
+
+def _write(folder: Path, target: Path, text: str) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        target.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise _unwritable(target, error) from None
+
+
+def _unwritable(path: Path, error: OSError) -> UsageError:
+    return UsageError(
+        f"it cannot be written: {(error.strerror or str(error)).lower()}",
+        value=str(path),
+        next_step="choose another folder with --out",
+    )
+
+
+def _text(files: Sequence[Path], found: Inspection) -> list[str]:
+    rate = "not stated" if found.sample_rate_hz is None else f"{found.sample_rate_hz:.9g} Hz"
+    lines = [f"{len(files)} files, sample rate {rate}"]
+    for file, samples, gaps, silent in zip(files, found.samples, found.gaps, found.silent):
+        notes = [f"{gaps} gaps"] * bool(gaps) + ["no drive varies"] * silent
+        lines.append(f"  {file.name}: {samples} samples{', ' if notes else ''}{', '.join(notes)}")
+    for column in found.columns:
+        use = "not used" if column.use == "unused" else column.use
+        lines.append(f"  column {column.number} {column.name!r}: {use} ({reason(column)})")
+    return lines
