@@ -81,6 +81,8 @@ def reason(column: Column) -> str:
 def _records(paths: Sequence[str], found: Inspection) -> list[str]:
     lines: list[str] = []
     divided = len(paths) == 1 and not found.silent[0] and found.samples[0] >= 256 and not found.gaps[0]
+    driven = [k for k, silent in enumerate(found.silent) if not silent]
+    held_out = driven[-1] if len(driven) > 1 else None
     for k, path in enumerate(paths):
         rest = "" if found.at_rest[k] else "at_rest = false                 # the senses move at the first sample\n"
         gaps = f"# {found.gaps[k]} gaps: each piece becomes a record of its own\n" if found.gaps[k] else ""
@@ -93,7 +95,7 @@ def _records(paths: Sequence[str], found: Inspection) -> list[str]:
                 f'{entry}"second half"\nrole = "validate"\nstart = {cut}\nat_rest = false\n',
             ]
             continue
-        role = "noise" if found.silent[k] else "validate" if k == len(paths) - 1 and k > 0 else "fit"
+        role = "noise" if found.silent[k] else "validate" if k == held_out else "fit"
         why = {"noise": "no drive varies", "fit": "fitted", "validate": "held out; the fit never sees it"}[role]
         head = f'{gaps}[[record]]\nfile = {encoded(path)}\nrole = "{role}"'
         lines.append(f"{head}                   # {why}\n{rest}")
