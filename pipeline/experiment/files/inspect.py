@@ -41,7 +41,7 @@ _START, _QUIET = 0.005, 0.01
 
 
 @dataclass(frozen=True)
-class Column:
+class FileColumn:
     """A column of a file.
 
     Parameters
@@ -75,14 +75,14 @@ class Inspection:
     at_rest : for each file whether its senses are quiet at the start; silent: whether no drive varies.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[FileColumn, ...]
     sample_rate_hz: float | None
     samples: tuple[int, ...]
     gaps: tuple[int, ...]
     at_rest: tuple[bool, ...]
     silent: tuple[bool, ...]
 
-    def of(self, use: Use) -> tuple[Column, ...]:
+    def of(self, use: Use) -> tuple[FileColumn, ...]:
         """The columns that are taken for this."""
         return tuple(column for column in self.columns if column.use == use)
 
@@ -134,7 +134,7 @@ def inspect(files: Sequence[tuple[str, Mapping[str, NDArray[Any]]]]) -> Inspecti
     return Inspection(tuple(seen), rate, samples, tuple(gaps), tuple(rest), tuple(silent))
 
 
-def _uses(found: Mapping[str, NDArray[Any]]) -> list[Column]:
+def _uses(found: Mapping[str, NDArray[Any]]) -> list[FileColumn]:
     columns = [_plain(name, k, np.asarray(values)) for k, (name, values) in enumerate(found.items(), 1)]
     if not any(column.use == "time" for column in columns) and columns:
         head = np.asarray(next(iter(found.values())))
@@ -153,16 +153,16 @@ def _uses(found: Mapping[str, NDArray[Any]]) -> list[Column]:
     return columns
 
 
-def _plain(name: str, number: int, values: NDArray[Any]) -> Column:
+def _plain(name: str, number: int, values: NDArray[Any]) -> FileColumn:
     """The use of a column by its name and its values; "open" where they do not tell."""
     base, unit = split_unit(name)
     named = re.fullmatch(r"column\d+", name) is None
     if values.dtype.kind not in "fiub" or values.ndim != 1 or not np.all(np.isfinite(values.astype(float))):
-        return Column(name, number, unit, "unused", "not numbers in every row", float("nan"), float("nan"), named)
+        return FileColumn(name, number, unit, "unused", "not numbers in every row", float("nan"), float("nan"), named)
     low, high = float(values.min()), float(values.max())
 
-    def made(use: Use, why: str, unit: str | None = unit) -> Column:
-        return Column(name, number, unit, use, why, low, high, named)
+    def made(use: Use, why: str, unit: str | None = unit) -> FileColumn:
+        return FileColumn(name, number, unit, use, why, low, high, named)
 
     steps = np.diff(values)
     in_seconds = unit is not None and UNITS[unit][0] == "s"

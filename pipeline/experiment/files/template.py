@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ...toml_files import encoded
-from .inspect import Column, Inspection
+from .inspect import FileColumn, Inspection
 from .units import UNITS
 
 #: Share of a single record that is fitted; the rest is held out.
@@ -62,14 +62,14 @@ def _columns(found: Inspection) -> list[str]:
     return [*lines, ""]
 
 
-def _source(column: Column) -> str:
+def _source(column: FileColumn) -> str:
     place = f"name = {encoded(column.name)}" if column.named else f"number = {column.number}"
     if column.unit is None:
         return encoded(column.name) if column.named else str(column.number)
     return f'{{ {place}, unit = "{column.unit}" }}'
 
 
-def reason(column: Column) -> str:
+def reason(column: FileColumn) -> str:
     """Why a column was taken for its use, its unit and its range."""
     si = "" if column.unit is None or UNITS[column.unit][0] == column.unit else f", read in {UNITS[column.unit][0]}"
     if column.use == "unused":
