@@ -24,10 +24,11 @@ PARTS = {
     "inference": {"device", "experiment", "identification"},
     "criticism": set(),
     "learning": {"device", "experiment", "identification", "inference", "criticism"},
-    "store": set(),
+    "sql": set(),
+    "store": {"sql"},
 }
 #: The base modules that a part is held to, where it may not have them all.
-BASE_OF = {"criticism": {"errors", "arrays"}, "store": {"errors", "arrays", "quantities", "plain"}}
+BASE_OF = {"criticism": {"errors", "arrays"}, "sql": {"errors"}, "store": {"errors", "arrays", "quantities", "plain"}}
 #: Sub-packages of one part that do not know each other.
 APART = ({"reports.run", "reports.learning", "reports.paper"},)
 ONLY_IN_WORKFLOWS = {"dask", "distributed", "typer", "click"}

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 if sys.platform != "win32":
     import fcntl
@@ -48,6 +49,21 @@ def fsync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+@contextmanager
+def replacing(folder: Path, name: str) -> Iterator[BinaryIO]:
+    """A file to write to, which replaces ``name`` atomically once it is complete; on failure the old file is unchanged."""
+    staged = folder / f".{name}{STAGED}"
+    try:
+        with staged.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        publish(folder, name)
+        fsync_folder(folder)
+    finally:
+        staged.unlink(missing_ok=True)
 
 
 def replace_file(folder: Path, name: str, data: bytes | memoryview) -> None:

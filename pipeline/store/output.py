@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+from collections.abc import Iterator, Sequence
 from datetime import date, datetime, time
 from decimal import Decimal
 from pathlib import Path
@@ -14,11 +15,13 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from ..errors import UsageError, printable
-from .files import replace_file
+from .files import replacing
 from .parquet import encode_table
 
 Format = Literal["table", "csv", "json", "parquet"]
 FORMATS: tuple[str, ...] = get_args(Format)
+#: Rows that are Python objects at a time.
+_ROWS = 10_000
 
 
 def write_table(table: pa.Table, format: str, out: BinaryIO | Path) -> None:
@@ -38,31 +41,52 @@ def write_table(table: pa.Table, format: str, out: BinaryIO | Path) -> None:
     """
     if format not in FORMATS:
         raise UsageError("unknown format", value=format, allowed=", ".join(FORMATS))
-    data = {"table": _text, "csv": _csv, "json": _json, "parquet": _parquet}[format](table)
+    write = {"table": _text, "csv": _csv, "json": _json, "parquet": _parquet}[format]
     if not isinstance(out, Path):
-        out.write(data)
+        write(table, out)
         return
     try:
-        replace_file(out.absolute().parent, out.name, data)
+        with replacing(out.absolute().parent, out.name) as file:
+            write(table, file)
     except OSError as error:
         raise UsageError(f"cannot write the file ({error.strerror})", value=str(out)) from None
 
 
-def _text(table: pa.Table) -> bytes:
+def _parts(table: pa.Table) -> Iterator[pa.Table]:
+    """The table in parts that are small as Python objects."""
+    return (table.slice(first, _ROWS) for first in range(0, table.num_rows, _ROWS))
+
+
+def _text(table: pa.Table, sink: BinaryIO) -> None:
     """Header with names and units, a rule, then the rows; numbers right-aligned, text left-aligned."""
-    columns: list[list[str]] = []
-    for field in table.schema:
-        unit = (field.metadata or {}).get(b"unit", b"").decode()
-        cells = [_cell(value) for value in table.column(len(columns)).to_pylist()]
-        number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type) or pa.types.is_decimal(field.type)
-        heads = [printable(field.name), f"[{unit}]" if unit not in ("", "1") else ""]
-        width = max(len(word) for word in (*heads, *cells))
-        align = str.rjust if number else str.ljust
-        columns.append([*(align(head, width) for head in heads), "-" * width, *(align(cell, width) for cell in cells)])
-    lines = ["  ".join(row).rstrip() for row in zip(*columns)]
-    if len(lines) > 1 and not lines[1]:
-        del lines[1]
-    return ("\n".join(lines) + f"\n({table.num_rows} row{'' if table.num_rows == 1 else 's'})\n").encode()
+    units = [(field.metadata or {}).get(b"unit", b"").decode() for field in table.schema]
+    heads = [
+        [printable(field.name) for field in table.schema],
+        [f"[{unit}]" if unit not in ("", "1") else "" for unit in units],
+    ]
+    widths = [max(map(len, column)) for column in zip(*heads)]
+    for part in _parts(table):
+        widths = [max(width, *map(len, cells)) for width, cells in zip(widths, _cells(part))]
+    align = [str.rjust if _is_number(field.type) else str.ljust for field in table.schema]
+
+    def line(cells: Sequence[str]) -> bytes:
+        return ("  ".join(one(cell, width) for one, cell, width in zip(align, cells, widths)).rstrip() + "\n").encode()
+
+    rule = ["-" * width for width in widths]
+    for row in (heads[0], *([heads[1]] if any(heads[1]) else []), rule):
+        sink.write(line(row))
+    for part in _parts(table):
+        sink.writelines(line(row) for row in zip(*_cells(part)))
+    sink.write(f"({table.num_rows} row{'' if table.num_rows == 1 else 's'})\n".encode())
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind))
+
+
+def _cells(table: pa.Table) -> list[list[str]]:
+    """The cells of each column as text."""
+    return [[_cell(value) for value in column.to_pylist()] for column in table.columns]
 
 
 def _cell(value: Any) -> str:
@@ -73,26 +97,34 @@ def _cell(value: Any) -> str:
     return printable(value if isinstance(value, str) else str(_plain(value)))
 
 
-def _csv(table: pa.Table) -> bytes:
-    sink = io.BytesIO()
-    flat = [
-        column
-        if not (pa.types.is_nested(column.type) or pa.types.is_binary(column.type) or pa.types.is_interval(column.type))
-        else pa.array([None if v is None else json.dumps(_plain(v)) for v in column.to_pylist()], pa.string())
-        for column in table.columns
-    ]
-    pacsv.write_csv(pa.table(flat, names=table.schema.names), sink)
-    return sink.getvalue()
+def _csv(table: pa.Table, sink: BinaryIO) -> None:
+    for first, part in enumerate(_parts(table)) if table.num_rows else ((0, table),):
+        flat = [
+            column
+            if not (
+                pa.types.is_nested(column.type) or pa.types.is_binary(column.type) or pa.types.is_interval(column.type)
+            )
+            else pa.array([None if v is None else json.dumps(_plain(v)) for v in column.to_pylist()], pa.string())
+            for column in part.columns
+        ]
+        options = pacsv.WriteOptions(include_header=first == 0)
+        buffer = io.BytesIO()
+        pacsv.write_csv(pa.table(flat, names=table.schema.names), buffer, options)
+        sink.write(buffer.getbuffer())
 
 
-def _json(table: pa.Table) -> bytes:
-    rows = ",\n".join(json.dumps(_plain(row), ensure_ascii=False, allow_nan=False) for row in table.to_pylist())
-    return f"[\n{rows}\n]\n".encode()
+def _json(table: pa.Table, sink: BinaryIO) -> None:
+    before = "[\n"
+    for part in _parts(table):
+        for row in part.to_pylist():
+            sink.write((before + json.dumps(_plain(row), ensure_ascii=False, allow_nan=False)).encode())
+            before = ",\n"
+    sink.write(b"\n]\n" if table.num_rows else b"[\n\n]\n")
 
 
-def _parquet(table: pa.Table) -> bytes:
+def _parquet(table: pa.Table, sink: BinaryIO) -> None:
     try:
-        return encode_table(table).to_pybytes()
+        sink.write(memoryview(encode_table(table)))
     except pa.ArrowException as error:
         raise UsageError(
             f"Parquet cannot hold this answer ({error})", next_step="cast the column, or use csv"

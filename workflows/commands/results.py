@@ -8,26 +8,54 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Literal, cast
 
 from pipeline.errors import IncompleteError, IntegrityError, UsageError
 from pipeline.store.manifest import Manifest
-from pipeline.store.query import LATEST, write_table
-from pipeline.store.query import query as run_query
+from pipeline.store.query import LATEST, answer, write_table
 from pipeline.store.read import list_runs
 from pipeline.store.verify import verify as verify_results
 
 FORMATS = ("table", "csv", "json", "parquet")
+#: Rows of a table for the eye, unless the user asks for more.
+_SHOWN = 1000
 
 
-def query(sql: str, results: Path, format: str, run: str) -> None:
+def query(sql: str, results: Path, format: str | None, run: str, rows: str | None, out: Path | None) -> None:
     """See ``gyroscreen query --help``."""
-    if format not in FORMATS:
-        raise UsageError("unknown --format", value=format, allowed=", ".join(FORMATS), next_step="choose one of these")
-    table = run_query(sql, results, run=run)
+    chosen = format or (None if out is None else out.suffix.removeprefix(".")) or "table"
+    if chosen not in FORMATS:
+        raise UsageError(
+            "unknown --format" if format or out is None else "the name of --out has the suffix of no format",
+            value=chosen,
+            allowed=", ".join(FORMATS),
+            next_step="choose one of these with --format",
+        )
+    most = _most(rows, _SHOWN if chosen == "table" and out is None else None)
+    found = answer(sql, results, run=run, rows=most)
     _name_run(list_runs(results), run)
-    write_table(table, cast(Literal["table", "csv", "json", "parquet"], format), sys.stdout.buffer)
+    write_table(found.table, chosen, sys.stdout.buffer if out is None else out)
     sys.stdout.flush()
+    left = found.rows - found.table.num_rows
+    if left:
+        print(
+            f"{left} of {found.rows} rows were left out; all of them: --rows all, or to a file: --out FILE.csv",
+            file=sys.stderr,
+        )
+    if out is not None:
+        print(out)
+
+
+def _most(rows: str | None, default: int | None) -> int | None:
+    """The number of rows that --rows asks for; ``None``: all."""
+    if rows is None:
+        return default
+    if rows == "all":
+        return None
+    if not rows.isascii() or not rows.isdecimal() or len(rows) > 15:
+        raise UsageError(
+            "--rows is no number of rows", value=rows, allowed="0 or more, or 'all'", next_step="correct --rows"
+        )
+    return int(rows)
 
 
 def _name_run(runs: Sequence[Manifest], run: str) -> None:

@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from in_process import InProcess
 from store_runs import ROWS, make_run
 
 from pipeline.errors import UsageError
@@ -19,6 +20,12 @@ from pipeline.store.verify import verify
 
 _HOLD = "import sys; from pathlib import Path; from pipeline.store.lock import one_writer\n"
 _HOLD += "with one_writer(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+
+
+@pytest.fixture(autouse=True)
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Queries run in the process of the test, without its limits."""
+    monkeypatch.setattr("pipeline.store.query.QueryProcess", InProcess)
 
 
 def test_readers_see_whole_tables_and_pages_while_they_are_replaced(tmp_path: Path) -> None:

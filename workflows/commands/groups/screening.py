@@ -42,13 +42,22 @@ def run(
 def query(
     sql: Annotated[str, typer.Argument(help="One SELECT on the views devices, posterior, runs, columns.")],
     results: Results = DEFAULT_RESULTS,
-    format: Annotated[str, typer.Option(help="table, csv, json or parquet.")] = "table",
+    format: Annotated[
+        str | None, typer.Option(help="table, csv, json or parquet; default: the suffix of --out, else table.")
+    ] = None,
     run: Annotated[str, typer.Option(help="Id of the run to query, 'latest' or 'all'.")] = "latest",
+    rows: Annotated[
+        str | None, typer.Option(help="Rows to write, or 'all'; default: 1000 of a table on the screen, else all.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the answer to this file.")] = None,
 ) -> None:
-    """Run one SQL query on the results of a run."""
+    """Run one SQL query on the results of a run.
+
+    The query runs in a process of its own, for at most 60 s and with at most 2 GB of memory.
+    """
     from ..results import query as command
 
-    command(sql, results, format, run)
+    command(sql, results, format, run, rows, out)
 
 
 def report(
