@@ -72,7 +72,11 @@ class Inputs(Struct, frozen=True):
 
 
 class _RecordFile(Struct):
-    file: str = ""
+    file: str | list[str] = ""
+
+    @property
+    def files(self) -> list[str]:
+        return [self.file] if isinstance(self.file, str) else self.file
 
 
 class _Records(Struct):
@@ -119,7 +123,7 @@ def with_records(inputs: Inputs) -> Inputs:
 
 def _records(text: str) -> list[str]:
     try:
-        return [entry.file for entry in decode(text.encode(), _Records, CAMPAIGN).record if entry.file]
+        return [name for entry in decode(text.encode(), _Records, CAMPAIGN).record for name in entry.files if name]
     except GyroscreenError:  # the row of this device states the reason
         return []
 
