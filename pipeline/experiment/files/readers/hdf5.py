@@ -1,4 +1,4 @@
-"""HDF5: vectors at the root, or in the only group of the file (a MAT file of version 7.3 has this form)."""
+"""HDF5: vectors and tables of few columns, in any group (a MAT file of version 7.3 has this form)."""
 
 from __future__ import annotations
 
@@ -7,36 +7,50 @@ from typing import Any
 
 import h5py
 
-from .table import Columns, allow, vector
+from .table import MOST_COLUMNS, Columns, allow, vectors
+
+#: Deepest nesting of groups that is read.
+_DEPTH = 4
 
 
-def _datasets(group: Any) -> dict[str, Any]:
-    """Vectors of a group; only hard links are followed, because other links can leave the file."""
-    hard = [name for name in group if isinstance(group.get(name, getlink=True), h5py.HardLink)]
-    members = {name: group[name] for name in hard if not name.startswith("#")}
-    return {
-        name: member
-        for name, member in members.items()
-        if isinstance(member, h5py.Dataset)
+def _is_signal(member: Any) -> bool:
+    """Whether a dataset is a vector, or a table of few columns, of numbers that lie in this file."""
+    return (
+        isinstance(member, h5py.Dataset)
         and member.dtype.kind in "fiub"
-        and member.ndim > 0
-        and member.size == max(member.shape)
+        and 0 < member.ndim <= 2
+        and (member.size == max(member.shape) or 1 < min(member.shape) <= MOST_COLUMNS)
         and not member.external
         and not member.is_virtual
-    }
+    )
+
+
+def _members(group: Any, prefix: str, depth: int) -> dict[str, Any]:
+    """Signals of a group and the groups in it by path; only hard links are followed, because other links can leave the file."""
+    found: dict[str, Any] = {}
+    for name in group:
+        if name.startswith("#") or not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        member = group[name]
+        if _is_signal(member):
+            found[prefix + name] = member
+        elif isinstance(member, h5py.Group) and depth > 1:
+            found |= _members(member, f"{prefix}{name}/", depth - 1)
+    return found
 
 
 def read(path: Path) -> Columns:
-    """All real vectors, (N,), (1, N) or (N, 1)."""
+    """All real vectors, (N,), (1, N) or (N, 1), and the columns of tables, by path; a folder that all share is left out."""
     with h5py.File(path, "r") as file:
-        groups = [
-            file[name] for name in file if not name.startswith("#") and file.get(name, getclass=True) is h5py.Group
-        ]
-        found = _datasets(file) or (_datasets(groups[0]) if len(groups) == 1 else {})
+        found = _members(file, "", _DEPTH)
         # Chunks that were never written read as fill values, so the file size does not bound a damaged shape.
         allow(sum(int(member.size) for member in found.values()), path.stat().st_size)
-        values = {name: vector(member[()]) for name, member in found.items()}
-    return {name: column for name, column in values.items() if column is not None}
+        shared = {name.rpartition("/")[0] for name in found}
+        cut = len(next(iter(shared))) + 1 if len(shared) == 1 and shared != {""} else 0
+        columns: Columns = {}
+        for name, member in found.items():
+            columns |= vectors(name[cut:], member[()])
+    return columns
 
 
 def write(path: Path, columns: Columns) -> None:

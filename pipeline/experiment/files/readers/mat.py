@@ -22,11 +22,13 @@ from scipy.io import savemat
 from ....errors import MeasurementError
 from ....input_limits import RECORD_VALUES
 from . import hdf5
-from .table import Columns, allow, vector
+from .table import MOST_COLUMNS, Columns, allow, vectors
 
 _HEADER = 128
 _COMPRESSED, _MATRIX = 15, 14
 _STRUCT = 2
+#: Deepest nesting of structs that is read.
+_DEPTH = 4
 #: Array classes of real numbers in full (not sparse) storage.
 _NUMBERS = range(6, 16)
 _COMPLEX_FLAG = 0x0800
@@ -35,7 +37,8 @@ _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 #: Largest size of a file or of an inflated element [bytes]: the values, plus room for names and dimensions.
 _MAX_BYTES = 8 * RECORD_VALUES + 2**20
 
-Value = NDArray[Any] | dict[str, NDArray[Any]] | None
+#: A matrix, a struct of values, or ``None`` for what is no signal.
+Value = NDArray[Any] | dict[str, "Value"] | None
 
 
 def _damaged(where: str) -> MeasurementError:
@@ -78,23 +81,23 @@ def _inflated(body: bytes) -> bytes:
     return data
 
 
-def _fields(rest: list[tuple[int, bytes]], order: str) -> dict[str, NDArray[Any]]:
-    """Vectors of a 1 x 1 struct; ``rest`` holds the length of a name, the names, and one matrix per field."""
+def _fields(rest: list[tuple[int, bytes]], order: str, depth: int) -> dict[str, Value]:
+    """Values of a 1 x 1 struct; ``rest`` holds the length of a name, the names, and one matrix per field."""
     if len(rest) < 2 or len(rest[0][1]) != 4:
         raise _damaged("struct without field names")
     length, names = struct.unpack(order + "i", rest[0][1])[0], rest[1][1]
     if length < 1 or len(names) != length * (len(rest) - 2):
         raise _damaged("struct with different numbers of names and fields")
-    fields = {}
+    fields: dict[str, Value] = {}
     for k, (kind, body) in enumerate(rest[2:]):
-        value = _matrix(body, order)[1] if kind == _MATRIX else None
-        if isinstance(value, np.ndarray):
+        value = _matrix(body, order, depth - 1)[1] if kind == _MATRIX else None
+        if value is not None:
             fields[names[k * length : (k + 1) * length].split(b"\0")[0].decode("ascii")] = value
     return fields
 
 
-def _matrix(body: bytes, order: str) -> tuple[str, Value]:
-    """Name and value of a matrix; ``None`` unless it is a vector of real numbers or a struct of such vectors."""
+def _matrix(body: bytes, order: str, depth: int = _DEPTH) -> tuple[str, Value]:
+    """Name and value of a matrix; ``None`` unless it holds real numbers in few columns, or is a struct of such matrices."""
     parts = _elements(body, order)
     if [kind for kind, _ in parts[:3]] != [6, 5, 1] or len(parts[0][1]) != 8 or len(parts[1][1]) % 4:
         raise _damaged("matrix without flags, dimensions and name")
@@ -102,13 +105,14 @@ def _matrix(body: bytes, order: str) -> tuple[str, Value]:
     shape = tuple(int(n) for n in np.frombuffer(parts[1][1], dtype=order + "i4"))
     name, rest, array_class = parts[2][1].decode("ascii"), parts[3:], flags & 0xFF
     if array_class == _STRUCT and shape == (1, 1):
-        return name, _fields(rest, order)
+        return name, _fields(rest, order, depth) if depth > 0 else None
     if array_class not in _NUMBERS or flags & _COMPLEX_FLAG:
         return name, None
     if len(rest) != 1 or rest[0][0] not in _DTYPES:
         raise _damaged(f"{name} holds no numbers")
     numbers = np.frombuffer(rest[0][1], dtype=order + _DTYPES[rest[0][0]])
-    return name, vector(numbers.reshape(shape, order="F"))
+    values = numbers.reshape(shape, order="F")
+    return name, values if values.ndim == 2 and min(shape) <= MOST_COLUMNS else None
 
 
 def _variables(data: bytes, order: str) -> dict[str, Value]:
@@ -124,7 +128,7 @@ def _variables(data: bytes, order: str) -> dict[str, Value]:
 
 
 def read(path: Path) -> Columns:
-    """All real vectors (N,), as variables or inside the only struct of the file.
+    """All real vectors (N,) and columns of matrices, as variables or in structs; a struct that all share is not named.
 
     Raises
     ------
@@ -141,10 +145,24 @@ def read(path: Path) -> Columns:
     orders = {b"IM": "<", b"MI": ">"}
     if start[126:128] not in orders or start[:4] == b"\0\0\0\0":
         raise _damaged("header of an unknown version")
-    found = _variables(path.read_bytes()[_HEADER:], orders[start[126:128]])
-    structs = [value for value in found.values() if isinstance(value, dict) and value]
-    columns = dict(structs[0]) if len(structs) == 1 else {}
-    return columns | {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+    found = _flat("", _variables(path.read_bytes()[_HEADER:], orders[start[126:128]]))
+    shared = {name.rpartition(".")[0] for name, values in found.items() if values.size > 1}
+    cut = f"{next(iter(shared))}." if len(shared) == 1 and shared != {""} else ""
+    columns: Columns = {}
+    for name, values in found.items():
+        columns |= vectors(name.removeprefix(cut), values)
+    return columns
+
+
+def _flat(prefix: str, values: dict[str, Value]) -> dict[str, NDArray[Any]]:
+    """The matrices of structs by path, ``struct.field``."""
+    flat: dict[str, NDArray[Any]] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            flat |= _flat(f"{prefix}{name}.", value)
+        elif value is not None:
+            flat[prefix + name] = value
+    return flat
 
 
 def write(path: Path, columns: Columns) -> None:

@@ -18,6 +18,9 @@ from ....input_limits import RECORD_EXPANSION, RECORD_VALUES
 #: Column name -> vector (N,) as stored in the file; ``columns.assemble`` checks and converts it.
 Columns = dict[str, NDArray[Any]]
 
+#: Most columns of a table that is one variable: a matrix with more is no set of signals.
+MOST_COLUMNS = 64
+
 
 def allow(values: int, file_bytes: int) -> None:
     """Check the number of ``values`` that a file states against the limit and against its size in bytes.
@@ -40,6 +43,19 @@ def allow(values: int, file_bytes: int) -> None:
             allowed=f"at most {RECORD_EXPANSION * file_bytes} in {file_bytes} bytes",
             next_step="the file is damaged: copy it again from its source",
         )
+
+
+def vectors(name: str, values: NDArray[Any]) -> Columns:
+    """A row or column vector as ``name``, the columns of a table (N, k) or of its transpose as ``name[1]``, ``name[2]``, ..
+
+    A table has at most :data:`MOST_COLUMNS` columns and more rows than columns; other arrays are no signals.
+    """
+    if (single := vector(values)) is not None:
+        return {name: single}
+    if values.dtype.kind not in "fiub" or values.ndim != 2 or not 1 < min(values.shape) <= MOST_COLUMNS:
+        return {}
+    tall = values if values.shape[0] > values.shape[1] else values.T
+    return {f"{name}[{k + 1}]": np.ascontiguousarray(column) for k, column in enumerate(tall.T)}
 
 
 def vector(values: NDArray[Any]) -> NDArray[Any] | None:

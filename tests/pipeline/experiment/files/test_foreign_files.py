@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.campaign import read_campaign
@@ -161,3 +163,18 @@ def test_a_record_without_drive_columns_was_not_driven(tmp_path):
     driven, silent = read_campaign(tmp_path).records
     assert driven.drive_v.shape == silent.drive_v.shape == (200, 2)
     assert not silent.drive_v.any()
+
+
+def test_structs_groups_and_tables_of_mat_and_hdf5_are_columns(tmp_path):
+    inner = {"u": U[:, None], "table": np.stack([T, Y], axis=1)}
+    savemat(tmp_path / "r.mat", {"run": {"data": inner, "rate": FS}, "note": "text", "kernel": np.eye(200)})
+    found = read_columns(tmp_path / "r.mat")
+    assert np.array_equal(found["u"], U)
+    assert np.array_equal(found["table[2]"], Y)
+    assert not [name for name in found if "kernel" in name]
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["run/data/u"] = U
+        file["run/data/table"] = inner["table"].T
+        file["run/data/link"] = h5py.ExternalLink("other.h5", "/x")
+    assert list(read_columns(tmp_path / "r.h5")) == ["table[1]", "table[2]", "u"]
+    assert np.array_equal(read_columns(tmp_path / "r.h5")["table[2]"], Y)
