@@ -10,7 +10,7 @@ import hashlib
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,6 +23,15 @@ STAGED = ".staged"
 def sha256(data: bytes | memoryview) -> str:
     """SHA-256 in hex."""
     return hashlib.sha256(data).hexdigest()
+
+
+def file_sha256(path: Path) -> tuple[str, int]:
+    """SHA-256 in hex and size [bytes] of a file; ("", 0) if it cannot be read."""
+    with suppress(OSError):
+        if path.is_file():  # reading a pipe would wait forever
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
+    return "", 0
 
 
 def stage(folder: Path, name: str, data: bytes | memoryview) -> Path:

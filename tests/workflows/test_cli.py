@@ -76,6 +76,11 @@ CASES = {
     "unwritable folder": (unwritable, 2, ("file", "--out")),
     "no run in the folder": (without_runs, 2, ("results", "gyroscreen run")),
     "unknown command": (lambda _: ["rum"], 2, ("rum",)),
+    "a silent drive": (
+        lambda tmp: config(tmp, "[experiment]\namplitude_v = [2.0, 0.0]\n"),
+        2,
+        ("drive 2 is silent", "2.0, 0.0", "amplitude_v"),
+    ),
     "not TOML": (lambda tmp: config(tmp, "[run\n"), 2, ("TOML",)),
     "no scheduler": (
         lambda tmp: ["run", "--devices", "1", "--out", str(tmp), "--scheduler", "tcp://127.0.0.1:9"],

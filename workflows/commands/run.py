@@ -15,11 +15,11 @@ from pipeline.store.run import RunStore
 
 from ..config import RunConfig, changed_config, load_config, to_toml_table
 from ..screening.plan import RunPlan, config_of, plan, resume, start, without_none
-from ..screening.scheduler import Scheduler
 from .groups.options import DEFAULT_RESULTS
 
 if TYPE_CHECKING:
     from ..screening.outcome import RunResult
+    from ..screening.scheduler import Scheduler
 
 
 def run(
@@ -46,7 +46,7 @@ def run(
         if dry_run:
             _show_plan(planned, json)
             return
-        store = start(planned, out)
+        planned, store = start(planned, out)
     # A dry run does without the cluster and the report.
     from ..screening.batch import run_batch
     from ..screening.outcome import check_identified, check_targets

@@ -3,9 +3,9 @@
     band     low_hz .. high_hz of [identification]
     drive k  what start_hz, stop_hz and amplitude_v of [experiment] sweep
 
-The check refuses only a run in which no device can be identified: a drive that never enters the band, and modes that lie outside
-it on every drawn device.  A drive that ends below a mode still excites it (the ends of a chirp are broad), so modes are compared
-with the band alone.
+The check refuses only a run in which no device can be identified: a drive that is silent or never enters the band, and modes that
+lie outside it on every drawn device.  A drive that ends below a mode still excites it (the ends of a chirp are broad), so modes
+are compared with the band alone.
 """
 
 from __future__ import annotations
@@ -28,9 +28,17 @@ def check_band(config: RunConfig) -> None:
 
     Raises
     ------
-    ConfigError : a drive does not enter the band, or no drawn device has all of its modes inside.
+    ConfigError : a drive is silent or does not enter the band, or no drawn device has all of its modes inside.
     """
     low, high = config.identification.low_hz, config.identification.high_hz
+    volts = config.experiment.amplitude_v
+    if not all(volts):
+        raise ConfigError(
+            f"experiment: drive {volts.index(0.0) + 1} is silent, and one drive alone does not identify a gyro",
+            value=list(volts),
+            allowed="amplitude_v above 0 for every drive",
+            next_step="correct amplitude_v",
+        )
     for k, (first, last) in enumerate(driven_hz(config)):
         if last <= low or first >= high:
             raise ConfigError(
@@ -52,9 +60,9 @@ def check_band(config: RunConfig) -> None:
 
 
 def driven_hz(config: RunConfig) -> list[tuple[float, float]]:
-    """Lowest and highest frequency [Hz] of each drive that is not silent."""
+    """Lowest and highest frequency [Hz] of each drive."""
     e = config.experiment
     sweeps = [(min(pair), max(pair)) for pair in zip(e.start_hz, e.stop_hz, strict=True)]
     if e.kind == "multisine":
         sweeps = [(min(low for low, _ in sweeps), max(high for _, high in sweeps))] * len(sweeps)
-    return [sweep for sweep, volts in zip(sweeps, e.amplitude_v, strict=True) if volts > 0.0]
+    return sweeps

@@ -3,60 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
-from msgspec import Struct
 from threadpoolctl import threadpool_limits
 
 from pipeline.errors import GyroscreenError
-from pipeline.experiment.campaign import read_campaign
-from pipeline.experiment.files.common_tables import DeviceTable
-from pipeline.experiment.record import Campaign
 from pipeline.inference.estimate import reference_comparison
 from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.device import DeviceResult, failed_result, lost_result
 from pipeline.inference.systematic import rate_settings
-from pipeline.toml_files import decode, read_bytes
 
 from ..config import RunConfig
 from .block import BlockTables, DeviceBlock, tables_of
+from .campaign_source import CampaignSource, declared_id
 from .guard import Begin, unguarded
 from .settings import CAMPAIGN_STREAM, device_seed, settings_of, with_systematic
 from .trimming import trimmed_columns
-
-FILE = "campaign.toml"
-
-
-class _CampaignHead(Struct):
-    device: DeviceTable = DeviceTable()
-
-
-@dataclass(frozen=True)
-class CampaignSource:
-    """A campaign folder, and the run's copy of its campaign.toml (``None``: it could not be read when the run started)."""
-
-    folder: Path
-    text: bytes | None = None
-
-    def read(self) -> Campaign:
-        """The campaign as the run knows it; raises as :func:`read_campaign`."""
-        return read_campaign(self.folder, self.text)
-
-
-def campaign_folders(path: Path) -> tuple[Path, ...]:
-    """Folders directly below ``path`` that contain a campaign.toml, sorted by name."""
-    return tuple(sorted(file.parent for file in path.glob(f"*/{FILE}")))
-
-
-def declared_id(folder: Path) -> str:
-    """The device id of a campaign; the name of its folder if campaign.toml states none or cannot be read."""
-    try:
-        head = decode(read_bytes(folder / FILE), _CampaignHead, FILE)
-    except GyroscreenError:
-        return folder.name
-    return head.device.id or folder.name
 
 
 def _identified(config: RunConfig, source: CampaignSource, n: int) -> tuple[str, DeviceResult]:

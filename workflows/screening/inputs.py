@@ -9,7 +9,6 @@ the rest: limits, rule and the population with its defaults.  A run that is resu
 from __future__ import annotations
 
 import atexit
-import hashlib
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,11 +19,12 @@ import msgspec
 from msgspec import Struct
 
 from pipeline.errors import ConfigError, GyroscreenError, IntegrityError
+from pipeline.store.files import file_sha256
 from pipeline.toml_files import decode
 from populations.spec import spec_from_toml
 
 from ..config import RunConfig
-from .campaign_block import FILE as CAMPAIGN
+from .campaign_source import FILE as CAMPAIGN
 from .settings import population, spec_path
 
 FILE = "inputs.json"
@@ -85,14 +85,10 @@ class _Records(Struct):
 
 def _file(what: str, path: Path, texts: dict[str, str]) -> InputFile:
     """``path`` with its hash; its text goes to ``texts`` unless it is a record, too large or no text."""
-    digest, size = "", 0
-    # Only regular files: reading a pipe would wait forever.
-    with suppress(OSError, UnicodeDecodeError):
-        if path.is_file():
-            with path.open("rb") as file:
-                digest, size = hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
-            if what != "record" and size <= _MOST_TEXT:
-                texts[digest] = path.read_bytes().decode()
+    digest, size = file_sha256(path)
+    if digest and what != "record" and size <= _MOST_TEXT:
+        with suppress(OSError, UnicodeDecodeError):
+            texts[digest] = path.read_bytes().decode()
     return InputFile(what, str(path.absolute()), digest, size)
 
 
@@ -113,19 +109,20 @@ def collected(config: RunConfig, campaigns: Sequence[Path]) -> Inputs:
 
 def with_records(inputs: Inputs) -> Inputs:
     """``inputs`` with the hashes of the records that the campaigns name."""
-    records = [
-        _file("record", Path(file.path).parent / name, {})
-        for file in inputs.of("campaign")
-        for name in _records(inputs.text(file) or "")
-    ]
+    campaigns = inputs.of("campaign")
+    paths = (path for file in campaigns for path in record_paths(file, inputs.text(file)))
+    records = [_file("record", Path(path), {}) for path in paths]
     return Inputs((*inputs.files, *records), inputs.texts)
 
 
-def _records(text: str) -> list[str]:
+def record_paths(campaign: InputFile, text: str | None) -> list[str]:
+    """Absolute paths of the records that the campaign.toml ``campaign`` with this text names."""
+    folder = Path(campaign.path).parent
     try:
-        return [name for entry in decode(text.encode(), _Records, CAMPAIGN).record for name in entry.files if name]
+        named = decode((text or "").encode(), _Records, CAMPAIGN).record
     except GyroscreenError:  # the row of this device states the reason
         return []
+    return [str((folder / name).absolute()) for entry in named for name in entry.files if name]
 
 
 def read_inputs(data: bytes, where: str) -> Inputs:

@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from ..config import RunConfig
 from .block import BlockTables, DeviceBlock, virtual_block
-from .campaign_block import CampaignSource, campaign_block
+from .campaign_block import campaign_block
+from .campaign_source import CampaignSource
 from .faults import Faults
 from .guard import Begin
 

@@ -12,16 +12,26 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, UsageError
 from pipeline.store.provenance import provenance
 from pipeline.store.run import RunStore, create_run, open_run
 
 from ..config import RunConfig, config_of_run, to_toml_table
 from .band import check_band
 from .block import DeviceBlock, blocks_of
-from .campaign_block import CampaignSource, campaign_folders, declared_id
+from .campaign_source import CampaignSource, campaign_folders, declared_id
 from .inputs import FILE as INPUTS
-from .inputs import InputFile, Inputs, check_copies, collected, differences, read_inputs, with_records, with_stored_code
+from .inputs import (
+    InputFile,
+    Inputs,
+    check_copies,
+    collected,
+    differences,
+    read_inputs,
+    record_paths,
+    with_records,
+    with_stored_code,
+)
 from .settings import population, spec_text
 from .virtual_device import shared_record, virtual_model
 
@@ -81,12 +91,14 @@ def plan(config: RunConfig) -> RunPlan:
 
 def measured_plan(config: RunConfig, folders: Sequence[Path], inputs: Inputs) -> RunPlan:
     """The plan of a run on the campaigns in ``folders``, each with the campaign.toml that is among ``inputs``."""
-    texts = (inputs.text(file) for file in inputs.of("campaign"))
-    campaigns = tuple(
-        CampaignSource(folder, None if text is None else text.encode())
-        for folder, text in zip(folders, texts, strict=True)
-    )
-    return RunPlan(config, len(folders), blocks_of(config, len(folders)), campaigns, inputs)
+    hashes = {file.path: file.sha256 for file in inputs.of("record")}
+    campaigns = []
+    for folder, file in zip(folders, inputs.of("campaign"), strict=True):
+        text = inputs.text(file)
+        records = [path for path in record_paths(file, text) if path in hashes]
+        source = CampaignSource(folder, None if text is None else text.encode(), tuple((r, hashes[r]) for r in records))
+        campaigns.append(source)
+    return RunPlan(config, len(folders), blocks_of(config, len(folders)), tuple(campaigns), inputs)
 
 
 def new_run_id(seed: int) -> str:
@@ -94,13 +106,21 @@ def new_run_id(seed: int) -> str:
     return f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}"[:-3] + f"-seed{seed}"
 
 
-def start(planned: RunPlan, results: Path) -> RunStore:
-    """Create the folder of a new run below ``results``."""
+def start(planned: RunPlan, results: Path) -> tuple[RunPlan, RunStore]:
+    """The plan with the hashes of its records, and the folder of a new run below ``results``."""
+    planned = _with_records(planned)
     seed = planned.config.run.seed
     toml = tomli_w.dumps(without_none(to_toml_table(planned.config)), multiline_strings=True)
     store = create_run(results, new_run_id(seed), toml, provenance(seed))
-    store.write_file(INPUTS, with_records(planned.inputs).to_json())
-    return store
+    store.write_file(INPUTS, planned.inputs.to_json())
+    return planned, store
+
+
+def _with_records(planned: RunPlan) -> RunPlan:
+    inputs = with_records(planned.inputs)
+    if not planned.campaigns:
+        return replace(planned, inputs=inputs)
+    return measured_plan(planned.config, [source.folder for source in planned.campaigns], inputs)
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -115,8 +135,20 @@ def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def config_of(results: Path, run_id: str) -> RunConfig:
     """The configuration of a run, from its run.toml; ``run_id`` may be "latest"; raises as :func:`resume`."""
-    store = open_run(results, None if run_id == "latest" else run_id)
+    store = _resumable(results, run_id)
     return config_of_run(store.config_toml, f"run.toml of {store.run_id}")
+
+
+def _resumable(results: Path, run_id: str) -> RunStore:
+    store = open_run(results, None if run_id == "latest" else run_id)
+    if store.page(INPUTS) is None and store.committed_blocks():
+        raise UsageError(
+            "the run was started by a version of gyroscreen that did not store its inputs, so it cannot be resumed",
+            value=store.run_id,
+            allowed=f"a run with an {INPUTS}",
+            next_step="start a new run; query, report and verify still read this one",
+        )
+    return store
 
 
 def resume(results: Path, run_id: str, wanted: RunConfig | None = None) -> tuple[RunPlan, RunStore]:
@@ -126,10 +158,10 @@ def resume(results: Path, run_id: str, wanted: RunConfig | None = None) -> tuple
 
     Raises
     ------
-    UsageError : there is no such run.
+    UsageError : there is no such run, or an older version started it.
     ConfigError : its run.toml was edited and can no longer be used; a record has changed, or ``wanted`` is something else.
     """
-    store = open_run(results, None if run_id == "latest" else run_id)
+    store = _resumable(results, run_id)
     before, now = store.manifest.provenance, provenance(0)
     elsewhere = [key for key in ("versions", "simd", "python") if before.get(key) != now[key]]
     if elsewhere:
@@ -140,9 +172,9 @@ def resume(results: Path, run_id: str, wanted: RunConfig | None = None) -> tuple
         )
     config = config_of_run(store.config_toml, f"run.toml of {store.run_id}")
     data = store.page(INPUTS)
-    if data is None:  # a run that was stopped before it stored them, or one of an older version
-        planned = plan(config)
-        store.write_file(INPUTS, with_records(planned.inputs).to_json())
+    if data is None:  # the run was stopped before it stored them
+        planned = _with_records(plan(config))
+        store.write_file(INPUTS, planned.inputs.to_json())
         return planned, store
     inputs = read_inputs(data, f"{INPUTS} of {store.run_id}")
     changed = inputs.changed()

@@ -11,12 +11,13 @@ import socket
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-import dask
-from distributed import Security
-
 from pipeline.errors import UsageError
+
+if TYPE_CHECKING:
+    from distributed import Security
 
 _ALLOWED = "tcp://host:port of a running scheduler; tls://host:port with --tls-ca, --tls-cert and --tls-key"
 #: Schemes of dask whose connections are encrypted; "inproc" does not leave the process.
@@ -65,6 +66,8 @@ def scheduler_of(
         return Scheduler(f"{encrypted}://{rest}", _security(ca, certificate, key))
     _require(not given, f"{' and '.join(given)} alone", None, "give --tls-ca, --tls-cert and --tls-key")
     if scheme in _ENCRYPTED:
+        import dask  # where it is needed: a run on this machine is checked without it
+
         named = all(dask.config.get(f"distributed.comm.tls.{name}") for name in ("ca-file", "client.cert"))
         _require(named, "no certificates for the scheduler", address, "give --tls-ca, --tls-cert and --tls-key")
     else:
@@ -84,6 +87,8 @@ def _require(condition: bool, what: str, value: object, next_step: str) -> None:
 
 
 def _security(ca: Path, certificate: Path, key: Path | None) -> Security:
+    from distributed import Security
+
     for file in (ca, certificate, key):
         if file is not None and not file.is_file():
             raise UsageError("no such file", value=str(file), allowed="a PEM file", next_step="correct the path")

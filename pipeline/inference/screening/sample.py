@@ -109,6 +109,7 @@ def _ensemble_chain(log_density: _LogDensity, start: FloatArray, steps: int, ran
 
     moves = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
     sampler = emcee.EnsembleSampler(*start.shape, log_density, moves=moves, vectorize=True)
+    sampler.log_prob_fn = log_density  # emcee's wrapper prints a traceback of whatever the function raises
     sampler.random_state = random.get_state()
     sampler.run_mcmc(start, steps, skip_initial_state_check=True)
     return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction))

@@ -12,9 +12,12 @@ from typing import Any
 
 import pytest
 
+from pipeline.errors import MeasurementError
 from pipeline.experiment.campaign import write_campaign
 from pipeline.store.digest import table_digest
+from pipeline.store.provenance import provenance
 from pipeline.store.read import read_run
+from pipeline.store.run import create_run
 from pipeline.store.schema import devices_table
 from populations.irregularity import find
 from populations.spec import DEFAULT
@@ -23,6 +26,7 @@ from tests.pipeline.experiment.checks.planted_faults import healthy
 from tests.stub_runs import CONFIG, stub_runs
 from workflows.cli import call
 from workflows.screening.block import BlockTables, DeviceBlock
+from workflows.screening.campaign_block import campaign_block
 
 Block = Callable[[Any, DeviceBlock], BlockTables]
 IRREGULARITY = """
@@ -197,6 +201,39 @@ def test_a_record_that_changes_after_an_interrupt_is_named(lot, tmp_path, monkey
     assert resumed(tmp_path) == 2
     assert str(record) in capfd.readouterr().err
     assert read_run(tmp_path / "results").devices.num_rows == 2
+
+
+def test_a_record_that_changes_during_a_night_costs_its_own_row(lot, tmp_path, monkeypatch, capfd):
+    def block(source: Any, at: DeviceBlock) -> BlockTables:
+        if at.index == 1:
+            record = next((lot / "device-3").glob("record-2.*"))
+            record.write_bytes(next((lot / "device-3").glob("record-1.*")).read_bytes())
+        return campaign_block(source[0], at, source[1])
+
+    read = MeasurementError("this device was read as it should be")
+    monkeypatch.setattr("workflows.screening.campaign_block.identify_campaign", raising(read))
+    stub_runs(monkeypatch, block)
+    assert call(config(tmp_path, '[source]\nkind = "campaigns"\npath = "lot"\n')) == 1
+    reasons = read_run(tmp_path / "results").devices["status_reason"].to_pylist()
+    assert "record-2.parquet has changed since the run started (sha256 " in reasons.pop(3)
+    assert all("as it should be" in reason for reason in reasons)
+
+
+def raising(error: Exception) -> Callable[..., Any]:
+    def function(*_: Any) -> Any:
+        raise error
+
+    return function
+
+
+def test_a_run_of_an_older_version_is_not_resumed_and_the_message_says_why(tmp_path, capfd):
+    old = create_run(tmp_path, "20250101T000000000-seed1", "[a_table_of_then]\nkey = 1\n", provenance(1))
+    old.commit_block(0, devices_table({"device_id": ["D1"]}), None)
+    for more in ([], ["--devices", "7"]):
+        assert call(["run", "--resume", "latest", "--out", str(tmp_path), *more]) == 2
+        message = capfd.readouterr().err
+        assert "by a version of gyroscreen that did not store its inputs" in message
+        assert message.count("\n") == 1
 
 
 def test_every_input_is_listed_with_its_hash(fab, tmp_path, monkeypatch):

@@ -40,7 +40,7 @@ from populations.draw import draw
 from reports.decision import decide
 
 from ...config import RunConfig
-from ..campaign_block import CampaignSource
+from ..campaign_source import CampaignSource
 from ..settings import population, rate_of
 from ..virtual_device import shared_record, virtual_records
 

@@ -59,7 +59,7 @@ def examined(tmp_path, devices, text):
 
 
 def page_of(results, config, found, table):
-    store = start(plan(config), results)
+    _, store = start(plan(config), results)
     store.commit_block(0, table, None)
     store.finish("complete", {})
     return render_run_report(read_run(results), config.judged_by(), lot_effects=LotEffects.from_json(found.to_json()))

@@ -1,0 +1,16 @@
+"""A likelihood that raises reaches the caller as its exception alone: emcee prints nothing of its own."""
+
+import numpy as np
+import pytest
+
+from pipeline.inference.screening.sample import _ensemble_chain
+
+
+def test_a_likelihood_that_raises_prints_no_traceback(capfd):
+    def density(points):
+        raise FloatingPointError("a defect")
+
+    with pytest.raises(FloatingPointError, match="a defect"):
+        _ensemble_chain(density, np.eye(8, 2), 3, np.random.RandomState(1))
+    captured = capfd.readouterr()
+    assert captured.out + captured.err == ""
