@@ -11,7 +11,7 @@ from pipeline.store.run import RunStore
 from reports.run.lot_effects import FILE
 
 from ...config import RunConfig
-from ..campaign_block import CampaignSource
+from ..campaign_source import CampaignSource
 from ..dispatch import guarded_in_parallel
 from ..faults import Faults
 from ..guard import Begin
