@@ -1,16 +1,19 @@
 """A device that ends its worker costs its own row: stub devices with faults on demand, and the rules without processes."""
 
+import asyncio
 import subprocess
 from dataclasses import dataclass, replace
 
 import psutil
 import pytest
+from distributed.utils import LoopRunner, sync
+from tornado.ioloop import IOLoop
 
 from pipeline.errors import IncompleteError
 from tests.dask_processes import scheduler_and_worker
 from workflows.screening import dispatch
 from workflows.screening.cluster import cluster
-from workflows.screening.dispatch import guarded_in_parallel
+from workflows.screening.dispatch import _Dispatch, guarded_in_parallel
 from workflows.screening.faults import Faults, Sign, TimeLimit, Try, after_exception, after_loss
 from workflows.screening.scheduler import Scheduler
 from workflows.studies.fault_kinds import faulty_numbers
@@ -142,3 +145,30 @@ def test_the_cost_of_commits_is_measured() -> None:
     found = commits(20)
     assert found["blocks"] == 20
     assert found["growth of peak memory, MB"] < 50.0
+
+
+class _WaitCancelledOnce:
+    """A finished future; the first wait for its result is cancelled, as distributed does at a time limit under load."""
+
+    status = "finished"
+
+    def __init__(self, loop: IOLoop) -> None:
+        self._loop, self._waits = loop, 0
+
+    def result(self, timeout: float) -> str:
+        self._waits += 1
+        return sync(self._loop, self._answer, callback_timeout=timeout)
+
+    async def _answer(self) -> str:
+        if self._waits == 1:
+            raise asyncio.CancelledError
+        return "result"
+
+
+def test_a_wait_that_distributed_cancels_does_not_end_a_run() -> None:
+    runner = LoopRunner()
+    runner.start()
+    try:
+        assert _Dispatch._gathered(None, _WaitCancelledOnce(runner.loop)) == "result"
+    finally:
+        runner.stop()
