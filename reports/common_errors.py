@@ -18,13 +18,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pyarrow as pa
+import pyarrow.compute as pc
 from scipy import special
 
 from pipeline.arrays import BoolArray, FloatArray
 
 from .clusters import Clustering, effective_number
-from .devices import Devices
+from .devices import ColumnSource, Devices
 from .limits import Rule
 from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, poisson_binomial
 
@@ -51,19 +51,21 @@ class GivenCommon:
         return GivenCommon(self.p_pass[:, members], self.rule)
 
 
-def given_common(devices: Devices, posterior: pa.Table | None, rule: Rule) -> GivenCommon | None:
+def given_common(devices: Devices, posterior: ColumnSource | None, rule: Rule) -> GivenCommon | None:
     """P(conform) at each common error from the posterior table; ``None`` where the run declares no common errors."""
     if posterior is None or "p_pass_given_common" not in posterior.column_names:
         return None
-    column = posterior["p_pass_given_common"]
-    if column.null_count == len(column):
+    known = posterior.select(["p_pass_given_common"]).to_batches()
+    if all(batch.column(0).null_count == batch.num_rows for batch in known):
         return None
+    last = max(pc.max(batch.column(0)).as_py() or 0 for batch in posterior.select(["draw"]).to_batches())
     place = {name: i for i, name in enumerate(devices.text("device_id"))}
-    encoded = posterior["device_id"].combine_chunks().dictionary_encode()
-    places = np.array([place[name] for name in encoded.dictionary.to_pylist()], dtype=np.int64)
-    draw = posterior["draw"].to_numpy()
-    p_pass = np.full((int(draw.max()) + 1, len(devices)), np.nan)
-    p_pass[draw, places[encoded.indices.to_numpy()]] = column.to_numpy()
+    p_pass = np.full((last + 1, len(devices)), np.nan)
+    for batch in posterior.select(["device_id", "draw", "p_pass_given_common"]).to_batches():
+        encoded = batch.column(0).dictionary_encode()
+        places = np.array([place[name] for name in encoded.dictionary.to_pylist()], dtype=np.int64)
+        chances = batch.column(2).to_numpy(zero_copy_only=False)
+        p_pass[batch.column(1).to_numpy(), places[encoded.indices.to_numpy()]] = chances
     return GivenCommon(p_pass, rule)
 
 

@@ -1,16 +1,48 @@
 """The ``devices`` table as arrays: nulls and absent columns become nan or "".
 
+The table may be on disk (``ColumnSource``): a column is read when it is asked for.
+
 Shapes: B devices.  Units are those of the results columns.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from pipeline.arrays import BoolArray, FloatArray
+
+
+class ColumnSource(Protocol):
+    """What reports use of a table: a ``pyarrow.Table``, or a stored table that is read column by column."""
+
+    @property
+    def num_rows(self) -> int:
+        """Number of rows."""
+
+    @property
+    def column_names(self) -> Sequence[str]:
+        """Names of the columns."""
+
+    def __getitem__(self, name: str) -> pa.ChunkedArray:
+        """A column."""
+
+    def slice(self, offset: int, length: int) -> pa.Table:
+        """Some rows, all columns."""
+
+    def filter(self, wanted: pc.Expression) -> pa.Table:
+        """The rows that fulfil an expression."""
+
+    def select(self, names: Sequence[str]) -> Any:
+        """Some columns, with ``to_batches``."""
+
+    def to_batches(self) -> Iterable[pa.RecordBatch]:
+        """The rows in parts."""
 
 
 def wafer_name(lot: str, wafer: str) -> str:
@@ -24,7 +56,7 @@ def wafer_name(lot: str, wafer: str) -> str:
 class Devices:
     """The columns present in a ``devices`` table: a measured batch has no truth and may have no wafer."""
 
-    table: pa.Table
+    table: ColumnSource
 
     def __len__(self) -> int:
         return int(self.table.num_rows)
@@ -33,17 +65,24 @@ class Devices:
         """(B,) values of a numeric column, in its unit; nan where null or absent."""
         if name not in self.table.column_names:
             return np.full(len(self), np.nan)
-        return np.array(self.table[name].cast(pa.float64()).to_pylist(), dtype=np.float64)
+        return np.array(self.table[name].cast(pa.float64()).to_numpy())
 
-    def text(self, name: str) -> tuple[str, ...]:
-        """B values of a text column; "" where null or absent."""
+    def text(self, name: str, rows: Sequence[int] | None = None) -> tuple[str, ...]:
+        """B values of a text column, or those of ``rows``; "" where null or absent."""
         if name not in self.table.column_names:
-            return ("",) * len(self)
-        return tuple("" if value is None else str(value) for value in self.table[name].to_pylist())
+            return ("",) * (len(self) if rows is None else len(rows))
+        whole = self.table[name] if rows is None else self.table[name].take(pa.array(rows, pa.int64()))
+        column = pc.fill_null(whole.cast(pa.string()), "")
+        words: list[str] = []
+        for chunk in column.chunks:
+            coded = chunk.dictionary_encode()  # equal words share their memory
+            known = coded.dictionary.to_pylist()
+            words += [known[place] for place in coded.indices.to_numpy()]
+        return tuple(words)
 
     def is_ok(self) -> BoolArray:
         """(B,) whether the identification is ok."""
-        return np.array([status == "ok" for status in self.text("status")], dtype=np.bool_)
+        return self._equals("status", "ok")
 
     def identified(self) -> bool:
         """Whether any device could be judged; without one there is no yield."""
@@ -51,7 +90,12 @@ class Devices:
 
     def has(self, verdict: str) -> BoolArray:
         """(B,) whether the verdict is this one."""
-        return np.array([one == verdict for one in self.text("verdict")], dtype=np.bool_)
+        return self._equals("verdict", verdict)
+
+    def _equals(self, name: str, word: str) -> BoolArray:
+        if name not in self.table.column_names:
+            return np.zeros(len(self), dtype=np.bool_)
+        return np.array(pc.fill_null(pc.equal(self.table[name].cast(pa.string()), word), False).to_numpy(), np.bool_)
 
     def wafers(self) -> tuple[str, ...]:
         """B names of wafers, unique over lots; "" where unknown."""

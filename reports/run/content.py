@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import pyarrow as pa
 
 from pipeline.errors import ConfigError
 from pipeline.quantities import QUANTITIES, Quantity
@@ -26,7 +25,7 @@ from ..common_errors import (
     measurement_given_common,
     with_common,
 )
-from ..devices import Devices
+from ..devices import ColumnSource, Devices
 from ..limits import Limits
 from ..words.night import status_cause
 from ..words.quantities import cause_sentence, main_cause, process_sentence, stage_sentence, undecided_sentence
@@ -47,15 +46,15 @@ from .undetected import BiasBound, bias_bounds
 from .worst import WorstDevice, worst_devices
 
 
-class StoredRun(Protocol):
+class ReportedRun(Protocol):
     """The parts of a run that its page needs: verified tables, manifest and configuration."""
 
     @property
-    def devices(self) -> pa.Table:
+    def devices(self) -> ColumnSource:
         """The ``devices`` table."""
 
     @property
-    def posterior(self) -> pa.Table | None:
+    def posterior(self) -> ColumnSource | None:
         """The ``posterior`` table, if draws were kept."""
 
     @property
@@ -129,7 +128,7 @@ class RunContent:
 
 
 def run_content(
-    run: StoredRun,
+    run: ReportedRun,
     limits: Limits,
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,

@@ -135,21 +135,11 @@ def needed_effects(devices: Devices, found: LotEffects | None) -> NeededEffects 
     verdicts, again = devices.text("verdict"), devices.text("verdict_with_effects")
     after = tuple(new or old for old, new in zip(verdicts, again))
     status, refitted = devices.text("status"), devices.text("status_with_effects")
-    rows = [
-        Misfit(*row)
-        for row, old, new in zip(
-            zip(
-                devices.text("device_id"),
-                devices.text("lot"),
-                devices.text("missing_effect"),
-                devices.text("missing_effect_size"),
-                devices.text("missing_effect_reason"),
-            ),
-            status,
-            refitted,
-        )
-        if old == "misfit" and new != "ok" and row[4]
-    ]
+    names = ("device_id", "lot", "missing_effect", "missing_effect_size", "missing_effect_reason")
+    # Among millions of devices few are misfits: only their texts are kept.
+    misfits = [k for k, (old, new) in enumerate(zip(status, refitted)) if old == "misfit" and new != "ok"]
+    columns = [devices.text(name, misfits) for name in names]
+    rows = [Misfit(*row) for row in zip(*columns) if row[4]]
     unknown = tuple(row for row in rows if row.missing in ("", "unknown"))
     alone = tuple(row for row in rows if row.missing not in ("", "unknown"))
     return NeededEffects(

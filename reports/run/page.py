@@ -17,7 +17,7 @@ from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
 from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
-from .content import RunContent, StoredRun, run_content
+from .content import ReportedRun, RunContent, run_content
 from .figures import corner_plots, run_figures
 from .lot_effects import LotEffects, counted, probability, with_sd
 from .worst import WorstEstimate
@@ -47,7 +47,7 @@ _ROUTE = {
 
 
 def render_run_report(
-    run: StoredRun,
+    run: ReportedRun,
     limits: Limits,
     *,
     population_summary: Mapping[str, Any] | None = None,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import GateError, NegativeError
-from pipeline.store.read import read_run
+from pipeline.store.columns import StoredRun, with_run
 from pipeline.store.run import RunStore, open_run
 from populations.draw import draw
 from reports.common_errors import given_common, with_common
@@ -18,7 +18,7 @@ from reports.run import lot_effects as lot_report
 from reports.run.health import status_counts
 from reports.words.night import status_cause
 from reports.words.physics import RunPhysics
-from reports.yields import yield_of_verdicts
+from reports.yields import Yield, yield_of_verdicts
 
 from ..config import RunConfig, config_of_run
 from ..config_tables import TargetsTable
@@ -83,13 +83,16 @@ def rendered_report(results: Path, run_id: str) -> str:
     """The report of a run as HTML."""
     from reports.run.page import render_run_report  # it loads matplotlib
 
-    tables = read_run(results, run_id)
-    config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
-    summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
     found = lot_effects(open_run(results, run_id))
-    return render_run_report(
-        tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)
-    )
+
+    def rendered(tables: StoredRun) -> str:
+        config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
+        summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
+        return render_run_report(
+            tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)
+        )
+
+    return with_run(results, run_id, rendered)
 
 
 def physics_of(config: RunConfig) -> RunPhysics:
@@ -110,19 +113,8 @@ def lot_effects(store: RunStore) -> lot_report.LotEffects | None:
 
 def finish(store: RunStore, results: Path, started: float) -> RunResult:
     """Mark the run complete, write the report and summarise the run; ``started`` is its start in monotonic time [s]."""
-    tables = read_run(results, store.run_id)
-    devices = tables.devices
-    verdicts = _counts(devices.column("verdict").to_pylist(), ("pass", "fail", "undecided"))
-    statuses = _counts(devices.column("status").to_pylist(), ("ok", "not_converged", "misfit", "fit_failed", "lost"))
-    rule = config_of_run(tables.config_toml, f"run.toml of {store.run_id}").judged_by().rule
-    given = given_common(Devices(devices), tables.posterior, rule)
-    found = with_common(yield_of_verdicts([str(v) for v in devices.column("verdict").to_pylist()]), given)
-    causes = _counts(c for cell in devices.column("failed_limits").to_pylist() if cell for c in str(cell).split(","))
-    main = max(causes, key=lambda name: causes[name]) if causes else None
-    identified = Devices(devices).identified()
-    if not identified:
-        main = status_cause(status_counts(Devices(devices)))
-    interval = (found.clopper_pearson.low, found.clopper_pearson.high)
+    found = with_run(results, store.run_id, _counted)
+    verdicts, statuses, identified = found.verdicts, found.statuses, found.identified
     seconds = time.monotonic() - started
     examined = lot_effects(store)
     needed = () if examined is None else tuple(sorted({effect.effect for effect in examined.effects}))
@@ -133,15 +125,42 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
     return RunResult(
         store.run_id,
         store.folder,
-        devices.num_rows,
+        found.total.devices,
         verdicts,
         statuses,
-        verdicts["pass"] / devices.num_rows if identified else None,
-        interval if identified else None,
+        found.total.value if identified else None,
+        (found.total.clopper_pearson.low, found.total.clopper_pearson.high) if identified else None,
         needed,
-        main,
+        found.main_cause,
         time.monotonic() - started,
         path,
+    )
+
+
+@dataclass(frozen=True)
+class _Counted:
+    """What the tables of a run say together."""
+
+    verdicts: dict[str, int]
+    statuses: dict[str, int]
+    identified: bool
+    total: Yield
+    main_cause: str | None
+
+
+def _counted(tables: StoredRun) -> _Counted:
+    devices = Devices(tables.devices)
+    rule = config_of_run(tables.config_toml, f"run.toml of {tables.manifest.run_id}").judged_by().rule
+    verdicts, identified = devices.text("verdict"), devices.identified()
+    total = with_common(yield_of_verdicts(verdicts), given_common(devices, tables.posterior, rule))
+    causes = _counts(cause for cell in devices.text("failed_limits") if cell for cause in cell.split(","))
+    main = max(causes, key=lambda name: causes[name]) if causes else None
+    return _Counted(
+        _counts(verdicts, ("pass", "fail", "undecided")),
+        _counts(devices.text("status"), ("ok", "not_converged", "misfit", "fit_failed", "lost")),
+        identified,
+        total,
+        main if identified else status_cause(status_counts(devices)),
     )
 
 

@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from pipeline.store.lock import one_writer
 from pipeline.store.read import PREFIX, find_run, read_run
-from pipeline.store.run import RunStore, create_run
+from pipeline.store.run import LOG, RunStore, create_run
 from pipeline.store.verify import verify
 
 from ..config import RunConfig
@@ -35,7 +35,7 @@ from .faults import Stub
 
 DEVICES = 4
 _RUN, _LOG, _COUNT = "kills", "kills.jsonl", "count"
-#: This share of the kills falls into the start of the driver [s], the others after its first device; both at random.
+#: This share of the kills falls into the start of the driver [s], the others after its first commit; both at random.
 _EARLY, _START_S = 0.25, 4.0
 
 
@@ -76,8 +76,9 @@ def computed(folder: Path) -> int:
 
 
 def _life(store: RunStore, blocks: int, seconds: float, workers: int, folder: Path, early: bool, moment: float) -> bool:
-    """One driver; whether it was killed, ``moment`` seconds after its start, or (not ``early``) after its first device."""
-    before = computed(folder)
+    """One driver; whether it was killed, ``moment`` seconds after its start, or (not ``early``) after its first commit."""
+    log = store.folder / LOG
+    size = log.stat().st_size if log.exists() else 0
     child = os.fork()
     if child == 0:
         code = 1
@@ -95,7 +96,7 @@ def _life(store: RunStore, blocks: int, seconds: float, workers: int, folder: Pa
             if os.waitstatus_to_exitcode(status):
                 raise RuntimeError(f"a driver ended with {os.waitstatus_to_exitcode(status)}")
             return False
-        if until == math.inf and not early and computed(folder) > before:
+        if until == math.inf and not early and log.exists() and b'"event":"block"' in log.read_bytes()[size:]:
             until = time.monotonic() + moment
         time.sleep(0.01)
     os.kill(child, signal.SIGKILL)

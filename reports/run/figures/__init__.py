@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.arrays import FloatArray
 from pipeline.axial import difference, mean_axis
 from pipeline.quantities import AXES
 
-from ...devices import Devices
+from ...devices import ColumnSource, Devices
 from ...limits import Limit
 from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
 from ..calibration import z_scores
@@ -46,7 +45,7 @@ def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
     }
 
 
-def corner_plots(worst: Sequence[WorstDevice], posterior: pa.Table | None) -> tuple[str, ...]:
+def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -> tuple[str, ...]:
     """A corner plot for the first device of each kind of worst; "" for the others and for those without draws."""
     first = [device.why not in {other.why for other in worst[:k]} for k, device in enumerate(worst)]
     return tuple(
@@ -55,8 +54,8 @@ def corner_plots(worst: Sequence[WorstDevice], posterior: pa.Table | None) -> tu
     )
 
 
-def _corner(k: int, device: WorstDevice, posterior: pa.Table) -> str:
-    rows = Devices(posterior.filter(pc.equal(posterior["device_id"], device.device_id)))
+def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> str:
+    rows = Devices(posterior.filter(pc.field("device_id") == device.device_id))
     truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
     columns: list[FloatArray] = []
     shown: list[float] = []

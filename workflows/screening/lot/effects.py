@@ -15,10 +15,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from pipeline.criticism.prevalence import prevalence
 from pipeline.criticism.shared import Evidence, Shared, shared
+from reports.devices import ColumnSource
 from reports.run.lot_effects import LotEffect, LotEffects, ParameterSize
 
 from ...config_tables import DiagnosisTable
@@ -51,7 +51,7 @@ _STAGES, _GROWTH, _HINT = 4, 4, 0.2
 _SCORED = 24
 
 
-def examine(table: pa.Table, rules: DiagnosisTable, examiner: Examiner) -> tuple[LotEffects, Columns]:
+def examine(table: ColumnSource, rules: DiagnosisTable, examiner: Examiner) -> tuple[LotEffects, Columns]:
     """Examine the misfits of a run.
 
     Parameters

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from distributed import Client
 
+from pipeline.store.columns import with_run
 from pipeline.store.run import RunStore
 from reports.run.lot_effects import FILE
 
@@ -60,7 +61,8 @@ def examine_run(planned: RunPlan, store: RunStore, client: Client, quiet: bool) 
                 advance(1)
                 yield examination
 
-    found, columns = examine(store.devices(), planned.config.diagnosis, examine_devices)
+    rules, results = planned.config.diagnosis, store.folder.parent
+    found, columns = with_run(results, store.run_id, lambda run: examine(run.devices, rules, examine_devices))
     store.amend_devices(columns)
     store.write_file(FILE, found.to_json())
     store.log({"event": "examined", "effects": [effect.effect for effect in found.effects]})

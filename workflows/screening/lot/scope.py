@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from hashlib import sha256
 
 import numpy as np
-import pyarrow as pa
 
-from pipeline.arrays import FloatArray
+from pipeline.arrays import BoolArray, FloatArray
 from pipeline.criticism.shared import still_needed
 from pipeline.device.gyro import PHYSICAL
 from pipeline.device.model import Model
+from reports.devices import ColumnSource, Devices
 from reports.run.lot_effects import ParameterSize
 
 from .device import DeviceExamination
@@ -27,15 +27,20 @@ from .device import DeviceExamination
 SIGNIFICANT_SD = 3.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LotDevice:
-    """The part of a row of the devices table from which an examination starts; ``start`` has (parameter, value)."""
+    """The part of a row of the devices table from which an examination starts; ``starts`` has the parameters of all rows."""
 
     number: int
     device_id: str
     lot: str
     flagged: bool
-    start: tuple[tuple[str, float], ...]
+    starts: FloatArray
+
+    @property
+    def start(self) -> tuple[tuple[str, float], ...]:
+        """(parameter, value) of this device."""
+        return tuple(zip(PHYSICAL, self.starts[self.number].tolist()))
 
 
 @dataclass(frozen=True)
@@ -60,14 +65,15 @@ class Scope:
         return out
 
 
-def devices_of(table: pa.Table) -> tuple[LotDevice, ...]:
+def devices_of(table: ColumnSource) -> tuple[LotDevice, ...]:
     """The devices from which a fit can start, in the order of examination."""
-    columns = {name: table.column(name).to_pylist() for name in ("device_id", "lot", "status", *PHYSICAL)}
+    devices = Devices(table)
+    starts = np.stack([devices.number(name) for name in PHYSICAL], axis=1)
+    known: BoolArray = np.asarray(np.isfinite(starts).all(axis=1))
     out = []
-    for number, (name, lot, status) in enumerate(zip(columns["device_id"], columns["lot"], columns["status"])):
-        start = tuple((q, columns[q][number]) for q in PHYSICAL)
-        if status in ("ok", "misfit", "not_converged") and all(value is not None for _, value in start):
-            out.append(LotDevice(number, name, lot or "", status == "misfit", start))
+    for number, (name, lot, status) in enumerate(zip(*(devices.text(n) for n in ("device_id", "lot", "status")))):
+        if status in ("ok", "misfit", "not_converged") and known[number]:
+            out.append(LotDevice(number, name, lot, status == "misfit", starts))
     return tuple(sorted(out, key=lambda device: sha256(device.device_id.encode()).digest()))
 
 
