@@ -21,39 +21,50 @@ _THRESHOLD = 5.0
 #: Offsets of the neighbours from a line [1/T]: about 20 independent frequencies, outside the window's main lobe.
 _NEIGHBOURS = np.concatenate([np.arange(-18, -3), np.arange(4, 19)])
 _MIN_DURATION_S = 0.5
+#: Samples used of a long record, 26 s at 10 kHz: over longer times the mains frequency wanders by more than 1/T.
+_MOST_SAMPLES = 2**18
+_BLOCK = 512
 
 
 def _amplitudes(y: FloatArray, frequencies_hz: FloatArray, sample_rate_hz: float) -> FloatArray:
-    """Amplitudes (F, S) [V] of y (N, S) at ``frequencies_hz`` (F,)."""
-    window = np.hanning(y.shape[0])
-    # One frequency at a time: the matrix of all exponentials would be large.
-    t = np.arange(y.shape[0]) / sample_rate_hz
-    sums = [np.abs((window * np.exp(-2j * np.pi * f * t)) @ y) for f in frequencies_hz]
-    return np.array(sums) * (2.0 / window.sum())
+    """Amplitudes (F, S) [V] of y (N, S) at ``frequencies_hz`` (F,).
 
-
-def _local_level(y: FloatArray, frequency_hz: float, sample_rate_hz: float) -> FloatArray:
-    """Rms (S,) [V] of the amplitudes of y (N, S) at the neighbours of ``frequency_hz``.
-
-    They are multiples of 1/T away: bins of the Fourier transform of y turned back by ``frequency_hz``.
+    exp(-j w (a B + b)) = exp(-j w a B) exp(-j w b), so blocks of B samples share one matrix of exponentials (B, F).
     """
-    window = np.hanning(y.shape[0])
-    turned = window * np.exp(-2j * np.pi * frequency_hz * (np.arange(y.shape[0]) / sample_rate_hz))
-    around = np.abs(np.fft.fft(turned[:, None] * y, axis=0)[_NEIGHBOURS]) * (2.0 / window.sum())
-    return np.asarray(np.sqrt(np.mean(around**2, axis=0)))
+    samples, senses = y.shape
+    window, w = np.hanning(samples), 2.0 * np.pi * frequencies_hz / sample_rate_hz
+    blocks = -(-samples // _BLOCK)
+    turned = np.exp(-1j * np.arange(_BLOCK)[:, None] * w)
+    carried = np.exp(-1j * _BLOCK * np.arange(blocks)[:, None] * w)
+    out = np.empty((frequencies_hz.size, senses))
+    for k in range(senses):
+        padded = np.zeros(blocks * _BLOCK)
+        padded[:samples] = window * y[:, k]
+        rows = padded.reshape(blocks, _BLOCK)
+        out[:, k] = np.abs(np.sum(carried * (rows @ turned.real + 1j * (rows @ turned.imag)), axis=0))
+    return out * (2.0 / window.sum())
+
+
+def _local_levels(y: FloatArray, frequencies_hz: FloatArray, sample_rate_hz: float) -> FloatArray:
+    """Rms (F, S) [V] of the amplitudes of y (N, S) at the neighbours of each frequency (F,)."""
+    near = frequencies_hz[:, None] + _NEIGHBOURS * (sample_rate_hz / y.shape[0])
+    around = _amplitudes(y, near.ravel(), sample_rate_hz).reshape(*near.shape, y.shape[1])
+    return np.asarray(np.sqrt(np.mean(around**2, axis=1)))
 
 
 def _lines(record: Record, mains_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Frequencies (H,) [Hz], amplitudes and local levels (H, S) [V] of the harmonics at which no drive acts."""
-    y = record.sense_v - record.sense_v.mean(axis=0)
-    rate, duration = record.sample_rate_hz, record.duration_s
+    y, drive_v = record.sense_v[:_MOST_SAMPLES], record.drive_v[:_MOST_SAMPLES]
+    y = y - y.mean(axis=0)
+    rate = record.sample_rate_hz
+    duration = y.shape[0] / rate
     harmonics: FloatArray = mains_hz * np.arange(1.0, _HARMONICS + 1.0)
     harmonics = harmonics[harmonics + 20.0 / duration < rate / 2.0]
     if harmonics.size and is_driven(record):
-        drive = np.max(_amplitudes(record.drive_v - record.drive_v.mean(axis=0), harmonics, rate), axis=1)
-        harmonics = harmonics[drive < 1e-4 * np.max(np.abs(record.drive_v))]
+        drive = np.max(_amplitudes(drive_v - drive_v.mean(axis=0), harmonics, rate), axis=1)
+        harmonics = harmonics[drive < 1e-4 * np.max(np.abs(drive_v))]
     line = _amplitudes(y, harmonics, rate).reshape(-1, y.shape[1])
-    return harmonics, line, np.array([_local_level(y, f, rate) for f in harmonics]).reshape(line.shape)
+    return harmonics, line, _local_levels(y, harmonics, rate).reshape(line.shape)
 
 
 def hum(campaign: Campaign) -> list[Finding]:

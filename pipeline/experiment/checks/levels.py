@@ -23,6 +23,8 @@ from .finding import Correction, Finding
 
 #: Fewest flat tops that count as clipping.
 _MIN_TOPS = 3
+#: Samples of a long record that are looked at together; bounds the memory.
+_PART = 2**18
 
 
 @dataclass(frozen=True)
@@ -40,14 +42,25 @@ class Level:
 
 def floor_v(y: FloatArray) -> float:
     """sigma [V] of the noise in y (N,), robust against signals that fill fewer than half of the bins."""
-    window = np.hanning(y.size)
-    power = np.abs(rfft((y - y.mean()) * window)[2:]) ** 2
+    parts = max(1, y.size // _PART)
+    size = y.size if parts == 1 else y.size // parts // 4096 * 4096  # a length that is quickly transformed
+    rows = y[: size * parts].reshape(parts, size)
+    window = np.hanning(rows.shape[1])
+    power = np.concatenate([np.abs(rfft((row - row.mean()) * window)[2:]) ** 2 for row in rows])
     return math.sqrt(float(np.median(power)) / (math.log(2.0) * float(np.sum(window**2))))
 
 
 def lsb_of(y: FloatArray) -> float | None:
     """Step [V] of the grid on which all values of y (N,) lie; ``None`` if there is no grid."""
-    values = np.unique(y)
+    few = np.unique(y[:: max(1, y.size // _PART)])
+    if few.size >= 3 and _step_of(few) is None:
+        return None
+    parts = [np.unique(y[at : at + _PART]) for at in range(0, y.size, _PART)]
+    return _step_of(np.unique(np.concatenate(parts)))
+
+
+def _step_of(values: FloatArray) -> float | None:
+    """Step [V] of the grid of ``values``, sorted and different; ``None`` if there is no grid."""
     if values.size < 3:
         return None
     step = float(np.min(np.diff(values)))
@@ -65,8 +78,9 @@ def lsb_of(y: FloatArray) -> float | None:
 def _flat_tops(y: FloatArray, tolerance: float) -> int:
     """Number of flat tops at the maximum of y (N,); ``tolerance`` in volts."""
     top = y >= y.max() - tolerance
-    edges = np.diff(np.concatenate([[0], top.astype(np.int8), [0]]))
-    starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    at = np.flatnonzero(top[1:] != top[:-1]) + 1
+    at = np.concatenate([np.zeros(int(top[0]), dtype=np.int64), at, np.full(int(top[-1]), y.size)])
+    starts, stops = at[::2], at[1::2]
     long = (stops - starts >= 3) & (starts > 0) & (stops < y.size)
     starts, stops = starts[long], stops[long]
     # A parabola with three samples within ``tolerance`` of its top rises by less than 6 tolerances just before them.
@@ -76,7 +90,7 @@ def _flat_tops(y: FloatArray, tolerance: float) -> int:
 
 def level(record: Record, channel: int) -> Level:
     """Level of sense ``channel`` (counted from 0)."""
-    y = record.sense_v[:, channel]
+    y = np.ascontiguousarray(record.sense_v[:, channel])
     offset = float(y.mean())
     return Level(
         record.name,

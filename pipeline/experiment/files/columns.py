@@ -68,7 +68,9 @@ def _numbers(name: str, key: str, channel: Channel, rows: slice) -> FloatArray:
     values = channel.values[rows]
     if values.dtype.kind == "M":
         values = (values - values[0]) / np.timedelta64(1, "s")
-    numbers = np.array(values, dtype=np.float64)
+    numbers = np.require(values, np.float64, ("C", "W"))
+    if float(numbers.max(initial=0.0)) <= LARGEST and float(numbers.min(initial=0.0)) >= -LARGEST:
+        return numbers if (channel.factor, channel.offset) == (1.0, 0.0) else channel.factor * numbers - channel.offset
     bad = np.flatnonzero(~np.isfinite(numbers))
     if bad.size:
         raise MeasurementError(
@@ -86,6 +88,13 @@ def _numbers(name: str, key: str, channel: Channel, rows: slice) -> FloatArray:
             next_step="check the file format and the unit of the column",
         )
     return channel.factor * numbers - channel.offset
+
+
+def _side_by_side(columns: Sequence[FloatArray], count: int) -> FloatArray:
+    """(N, K) of K columns (N,), N = ``count``; a single one is not copied."""
+    if len(columns) == 1:
+        return columns[0][:, None]
+    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
 
 
 def assemble(
@@ -138,7 +147,7 @@ def assemble(
         )
     count = rows.stop - rows.start
     drive_v, sense_v = (
-        np.stack([numbers[key] for key in keys], axis=1) if keys else np.zeros((count, 0)) for keys in (drives, senses)
+        _side_by_side([numbers[key] for key in keys], count) for keys in (drives, senses)
     )
     units = {key: channels[key].unit for key in (*drives, *senses) if channels[key].unit != "V"}
     whole = Record(name, sample_rate_hz or float("nan"), drive_v, sense_v, units=units)

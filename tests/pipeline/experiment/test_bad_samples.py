@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from pipeline.errors import MeasurementError
+from pipeline.experiment import outliers
 from pipeline.experiment.bad_samples import bad_stretches, refilled, without_bad_samples
 from pipeline.experiment.instrument import Adc, Instrument
 from pipeline.experiment.record import Campaign, Record
@@ -135,3 +136,17 @@ def test_a_record_with_more_than_two_percent_bad_samples_is_refused_by_name():
     campaign = Campaign("A", (replace(record_of(converted(volts)), name="run-7"),), Instrument(adc=ADC))
     with pytest.raises(MeasurementError, match=r"run-7: too many bad samples \(stuck\).*2\.5 %.*at most 2 %"):
         without_bad_samples(campaign)
+
+
+def test_a_long_record_is_searched_in_parts_with_the_same_result(monkeypatch):
+    sense_v = MOTION + SIGMA_V * RNG.standard_normal(MOTION.shape)
+    spikes = np.array([5_000, 9_990, 12_345])
+    sense_v[spikes, 0] += 0.05
+    sense_v[7_000:13_000, 1] = sense_v[7_000, 1]
+    whole = flags(record_of(converted(sense_v)))
+    monkeypatch.setattr(outliers, "_PART", 5_000)
+    assert len(outliers.parts(len(sense_v))) == 4
+    found = flags(record_of(converted(sense_v)))
+    assert found[spikes, 0].all()
+    assert found[7_001:13_000, 1].all()
+    assert np.count_nonzero(found != whole) <= 1
