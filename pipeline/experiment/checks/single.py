@@ -35,9 +35,10 @@ def _averaged(
     u: FloatArray, y: FloatArray, rate_hz: float, segment: int
 ) -> tuple[FloatArray, FloatArray, ComplexArray, FloatArray]:
     """Frequencies [Hz], S_uu, S_uy and coherence of u and y (N,), over half overlapping Hann windows of ``segment`` samples."""
-    window = np.hanning(segment + 1)[:-1]
+    window: FloatArray = np.hanning(segment + 1)[:-1].astype(np.float64)
     starts = range(0, u.size - segment + 1, segment - segment // 2)
-    uu, yy = np.zeros(segment // 2 + 1), np.zeros(segment // 2 + 1)
+    uu: FloatArray = np.zeros(segment // 2 + 1)
+    yy: FloatArray = np.zeros(segment // 2 + 1)
     uy = np.zeros(segment // 2 + 1, dtype=np.complex128)
     for at in range(0, len(starts), _AT_ONCE):
         rows = list(starts[at : at + _AT_ONCE])
@@ -48,8 +49,8 @@ def _averaged(
         uu += np.sum(np.abs(U) ** 2, axis=0)
         yy += np.sum(np.abs(Y) ** 2, axis=0)
         uy += np.sum(np.conj(U) * Y, axis=0)
-    coherent: FloatArray = np.abs(uy) ** 2 / np.maximum(uu * yy, np.finfo(float).tiny)
-    frequencies: FloatArray = np.arange(uu.size) * (rate_hz / segment)
+    coherent = np.asarray(np.abs(uy) ** 2 / np.maximum(uu * yy, np.finfo(float).tiny), dtype=np.float64)
+    frequencies = np.fft.rfftfreq(segment, 1.0 / rate_hz).astype(np.float64)
     return frequencies, uu, uy, coherent
 
 

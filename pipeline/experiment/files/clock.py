@@ -67,8 +67,8 @@ def clock_of(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
     count = time_s.size
     rate, first = (count - 1) / float(time_s[-1] - time_s[0]), float(time_s[0])
     away = np.abs(time_s - first - np.arange(count) / rate) * rate
-    rounded = _is_rounded(time_s)
-    if rounded or np.max(away) > 0.01:
+    rounded = bool(np.max(away) > 0.01) and _is_rounded(time_s)
+    if np.max(away) > 0.01:
         # The ends are not exact either, so the grid is that of all stamps.
         n = np.arange(count) - (count - 1) / 2.0
         centred = time_s - time_s.mean()

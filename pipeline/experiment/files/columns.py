@@ -146,9 +146,7 @@ def assemble(
             next_step="put the file into a folder with a campaign.toml that states sample_rate_hz",
         )
     count = rows.stop - rows.start
-    drive_v, sense_v = (
-        _side_by_side([numbers[key] for key in keys], count) for keys in (drives, senses)
-    )
+    drive_v, sense_v = (_side_by_side([numbers[key] for key in keys], count) for keys in (drives, senses))
     units = {key: channels[key].unit for key in (*drives, *senses) if channels[key].unit != "V"}
     whole = Record(name, sample_rate_hz or float("nan"), drive_v, sense_v, units=units)
     return _divided(whole, numbers.get("time_s"), sample_rate_hz)
