@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import gc
 import logging
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import Any
 
 import dask
 from distributed import Client, LocalCluster
 
 from pipeline.errors import UsageError
+from pipeline.store.provenance import DISTRIBUTION, package_versions
 
 from ..interrupts import deaf_children
 from .local_workers import LocalWorkers
 from .scheduler import Scheduler
 
 _MEMORY_BYTES = 2**31
+#: How long workers of an existing cluster may take to state their versions [s].
+_ANSWER_S = 20.0
 #: ``dispatch`` decides what to do with a task whose worker ended, and replaces workers that do not respond.
 _LOCAL = {
     "distributed.scheduler.allowed-failures": 0,
@@ -75,9 +80,43 @@ def _connected(scheduler: Scheduler) -> Iterator[Client]:
             next_step="start one with `dask scheduler`, or run locally without --scheduler",
         ) from None
     try:
+        _check_workers(client)
         yield client
     finally:
         client.close()
+
+
+def _check_workers(client: Client) -> None:
+    """Check that the workers that are there have this gyroscreen, and warn of other libraries.
+
+    Raises
+    ------
+    UsageError : a worker has another version of gyroscreen, or none.
+    """
+    own = package_versions()
+    question = {"op": "versions", "packages": list(own)}
+    answers: dict[str, Any] = {}
+    with suppress(TimeoutError):  # a worker that has stopped does not answer; it is replaced later
+        broadcast = client.scheduler.broadcast  # type: ignore[union-attr]
+        answers = client.sync(broadcast, msg=question, on_error="ignore", callback_timeout=_ANSWER_S)
+    found = {address: answer["packages"] for address, answer in answers.items()}
+    wrong = {
+        address: its.get(DISTRIBUTION)
+        for address, its in found.items()
+        if its.get(DISTRIBUTION) != own.get(DISTRIBUTION)
+    }
+    if wrong:
+        address, version = next(iter(wrong.items()))
+        raise UsageError(
+            f"{len(wrong)} of {len(found)} workers have another gyroscreen than this machine",
+            value=f"{address}: {version or 'none'}",
+            allowed=f"gyroscreen {own.get(DISTRIBUTION)} on every worker",
+            next_step="install it in the environment of the workers, and start them again",
+        )
+    others = sorted({name for its in found.values() for name, version in own.items() if its.get(name) != version})
+    if others:
+        text = f"warning: workers have other versions of {', '.join(others)}; the last digits of the table may differ"
+        print(text, file=sys.stderr)
 
 
 def _reason(error: BaseException) -> str:

@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import UsageError
+from pipeline.store import provenance
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
 from tests.dask_processes import scheduler_and_worker
 from tests.drawn_devices import drawn_block, drawn_task
 from tests.stub_runs import run_arguments, stub_runs
 from workflows.cli import call
-from workflows.screening import batch, outcome
+from workflows.screening import batch, cluster
 from workflows.screening.scheduler import Scheduler, scheduler_of
 
 _KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
@@ -52,6 +53,7 @@ def encrypted(certificates: Path) -> Iterator[str]:
         yield address
 
 
+@pytest.mark.usefixtures("without_page")
 def test_workers_behind_tls_give_the_table_of_a_local_run(encrypted, certificates, tmp_path):
     assert encrypted.startswith("tls://")
     (tmp_path / "tls").mkdir()
@@ -60,12 +62,24 @@ def test_workers_behind_tls_give_the_table_of_a_local_run(encrypted, certificate
         assert call(run_arguments(tmp_path, devices=12)) == 0
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch, "block_task", drawn_task)
-        patch.setattr(outcome, "render_run_report", lambda *_, **__: "<!doctype html>")
         remote = ["--scheduler", encrypted, *options(certificates)]
         assert call([*run_arguments(tmp_path / "tls", devices=12), *remote]) == 0
     tables = [read_run(folder / "results").devices for folder in (tmp_path, tmp_path / "tls")]
     assert tables[0].num_rows == 12
     assert table_digest(tables[0]) == table_digest(tables[1])
+
+
+@pytest.mark.usefixtures("without_page")
+def test_workers_with_another_gyroscreen_are_refused(encrypted, certificates, tmp_path, monkeypatch, capfd):
+    ours = {**provenance.package_versions(), "numpy": "1.0"}
+    for version, code in (("9.9", 2), (ours["gyroscreen"], 0)):
+        monkeypatch.setattr(cluster, "package_versions", lambda v=version: {**ours, "gyroscreen": v})
+        monkeypatch.setattr(batch, "block_task", drawn_task)
+        remote = ["--scheduler", encrypted, *options(certificates)]
+        assert call([*run_arguments(tmp_path), *remote]) == code
+        message = capfd.readouterr().err
+        assert ("1 of 1 workers have another gyroscreen than this machine" in message) is (code == 2)
+        assert ("warning: workers have other versions of numpy;" in message) is (code == 0)
 
 
 @pytest.mark.parametrize("name", ["other", None])
