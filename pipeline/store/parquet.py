@@ -1,4 +1,4 @@
-"""Tables as Parquet bytes: zstd, page checksums written and always verified."""
+"""Tables as Parquet bytes: zstd (but for the few rows of a small block), page checksums written and always verified."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..errors import IntegrityError
+
+#: With fewer rows compression gains nothing and takes half of the time: 3.6 of 7.5 ms for 192 columns of 4 rows.
+_LEAST_ROWS = 64
 
 
 def encode_table(table: pa.Table) -> pa.Buffer:
@@ -15,7 +18,7 @@ def encode_table(table: pa.Table) -> pa.Buffer:
     pq.write_table(
         table.combine_chunks(),
         sink,
-        compression="zstd",
+        compression="zstd" if table.num_rows >= _LEAST_ROWS else "none",
         use_dictionary=text,
         write_page_checksum=True,
         store_schema=True,

@@ -9,6 +9,7 @@ determine the quantity.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ..errors import IntegrityError, UsageError
 from ..quantities import MODEL, QUANTITIES, Quantity
@@ -279,6 +279,7 @@ def require_schema(table: pa.Table, schema: pa.Schema, where: str) -> None:
 
 def duplicates(devices: pa.Table) -> tuple[str, ...]:
     """Names of the devices that have more than one row, sorted."""
-    counts = devices.group_by("device_id").aggregate([("device_id", "count")])
-    names = counts.filter(pc.greater(counts.column("device_id_count"), 1)).column("device_id").to_pylist()
-    return tuple(sorted(names))
+    names = devices.column("device_id").to_pylist()
+    if len(set(names)) == len(names):
+        return ()
+    return tuple(sorted(name for name, times in Counter(names).items() if times > 1))

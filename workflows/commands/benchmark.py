@@ -18,9 +18,9 @@ from ..machine import worker_count
 from ..screening.block import DeviceBlock, virtual_block
 from ..screening.settings import population
 from ..screening.virtual_device import identify_virtual
+from ..studies.commit_cost import commits as cost_of_commits
 from ..studies.coverage import Share, figures, run_study
 from ..studies.driver_kills import killed_drivers
-from ..studies.fault_study import commits as cost_of_commits
 from ..studies.fault_study import killed_workers
 from ..studies.near_limits import DeviceShare
 
@@ -44,10 +44,13 @@ def faults(
     """See ``gyroscreen benchmark faults --help``."""
     count = worker_count(workers)
     found = killed_workers(blocks, kills, seconds, count, seed) if blocks and kills else {}
-    if blocks and driver_kills:
-        with tempfile.TemporaryDirectory(prefix="gyroscreen-faults-") as folder:
-            found |= killed_drivers(blocks, driver_kills, seconds, count, seed, out or Path(folder))
-    show(found | (cost_of_commits(commits) if commits else {}), json)
+    with tempfile.TemporaryDirectory(prefix="gyroscreen-faults-") as temporary:
+        folder = out or Path(temporary)
+        if blocks and driver_kills:
+            found |= killed_drivers(blocks, driver_kills, seconds, count, seed, folder / "kills")
+        if commits:
+            found |= cost_of_commits(commits, folder / "commits")
+    show(found, json)
 
 
 def show(found: dict[str, Any], json: bool) -> None:

@@ -1,10 +1,8 @@
-"""Kills of workers and cost of commits over blocks of stub devices: figures of `gyroscreen benchmark faults`."""
+"""Kills of workers over blocks of stub devices: figures of `gyroscreen benchmark faults`."""
 
 from __future__ import annotations
 
 import random
-import resource
-import statistics
 import tempfile
 import threading
 import time
@@ -13,13 +11,9 @@ from typing import Any
 
 import psutil
 
-from pipeline.store.run import RunStore, create_run
+from pipeline.store.run import create_run
 
-from ..config import RunConfig
 from ..screening.batch import run_blocks
-from ..screening.block import DeviceBlock
-from ..screening.guard import unguarded
-from ..screening.parts import BlockItem
 from .driver_kills import DEVICES, stub_plan
 from .faults import Stub
 
@@ -69,27 +63,3 @@ def _is_worker(process: psutil.Process) -> bool:
         return "worker_process" in " ".join(process.cmdline())
     except psutil.Error:  # it has just ended
         return False
-
-
-def commits(blocks: int) -> dict[str, Any]:
-    """Duration of a commit at the start and at the end of ``blocks``, and how the memory of the process grows."""
-    with tempfile.TemporaryDirectory(prefix="gyroscreen-faults-") as folder:
-        store: RunStore = create_run(Path(folder), "commits", "", {})
-        seconds, memory = [], []
-        for index in range(blocks):
-            item = BlockItem(DeviceBlock(index, index * DEVICES, DEVICES))
-            tables = Stub()(RunConfig(), item, unguarded)
-            started = time.perf_counter()
-            store.commit_block(index, tables.devices, None)
-            seconds.append(time.perf_counter() - started)
-            if index == min(blocks // 10, 1000):
-                memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-        part = max(blocks // 10, 1)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return {
-            "blocks": blocks,
-            "median commit, first tenth, ms": 1e3 * statistics.median(seconds[:part]),
-            "median commit, last tenth, ms": 1e3 * statistics.median(seconds[-part:]),
-            "mean commit, ms": 1e3 * statistics.fmean(seconds),
-            "growth of peak memory, MB": (peak - memory[0]) / 1024.0,
-        }

@@ -74,7 +74,7 @@ def faults(
     commits: Annotated[int, typer.Option(help="Blocks committed to measure the cost of a commit.")] = 10_000,
     driver_kills: Annotated[int, typer.Option(help="Kills of the driver in a run of the same blocks.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder that keeps the run of --driver-kills; again: goes on.")
+        Path | None, typer.Option(help="Folder that keeps the runs of --driver-kills and --commits; again: goes on.")
     ] = None,
     seed: Seed = 1,
     workers: Workers = 0,
