@@ -37,11 +37,20 @@ def file_sha256(path: Path) -> tuple[str, int]:
 def stage(folder: Path, name: str, data: bytes | memoryview) -> Path:
     """Write bytes to ``.<name>.staged`` and fsync; readers ignore this name."""
     path = folder / f".{name}{STAGED}"
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o644)
+    try:
+        write_all(handle, data)
+        os.fsync(handle)
+    finally:
+        os.close(handle)
     return path
+
+
+def write_all(handle: int, data: bytes | memoryview) -> None:
+    """Write all bytes; a short write is continued."""
+    left = memoryview(data)
+    while left:
+        left = left[os.write(handle, left) :]
 
 
 def publish(folder: Path, name: str) -> None:
