@@ -1,6 +1,6 @@
 """Every operation on the disk fails in turn: ENOSPC, EIO, a short write, the end of the process before or after it.
 
-usage: python -m tests.measure.failed_writes FOLDER [STRIDE]; one line a case, a case that is in FOLDER/cases.jsonl is not repeated.
+usage: python -m tests.measure.failed_writes FOLDER [STRIDE]; FOLDER/cases.jsonl has a line a case, which is not repeated.
 
 The run commits blocks out of order, merges them at checkpoints, amends devices, writes a page twice, and is closed.  After each
 fault: nothing that was committed is lost, `verify` finds no damage, and the resumed run has the tables and files of an
