@@ -20,7 +20,7 @@ _STARTS = 3
 _STEPS = 300
 
 Values = Mapping[str, float]
-Predict = Callable[[Values], Sequence[FloatArray]]
+Predict = Callable[[Sequence[Values]], Sequence[Sequence[FloatArray]]]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class Regression:
 
     Parameters
     ----------
-    predict : parameters -> for each block its prediction (n_b, m_b) in units of its sd, held-out blocks last.
+    predict : points of the parameters -> for each point and block its prediction (n_b, m_b) in units of its sd, held-out blocks
+        last.
     measured : the blocks in the same order; their ``residual`` is the measured value in units of its sd.
     baseline : parameter -> start value.
     terms : candidate terms.
@@ -166,7 +167,7 @@ class Regression:
         gram = sum((jac.T @ jac for jac in jacobian), np.zeros((len(names), len(names))))
         size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(gram / size / size[:, None], hermitian=True)), 0.0)) / size
-        predicted = self.predict(self._at_null(values))
+        (predicted,) = self.predict([self._at_null(values)])
         blocks = tuple(
             ResidualBlock(old.name, old.residual - new, old.labels, old.repeat)
             for old, new in zip(self.measured, predicted)
@@ -205,7 +206,7 @@ class Regression:
         return {**full, **values}
 
     def _rows(self, values: Values) -> FloatArray:
-        predicted = self.predict(self._at_null(values))
+        (predicted,) = self.predict([self._at_null(values)])
         pairs = zip(self.measured[: self.fitted], predicted)
         return np.concatenate([(block.residual - new).reshape(-1) for block, new in pairs])
 
@@ -213,9 +214,10 @@ class Regression:
         """d f / d parameter for each fitted block (n m, len(names))."""
         at = self._at_null(values)
         columns: list[list[FloatArray]] = [[] for _ in range(self.fitted)]
-        for name in names:
-            step = 1e-5 * max(abs(at[name]), (self.scale or {}).get(name, 1.0))
-            above, below = self.predict({**at, name: at[name] + step}), self.predict({**at, name: at[name] - step})
+        steps = [1e-5 * max(abs(at[name]), (self.scale or {}).get(name, 1.0)) for name in names]
+        moved = [{**at, name: at[name] + side * step} for name, step in zip(names, steps) for side in (1.0, -1.0)]
+        found = self.predict(moved) if moved else []
+        for step, above, below in zip(steps, found[::2], found[1::2]):
             for block, up, down in zip(columns, above, below):
                 block.append(((up - down) / (2.0 * step)).reshape(-1))
         return [

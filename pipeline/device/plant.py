@@ -8,8 +8,8 @@ Shapes: n coordinates, S senses, D drives, P parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 from typing import Literal, Protocol
 
 import numpy as np
@@ -82,6 +82,12 @@ _GYRO_SHAPE = Shape(2, 2, ("x", "y"))
 _WITHOUT_C12 = tuple(i for i, name in enumerate(PHYSICAL) if name != C12)
 
 
+@lru_cache(maxsize=64)
+def _gyro_mechanics(physical: tuple[float, ...]) -> Mechanics:
+    """Kept, because finite differences of the parameters of effects ask for the same plant again."""
+    return gyro_mechanics(np.array([physical]))
+
+
 @dataclass(frozen=True)
 class GyroPlant:
     """The gyro of the paper: eleven parameters, two drives, two senses; without c12 the damping axes are the stiffness axes.
@@ -96,7 +102,8 @@ class GyroPlant:
 
     def mechanics(self, values: Mapping[str, float]) -> Mechanics:
         """Mechanics in (psi_x, psi_y, z) with c12 = 0; the effect offdiagonal_damping adds c12."""
-        return gyro_mechanics(np.array([[0.0 if name == C12 else values[name] for name in PHYSICAL]]))
+        kept = _gyro_mechanics(tuple(0.0 if name == C12 else values[name] for name in PHYSICAL))
+        return Mechanics(*(getattr(kept, field.name).copy() for field in fields(kept)))
 
     def sense_motion(self) -> FloatArray:
         """(2, 3) [1]: x = M_S psi + z [V s], M_S of the paper, eq. (10)."""

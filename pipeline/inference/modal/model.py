@@ -12,14 +12,14 @@ Shapes: M recorded modes, S senses, D drives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
 import numpy as np
 
 from ...arrays import BoolArray, ComplexArray
-from ...device.mechanics import modes_of
+from ...device.mechanics import Mechanics, modes_of
 from ...device.model import Model
 from ...device.plant import ModalPlant
 from ...errors import MeasurementError
@@ -67,34 +67,63 @@ def conditions(record: ModalRecord) -> Conditions:
 
 def linear_modes(system: System) -> tuple[ComplexArray, ComplexArray]:
     """Poles (n,) [rad/s] of the mechanics, and residues (n, S, D) [1/s] after the read-out; equal poles are merged."""
-    modes = modes_of(system.mechanics)
-    poles, own = modes.poles[0], modes.residues[0]
-    first = np.array([int(np.argmax(np.abs(poles - p) < _SAME * np.abs(p))) for p in poles])
+    poles, residues = _linear_modes([system])
+    return _merged(poles[0], residues[0])
+
+
+def _linear_modes(systems: Sequence[System]) -> tuple[ComplexArray, ComplexArray]:
+    """Poles (B, n) [rad/s] and residues (B, n, S, D) [1/s] after the read-out, of systems of one shape."""
+    mechanics, readouts = [system.mechanics for system in systems], [system.readout for system in systems]
+    modes = modes_of(Mechanics(*(np.concatenate([getattr(m, f.name) for m in mechanics]) for f in fields(Mechanics))))
+    p = modes.poles
+    q, residues = np.stack([r.poles for r in readouts]), np.stack([r.residues for r in readouts])
+    response = np.einsum("bkj,bjst->bkst", 1.0 / (p[:, :, None] - q[:, None, :]), residues)
+    response += np.stack([r.static for r in readouts])[:, None]
+    response *= np.exp(-p * np.array([r.delay_s for r in readouts])[:, None])[:, :, None, None]
+    return p, np.asarray(response @ modes.residues)
+
+
+def _merged(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Poles (n,) and residues (n, S, D) with the residues of equal poles added."""
+    same = np.abs(poles[:, None] - poles[None, :]) < _SAME * np.abs(poles)
+    if np.count_nonzero(same) == poles.size:
+        return poles, residues
+    first = np.argmax(same, axis=1)
     kept = np.unique(first)
-    poles, own = poles[kept], np.stack([own[first == k].sum(axis=0) for k in kept])
-    readout = system.readout.response(poles) * np.exp(-poles * system.readout.delay_s)[:, None, None]
-    return poles, np.asarray(readout @ own)
+    return poles[kept], np.stack([residues[first == k].sum(axis=0) for k in kept])
 
 
 def modelled_modes(
-    model: Model, values: Mapping[str, float], record: ModalRecord, poles: ComplexArray
-) -> ResonantModes:
-    """The modes of ``model`` at complete ``values``, matched to the recorded ``poles`` (M,) [rad/s].
+    model: Model, points: Sequence[Mapping[str, float]], record: ModalRecord, poles: ComplexArray
+) -> tuple[ResonantModes, ...]:
+    """The modes of ``model`` at each of the complete ``points``, matched to the recorded ``poles`` (M,) [rad/s].
 
     Raises
     ------
-    ConfigError : parameters that no device can have.
+    ConfigError : parameters that no device can have, at any of the points.
     """
+    instrument, declared = Instrument(antialias=record.antialias), conditions(record)
+    systems = [assemble(model, values, instrument, declared) for values in points]
+    alike: dict[tuple[int, int], list[int]] = {}
+    for i, system in enumerate(systems):
+        alike.setdefault((system.mechanics.stiffness.shape[1], system.readout.poles.size), []).append(i)
+    found: dict[int, ResonantModes] = {}
+    for places in alike.values():
+        for i, own, residues in zip(places, *_linear_modes([systems[i] for i in places])):
+            found[i] = _matched(*_merged(own, residues), poles)
+    return tuple(found[i] for i in range(len(systems)))
+
+
+def _matched(own: ComplexArray, residues: ComplexArray, poles: ComplexArray) -> ResonantModes:
+    """The modes ``own`` (n,) [rad/s] with ``residues`` (n, S, D) [1/s], in the places of the recorded ``poles`` (M,) [rad/s]."""
     # Loading scipy.optimize takes a fifth of a second.
     from scipy.optimize import linear_sum_assignment
 
-    instrument = Instrument(antialias=record.antialias)
-    own, residues = linear_modes(assemble(model, values, instrument, conditions(record)))
     recorded, modelled = linear_sum_assignment(np.abs(poles[:, None] - own[None, :]))
-    found = at_resonance(own, residues)
-    c = np.zeros((poles.size, *found.shape[1:]), dtype=np.complex128)
+    resonant = at_resonance(own, residues)
+    c = np.zeros((poles.size, *resonant.shape[1:]), dtype=np.complex128)
     matched, present = poles.copy(), np.zeros(poles.size, dtype=bool)
-    c[recorded], matched[recorded], present[recorded] = found[modelled], own[modelled], True
+    c[recorded], matched[recorded], present[recorded] = resonant[modelled], own[modelled], True
     return ResonantModes(matched, c, present)
 
 

@@ -91,7 +91,7 @@ class ModalProblem:
 
     @cached_property
     def _start_modes(self) -> ResonantModes:
-        return modelled_modes(self.model, self.model.complete(self._start), self.record, self.measured.poles)
+        return modelled_modes(self.model, [self.model.complete(self._start)], self.record, self.measured.poles)[0]
 
     @cached_property
     def _full_model(self) -> Model:
@@ -114,17 +114,20 @@ class ModalProblem:
         ------
         ConfigError : parameters that no device can have.
         """
-        known = self._full_model.complete({**self._held, **values})
+        return self._modes_at([values])[0]
+
+    def _modes_at(self, points: Sequence[Mapping[str, float]]) -> tuple[ResonantModes, ...]:
+        known = [self._full_model.complete({**self._held, **values}) for values in points]
         return modelled_modes(self._full_model, known, self.record, self.measured.poles)
 
     def _rows(self, modes: ResonantModes) -> FloatArray:
         return self.rows.rows(modes, self._start_modes.present)
 
-    def _predict(self, values: Mapping[str, float]) -> tuple[FloatArray, ...]:
+    def _predict(self, points: Sequence[Mapping[str, float]]) -> list[tuple[FloatArray, ...]]:
         try:
-            return (self._rows(self.modes(values)),)
+            return [(self._rows(modes),) for modes in self._modes_at(points)]
         except ConfigError:
-            return (self._rows(self.modes(self._possible(values))),)
+            return [(self._rows(self.modes(self._possible(values))),) for values in points]
 
     def _possible(self, values: Mapping[str, float]) -> dict[str, float]:
         """``values`` if a device can have them, else the last possible ones on the line from the nulls of the effects.
@@ -260,7 +263,7 @@ class ModalProblem:
             return None
         plant = replace(self.model, effects=(), fixed={}, prior={})
         own = {p.name: _values(fit).get(p.name, self._start[p.name]) for p in plant.built.parameters}
-        bare = modelled_modes(plant, plant.complete(own), self.record, self.measured.poles)
+        bare = modelled_modes(plant, [plant.complete(own)], self.record, self.measured.poles)[0]
         try:
             return four_thetas(self.record, self.modes(_values(fit)).c - bare.c, self.noise(fit)[0])
         except GyroscreenError:

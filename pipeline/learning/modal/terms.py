@@ -61,7 +61,7 @@ def _term(
     sizes = {effect.full_name(m): m.null + m.scale for m in plain}
     try:
         trial = larger.complete({**values, **sizes, **{name: tried[0] for name, tried in scanned.items()}})
-        changed = modelled_modes(larger, trial, rows.record, rows.measured.poles)
+        (changed,) = modelled_modes(larger, [trial], rows.record, rows.measured.poles)
     except ConfigError:
         return None
     moved = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -44,8 +44,14 @@ def _problem(seed: int, noise_known: bool = True, scale: float = 1.0, **truth: f
         ResidualBlock(f"b{i}", (y + rng.standard_normal(y.shape)) * scale, {"level": str(level)})
         for i, (y, level) in enumerate(zip(clean, LEVELS))
     )
-    scaled = _predict if scale == 1.0 else (lambda p: [scale * y for y in _predict(p)])
-    return Regression(scaled, measured, {"a": 15.0, "rate": 2.0}, TERMS, held=1, noise_known=noise_known)
+    return Regression(
+        lambda points: [[scale * y for y in _predict(p)] for p in points],
+        measured,
+        {"a": 15.0, "rate": 2.0},
+        TERMS,
+        held=1,
+        noise_known=noise_known,
+    )
 
 
 def test_a_line_of_unknown_frequency_is_found_at_its_frequency() -> None:
@@ -85,8 +91,8 @@ _SLOPE = np.linspace(-1.0, 1.0, 20)[:, None]
 
 
 def test_a_fit_stays_within_its_limits_and_fits_the_other_parameters() -> None:
-    def predict(p: Mapping[str, float]) -> list[FloatArray]:
-        return [p["a"] + p["b"] * _SLOPE]
+    def predict(points: Sequence[Mapping[str, float]]) -> list[list[FloatArray]]:
+        return [[p["a"] + p["b"] * _SLOPE] for p in points]
 
     fit = Regression(
         predict, (ResidualBlock("y", 1.0 + 2.0 * _SLOPE),), {"a": 0.2, "b": 0.0}, (), limits={"a": (-5.0, 0.4)}
@@ -102,8 +108,8 @@ def test_with_an_unknown_noise_level_the_selection_does_not_depend_on_units(unit
     rng = np.random.default_rng(6)
     truth = _SLOPE + 0.3 * _SLOPE**2 + 0.2 * _SLOPE**3 + 0.02 * rng.standard_normal(_SLOPE.shape)
 
-    def predict(p: Mapping[str, float]) -> list[FloatArray]:
-        return [unit * (p["a"] * _SLOPE + p["square"] * _SLOPE**2 + p["cube"] * _SLOPE**3)]
+    def predict(points: Sequence[Mapping[str, float]]) -> list[list[FloatArray]]:
+        return [[unit * (p["a"] * _SLOPE + p["square"] * _SLOPE**2 + p["cube"] * _SLOPE**3)] for p in points]
 
     terms = (Term("square", (TermParameter("square"),)), Term("cube", (TermParameter("cube"),)))
     problem = Regression(predict, (ResidualBlock("y", unit * truth),), {"a": 1.0}, terms, noise_known=False)
