@@ -16,7 +16,7 @@ pytestmark = [
     pytest.mark.silverbox,
     pytest.mark.skipif(not (DATA / FILE).exists(), reason="the Silverbox record is not beside the project"),
 ]
-FIT, HELD, LOUD = 4096, 6000, 2048
+FIT, HELD, LOUD = 2048, 4096, 1024
 
 
 def shortened(hold):
