@@ -31,6 +31,12 @@ CSV_HEADER_BYTES = 65_536
 #: Most columns of a record file: a hundred channels of metadata beside those of the largest plant.
 RECORD_COLUMNS = 1024
 
+#: Memory of a worker of a local run [bytes]; the driver ends one that takes more.
+WORKER_BYTES = 2**31
+#: Estimate of what a campaign takes in a run: the program [bytes], and bytes for each byte of its values as float64.
+#: Measured with ``identify``: see docs/faults.md.
+MEMORY_BASE, MEMORY_PER_BYTE = 500 * 2**20, 4
+
 #: Longest name of a file, and of a path [bytes]: what Linux accepts.
 NAME_BYTES, PATH_BYTES = 255, 4095
 

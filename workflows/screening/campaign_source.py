@@ -10,6 +10,7 @@ from msgspec import Struct
 from pipeline.errors import GyroscreenError, MeasurementError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.common_tables import DeviceTable
+from pipeline.experiment.files.size import check_memory
 from pipeline.experiment.record import Campaign
 from pipeline.store.files import file_sha256
 from pipeline.toml_files import decode, read_bytes
@@ -34,8 +35,12 @@ class CampaignSource:
     records: tuple[tuple[str, str], ...] = ()
 
     def read(self) -> Campaign:
-        """The campaign as the run knows it; raises as :func:`read_campaign`, and MeasurementError where a record has changed."""
+        """The campaign as the run knows it.
+
+        Raises as :func:`read_campaign`, and MeasurementError where a record has changed or they do not fit into a worker.
+        """
         try:
+            check_memory(Path(path) for path, _ in self.records)
             return read_campaign(self.folder, self.text)
         finally:
             # After the reading, so that a change in the meantime is seen, too; it also explains why reading failed.

@@ -13,13 +13,13 @@ import dask
 from distributed import Client, LocalCluster
 
 from pipeline.errors import UsageError
+from pipeline.input_limits import WORKER_BYTES
 from pipeline.store.provenance import DISTRIBUTION, package_versions
 
 from ..interrupts import deaf_children
 from .local_workers import LocalWorkers
 from .scheduler import Scheduler
 
-_MEMORY_BYTES = 2**31
 #: How long workers of an existing cluster may take to state their versions [s].
 _ANSWER_S = 20.0
 #: ``dispatch`` decides what to do with a task whose worker ended, and replaces workers that do not respond.
@@ -59,7 +59,7 @@ def cluster(workers: int, scheduler: Scheduler | None) -> Iterator[Client]:
     with _quiet(), dask.config.set(_LOCAL):
         with deaf_children():
             local = LocalCluster(n_workers=0, processes=True, dashboard_address="127.0.0.1:0", silence_logs=50)
-            processes = LocalWorkers(local.scheduler_address, workers, _MEMORY_BYTES)
+            processes = LocalWorkers(local.scheduler_address, workers, WORKER_BYTES)
         try:
             with local, Client(local, set_as_default=False) as client:
                 client.local_workers = processes

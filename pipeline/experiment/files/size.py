@@ -1,0 +1,65 @@
+"""What a campaign needs, from the metadata of its records: an estimate before anything is read.
+
+bytes = MEMORY_BASE + MEMORY_PER_BYTE * 8 * (values of all records)
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from ...errors import MeasurementError
+from ...input_limits import MEMORY_BASE, MEMORY_PER_BYTE, WORKER_BYTES
+
+_HEAD = 65_536
+
+
+def stated_values(path: Path) -> int:
+    """Number of values that a record file states, or whose number its size suggests; 0 where only its reader can tell."""
+    suffix = path.suffix.lower()
+    # Whatever is wrong with the file, its reader says so.
+    with suppress(Exception):
+        if not path.is_file():
+            return 0
+        if suffix == ".parquet":
+            from pyarrow.parquet import read_metadata
+
+            found = read_metadata(path)
+            return int(found.num_rows * found.num_columns)
+        if suffix == ".npz":
+            with zipfile.ZipFile(path) as archive:
+                return sum(member.file_size for member in archive.infolist()) // 8
+        if suffix in (".h5", ".hdf5"):
+            import h5py
+
+            sizes: list[int] = []
+            with h5py.File(path, "r") as file:
+                file.visititems(lambda _, member: sizes.append(int(getattr(member, "size", 0) or 0)))
+            return sum(sizes)
+        if suffix in (".mat", ".tdms"):
+            return path.stat().st_size // 4  # deflated numbers of 16 bits
+        with path.open("rb") as text:
+            head = text.read(_HEAD)
+        separators = sum(head.count(mark) for mark in (b",", b";", b"\t", b"\n"))
+        return separators * path.stat().st_size // max(len(head), 1)
+    return 0
+
+
+def check_memory(files: Iterable[Path], allowed_bytes: int = WORKER_BYTES) -> None:
+    """Check that a campaign with these record ``files`` fits into the memory of a worker.
+
+    Raises
+    ------
+    MeasurementError : the estimate exceeds ``allowed_bytes``.
+    """
+    values = sum(stated_values(path) for path in files)
+    needed = MEMORY_BASE + MEMORY_PER_BYTE * 8 * values
+    if needed > allowed_bytes:
+        raise MeasurementError(
+            "the records of this campaign need more memory than a worker has",
+            value=f"{values} values, about {needed / 2**30:.1f} GiB",
+            allowed=f"{allowed_bytes / 2**30:.3g} GiB",
+            next_step="split or shorten the records; gyroscreen identify has no such limit",
+        )
