@@ -136,7 +136,6 @@ class Lines:
                 {"block": b, "from": i},
                 float(np.sum(squares[b][i : i + 80])),
                 80.0,
-                float(np.sum(np.minimum(squares[b][i : i + 80], 16.0))),
             )
             for b, i in parts
         ]

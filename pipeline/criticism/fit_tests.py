@@ -10,9 +10,8 @@ the paired difference of chi2:
 
 If the better model is right, its r is noise and delta_chi2 is +-sum(delta^2) + 2 sum(delta r), with sd 2 level sqrt(sum delta^2)
 for noise of rms ``level``: 1, or that of the larger fit where the noise level is unknown.  Sums over chunks of rows widen the sd
-where the noise is stronger, coloured or heavy-tailed, and never narrow it.  Where chi2 rises they widen it to three times at
-most: beyond that r holds a misfit of the better model, which does not excuse a worse one.  Free amplitudes that the larger model
-refits on the held-out data are subtracted from delta_chi2.  Source of W: Wald 1943.
+where the noise is stronger, coloured or heavy-tailed, and never narrow it.  Free amplitudes that the larger model refits on the
+held-out data are subtracted from delta_chi2.  Source of W: Wald 1943.
 """
 
 from __future__ import annotations
@@ -24,20 +23,16 @@ from typing import Literal
 
 import numpy as np
 
-from .budget import ALPHA, ALPHA_LEFT, CLEAR_SNR
-from .goodness import ResidualTests, excess, goodness
+from .budget import ALPHA, CLEAR_SNR, DRAWS
+from .goodness import WINDOW, ResidualTests, excess, goodness
 from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
 from .scores import Baseline, Projected, Score, baseline, project
-from .significance import DRAWS, Null, log_tail, score_all
+from .significance import Null, log_tail, score_all
 
 #: Why a term is refused whose refit ended at a limit.
 AT_LIMIT = "after its refit, a parameter is at the limit of its range, or the term duplicates part of the model"
 HeldOutStatus = Literal["confirmed", "partial", "refused"]
 Outcome = Literal["accepted", "failed", "at limit", "insignificant", "little", "unsupported"]
-#: Rows of a chunk: longer than the correlation of the noise.
-_CHUNK = 256
-#: Largest ratio of the observed to the nominal sd where chi2 rises.
-_MAX_INFLATION = 3.0
 
 
 @dataclass(frozen=True)
@@ -47,11 +42,9 @@ class Rules:
     Parameters
     ----------
     alpha : family-wise probability of naming a term where none is present.
-    alpha_left : probability of calling noise structured ("unknown", a milder fault than a wrong name).
     rungs : largest number of terms that may be added.
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
-    max_named : largest number of terms that a diagnosis may name.
     settled_share : candidates that promise less than this share of what a refit has reached are not refitted.  With 1, the first
         rung of the paper's modal record is loop_delay, although the refit of pickoff_pole is better.
     class_refits : number of rivals of a term that are refitted in its place.
@@ -59,11 +52,9 @@ class Rules:
     """
 
     alpha: float = ALPHA
-    alpha_left: float = ALPHA_LEFT
     rungs: int = 6
     least_share: float = 0.15
     least_expected: float = 0.01
-    max_named: int = 3
     settled_share: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
@@ -230,10 +221,8 @@ def paired_difference(
     for old, new, right in zip(before, after, better):
         delta = old.rows - new.rows
         nominal += level**2 * float(np.vdot(delta, delta))
-        edges = np.arange(0, delta.size, _CHUNK)
+        edges = np.arange(0, delta.size, WINDOW)
         actual += float(np.sum(np.add.reduceat(delta * right.rows, edges) ** 2)) if delta.size else 0.0
-    if decrease < 0.0:
-        actual = min(actual, _MAX_INFLATION**2 * nominal)
     return PairedDifference(decrease, 2.0 * float(np.sqrt(max(nominal, actual))))
 
 

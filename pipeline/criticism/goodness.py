@@ -36,10 +36,11 @@ from .regions import description, normalized_energy
 from .scores import Baseline, cells_of, delta_chi2s, project
 from .significance import log_any, log_tail, normal_log_tail
 
-#: Rows of the shortest window in which repeats are correlated.
-_WINDOW = 128
-#: Median of |N(0, 1)|, and how many regions a family needs for its spread to be estimated.
-_MEDIAN, _SPREAD_NEEDS = float(ndtri(0.75)), 8
+#: Rows of the shortest window in which repeats are correlated, and of a chunk of held-out rows: longer than the correlation of
+#: the noise.
+WINDOW = 128
+#: Median of |N(0, 1)|.
+_MEDIAN = float(ndtri(0.75))
 
 
 @dataclass(frozen=True)
@@ -152,11 +153,11 @@ def _regions(regions: Sequence[Region]) -> ResidualStructure | None:
     log_p, where = [], []
     for family in sorted({region.family for region in regions}):
         own = [region for region in regions if region.family == family and region.dof > 0.0]
-        energy = np.array([region.chi2 if region.robust is None else region.robust for region in own])
+        energy = np.array([region.chi2 for region in own])
         dof = np.array([region.dof for region in own])
         level = max(1.0, float(np.median(energy / dof))) if own else 1.0
         z = (energy / level - dof) / np.sqrt(2.0 * dof)
-        spread = max(1.0, float(np.median(np.abs(z))) / _MEDIAN) if len(own) >= _SPREAD_NEEDS else 1.0
+        spread = max(1.0, float(np.median(np.abs(z))) / _MEDIAN) if own else 1.0
         for region, value, count in zip(own, energy / level, dof):
             # spread^2 times a chi2 of dof / spread^2 has the right mean and variance.
             log_p.append(float(log_tail(value / spread**2, max(round(count / spread**2), 1))))
@@ -194,7 +195,7 @@ def _correlated(a: FloatArray, b: FloatArray, gamma: FloatArray) -> tuple[FloatA
     energy = np.concatenate([[0.0], np.cumsum(gamma * b * b)])
     windows: list[tuple[int, int]] = []
     size = a.size
-    while size >= _WINDOW:
+    while size >= WINDOW:
         # The last window of each size takes the remaining rows.
         edges = [*range(0, a.size - size + 1, size)]
         windows.extend(zip(edges, [*edges[1:], a.size]))

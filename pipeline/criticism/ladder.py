@@ -9,7 +9,7 @@ Start here: both functions take a ``Problem``, select terms (``selection``) and 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -185,14 +185,12 @@ def _rung(fit: FitResult, explained: float | None, step: SelectionStep | None = 
 
 
 def diagnose(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Diagnosis:
-    """Say what the model with ``terms`` lacks, by a forward selection of at most ``rules.max_named`` terms."""
-    rules = rules or Rules()
-    selection = forward_selection(problem, terms, replace(rules, rungs=min(rules.rungs, rules.max_named)))
-    return as_diagnosis(problem, selection, rules)
+    """Say what the model with ``terms`` lacks, by a forward selection."""
+    return as_diagnosis(problem, forward_selection(problem, terms, rules), rules)
 
 
 def as_diagnosis(problem: Problem, selection: ForwardSelection, rules: Rules | None = None) -> Diagnosis:
-    """What the first model of a selection (of at most ``rules.max_named`` steps) lacks."""
+    """What the first model of a selection lacks."""
     judgement = judge(problem, selection, rules or Rules())
     if not selection.tests:
         fit = next(iter(selection.fits.values()))

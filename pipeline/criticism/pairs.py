@@ -15,11 +15,10 @@ from itertools import combinations
 import numpy as np
 
 from ..arrays import RANK
+from .budget import DRAWS
 from .problem import Candidate
 from .scores import Projected
 from .significance import log_tail
-
-PAIR_DRAWS = 4_000
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Pair:
 
 
 def best_pairs(
-    projected: Projected, candidates: Sequence[Candidate], known: bool, draws: int = PAIR_DRAWS, seed: int = 0
+    projected: Projected, candidates: Sequence[Candidate], known: bool, draws: int = DRAWS, seed: int = 0
 ) -> tuple[Pair, ...]:
     """All pairs of candidates without a grid, most significant first.
 

@@ -29,8 +29,6 @@ from .significance import log_any, log_tail
 
 #: Neighbouring bins that determine the background of a bin.
 _NEIGHBOURS = 101
-#: A peak is a line if noise exceeds it with at most this probability per bin.
-_IMPROBABLE = 1e-12
 #: Largest number of lines of one spectrum.
 _MOST_LINES = 40
 
@@ -126,7 +124,8 @@ def normalized_energy(spectrum: Spectrum) -> FloatArray:
 def lines_in(spectrum: Spectrum, excluded_hz: Sequence[tuple[float, float]]) -> list[float]:
     """Frequencies [Hz] of the lines of a spectrum, ascending, outside the bands ``excluded_hz`` [Hz]."""
     chi2, frequency = spectrum.chi2, spectrum.frequency_hz
-    peak = log_tail(normalized_energy(spectrum), spectrum.dof) < np.log(_IMPROBABLE)
+    # Bonferroni: one spectrum of noise has a line with probability ALPHA.
+    peak = log_tail(normalized_energy(spectrum), spectrum.dof) < np.log(ALPHA / chi2.size)
     peak[1:-1] &= (chi2[1:-1] >= chi2[:-2]) & (chi2[1:-1] >= chi2[2:])
     peak[0] = peak[-1] = False
     for low, high in excluded_hz:

@@ -16,7 +16,9 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from .problem import Candidate, FitResult, Region, ResidualBlock, Signatures, Spectrum, TermParameter
 
-_STARTS = 3
+#: Best points of a scan that become starts of a fit.
+STARTS = 3
+#: Largest number of predictions of one fit.
 _STEPS = 300
 
 Values = Mapping[str, float]
@@ -256,7 +258,7 @@ class Regression:
             left = rows - both / np.linalg.norm(both, axis=0) @ step
             size = step[shared.shape[1] :] / np.linalg.norm(columns, axis=0)
             trials.append((float(np.vdot(left, left)), {**point, **scanned, **dict(zip(names, size.tolist()))}))
-        return [first for _, first in sorted(trials, key=lambda pair: pair[0])[:_STARTS]]
+        return [first for _, first in sorted(trials, key=lambda pair: pair[0])[:STARTS]]
 
 
 def _all_names(term: Term) -> list[str]:

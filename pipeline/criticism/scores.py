@@ -26,8 +26,6 @@ import numpy as np
 from ..arrays import RANK, BoolArray, FloatArray, IntArray
 from .problem import Candidate, FitResult
 
-#: Relative singular value of J, and relative eigenvalue of G, below which a direction is dropped.
-_BASELINE_RANK = 1e-11
 #: A surviving share below this is rounding: the baseline absorbs the whole signature.
 ABSORBED = 1e-6
 
@@ -208,7 +206,7 @@ def _orthonormal(blocks: Sequence[FloatArray]) -> tuple[tuple[FloatArray, ...], 
     scale = np.linalg.norm(upper, axis=0)
     scale[scale == 0.0] = 1.0
     _, size, vt = np.linalg.svd(upper / scale)
-    rank = int(np.sum(size > _BASELINE_RANK * size.max(initial=0.0))) if size.size else 0
+    rank = int(np.sum(size > RANK * size.max(initial=0.0))) if size.size else 0
     factor = size[:rank, None] * vt[:rank]
     inverse = vt[:rank].T / size[:rank] / scale[:, None]
     return tuple(block @ inverse for block in blocks), factor * scale

@@ -10,7 +10,7 @@
     candidate i:   U_i = max over its cells of T / inflation,   p_i = 1 - (1 - P(chi2_k > U_i))^N_i
     family:        p   = P(min_i p_i* <= p_i)
 
-N_i, the effective number of independent trials of a scan (one half at a boundary), is set at the 99 % quantile of U_i*.
+N_i, the effective number of independent trials of a scan (one half at a boundary), is set at the quantile 1 - ALPHA of U_i*.
 Simulating min p removes the remaining error of this approximation.  Beyond the simulated range, p is extrapolated with the
 effective number of trials of the family.  With an unknown noise level chi2 becomes F, and the residual sum of squares is
 simulated too.
@@ -31,27 +31,22 @@ import numpy as np
 from scipy.special import betainc, betaln, erfcx, gamma, gammaincc, gammaln, log_ndtr
 
 from ..arrays import FloatArray
-from .budget import DETECTABLE_SNR
+from .budget import ALPHA, COUNTED, DETECTABLE_SNR, DRAWS
 from .problem import Candidate, LocalCandidate
 from .scores import ABSORBED, Cell, Projected, Score, cells_of, delta_chi2s, inverse_of
 
-DRAWS = 20_000
-#: Probability at which the effective number of trials of a scan is matched.
-_CALIBRATED = 0.01
 #: Draws at a time, so that intermediate results stay in the processor's cache.
 _CHUNK = 1000
-#: Simulated values below p that are needed to take p from the simulation.
-_COUNTED = 20
-#: Below this the plain tail functions lose accuracy.
-_TINY = 1e-250
-#: Up to this many degrees of freedom a closed form is used, exact at any distance.
-_CLOSED_FORM = 24
+#: Logarithm of the largest number; below the smallest one with a full mantissa the plain tail functions lose accuracy.
+_LOG_LARGEST = float(np.log(np.finfo(float).max))
+_TINY = float(np.finfo(float).tiny / np.finfo(float).eps)
 
 
 def log_tail(statistic: FloatArray | float, k: int, dof: int | None = None) -> FloatArray:
     """log P of a statistic (...) that is chi2_k, or k F(k, dof) where ``dof`` is given; also where P underflows."""
     t = np.maximum(np.asarray(statistic, dtype=np.float64), 0.0)
-    if dof is None and 0 < k <= _CLOSED_FORM:
+    if dof is None and k > 0 and k / 2.0 * np.log1p(t.max(initial=0.0)) < _LOG_LARGEST:
+        # No power of t overflows: the closed form is exact at any distance.
         return _log_chi2(t, k)
     plain = gammaincc(k / 2.0, t / 2.0) if dof is None else betainc(dof / 2.0, k / 2.0, dof / (dof + t))
     near = np.log(np.maximum(plain, _TINY))
@@ -125,17 +120,17 @@ class Null:
     def p_family(self, log_p: float) -> float:
         """P(min_i p_i* <= p) from log p; beyond the simulated range by the effective number of trials."""
         below = int(np.searchsorted(self.smallest, log_p, side="right"))
-        if below >= _COUNTED:
+        if below >= COUNTED:
             return (below + 1) / (self.smallest.size + 1)
-        share = _COUNTED / self.smallest.size
-        return float(np.exp(log_any(log_p, trials_of(float(self.smallest[_COUNTED]), share))))
+        share = COUNTED / self.smallest.size
+        return float(np.exp(log_any(log_p, trials_of(float(self.smallest[COUNTED]), share))))
 
     def critical(self, alpha: float) -> float:
         """The log p of a single candidate at which ``p_family`` is ``alpha``."""
         place = alpha * self.smallest.size
-        if place >= _COUNTED:
+        if place >= COUNTED:
             return float(self.smallest[int(place)])
-        trials = trials_of(float(self.smallest[_COUNTED]), _COUNTED / self.smallest.size)
+        trials = trials_of(float(self.smallest[COUNTED]), COUNTED / self.smallest.size)
         return float(np.log(-np.expm1(np.log1p(-alpha) / trials)))
 
 
@@ -176,7 +171,7 @@ def simulate_null(
             log_p[i, part] = _log_single(projected, own, scores, total)
     for i, candidate in enumerate(candidates):
         if len(candidate.cells) > 1 or any(parameter.side for parameter in candidate.parameters):
-            trials[i] = trials_of(float(np.quantile(log_p[i], _CALIBRATED)), _CALIBRATED)
+            trials[i] = trials_of(float(np.quantile(log_p[i], ALPHA)), ALPHA)
             log_p[i] = log_any(log_p[i], trials[i])
     for i, other in enumerate(local, len(candidates)):
         # The smallest of several uniform numbers.

@@ -36,11 +36,9 @@ from .scores import Projected, baseline, project
 from .selection import FitCache, Fits, ForwardSelection
 
 Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
-#: Rms of the residual, relative to the largest possible noise level, above which a misfit is certain.
-_CERTAIN_MISFIT = 1.5
-#: Smaller sines are not trusted to exclude a rival of a strong term, nor for T(B|A): the signatures of an earlier fit are wrong
-#: by more than that.
-_SMALL_SINE = 0.1
+#: Relative change of the fitted records up to which signatures of an earlier fit are used.  Sines that are smaller are not
+#: trusted to exclude a rival of a strong term, nor for T(B|A).
+STALE = 0.1
 #: A term that was the best candidate cannot be followed by one that lowers chi2 by more than this factor times as much.
 _JOINT_RATIO = 2.0
 
@@ -127,7 +125,7 @@ def _judged(selection: ForwardSelection, classes: tuple[TermClass, ...], rules: 
     ignored = () if last.fit.noise_known else selection.refused
     if any(score.name not in ignored for score in last.significant(rules.alpha)):
         return "unknown"
-    if last.goodness.p_value < rules.alpha_left or (last.fit.noise_bounded and last.goodness.level > _CERTAIN_MISFIT):
+    if last.goodness.p_value < rules.alpha:
         return "unknown"
     if last.fit.misfit:
         return "unknown"
@@ -194,13 +192,13 @@ def _classes(cache: FitCache, selection: ForwardSelection, rules: Rules) -> tupl
         every = rivals(last.fit, term, last.signatures)
         members = [term]
         size = len(last.fit.columns[term])
-        near = [r for r in every if r.sin_angle < _SMALL_SINE or last.is_negligible(r.left / 4.0, size, rules.alpha)]
+        near = [r for r in every if r.sin_angle < STALE or last.is_negligible(r.left / 4.0, size, rules.alpha)]
         for rival in near[: rules.class_refits]:
             swapped = tuple(rival.name if name == term else name for name in last.fit.terms)
             fit = cache.fit(swapped, last.fit)
             if not fit.ok:
                 continue
-            left = max(fit.chi2 - last.fit.chi2 + (rival.joint if rival.sin_angle >= _SMALL_SINE else 0.0), 0.0)
+            left = max(fit.chi2 - last.fit.chi2 + (rival.joint if rival.sin_angle >= STALE else 0.0), 0.0)
             if last.is_negligible(left, size, rules.alpha):
                 members.append(rival.name)
         classes.append(TermClass(term, tuple(members), every))

@@ -59,8 +59,7 @@ def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MOD
 def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> DiagnosisResult:
     """Find what ``model`` lacks; raises as :func:`compare`."""
     answers = _answers(campaign, model)
-    rules = replace(answers.rules, rungs=min(answers.rules.rungs, answers.rules.max_named))
-    answers, selection = answers.selected(rules)
+    answers, selection = answers.selected(answers.rules)
     return DiagnosisResult(answers, as_diagnosis(answers.problem, selection, answers.rules))
 
 

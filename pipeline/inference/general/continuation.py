@@ -15,32 +15,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...experiment.forward.sensitivity import is_integrated
+from ...experiment.forward.sensitivity import STRONG, is_integrated
 from ...experiment.record import Record
-from .gauss_newton import GaussNewtonResult, minimise
+from .gauss_newton import CLOSE, PATIENCE, GaussNewtonResult, minimise
 from .linear_step import FitPoint, point_at
 from .residuals import CampaignResiduals, Tasks
 
-#: Restarts of an unfinished fit; a Silverbox record at 100 mV needs two.
-_RESTARTS = 4
-#: Decrease of chi2 by a restart, relative to chi2, below which no further one is made.
-_FALLING = 1e-2
-#: Nonlinear over linear response above which phases can be wrong by more than half a turn; below it one minimum was always found.
-_STRONG = 0.3
-#: Rms of the residual over that of the records below which the phases are right, so the minimum is not a wrong one.
-_IN_PHASE = 0.01
-#: Lengths of the first fits over that of the records, and the fewest samples that determine a mode.
-_SHARES, _SHORTEST = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2), 128
+#: Lengths of the first fits over that of the records.
+_SHARES = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)
 
 
 def restarted(problem: CampaignResiduals, result: GaussNewtonResult, tasks: Tasks, dof: int) -> GaussNewtonResult:
-    """``result``, or the end of restarts from where it stopped until one converges or no longer falls; see ``minimise``."""
-    for _ in range(_RESTARTS):
+    """``result``, or the end of restarts from where it stopped until one converges or no longer falls; see ``minimise``.
+
+    A Silverbox record at 100 mV needs two.
+    """
+    for _ in range(PATIENCE):
         if result.converged:
             break
         before = result.at.chi2
         result = minimise(problem, result.at, tasks, dof)
-        if before - result.at.chi2 < _FALLING * before:
+        if before - result.at.chi2 < CLOSE * before:
             break
     return result
 
@@ -68,16 +63,16 @@ def continued(
     explained = result.at.chi2 < dof + 6.0 * (2.0 * dof) ** 0.5
     if not unstarted or (noise_measured and explained):
         return result
-    if result.converged and _relative(problem, result.at, tasks) < _IN_PHASE:
+    if result.converged and _relative(problem, result.at, tasks) < CLOSE:
         return result
-    if max(problem.strength(end, task) for task in tasks.each) < _STRONG:
+    if max(problem.strength(end, task) for task in tasks.each) < STRONG:
         return result
     # The end of a fit in a wrong minimum is nearer to the right one than its start, but not always.
     for at in (result.at, first):
         found = _continued(problem, at, tasks, dof)
         if found is not None and found.at.chi2 < result.at.chi2:
             result = found
-        if result.converged and _relative(problem, result.at, tasks) < _IN_PHASE:
+        if result.converged and _relative(problem, result.at, tasks) < CLOSE:
             break
     return result
 
@@ -104,7 +99,7 @@ def _relative(problem: CampaignResiduals, at: FitPoint, tasks: Tasks) -> float:
 
 def _beginning(record: Record, share: float) -> Record:
     """The first samples of a record; its own name keeps it apart from the whole record."""
-    samples = max(int(share * record.drive_v.shape[0]), min(_SHORTEST, record.drive_v.shape[0]))
+    samples = max(int(share * record.drive_v.shape[0]), 1)
     return replace(
         record,
         name=f"{record.name}[:{samples}]",

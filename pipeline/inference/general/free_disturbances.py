@@ -23,10 +23,10 @@ from ...arrays import FloatArray, IntArray
 from ...device.effect import Context, Effect
 from ...device.parameters import Shape
 
-#: Bins on either side that give the level around a line, without the nearest ones, which belong to the line.
-_AROUND, _OWN = 20, 2
-#: Smallest eigenvalue of the Gram matrix of unit columns above which Cholesky orthonormalises them accurately.
-_INDEPENDENT = 1e-3
+#: Bins on either side over which a window or a sweep spreads a line.
+SPREAD_BINS = 3
+#: Bins on either side that give the level around a line.
+AROUND = 50
 
 
 @dataclass(frozen=True)
@@ -54,24 +54,17 @@ class DisturbanceShape:
 @lru_cache(maxsize=32)
 def _columns(
     effect: Effect, point: tuple[float, ...], samples: int, sample_rate_hz: float
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Columns c (N, L) without offset, T (L, L) such that c T is orthonormal, and the strongest bin of each column (L,)."""
+) -> tuple[FloatArray, IntArray]:
+    """Orthonormal columns q (N, L) without offset, and the strongest bin of each (L,)."""
     assert effect.disturbance is not None
     t = np.arange(samples) / sample_rate_hz
     columns = effect.disturbance(t, np.array(point), Context(0.0, 0.0, {}))
     columns = columns - columns.mean(axis=0)
-    gram = columns.T @ columns
-    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-    unit = gram / np.outer(scale, scale)
-    if np.linalg.eigvalsh(unit)[0] < _INDEPENDENT:
-        columns, transform = np.asarray(np.linalg.qr(columns / scale)[0]), np.eye(scale.size)
-    else:
-        # Cholesky is faster.
-        transform = np.linalg.inv(np.linalg.cholesky(unit)).T / scale[:, None]
+    columns = np.asarray(np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0])
     bins = np.array([int(np.argmax(np.abs(rfft(column)))) for column in columns.T], dtype=np.int64)
-    for cached in (columns, transform, bins):
+    for cached in (columns, bins):
         cached.setflags(write=False)
-    return columns, transform, bins
+    return columns, bins
 
 
 def free_shapes(
@@ -94,16 +87,16 @@ def free_shapes(
     for at in product(*(member.grid or (member.null,) for member in members)):
         delta_chi2, dof, relative = 0.0, 0, 0.0
         for r, power, total, rate in zip(residuals, spectra, sums, sample_rates_hz):
-            columns, transform, bins = _columns(effect, at, r.shape[0], rate)
-            low, high = np.maximum(bins - _AROUND, 1), np.minimum(bins + _AROUND + 1, power.shape[0])
-            first, last = np.maximum(bins - _OWN, low), np.minimum(bins + _OWN + 1, high)
+            columns, bins = _columns(effect, at, r.shape[0], rate)
+            low, high = np.maximum(bins - AROUND, 1), np.minimum(bins + AROUND + 1, power.shape[0])
+            first, last = np.maximum(bins - SPREAD_BINS, low), np.minimum(bins + SPREAD_BINS + 1, high)
             around = total[high] - total[low] - (total[last] - total[first])
             count = 2.0 * ((high - low) - (last - first))
             level = np.maximum(around / count[:, None], 1.0)
-            own = (transform.T @ (columns.T @ r)) ** 2
+            own = (columns.T @ r) ** 2
             delta_chi2 += float(np.sum(own))
             relative += float(np.sum(own / level))
-            dof += transform.shape[1] * r.shape[1]
+            dof += columns.shape[1] * r.shape[1]
         point = {m.name: float(v) for m, v in zip(members, at)}
         found.append(DisturbanceShape(point, delta_chi2, dof, delta_chi2 / max(relative, 1e-300)))
     return tuple(found)

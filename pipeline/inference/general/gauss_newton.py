@@ -37,7 +37,10 @@ from .linear_step import (
 from .linearized import LinearizedResiduals
 from .residuals import CampaignResiduals, Tasks
 
-_ITERATIONS, _TRIALS = 24, 8
+#: Largest number of steps of an iteration that ends by itself.
+ITERATIONS = 24
+#: Largest number of attempts that each repeat a whole calculation: trials of a step, restarts, corrections, peaks tried.
+PATIENCE = 8
 #: What counts as nothing: an expected decrease of chi2, in units of chi2/dof (at least 1; 3 % of a sd); a relative change of the
 #: records, for which columns are returned with the result; the relative strength of nonlinear effects, for which columns without
 #: them suffice.
@@ -45,17 +48,10 @@ FAINT = 1e-3
 #: What counts as close: an expected decrease of chi2 where no trial lowers it, because of rounding and inexact columns (a tenth
 #: of a sd); a strength of nonlinear effects whose absence may be why a step fails; the least damping.
 CLOSE = 1e-2
-#: Factors of the damping after a rejected and after an accepted trial.
-_RAISED, _LOWERED = 30.0, 0.1
-#: After so many iterations a decrease of chi2 by this share of the remaining misfit counts as convergence, or one by a third of
-#: a sd.  The second ends steps along a curved ridge: a mode far above the band took 51 steps that gained 0.5 in all.
-_SLOW_AFTER, _SLOW, _RIDGE = 8, 1e-4, 0.1
-#: Relative change of the fitted records above which columns are recomputed; below it they are updated.
-_FAR = 5e-3
-#: The same for the parameters of forces and sense laws, which change the records little where they are weak.
-_SIZE_CHANGED = 0.1
-#: Share of the decrease of chi2 by which the linearized residuals may be wrong while their columns are still used.
-_PREDICTED = 0.02
+#: Factor of the damping after a rejected trial, and its inverse after an accepted one.
+_DAMPED = 30.0
+#: Part of a sd by which a result may still move when it counts as settled.
+SETTLED = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +86,7 @@ def minimise(problem: CampaignResiduals, at: FitPoint, tasks: Tasks, dof: int) -
     weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[reference]) <= CLOSE
     # Columns are kept only if they predicted chi2: an inverse gap may have doubled, and its column with it.
     missed, decrease = abs(nearer.chi2 - linear.at.chi2), at.chi2 - nearer.chi2
-    predicted = missed <= max(1.0, nearer.chi2 / dof, _PREDICTED * decrease)
+    predicted = missed <= max(1.0, nearer.chi2 / dof, CLOSE * decrease)
     return _minimise(problem, nearer, tasks, dof, steps, linear.sensitivities if weak and predicted else None)
 
 
@@ -110,8 +106,9 @@ def _limits(model: Model, x: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _columns_hold(problem: CampaignResiduals, computed: FitPoint, at: FitPoint, change: float) -> bool:
     """Whether columns computed at one point hold at another: a small relative change of records and of nonlinear sizes."""
+    # Parameters of forces and sense laws change the records little where they are weak.
     near = relative_change(computed.predicted, at.predicted) <= change
-    return near and problem.relative_size_change(computed.x, at.x) <= _SIZE_CHANGED
+    return near and problem.relative_size_change(computed.x, at.x) <= STRONG
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +147,7 @@ def _accepted(
     damping: float,
 ) -> tuple[FitPoint | None, float]:
     """The first trial that does not raise chi2, each with more damping than the one before; and its damping."""
-    for _ in range(_TRIALS):
+    for _ in range(PATIENCE):
         step, _ = damped_step(linear.normal, linear.slope, damping, linear.moving)
         x = np.clip(at.x + step, *limits)
         starts = starts_after(at.starts, linear.eliminated, x - at.x)
@@ -159,7 +156,7 @@ def _accepted(
             return trial, damping
         if trial is not None and linear.expected < CLOSE * linear.noise:
             break
-        damping = max(_RAISED * damping, CLOSE)
+        damping = max(_DAMPED * damping, CLOSE)
     return None, damping
 
 
@@ -184,7 +181,7 @@ def _minimise(
         fresh = sensitivities_at(problem, at, tasks, exact, steps)
         return GaussNewtonResult(at, normal_equations(problem.model, at, fresh)[0], fresh, converged)
 
-    for iteration in range(_ITERATIONS):
+    for iteration in range(ITERATIONS):
         fresh = sensitivities is None
         if sensitivities is None:
             sensitivities, computed = sensitivities_at(problem, at, tasks, exact, steps), at
@@ -207,17 +204,18 @@ def _minimise(
         decrease = at.chi2 - accepted.chi2
         sensitivities = broyden_update(sensitivities, at, accepted, np.diagonal(normal))
         at = accepted
-        damping = 0.0 if damping <= CLOSE else damping * _LOWERED
+        damping = 0.0 if damping <= CLOSE else damping / _DAMPED
         poor = expected > noise and decrease < 0.5 * expected
         was_exact, exact = exact, exact or strength > STRONG or (poor and fresh and strength > CLOSE)
-        # A wrong model may creep along a valley for ever, by steps that are negligible beside the remaining misfit.
-        slow = max(_SLOW * (at.chi2 - dof), _RIDGE * noise) if iteration >= _SLOW_AFTER else 0.0
+        # A wrong model may creep along a valley for ever, by steps that are negligible beside the remaining misfit; a mode far
+        # above the band took 51 steps along a curved ridge that gained 0.5 in all.
+        slow = max(FAINT * (at.chi2 - dof), SETTLED**2 * noise) if iteration >= PATIENCE else 0.0
         paused = decrease < max(FAINT * noise, slow) and exact == was_exact
         if paused and (fresh or expected < CLOSE * noise or slow > FAINT * noise):
             return result(True)
         if paused:
             # A larger decrease was expected, so the columns are outdated rather than the fit converged.
             sensitivities, damping = None, 0.0
-        elif poor or exact != was_exact or not _columns_hold(problem, computed, at, _FAR):
+        elif poor or exact != was_exact or not _columns_hold(problem, computed, at, CLOSE):
             sensitivities = None
     return result(False)

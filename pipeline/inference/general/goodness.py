@@ -22,9 +22,6 @@ from .fit import CampaignFit
 from .resonances import resonance_excess
 from .starts import driven_band
 
-#: Band of the in-band path by default [Hz].
-_BAND_HZ = (400.0, 700.0)
-
 
 def _error(fit: CampaignFit) -> float:
     error = fit.error["fit"]
@@ -95,17 +92,19 @@ def fit_status(
 
 
 def campaign_status(
-    fit: CampaignFit, campaign: Campaign, gate: Gate | None = None, band_hz: tuple[float, float] = _BAND_HZ
+    fit: CampaignFit, campaign: Campaign, gate: Gate | None = None, band_hz: tuple[float, float] | None = None
 ) -> tuple[Status, str | None]:
     """The status that identify and compare give a fit, and its reason.
 
-    For a gyro the data of the band [low, high] Hz are judged, as in the in-band path, so that both paths agree; with a mode
-    outside of the band those of the driven band.
+    For a gyro the data of the band [low, high] Hz are judged, as in the in-band path, so that both paths agree; without a band,
+    or with a mode outside of it, those of the driven band.
     """
     if not fit.noise.known:
         goodness = None
     elif fit.model.plant.kind == "gyro":
-        if not all(band_hz[0] < fit.values[name] < band_hz[1] for name in ("f1_hz", "f2_hz", "f3_hz")):
+        if band_hz is None or not all(
+            band_hz[0] < fit.values[name] < band_hz[1] for name in ("f1_hz", "f2_hz", "f3_hz")
+        ):
             band_hz = driven_band(campaign.with_role("fit"))
         goodness = band_goodness(fit, campaign, *band_hz)
     else:

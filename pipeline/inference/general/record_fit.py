@@ -15,10 +15,8 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ...experiment.record import Campaign, Role
-from .gauss_newton import CLOSE, FAINT
+from .gauss_newton import CLOSE, FAINT, ITERATIONS
 from .residuals import CampaignResiduals, Task, Tasks
-
-_START_ITERATIONS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +91,7 @@ def held_out_fit(problem: CampaignResiduals, values: Mapping[str, float], task: 
         start = np.zeros(2 * task.coordinates)
         f = problem.start_columns(values, task, start, problem.strength(values, task) > FAINT)
         solve = np.linalg.pinv(f.T @ f, rcond=1e-12, hermitian=True) @ f.T
-        for _ in range(_START_ITERATIONS):
+        for _ in range(ITERATIONS):
             step = solve @ problem.residuals(values, alone, [start])[0].reshape(-1)
             start = start + step
             if float(np.sum((f @ step) ** 2)) < CLOSE:

@@ -21,9 +21,11 @@ from scipy.special import fdtrc
 
 from ...experiment.record import Campaign
 from .fit import CampaignFit
+from .free_disturbances import SPREAD_BINS
 from .starts import driven_band
 
-_HALF_WIDTHS, _BINS = 10.0, 3.0
+#: Half-widths on either side that belong to a resonance.
+HALF_WIDTHS = 10.0
 
 
 def resonances_of(values: Mapping[str, float]) -> tuple[tuple[float, float], ...]:
@@ -50,10 +52,10 @@ def resonance_excess(fit: CampaignFit, campaign: Campaign) -> ResonanceExcess:
         residual = residuals[record.name]
         samples = residual.shape[0]
         f = np.arange(samples // 2 + 1) * record.sample_rate_hz / samples
-        reach = _BINS * record.sample_rate_hz / samples
+        reach = SPREAD_BINS * record.sample_rate_hz / samples
         near = np.zeros(f.size, dtype=np.bool_)
         for mode, half_width in resonances_of(fit.values):
-            near |= np.abs(f - mode) <= max(_HALF_WIDTHS * half_width, reach)
+            near |= np.abs(f - mode) <= max(HALF_WIDTHS * half_width, reach)
         inside = (f >= low_hz) & (f <= high_hz) & (f > 0.0)
         power = 2.0 / samples * np.sum(np.abs(rfft(residual, axis=0)) ** 2, axis=1)
         for i, part in enumerate((inside & near, inside & ~near)):

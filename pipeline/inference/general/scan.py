@@ -23,9 +23,8 @@ from ...arrays import FloatArray
 from ...device.model import Model
 from ...experiment.forward.signatures import Signature, base_of, signatures
 from ...experiment.instrument import Instrument
+from .gauss_newton import PATIENCE
 from .residuals import Tasks
-
-_PEAKS = 6
 
 
 def peaks_hz(
@@ -44,7 +43,7 @@ def peaks_hz(
     power = uniform_filter1d(power, 5)
     power[(frequency < low_hz) | (frequency > high_hz)] = 0.0
     found: list[float] = []
-    for _ in range(_PEAKS):
+    for _ in range(PATIENCE):
         k = int(np.argmax(power))
         if power[k] == 0.0:
             break

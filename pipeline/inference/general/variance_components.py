@@ -22,12 +22,13 @@ from scipy.special import chdtri
 
 from ...arrays import FloatArray
 from ...experiment.variation import KINDS, RecordSpread
+from .gauss_newton import CLOSE
 
 #: Increase of 2 log L that makes a kind of variation needed.  For equal records it is half a chi2 of one degree of freedom, so
 #: that one of four kinds is kept by mistake in 0.1 % of campaigns:  4 P(chi2_1 > 12.1) / 2 = 1e-3.
 _NEEDED = float(chdtri(1.0, 2.0 * 1e-3 / len(KINDS)))
-#: First and last step of the search for the spreads, in decades.
-_FIRST_STEP, _LAST_STEP = 0.5, 0.02
+#: Spreads from which the search starts, in decades below the largest.
+_DECADES = (-5.0, -3.5, -2.0, -0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,20 +104,20 @@ def _best_sd(g: Grams, kinds: tuple[int, ...], active: Sequence[int], largest: F
         return solved(g, (largest * 10.0**at)[of]).value
 
     trials = []
-    for point in product((-5.0, -3.5, -2.0, -0.5), repeat=len(active)):
+    for point in product(_DECADES, repeat=len(active)):
         at = np.full(len(KINDS), -np.inf)
         at[list(active)] = point
         trials.append((value(at), tuple(at)))
     best, found = min(trials)
-    at, step = np.array(found), _FIRST_STEP
-    while step > _LAST_STEP:
+    at, step = np.array(found), (_DECADES[1] - _DECADES[0]) / 2.0
+    while step > CLOSE:
         nearby = []
         for kind, sign in product(active, (1.0, -1.0)):
             trial = at.copy()
             trial[kind] = min(trial[kind] + sign * step, 0.0)
             nearby.append((value(trial), tuple(trial)))
         new, moved = min(nearby)
-        if new < best - 1e-6:
+        if new < best - CLOSE:
             best, at = new, np.array(moved)
         else:
             step /= 2.0

@@ -21,13 +21,8 @@ from ...experiment.record import Campaign, Record
 from ...experiment.variation import KINDS, RecordSpread, advanced
 from .deviation_columns import at_frequency, deviation_columns, response_for
 from .fit import CampaignFit, fit_campaign
+from .gauss_newton import CLOSE, FAINT, PATIENCE, SETTLED
 from .variation import Linearized, RecordVariation, estimated, linearized, spread_at, with_records
-
-#: Largest numbers of fits, and of corrections of the records at one fit; they end when all deviations move by less than this
-#: part of their sd or value, and the parameters end within this part of their sd where the linearization puts them.
-_FITS, _CORRECTIONS, _SETTLED, _SETTLED_SHARE = 6, 8, 0.3, 1e-3
-#: Share of the misfit by which chi2 changes when the fit of a wrong model counts as settled; its parameters may never settle.
-_STUCK = 0.03
 
 
 def aligned(
@@ -107,11 +102,11 @@ class VariedFit:
 def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threads: int = 1) -> VariedFit:
     """The fit of ``model`` with the variation between the records, from a fit without it.
 
-    The records are corrected and fitted again until the fit moves as its linearization predicts.  ``campaign`` is the measured
-    one.
+    The records are corrected and fitted again until the fit ends within ``SETTLED`` of its sd where its linearization puts it, or
+    chi2 changes by less than ``CLOSE`` of the misfit: a wrong model may never settle.  ``campaign`` is the measured one.
     """
     corrected, driven = campaign, [r for r in campaign.records if r.role in ("fit", "validate")]
-    for iteration in range(_FITS):
+    for iteration in range(PATIENCE):
         linear = linearized(fit, campaign, deviation_columns(fit, driven, campaign), threads)
         # A large start shift has second-order terms that look like the other kinds, so the first correction is of one kind.
         most = (1, len(KINDS)) if iteration == 0 else (len(KINDS),)
@@ -129,8 +124,8 @@ def fit_with_variation(model: Model, campaign: Campaign, fit: CampaignFit, threa
         )
         before, fit = fit, fit_campaign(model, corrected, noise, moved, threads=threads)
         missed = np.abs(fit.x - fit.model.to_internal(moved))
-        settled = bool(np.all(missed <= _SETTLED * np.sqrt(np.maximum(np.diagonal(fit.x_covariance), 0.0))))
-        if iteration > 0 and (settled or abs(fit.chi2 - before.chi2) < _STUCK * (fit.chi2 - fit.dof)):
+        settled = bool(np.all(missed <= SETTLED * np.sqrt(np.maximum(np.diagonal(fit.x_covariance), 0.0))))
+        if iteration > 0 and (settled or abs(fit.chi2 - before.chi2) < CLOSE * (fit.chi2 - fit.dof)):
             break
     return VariedFit(fit, corrected, noise, found)
 
@@ -144,7 +139,7 @@ def _corrected(
     most ``most`` kinds each.
     """
     previous, spread, model = None, RecordSpread(), linear.fit.model
-    for correction in range(_CORRECTIONS):
+    for correction in range(PATIENCE):
         g, residuals = with_records(linear, corrected)
         if correction < len(most):
             spread = spread_at(linear, g, most[correction])
@@ -176,10 +171,10 @@ def _without_mean_frequency(found: RecordVariation, count: int) -> tuple[RecordV
 
 
 def _settled(before: RecordVariation, after: RecordVariation) -> bool:
-    """Whether the deviations of all records moved by less than ``_SETTLED`` of their sd, or of themselves."""
+    """Whether the deviations of all records moved by less than ``SETTLED`` of their sd, or ``FAINT`` of themselves."""
     for one in after.deviations:
         other = before.of(one.record)
         assert other is not None
-        if np.any(np.abs(one.value - other.value) > np.maximum(_SETTLED * one.sd, _SETTLED_SHARE * np.abs(one.value))):
+        if np.any(np.abs(one.value - other.value) > np.maximum(SETTLED * one.sd, FAINT * np.abs(one.value))):
             return False
     return True

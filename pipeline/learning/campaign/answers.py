@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -82,9 +82,8 @@ class CampaignAnswers:
 
     @property
     def rules(self) -> Rules:
-        """Where the noise level is unknown, held-out records test every effect: a diagnosis may name as many as a ladder."""
-        rules = Rules()
-        return rules if self._noise_known else replace(rules, max_named=rules.rungs)
+        """Those of a campaign."""
+        return Rules()
 
     def selected(
         self, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = lambda problem: problem

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.fft import fft, rfft
+from scipy.fft import fft
 
 from ...arrays import ComplexArray, FloatArray, real_parts
 from ...criticism.problem import FitResult, LocalCandidate
@@ -29,22 +29,16 @@ from ...experiment.forward.modal_bank import hold_gains
 from ...experiment.instrument import Instrument
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
+from ...inference.general.starts import driven_band
 from ...inference.general.whitening import colour_of
+from .rows import USABLE
 
-#: Wide and narrow modes: zeta, relative step of the grid, margin around the driven band (as a share of its edges).
-_WIDE = (1e-2, 0.02, 1e9)
-_NARROW = (1.5e-3, 0.003, 0.05)
-_LOW_HZ = 300.0
-#: Share of Nyquist up to which a mode is scanned: nearer to it a mode cannot be distinguished from its alias.
-_BELOW_NYQUIST = 0.95
-#: A bin is driven if a waveform has at least this share of its largest amplitude there.
-_DRIVEN = 0.05
+#: Damping ratios of wide modes, which are scanned at all frequencies, and of narrow ones, which only the driven band shows.
+_ZETAS = (1e-2, 1.5e-3)
 #: Share of the peak down to which the response of a mode is kept.
 _KEPT = 2e-2
-#: Neighbouring grid points that are scored together, because they share most of their bins.
-_SCORED = 4
-#: Grid points whose responses are computed together.
-_COMPUTED = 16
+#: Neighbouring grid points that are computed and scored together, because they share most of their bins.
+_TOGETHER = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +66,7 @@ class Scan:
 
 
 def mode_scans(
-    campaign: Campaign, bins: Sequence[int], top_hz: float, displacement: bool, noise: NoiseLevel
+    campaign: Campaign, bins: Sequence[int], low_hz: float, top_hz: float, displacement: bool, noise: NoiseLevel
 ) -> tuple[Scan, ...]:
     """The scan of each drive group of the fit records.
 
@@ -80,35 +74,27 @@ def mode_scans(
     ----------
     campaign : its fit records.
     bins : number F of bins above zero of each fit record.
-    top_hz : highest frequency of a mode [Hz].
+    low_hz, top_hz : lowest and highest frequency of a mode [Hz]; nearer to Nyquist than ``USABLE`` of it, a mode cannot be
+        distinguished from its alias.
     displacement : whether the pick-off senses displacement rather than velocity.
     noise : its colour, averaged over the channels, weights the bins.
     """
     records = campaign.with_role("fit")
     groups = drive_groups_of(records, campaign.instrument, campaign.angular_gain)
-    top_hz = min(top_hz, _BELOW_NYQUIST * 0.5 * records[0].sample_rate_hz)
-    grid = _grid([group for _, group in groups], top_hz)
+    top_hz = min(top_hz, USABLE * 0.5 * records[0].sample_rate_hz)
+    driven_hz = driven_band([record for record in records if np.any(record.drive_v)])
+    wide, narrow = _ZETAS
+    grid = [*_grid(wide, low_hz, top_hz), *_grid(narrow, max(low_hz, driven_hz[0]), min(driven_hz[1], top_hz))]
     return tuple(
         _scan(places, group, campaign.instrument, bins[places[0]], grid, displacement, noise)
         for places, group in groups
     )
 
 
-def _grid(groups: Sequence[DriveGroup], top_hz: float) -> list[tuple[float, float]]:
-    """(f [Hz], zeta): wide modes up to ``top_hz``, narrow ones in the driven band."""
-    low, high = np.inf, 0.0
-    for group in groups:
-        frequency = np.fft.rfftfreq(group.waveforms.shape[1], group.clock.step_s)
-        for waveform in group.waveforms:
-            power = np.abs(rfft(waveform))
-            driven = frequency[power > _DRIVEN * power.max()]
-            low, high = min(low, float(driven[0])), max(high, float(driven[-1]))
-    found = []
-    for zeta, step, margin in (_WIDE, _NARROW):
-        first, last = max(_LOW_HZ, low / (1.0 + margin)), min(high * (1.0 + margin), top_hz)
-        count = int(np.log(last / first) / step) + 1 if last > first else 0
-        found += [(first * (1.0 + step) ** k, zeta) for k in range(count)]
-    return found
+def _grid(zeta: float, low_hz: float, high_hz: float) -> list[tuple[float, float]]:
+    """(f [Hz], zeta) from ``low_hz`` to ``high_hz``, neighbours a line width, 2 zeta f, apart."""
+    count = int(np.log(high_hz / low_hz) / (2.0 * zeta)) + 1 if high_hz > low_hz else 0
+    return [(low_hz * (1.0 + 2.0 * zeta) ** k, zeta) for k in range(count)]
 
 
 def _scan(
@@ -142,9 +128,9 @@ def _scan(
     held = real_parts(z), real_parts(now), real_parts(following)
     ends = [re + 1j * im for re, im in (_end_states(*held, waveform) for waveform in group.waveforms)]
     # A few at a time, because most of a response is below what is kept.
-    responses = np.empty((_COMPUTED, len(ends), bins), dtype=np.complex128)
-    for first in range(0, w.size, _COMPUTED):
-        of = slice(first, first + _COMPUTED)
+    responses = np.empty((_TOGETHER, len(ends), bins), dtype=np.complex128)
+    for first in range(0, w.size, _TOGETHER):
+        of = slice(first, first + _TOGETHER)
         for k, (end, drive) in enumerate(zip(ends, drives)):
             v0 = group.waveforms[k][0]
             out = responses[: z[of].size, k]
@@ -225,7 +211,7 @@ def mode_candidate(
 
     def scored(first: int) -> tuple[FloatArray, FloatArray]:
         """Decrease of chi2 and noise level (K,) of the grid points scored together."""
-        together = slice(first, first + _SCORED)
+        together = slice(first, first + _TOGETHER)
         size = len(points[together])
         score, overlap = np.zeros((size, drives, senses)), np.zeros((size, drives, senses, p))
         gram, level, weight = np.zeros((size, drives, drives)), np.zeros((size, senses)), np.zeros((size, 1))
@@ -243,7 +229,7 @@ def mode_candidate(
         levels = np.max(level / np.maximum(weight, 1e-300), axis=1)
         return _delta_chi2(score, overlap, gram, sigma_v), np.maximum(levels, 1.0)
 
-    found = [scored(first) for first in range(0, len(points), _SCORED)]
+    found = [scored(first) for first in range(0, len(points), _TOGETHER)]
     delta_chi2s, levels = (np.concatenate(part).tolist() for part in zip(*found))
     return LocalCandidate(
         name,

@@ -11,6 +11,8 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...criticism.problem import FitResult, LocalCandidate, Region, Signatures, Spectrum
 from ...criticism.regions import pooled_spectra
+from ...criticism.regression import STARTS
+from ...criticism.verdict import STALE
 from ...device.model import Model
 from ...errors import GyroscreenError
 from ...experiment.noise.level import NoiseLevel
@@ -30,11 +32,6 @@ from ..where.regions import misfit_regions, structure_regions
 from .modes import Scan, mode_candidate, mode_scans
 from .rows import TOP_HZ, FourierRows, fit_result, spectra_of, strata_of
 from .signatures import KnownSignatures, disturbance_candidate, known_signatures, probe_signatures
-
-#: Best frequencies of the scan for an additional mode that become starts of its fit.
-_MODE_STARTS = 3
-#: Relative change of the fitted records above which signatures are recomputed.
-_STALE = 0.05
 
 
 class CampaignProblem:
@@ -100,7 +97,9 @@ class CampaignProblem:
     def scans(self) -> tuple[Scan, ...]:
         """The scan for an additional mode, one per drive group."""
         bins = [spectra.bins.size for spectra in self.spectra]
-        return mode_scans(self.campaign, bins, TOP_HZ, self.model.plant.sense == "displacement", self.noise)
+        effects, shape = [self.model.library[name] for name in self._modes], self.model.built.shape
+        low_hz = min(m.low for e in effects for m in e.members(shape) if e.mode and e.full_name(m) == e.mode[0])
+        return mode_scans(self.campaign, bins, low_hz, TOP_HZ, self.model.plant.sense == "displacement", self.noise)
 
     def campaign_fit(self, terms: Sequence[str]) -> CampaignFit:
         """The fit with these terms, which ``fit`` made before."""
@@ -128,7 +127,7 @@ class CampaignProblem:
         return self._fits[key][1]
 
     def signatures(self, fit: FitResult) -> Signatures:
-        """Z (2 F S, K) of all absent effects; reused until the predictions have moved by the share ``_STALE``."""
+        """Z (2 F S, K) of all absent effects; reused until the predictions have moved by the share ``STALE``."""
         fitted = self.campaign_fit(fit.terms)
         library, absent = fitted.model.library, fitted.model.candidates()
         names = [name for name in absent if name not in self._modes and library[name].disturbance is None]
@@ -140,7 +139,7 @@ class CampaignProblem:
                 if library[name].disturbance
             ]
             known = self._known
-            if known is None or known.moved(fitted) > _STALE or not set(names) <= known.requested:
+            if known is None or known.moved(fitted) > STALE or not set(names) <= known.requested:
                 residuals = self._residuals(fitted)
                 known = known_signatures(residuals, fitted, names, self.records, self.spectra, self.strata, pool)
                 self._known = known
@@ -154,7 +153,7 @@ class CampaignProblem:
             return ()
         mode, senses = self._modes[name], self.model.built.shape.senses
         found = mode_candidate(name, mode, fit, self.scans, senses, self.noise.sigma_v)
-        order = np.argsort(found.delta_chi2s)[::-1][:_MODE_STARTS]
+        order = np.argsort(found.delta_chi2s)[::-1][:STARTS]
         self._mode_starts[name, frozenset(fit.terms)] = tuple(found.grid[i][mode[0]] for i in order)
         return (found,)
 

@@ -25,10 +25,10 @@ from ...inference.general.resonances import resonances_of
 
 #: Upper end of the rows [Hz]: drives below 700 Hz excite hardly anything above it, for any effect of the library.
 TOP_HZ = 2500.0
-#: Lower edges [Hz] of the bands in which the noise has one level.
-_STRATA_HZ = (0.0, 350.0, 750.0, 1500.0)
 #: Two modes overlap if their frequencies differ by less than this many half-widths.
 _APART = 3.0
+#: Usable share of the anti-alias corner, of Nyquist and of full scale.
+USABLE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +69,8 @@ def spectra_of(record: Record) -> FourierRows:
 
 
 def strata_of(spectra: FourierRows, senses: int) -> IntArray:
-    """(2 F S,) noise stratum of each row: frequency band and channel."""
-    band = np.digitize(spectra.frequency_hz, _STRATA_HZ) - 1
+    """(2 F S,) noise stratum of each row: octave below ``TOP_HZ`` (the first holds all below a quarter of it) and channel."""
+    band = np.digitize(spectra.frequency_hz, (TOP_HZ / 4.0, TOP_HZ / 2.0))
     both = np.concatenate([band, band])
     return np.asarray((both[:, None] * senses + np.arange(senses)).reshape(-1))
 
@@ -123,7 +123,6 @@ def fit_result(
         error={k: v for k, v in fitted.error.items() if v is not None and noise_known},
         relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
         why=why,
-        noise_bounded=not noise_known,
         error_given=fitted.noise.independent,
         misfit=structured_misfit(fitted, campaign) or "",
         at_limit=tuple(

@@ -34,8 +34,6 @@ from .rows import FourierRows
 _CLIP_LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
 #: A direction enters as (cos a, sin a), so the signatures at two angles span those at all.
 _AXES_DEG = (0.0, 90.0)
-#: Columns for which memory is reserved at once.
-_COLUMNS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +117,7 @@ def _stacked(
     """Candidates with their cells in common blocks (rows, K), one per record; ``sizes`` are the numbers of rows."""
     candidates: list[Candidate] = []
     # Each column is contiguous in memory; pages that are never written to take none.
-    buffers = [np.empty((_COLUMNS, size)) for size in sizes]
+    buffers = [np.empty((0, size)) for size in sizes]
     width = 0
     for found in signatures:
         if found is None:
@@ -129,7 +127,7 @@ def _stacked(
         candidates.append(replace(candidate, cells=cells))
         more = sum(part.shape[0] for part in columns[0])
         if width + more > buffers[0].shape[0]:
-            buffers = [np.concatenate([old, np.empty((more + _COLUMNS, old.shape[1]))]) for old in buffers]
+            buffers = [np.concatenate([old, np.empty((width + more, old.shape[1]))]) for old in buffers]
         for buffer, own in zip(buffers, columns):
             np.concatenate(own, out=buffer[width : width + more])
         width += more

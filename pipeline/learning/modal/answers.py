@@ -30,11 +30,10 @@ from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, PairAnswer, Refi
 from ..common import diagnosis_answer, misfit, refinement_answer
 from ..next_experiment.separating import Proposal
 from ..where.modal import entries_by_misfit, explained_entries
+from ..where.regions import LISTED
 from .problem import ModalProblem
 
 ALPHA_UNKNOWN_NOISE = 0.05
-_PAIRS = 6
-_RIVALS = 4
 
 
 def modal_answers(record: ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> ModalAnswers:
@@ -55,8 +54,8 @@ class ModalAnswers:
 
     @property
     def rules(self) -> Rules:
-        """With an unknown noise level no test says when a misfit is explained, so a diagnosis may name as many as a ladder."""
-        return Rules() if self.problem.noise_known else Rules(alpha=ALPHA_UNKNOWN_NOISE, max_named=Rules().rungs)
+        """With an unknown noise level the few rows of a modal record can reach no smaller probability."""
+        return Rules() if self.problem.noise_known else Rules(alpha=ALPHA_UNKNOWN_NOISE)
 
     def selected(self, rules: Rules) -> tuple[ModalAnswers, ForwardSelection]:
         """The selection of effects, and these answers."""
@@ -108,7 +107,7 @@ class ModalAnswers:
         if not found.fit.ok:
             return answer
         tests = self._tests(found.fit)
-        pairs = best_pairs(tests.projected, tests.signatures.candidates, self.problem.noise_known)[:_PAIRS]
+        pairs = best_pairs(tests.projected, tests.signatures.candidates, self.problem.noise_known)[:LISTED]
         candidates = []
         for candidate, score in zip(answer.candidates, found.scores):
             refit = self.problem.fit((score.name,), tests.fit)
@@ -159,7 +158,7 @@ class ModalAnswers:
         tests = self._tests(before)
         own = [_test_of(tests, score) for score in tests.scores if score.name == term]
         rivals = tuple(test for test in _term_tests(tests) if test.effect != term)
-        return {**(own[0] if own else {}), "rivals": rivals[:_RIVALS]}
+        return {**(own[0] if own else {}), "rivals": rivals[:LISTED]}
 
     def _axes(self, fit: FitResult) -> dict[str, Any]:
         """theta and split, and the paper's four thetas with the effects of the fit taken out."""

@@ -25,17 +25,12 @@ from ...device.model import Model
 from ...device.parameters import Parameter
 from ...errors import ConfigError, GyroscreenError
 from ...experiment.files.modal_record import ModalRecord
+from ...inference.general.gauss_newton import ITERATIONS
 from ...inference.modal.axes import FourThetas, four_thetas
 from ...inference.modal.model import ResonantModes, modelled_modes, starting_values
+from ..campaign.rows import USABLE
 from .rows import POLE_WEIGHT, ModalRows
 from .terms import GAUGES, declared_terms, modal_terms
-
-#: Finite differences use 1e-5 of this many scales of a parameter.
-_SCALES = 100.0
-#: Bisections on the way from the nulls of the effects to impossible parameters.
-_BISECTIONS = 24
-#: Share of the effects' parameters on the boundary at which a second fit starts.
-_INSIDE = 0.9
 
 
 class ModalProblem:
@@ -142,7 +137,7 @@ class ModalProblem:
 
         if self._exists(values):
             return dict(values)
-        for _ in range(_BISECTIONS):
+        for _ in range(ITERATIONS):
             middle = (inside + outside) / 2.0
             inside, outside = (middle, outside) if self._exists(at(middle)) else (inside, middle)
         return at(inside)
@@ -174,7 +169,7 @@ class ModalProblem:
     def _scale(self, name: str, parameter: Parameter) -> float:
         """The unit of the steps of a parameter; for a damping ratio its value, because it cannot become negative."""
         if name not in self._plant_names:
-            return _SCALES * parameter.scale
+            return parameter.scale
         return abs(self._start[name]) if name.startswith("zeta") else max(abs(self._start[name]), 1e-2)
 
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
@@ -197,7 +192,7 @@ class ModalProblem:
         possible = self._possible(values) if found.jacobian else values
         if possible == values:
             return found
-        inside = {name: (v if name in self._plant_names else _INSIDE * v, np.nan) for name, v in possible.items()}
+        inside = {name: (v if name in self._plant_names else USABLE * v, np.nan) for name, v in possible.items()}
         again = self._problem.fit(terms, replace(found, parameters=inside))
         return again if again.ok and again.chi2 < found.chi2 else found
 

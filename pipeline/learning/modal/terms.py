@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ...arrays import RANK
 from ...criticism.problem import TermParameter
 from ...criticism.regression import Term
 from ...device.effect import Effect
@@ -20,10 +21,6 @@ GAUGES = (
     "up-down tilt about the other axis (absorbed by updown_gain)",
     "linear part of electrostatic softening (absorbed by the frequencies and theta)",
 )
-#: Relative change of residues and poles by one scale of its parameters below which an effect changes nothing.
-_NOTHING = 1e-9
-#: Sense angles [deg] that are tried for an additional mode.
-_ANGLES_DEG = (-90.0, -45.0, 0.0, 45.0, 90.0)
 
 
 def declared_terms(model: Model, rows: ModalRows) -> tuple[str, ...]:
@@ -68,18 +65,20 @@ def _term(
         np.abs(changed.c - at_null.c).max() / rows.norms.max(),
         np.abs(changed.poles / at_null.poles - 1.0).max(),
     )
-    if max(moved) < _NOTHING:
+    if max(moved) < RANK:
         return None
     if np.any(changed.present != at_null.present):
-        scanned = {name: _of_missing_mode(name, tried, rows, at_null) for name, tried in scanned.items()}
+        # The values tried are also the range of the fit.
+        tried = {effect.full_name(m): (m.low, *m.grid, m.high) for m in members if m.grid}
+        scanned = {name: _of_missing_mode(name, values, rows, at_null) for name, values in tried.items()}
     parameters = (TermParameter.with_range(effect.full_name(m), m.unit, m.null, m.low, m.high) for m in plain)
     return Term(effect.name, tuple(parameters), scanned or None)
 
 
 def _of_missing_mode(name: str, tried: tuple[float, ...], rows: ModalRows, at_null: ResonantModes) -> tuple[float, ...]:
-    """Values of a scanned parameter of an additional mode: those of the strongest mode that the model lacks, or angles."""
+    """Values of a scanned parameter of an additional mode: those of the strongest mode that the model lacks, or ``tried``."""
     missing = np.flatnonzero(~at_null.present).tolist()
     mode = max(missing, key=lambda m: float(rows.norms[m] / -rows.measured.poles[m].real))
     held = {"f": rows.record.frequency_hz[mode], "zeta": rows.record.zeta[mode]}
     own = name.rpartition(".")[2]
-    return (float(held[own]),) if own in held else _ANGLES_DEG
+    return (float(held[own]),) if own in held else tried

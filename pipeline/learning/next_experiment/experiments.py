@@ -23,20 +23,15 @@ from ...device.model import Model
 from ...experiment.excitation import Chirp, Excitation, Multisine, drive_samples
 from ...experiment.instrument import Adc
 from ...experiment.record import Campaign, Record
-from ..campaign.rows import TOP_HZ
+from ..campaign.rows import TOP_HZ, USABLE
 
-#: Share of the bias that is tried where an effect depends on it.
-_LESS_BIAS = 0.7
-#: Relative level of the low-level experiment.
-_LOWER = 0.35
-#: Usable share of the anti-alias corner, of Nyquist and of full scale.
-_USABLE = 0.9
-_LOWEST_HZ = 50.0
-#: Margin around the resonances [Hz], rates [deg/s], limits of the duration [s].
-_MARGIN_HZ = 10.0
-_RATES_DPS = (0.0, 100.0)
-_SHORTEST_S, _LONGEST_S = 1.0, 5.0
+#: Share of the level, and of the bias, at the experiment with less of it.
+_LESS = 0.5
+#: Unit of the edges of a band [Hz]: a wide one starts there, and it is the margin around the resonances.
 _BIN_HZ = 10.0
+#: Rates [deg/s], and the longest duration at first [s].
+_RATES_DPS = (0.0, 100.0)
+_LONGEST_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -94,9 +89,9 @@ class Experiment:
 
 def within(experiment: Experiment, peak_v: float, adc: Adc | None) -> Experiment:
     """``experiment``, with its level reduced if a response of ``peak_v`` [V] exceeds 0.9 of full scale."""
-    if adc is None or peak_v <= _USABLE * adc.full_scale_v:
+    if adc is None or peak_v <= USABLE * adc.full_scale_v:
         return experiment
-    return experiment.scaled(0.98 * _USABLE * adc.full_scale_v / peak_v)
+    return experiment.scaled(0.98 * USABLE * adc.full_scale_v / peak_v)
 
 
 def experiments(
@@ -113,19 +108,19 @@ def experiments(
     driven = [r for r in campaign.records if r.role in ("fit", "validate") and np.any(r.drive_v)]
     drives = driven[0].drive_v.shape[1]
     level = max(float(np.max(np.abs(r.drive_v))) for r in driven)
-    duration = float(np.clip(np.median([r.duration_s for r in driven]), _SHORTEST_S, _LONGEST_S))
+    duration = min(float(np.median([r.duration_s for r in driven])), _LONGEST_S)
     low, high = _band(driven)
     condition = _common(driven)
     shapes = _sweeps(low, high, level, duration, drives)
     plain = shapes[0]
-    shapes.append(replace(plain.scaled(_LOWER), shape=f"{plain.shape}, low level"))
+    shapes.append(replace(plain.scaled(_LESS), shape=f"{plain.shape}, low level"))
     lines = sorted(v for name, v in values.items() if re.fullmatch(r"f\d+_hz", name))
     shapes += _wide(campaign, level, duration, drives)
     shapes += _resonant([f for f in lines if f < _top(campaign)], level, duration, drives)
     found = [replace(shape, bias_v=condition.bias_v, rate_dps=condition.rate_dps) for shape in shapes]
     if any(model.library[term].depends_on_bias for term in terms if term in model.library):
         bias = campaign.instrument.bias_v if condition.bias_v is None else condition.bias_v
-        found.append(replace(found[0], bias_v=_LESS_BIAS * bias))
+        found.append(replace(found[0], bias_v=_LESS * bias))
     if any(model.library[term].condition == "rate" for term in terms if term in model.library):
         rates = [rate for rate in _RATES_DPS if rate == 0.0 or campaign.angular_gain is not None]
         found += [replace(found[0], rate_dps=rate) for rate in rates if rate != condition.rate_dps]
@@ -142,7 +137,7 @@ def _top(campaign: Campaign) -> float:
     """Highest usable drive frequency [Hz]."""
     filter_ = campaign.instrument.antialias
     corner = campaign.instrument.sample_rate_hz / 2.0 if filter_ is None else filter_.corner_hz
-    return min(_USABLE * min(corner, campaign.instrument.sample_rate_hz / 2.0), TOP_HZ)
+    return min(USABLE * min(corner, campaign.instrument.sample_rate_hz / 2.0), TOP_HZ)
 
 
 def _band(driven: Sequence[Record]) -> tuple[float, float]:
@@ -190,14 +185,14 @@ def _in_phase(drives: int) -> str:
 
 def _wide(campaign: Campaign, level: float, duration: float, drives: int) -> list[Experiment]:
     top = _BIN_HZ * np.floor(_top(campaign) / _BIN_HZ)
-    if top <= 2.0 * _LOWEST_HZ:
+    if top <= 2.0 * _BIN_HZ:
         return []
-    band, all_ = f"{_LOWEST_HZ:g} to {top:g} Hz", (level,) * drives
+    band, all_ = f"{_BIN_HZ:g} to {top:g} Hz", (level,) * drives
     return [
         Experiment(
-            f"wide chirp {band}{_in_phase(drives)}", Chirp((_LOWEST_HZ,) * drives, (top,) * drives, all_, duration)
+            f"wide chirp {band}{_in_phase(drives)}", Chirp((_BIN_HZ,) * drives, (top,) * drives, all_, duration)
         ),
-        Experiment(f"random-phase multisine {band}", Multisine(_LOWEST_HZ, top, all_, duration, duration)),
+        Experiment(f"random-phase multisine {band}", Multisine(_BIN_HZ, top, all_, duration, duration)),
     ]
 
 
@@ -205,7 +200,7 @@ def _resonant(lines: Sequence[float], level: float, duration: float, drives: int
     """A slow chirp across all resonances, and dwells on single ones."""
     if not lines:
         return []
-    low, high = max(round(lines[0] - _MARGIN_HZ), 1.0), float(round(lines[-1] + _MARGIN_HZ))
+    low, high = max(round(lines[0] - _BIN_HZ), 1.0), float(round(lines[-1] + _BIN_HZ))
     all_ = (level,) * drives
     ends = ((low,) * drives, (high,) * drives)
     found = [Experiment(f"chirp {low:g} to {high:g} Hz{_in_phase(drives)}", Chirp(*ends, all_, duration))]

@@ -26,18 +26,15 @@ from ...experiment.forward.record import forward, jacobian
 from ...experiment.forward.sensitivity import tuned_steps
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
+from ...inference.general.gauss_newton import ITERATIONS, PATIENCE
 from ...inference.general.residuals import nuisance_columns
 from ..campaign.problem import CampaignProblem
 from .experiments import Experiment, experiments, within
 
-#: SNR from which a record separates two effects, and from which no longer record is tried.
-#: SNR from which no better experiment is searched, and the number of experiments for which the exact SNR is computed.
-_PLENTY, _MOST = 12.0, 8
+#: Durations [s] that are tried where a shorter record does not separate every pair.
 _LONGER_S = (10.0, 30.0)
 #: A longer sweep may gain more than the root of its duration, but hardly by more than this factor.
 _GAIN = 2.0
-#: How often the level is reduced until the response fits into the range of the converter.
-_REDUCTIONS = 4
 _GIVE_OUT = "give --out DIR to write the drive file"
 
 
@@ -193,7 +190,7 @@ def separating_record(problem: CampaignProblem, terms: Sequence[str], found: Ter
     if best is None:
         return None
     forces = any(effect.force is not None for m in members for effect in m.fitted.model.ordered_effects())
-    if forces and best.found.least < _PLENTY:
+    if forces and best.found.least < CLEAR_SNR:
         best = _separated(problem, members, best, exact=True)
     hold = problem.campaign.instrument.hold
     return Proposal(names, best.experiment, best.record.drive_v, best.record.sample_rate_hz, best.found, hold)
@@ -203,8 +200,8 @@ def _best(
     problem: CampaignProblem, members: Sequence[_Member], bounds: Sequence[_RecordTrial], best: _RecordTrial | None
 ) -> _RecordTrial | None:
     """The best of some experiments and ``best``; an experiment whose bound is no better needs no derivatives."""
-    for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:_MOST]:
-        if best is not None and (bound.merit <= best.merit or best.found.least >= _PLENTY):
+    for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:PATIENCE]:
+        if best is not None and (bound.merit <= best.merit or best.found.least >= CLEAR_SNR):
             break
         trial = _separated(problem, members, bound)
         if best is None or trial.merit > best.merit:
@@ -228,7 +225,7 @@ def _bounded(problem: CampaignProblem, members: Sequence[_Member], experiment: E
     """An upper bound on the separation of an experiment; ``None`` if a member cannot exist at its conditions."""
     adc = problem.campaign.instrument.adc
     try:
-        for _ in range(_REDUCTIONS):
+        for _ in range(ITERATIONS):
             record = experiment.record(problem.campaign)
             responses = [_response(problem.campaign, member, record) for member in members]
             lower = within(experiment, max(float(np.max(np.abs(y))) for y in responses), adc)

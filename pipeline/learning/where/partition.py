@@ -26,20 +26,15 @@ from ...criticism.regions import lines_in, pooled_spectra
 from ...experiment.noise.time_frequency import bin_frequencies, block_size, cell_variances, lapped
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
-from ...inference.general.resonances import resonances_of
+from ...inference.general.free_disturbances import SPREAD_BINS
+from ...inference.general.resonances import HALF_WIDTHS, resonances_of
 
 Band = tuple[float, float]
 
 MAX_ORDER = 5
 LEVELS = 6
-#: Half-width of a resonance and of a harmonic, in bins.
-_HALF_WIDTH = 2.5
-#: Share of the energy of a block within three bins of its peak above which the drive is sinusoidal there.
-_SINUSOIDAL = 0.9
-#: Fine bands: their width below and above an edge frequency, in units of the sample rate (25 Hz, 250 Hz, 2.5 kHz at 10 kHz).
-_FINE, _COARSE, _EDGE = 0.0025, 0.025, 0.25
-#: Bins next to zero and Nyquist that the window of a spectrum spreads over.
-_ENDS = 3
+#: Width of a fine band in units of the sample rate (25 Hz at 10 kHz).
+_FINE = 0.0025
 #: Mains frequencies [Hz].
 _MAINS = (50.0, 60.0)
 
@@ -119,7 +114,7 @@ def _spectrum(residual: FloatArray, sample_rate_hz: float) -> Spectrum:
     window = np.hanning(samples)
     chi2 = np.sum(np.abs(rfft(residual.T * window, axis=-1)) ** 2, axis=0) / (0.5 * np.sum(window**2))
     # The bins at both ends have fewer degrees of freedom.
-    inside = slice(_ENDS, chi2.size - _ENDS)
+    inside = slice(SPREAD_BINS, chi2.size - SPREAD_BINS)
     return Spectrum(np.arange(chi2.size)[inside] * sample_rate_hz / samples, chi2[inside], 2 * senses)
 
 
@@ -172,9 +167,9 @@ def _record_partition(
 ) -> RecordPartition:
     samples, rate = record.drive_v.shape[0], record.sample_rate_hz
     size = block_size(samples)
-    frequency, half_width = bin_frequencies(size, rate), 0.5 * _HALF_WIDTH * rate / size
+    frequency, half_width = bin_frequencies(size, rate), 0.5 * SPREAD_BINS * rate / size
     variances = cell_variances(samples, size)
-    inside = [(f, max(half_width, 20.0 * width)) for f, width in resonances if f < 0.5 * rate]
+    inside = [(f, max(half_width, 2.0 * HALF_WIDTHS * width)) for f, width in resonances if f < 0.5 * rate]
     resonant = _resonant_bands(inside)
     drives, driven = _drive_frequencies(record, size)
     edges = sorted(
@@ -240,9 +235,7 @@ def _octaves(high_hz: float, below_hz: float) -> list[float]:
 def _fine_bands(frequency: FloatArray, rate: float) -> tuple[tuple[Band, ...], IntArray]:
     """The fine bands [Hz] that contain at least one bin, and the band of each bin (M,)."""
     width = 2.0 * float(frequency[0])
-    low = np.arange(0.0, _EDGE, max(_FINE, width / rate)) * rate
-    high = np.arange(_EDGE, 0.5 - 0.5 * _COARSE, max(_COARSE, width / rate)) * rate
-    edges = np.concatenate([low, high])
+    edges = np.arange(0.0, 0.5, max(_FINE, width / rate)) * rate
     band = np.searchsorted(edges, frequency, side="right") - 1
     kept, band = np.unique(band, return_inverse=True)
     ends = [float(edge) for edge in edges[kept]]
@@ -260,10 +253,10 @@ def _drive_frequencies(record: Record, size: int) -> tuple[FloatArray, Band]:
         half = float(frequency[0])
         band = (float(frequency[ends[0]]) - half, float(frequency[ends[1]]) + half)
     total = energy.sum(axis=2)
-    around = np.abs(np.arange(size) - energy.argmax(axis=2)[..., None]) <= 3
+    around = np.abs(np.arange(size) - energy.argmax(axis=2)[..., None]) <= SPREAD_BINS
     near = np.where(around, energy, 0.0).sum(axis=2)
     centre = np.where(around, energy * frequency, 0.0).sum(axis=2) / np.maximum(near, 1e-300)
-    sinusoidal = (total > 1e-4 * max(float(total.max()), 1e-300)) & (near > _SINUSOIDAL * total)
+    sinusoidal = (total > 1e-4 * max(float(total.max()), 1e-300)) & (near > total - near)
     return np.asarray(np.where(sinusoidal, centre, np.nan)), band
 
 

@@ -37,10 +37,8 @@ FAMILIES = ("frequency", "time", "level", "response", "direction", "channel", "r
 _WINDOWS = 12
 #: Families of a few regions each: all of them are reported as soon as one is significant.
 _WHOLE = ("level", "direction", "channel", "record")
-#: Largest number of places per family, and the smallest share that is reported.
-_MOST, _LEAST_SHARE = 12, 1e-3
-#: Limit of a sample [sigma] in the energies of tests that must be robust to outliers.
-_CLIP = 4.0
+#: Largest number of items of a list: places of a family, pairs and rivals of effects.
+LISTED = 12
 
 Labels = Mapping[str, object]
 
@@ -53,9 +51,7 @@ def structure_regions(fit: CampaignFit, partitions: Mapping[str, RecordPartition
     out: list[Region] = []
     for mine in fit.of_role("fit"):
         partition, density = partitions[mine.name], _dof_per_sample(fit, mine)
-        clipped = np.clip(mine.residual, -_CLIP, _CLIP)
-        whole, robust = (_structure(mine, y, partition, density) for y in (mine.residual, clipped))
-        out += [replace(region, robust=other.chi2) for region, other in zip(whole, robust)]
+        out += _structure(mine, mine.residual, partition, density)
     return out
 
 
@@ -144,10 +140,10 @@ def significant_places(regions: Sequence[Region], noise_dof: float, after: Seque
     places: list[Place] = []
     for family in FAMILIES:
         own = [item for item in found if item.family == family]
-        significant = [item for item in own if item.p_value < ALPHA and item.share >= _LEAST_SHARE]
+        significant = [item for item in own if item.p_value < ALPHA]
         if significant and family in _WHOLE:
             significant = own
-        for item in significant[:_MOST]:
+        for item in significant[:LISTED]:
             key = family, repr(item.labels)
             places.append(_place(item, old[key], new.get(key)))
     return tuple(places)

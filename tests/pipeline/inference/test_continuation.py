@@ -52,5 +52,5 @@ def test_a_hardening_resonator_is_fitted_from_the_default_start_down_to_the_nois
 def test_an_unfinished_fit_goes_on_from_where_it_stopped(monkeypatch):
     noise = NoiseLevel(np.array([SIGMA_V]), "silent", 10_000)
     whole = fit_campaign(DUFFING, measured(0.05), noise)
-    monkeypatch.setattr(gauss_newton, "_ITERATIONS", 2)
+    monkeypatch.setattr(gauss_newton, "ITERATIONS", 2)
     assert fit_campaign(DUFFING, measured(0.05), noise).chi2 == pytest.approx(whole.chi2, abs=0.1)

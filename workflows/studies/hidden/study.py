@@ -23,7 +23,6 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
-from pipeline.criticism.selection import forward_selection
 from pipeline.criticism.verdict import TermClass
 from pipeline.errors import GyroscreenError, UsageError
 from pipeline.inference.general.fit import CampaignFit
@@ -110,7 +109,7 @@ def examine(hidden: Hidden) -> dict[str, Any]:
 def run_loop(hidden: Hidden) -> dict[str, Any]:
     """One forward selection, reported as a diagnosis and, for the kinds that are refined, also as a ladder.
 
-    Both include the time of the selection, so the time of a diagnosis, whose selection is shorter, is an upper bound.
+    Both include the time of the selection.
     """
     answers = campaign_answers(hidden.campaign, hidden.model, threads=1)
 
@@ -118,10 +117,8 @@ def run_loop(hidden: Hidden) -> dict[str, Any]:
         return RestrictedProblem(problem, hidden.left_out) if hidden.left_out else problem
 
     (answers, selection), shared = _timed(lambda: answers.selected(Rules(), restricted))
-    problem, short = restricted(answers.problem), selection
-    if len(selection.steps) > Rules.max_named:
-        short = forward_selection(problem, rules=Rules(rungs=Rules.max_named))
-    diagnosis, own = _timed(lambda: as_diagnosis(problem, short))
+    problem = restricted(answers.problem)
+    diagnosis, own = _timed(lambda: as_diagnosis(problem, selection))
     row = {"diagnose": {**_diagnosed(DiagnosisResult(answers, diagnosis).to_dict()), **_sum(shared, own)}}
     if hidden.kind in _REFINED:
         ladder, own = _timed(lambda: as_ladder(problem, selection))

@@ -41,4 +41,4 @@ def test_a_stratum_holds_the_rows_of_one_band_and_channel() -> None:
     assert np.array_equal(strata[0], strata[1])
     assert not set(strata[..., 0].ravel()) & set(strata[..., 1].ravel())
     assert np.all(np.diff(strata[0, :, 0]) >= 0)
-    assert set(strata.ravel()) == set(range(8))
+    assert set(strata.ravel()) == set(range(6))
