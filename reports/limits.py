@@ -27,6 +27,7 @@ from msgspec import Meta, Struct
 from pipeline.arrays import BoolArray, FloatArray
 from pipeline.axial import PERIOD_DEG, in_arc
 from pipeline.errors import ConfigError
+from pipeline.experiment.files.common_tables import Value
 from pipeline.quantities import AXES, NAMES
 from pipeline.toml_files import check_known, converted, load
 
@@ -94,8 +95,8 @@ class Limit:
 class BoundsTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """``[limits.<quantity>]``: one limit or both."""
 
-    min: float | None = None
-    max: float | None = None
+    min: Value | None = None
+    max: Value | None = None
 
 
 class LimitsTable(Struct, frozen=True, forbid_unknown_fields=True):

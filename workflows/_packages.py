@@ -3,6 +3,9 @@
 Python looks for imports in the working folder first (``python -c``, ``python -m``, notebooks), and the packages have generic
 names.
 Nothing here may import them.
+
+A ``workflows.py`` of the user is imported in place of this package, so nothing here can run: Python then states that it is
+no package.  The ``gyroscreen`` command and its workers do not look into the working folder.
 """
 
 from __future__ import annotations

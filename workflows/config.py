@@ -17,6 +17,7 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.files.common_tables import SystematicTable, check_phase
 from pipeline.experiment.noise.measure import Hum
 from pipeline.inference.gate import Gate
+from pipeline.input_limits import RECORD_VALUES
 from pipeline.toml_files import converted, decode, load
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
 
@@ -40,6 +41,9 @@ from .config_tables import (
 #: The 2.5 % tail of a yield interval then consists of two values or more of the common errors.
 LEAST_STORED_DRAWS = 100
 DEFAULT_CONFIG = Path(__file__).parent / "configs" / "default.toml"
+
+#: Columns of a virtual record: time, two drives, two senses.
+_COLUMNS = 5
 
 
 class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -140,7 +144,16 @@ def _check(config: RunConfig, where: str) -> None:
             allowed="at least one amplitude above 0 V",
             next_step="raise an amplitude",
         )
-    nyquist = config.instrument.sample_rate_hz / 2.0
+    rate = config.instrument.sample_rate_hz
+    samples, most = rate * max(e.duration_s, e.silence_s, e.period_s), RECORD_VALUES // _COLUMNS
+    if samples > most:
+        raise ConfigError(
+            f"{where}: the record of a device is too long",
+            value=f"{samples:.3g} samples",
+            allowed=f"at most {most} samples in each of duration_s, silence_s and period_s at sample_rate_hz",
+            next_step="shorten them, or lower instrument.sample_rate_hz",
+        )
+    nyquist = rate / 2.0
     if not i.low_hz < i.high_hz <= nyquist:
         raise ConfigError(
             f"{where}: identification.low_hz and high_hz do not bound a band",

@@ -23,6 +23,7 @@ from pipeline.experiment.files.common_tables import (
     NotNegative,
     PhaseError,
     Positive,
+    Value,
 )
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.noise.source import Kind, NoiseKind
@@ -32,6 +33,9 @@ from pipeline.toml_files import MAY_BE_INFINITE
 from reports.limits import Limits
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+#: Mean and sd of a parameter of an effect; the largest range of one ends at 1e15.
+EffectSize = Annotated[float, Meta(ge=-1e30, le=1e30)]
+EffectSpread = Annotated[float, Meta(ge=0.0, le=1e30)]
 #: An upper limit of something; inf switches it off.
 Threshold = Annotated[float, Meta(gt=0.0, extra=MAY_BE_INFINITE)]
 #: Quantities whose bias by an undetected effect the gate judges, where they have limits.
@@ -206,7 +210,7 @@ class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):
     gain_sd: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.05
     most_v: Threshold = 15.0
     split_hz: NotNegative | None = 0.0
-    theta_deg: float | None = None
+    theta_deg: Value | None = None
 
     def electrodes(self) -> Electrodes:
         """The electrodes that the table describes."""
@@ -224,7 +228,7 @@ class EffectTable(Struct, frozen=True, forbid_unknown_fields=True):
     Affected are a ``share`` of the devices, or the ids in ``devices``; if ``lots`` is given, only in those lots.
     """
 
-    size: dict[str, tuple[float, NotNegative]]
+    size: dict[str, tuple[EffectSize, EffectSpread]]
     share: Share = 1.0
     devices: tuple[str, ...] = ()
     lots: tuple[str, ...] = ()

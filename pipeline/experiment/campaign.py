@@ -41,6 +41,7 @@ from .files.common_tables import (
     InstrumentTable,
     References,
     SystematicTable,
+    Value,
     check_phase,
     references,
 )
@@ -61,8 +62,8 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     file: FileName | Annotated[list[FileName], Meta(min_length=1, max_length=8)]
     name: str | None = None
     role: Role | None = None
-    rate_dps: float | None = None
-    bias_v: float | None = None
+    rate_dps: Value | None = None
+    bias_v: Value | None = None
     temperature_c: Annotated[float, Meta(ge=-273.15, le=1000.0)] | None = None
     at_rest: bool = True
     start: Annotated[int, Meta(ge=0)] = 0
@@ -76,7 +77,7 @@ class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     drive_polarity: tuple[Sign, ...] | None = None
     sense_order: tuple[Annotated[int, Meta(ge=1)], ...] | None = None
     drive_order: tuple[Annotated[int, Meta(ge=1)], ...] | None = None
-    drive_offset_v: tuple[float, ...] | None = None
+    drive_offset_v: tuple[Value, ...] | None = None
     lag_samples: int = 0
 
 

@@ -32,7 +32,7 @@ from .journal import Journal, read_manifest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest
 from .parquet import encode_table
-from .read import CONFIG, PREFIX, find_run, read_block, read_config, read_file, read_table, settled
+from .read import CONFIG, PREFIX, check_results, find_run, read_block, read_config, read_file, read_table, settled
 from .stream import streamed
 
 LOG = "log.jsonl"
@@ -250,9 +250,11 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
     Raises
     ------
     ConfigError : invalid name, the run exists, or the folder cannot be written.
+    UsageError : ``results`` is a URL.
     """
     if not RUN_ID.fullmatch(run_id):
         raise ConfigError("not the name of a run", value=run_id, allowed="up to 100 letters, digits, '.', '_', '-'")
+    check_results(results)
     folder = results / f"{PREFIX}{run_id}"
     config = config_toml.encode()
     manifest = Manifest(

@@ -74,6 +74,14 @@ CASES = {
     "limits crossed": (lambda tmp: config(tmp, "[limits.split_hz]\nmin = 3.0\nmax = 1.0\n"), 2, ("split_hz", "3.0")),
     "zero devices": (lambda tmp: ["run", "--devices", "0", "--out", str(tmp)], 2, ("devices", "0")),
     "unwritable folder": (unwritable, 2, ("file", "--out")),
+    "beyond any bench": (lambda tmp: config(tmp, "[limits.split_hz]\nmax = 1e308\n"), 2, ("split_hz.max", "1e+12")),
+    "a rate beyond any converter": (
+        lambda tmp: config(tmp, "[instrument]\nsample_rate_hz = 1e9\n"),
+        2,
+        ("too long", "samples", "sample_rate_hz"),
+    ),
+    "results at a URL": (lambda _: ["run", "--devices", "1", "--out", "s3://lot/nightly"], 2, ("s3:", "cluster.md")),
+    "query at a URL": (lambda _: ["query", "SELECT 1", "--results", "s3://lot"], 2, ("s3:", "cluster.md")),
     "no run in the folder": (without_runs, 2, ("results", "gyroscreen run")),
     "unknown command": (lambda _: ["rum"], 2, ("rum",)),
     "a silent drive": (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -36,6 +37,17 @@ def test_a_file_of_the_user_that_hides_a_package_is_named_in_one_line(file, tmp_
     assert done.returncode == 1
     assert str(tmp_path / file) in last
     assert f"hides the package '{hidden}' of gyroscreen" in last
+
+
+def test_the_command_ignores_files_of_the_working_folder(tmp_path):
+    for name in ("workflows", "pipeline", "populations", "reports"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('a file of the user was imported')")
+    script = Path(sys.executable).with_name("gyroscreen")
+    surroundings = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(
+        [script, "--version"], cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])

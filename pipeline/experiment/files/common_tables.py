@@ -18,14 +18,16 @@ from ...toml_files import check_known
 from ..instrument import Adc, AntiAlias, Hold, Instrument
 from ..systematic import SILICON_TCF_PPM_PER_C, Systematic
 
-Positive = Annotated[float, Meta(gt=0.0)]
-NotNegative = Annotated[float, Meta(ge=0.0)]
+#: Beyond 1e12 no quantity of a bench lies, in any of the units here; squares and products of larger numbers overflow.
+Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
+NotNegative = Annotated[float, Meta(ge=0.0, le=1e12)]
+Value = Annotated[float, Meta(ge=-1e12, le=1e12)]
 FilterOrder = Annotated[int, Meta(ge=1, le=32)]
 AdcBits = Annotated[int, Meta(ge=1, le=64)]
 PhaseError = Annotated[float, Meta(gt=-90.0, lt=90.0)]
-StandardDeviation = Annotated[float, Meta(gt=0.0, description="an sd above 0")]
+StandardDeviation = Annotated[float, Meta(gt=0.0, le=1e12, description="an sd above 0")]
 #: quantity -> [value, sd]
-References = dict[str, tuple[float, StandardDeviation]]
+References = dict[str, tuple[Value, StandardDeviation]]
 
 
 class AntiAliasTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,7 +58,7 @@ class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
 
     sample_rate_hz: Positive | None = None
     hold: Hold = "zoh"
-    bias_v: float = 5.0
+    bias_v: Value = 5.0
     antialias: AntiAliasTable | Literal[False] | None = None
     adc: AdcTable | Literal[False] | None = None
 
