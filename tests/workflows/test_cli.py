@@ -163,7 +163,7 @@ def test_the_version_is_that_of_the_distribution(capfd):
     [
         (
             [],
-            "run query report verify identify paper check simulate compare diagnose refine demo effects model benchmark",
+            "run query report verify identify paper init check simulate compare diagnose refine demo effects model benchmark",
         ),
         (["model"], "show add drop export"),
         (["benchmark"], "coverage undetected throughput faults sequential lattice silverbox hidden-effects"),

@@ -80,7 +80,7 @@ def faults(
     workers: Workers = 0,
     json: Json = False,
 ) -> None:
-    """Workers and drivers that die in a night; the cost of a commit.
+    """Workers and drivers that die in a night; cost of a commit.
 
     Prints whether each device has exactly one row, what was computed twice, and commit time and memory against the block.
     """
