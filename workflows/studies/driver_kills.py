@@ -12,6 +12,7 @@ import os
 import random
 import signal
 import time
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -87,6 +88,8 @@ def _life(store: RunStore, blocks: int, seconds: float, workers: int, folder: Pa
                 run_blocks(stub_plan(blocks), store, workers, None, True, Stub(seconds, count=folder / _COUNT))
                 store.finish("complete", {})
                 code = 0
+        except BaseException:
+            traceback.print_exc()
         finally:
             os._exit(code)
     until = time.monotonic() + moment if early else math.inf

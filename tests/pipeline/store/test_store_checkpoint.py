@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,9 @@ from store_runs import CONFIG, PROVENANCE, ROWS, block_tables, make_run
 from pipeline.store import RunStore, checkpoint, create_run, journal, read_run
 from pipeline.store.query import query
 from pipeline.store.verify import verify
+
+#: 18 for the figure of docs/faults.md.
+QUERIES = int(os.environ.get("QUERIES", "2"))
 
 
 @pytest.fixture(autouse=True)
@@ -77,3 +82,31 @@ def test_a_damaged_block_is_not_merged_and_does_not_end_the_night(tmp_path: Path
             path.write_bytes(path.read_bytes()[:-1] + b"?")
     assert [finding.file for finding in verify(tmp_path).errors] == [str(path)]
     assert store.committed_blocks() == frozenset(range(9))
+
+
+def test_readers_see_whole_tables_while_files_are_merged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal, "_LEAST_LINES", 8)
+    store, done, written = create_run(tmp_path, "r", CONFIG, PROVENANCE), threading.Event(), [0]
+
+    def write() -> None:
+        for block in range(2000):
+            if done.is_set():
+                return
+            store.commit_block(block, *block_tables(block))
+            written[0] = block + 1
+            done.wait(0.05)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        for _ in range(QUERIES):
+            before = written[0]
+            sql = "SELECT count(*) AS n, count(DISTINCT device_id) AS k, max(device_id) AS last FROM devices"
+            found = query(sql, tmp_path).to_pylist()[0]
+            assert found["n"] == found["k"] >= ROWS * before
+            assert found["n"] == (0 if found["last"] is None else int(found["last"]) + 1)
+            assert read_run(tmp_path).devices.num_rows >= found["n"]
+    finally:
+        done.set()
+        writer.join()
+    assert verify(tmp_path).ok
