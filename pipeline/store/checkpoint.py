@@ -20,7 +20,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from ..errors import IntegrityError, UsageError
-from . import files
+from . import files, log
 from .block import block_file
 from .journal import journal_name, read_manifest
 from .manifest import NAME as MANIFEST
@@ -44,6 +44,8 @@ def put_manifest(folder: Path, manifest: Manifest) -> None:
     UsageError : provenance or summary are not JSON.
     """
     before = journal_name(files.sha256((folder / MANIFEST).read_bytes()))
+    if not any(log.damages(folder, manifest.log)):  # the hash of a damaged log would hide the damage
+        manifest = replace(manifest, log=log.state(folder))
     data = encoded(manifest)
     files.replace_file(folder, MANIFEST, data)
     if before != journal_name(files.sha256(data)):

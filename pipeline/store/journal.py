@@ -19,6 +19,7 @@ import msgspec
 
 from ..errors import IntegrityError
 from .files import fsync_folder, sha256
+from .log import last_block
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Manifest, Status, decode
 
@@ -78,6 +79,7 @@ def read_manifest(folder: Path) -> Manifest:
     IntegrityError : it is missing, unreadable or damaged, or belongs to another run.
     """
     path = folder / MANIFEST
+    logged = last_block(folder)
     data = _bytes_of(path)
     while True:
         manifest = decode(data, str(path))
@@ -94,10 +96,16 @@ def read_manifest(folder: Path) -> Manifest:
             allowed=folder.name.removeprefix("run="),
             next_step=f"rename the folder to run={manifest.run_id}",
         )
-    if not added:
-        return manifest
-    files = (*manifest.files, *added)
-    return replace(manifest, files=files, status="running", finished=None, devices_digest=None)
+    if added:
+        files = (*manifest.files, *added)
+        manifest = replace(manifest, files=files, status="running", finished=None, devices_digest=None)
+    if logged is not None and manifest.status != "complete" and logged not in manifest.blocks():
+        raise IntegrityError(
+            f"{folder / journal_name(sha256(data))} lacks commits: the log of the run names block {logged}",
+            allowed="every block whose commit was logged",
+            next_step="`gyroscreen verify --repair`, then resume the run; or restore it from a copy",
+        )
+    return manifest
 
 
 def _bytes_of(path: Path) -> bytes:

@@ -17,6 +17,7 @@ import msgspec
 
 from ..errors import IntegrityError
 from .files import sha256
+from .log import LogState
 
 FORMAT = 1
 NAME = "manifest.json"
@@ -71,6 +72,7 @@ class Manifest:
     files : committed files, in the order of their commits.
     summary : given by the caller when the run finished.
     devices_digest : digest of the values of the whole ``devices`` table, at the end.
+    log : log.jsonl when this manifest was written.
     format : version of this layout.
     """
 
@@ -83,6 +85,7 @@ class Manifest:
     files: tuple[FileEntry, ...]
     summary: Mapping[str, Any] = field(default_factory=dict)
     devices_digest: str | None = None
+    log: LogState | None = None
     format: int = FORMAT
 
     def of_kind(self, kind: Kind) -> tuple[FileEntry, ...]:

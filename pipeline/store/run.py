@@ -21,11 +21,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-import msgspec
 import pyarrow as pa
 
 from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
-from . import files
+from . import files, log
 from .block import amended, block_file, check_block, other_name
 from .checkpoint import checkpoint, encoded, put_manifest, sweep
 from .journal import Journal, read_manifest
@@ -35,7 +34,6 @@ from .parquet import encode_table
 from .read import CONFIG, PREFIX, check_results, find_run, read_block, read_config, read_file, read_table, settled
 from .stream import streamed
 
-LOG = "log.jsonl"
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 PAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*\.(html|json|svg|png|csv|toml|txt)")
 
@@ -208,11 +206,9 @@ class RunStore:
             )
 
     def log(self, event: Mapping[str, Any]) -> None:
-        """Append one line to ``log.jsonl``, with the time; NaN becomes null, other values that JSON lacks become text."""
-        line = msgspec.json.encode({"time": _now(), **event}, enc_hook=str) + b"\n"
-        # A single write in append mode keeps the lines of several processes apart.
-        with _disk(self.folder), (self.folder / LOG).open("ab", buffering=0) as file:
-            file.write(line)
+        """Append one line to ``log.jsonl``, with the time and its hash."""
+        with _disk(self.folder):
+            log.append(self.folder, event)
 
     @contextmanager
     def _writing(self, clean: bool = True) -> Iterator[None]:

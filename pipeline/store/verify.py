@@ -20,13 +20,17 @@ from .digest import TableDigest, comparable
 from .files import STAGED, sha256
 from .journal import journal_name, read_manifest
 from .lock import NAME as LOCK
+from .log import NAME as LOG
+from .log import damages
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Manifest, in_block_order
 from .parquet import decode_table
 from .read import PREFIX, read_file, run_folders
-from .run import LOG
 from .schema import devices_schema, posterior_schema
 from .stream import Names, tables
+
+#: Folder in that of a run where damaged files go when they are repaired.
+ASIDE = "damaged"
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ def verify(results: Path) -> VerifyReport:
             value=str(results),
             next_step="make one with `gyroscreen run`, or name the folder with --results",
         )
-    checked = [_verify_run(folder) for folder in folders]
+    checked = [verify_run(folder) for folder in folders]
     return VerifyReport(
         findings=tuple(findings + [finding for report in checked for finding in report.findings]),
         runs=len(folders),
@@ -119,14 +123,20 @@ def verify(results: Path) -> VerifyReport:
     )
 
 
-def _verify_run(folder: Path) -> VerifyReport:
+def verify_run(folder: Path) -> VerifyReport:
+    """Check one run; see :func:`verify`."""
     try:
         manifest = read_manifest(folder)
     except IntegrityError as error:
-        finding = _damage(folder / MANIFEST, error)
+        journal = next((path for path in folder.glob("journal-*.jsonl") if str(path) in error.what), None)
+        finding = _damage(journal or folder / MANIFEST, error)
         return VerifyReport((finding,), runs=1, files=0, bytes=0, devices=0, draws=0)
     findings = list(_strays(folder, {entry.name for entry in manifest.files} | {MANIFEST, LOG, LOCK, _journal(folder)}))
     findings += _structure(folder, manifest)
+    findings += [
+        IntegrityFinding(str(folder / LOG), what, "what was written", "damage")
+        for what in damages(folder, manifest.log)
+    ]
     digest, names = TableDigest(), Names()
     devices = draws = 0
     for entry in in_block_order(manifest.files):
@@ -213,6 +223,8 @@ def _strays(folder: Path, known: set[str]) -> Iterator[IntegrityFinding]:
             continue
         if path.name.endswith(STAGED) or OWN.fullmatch(path.name):
             what = "left by an interrupted write or added by hand; not part of any result"
+        elif path.name == ASIDE:
+            what = "damaged files that --repair has put aside; not part of any result"
         elif path.name.startswith(PREFIX):
             what = "a run's folder without a manifest; not part of any result"
         else:

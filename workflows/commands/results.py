@@ -8,12 +8,16 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from pipeline.errors import IncompleteError, IntegrityError, UsageError
+from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable
 from pipeline.store.manifest import Manifest
 from pipeline.store.query import LATEST, answer, write_table
 from pipeline.store.read import list_runs
 from pipeline.store.verify import verify as verify_results
+
+if TYPE_CHECKING:
+    from ..screening.repair import RepairStep
 
 FORMATS = ("table", "csv", "json", "parquet")
 #: Rows of a table for the eye, unless the user asks for more.
@@ -97,20 +101,29 @@ def report(run: str | None, results: Path, out: Path | None) -> None:
     print(path)
 
 
-def verify(results: Path, json: bool) -> None:
+def verify(results: Path, json: bool, repair: bool) -> None:
     """See ``gyroscreen verify --help``."""
     found = verify_results(results)
+    steps: tuple[RepairStep, ...] = ()
+    if repair and not found.ok:
+        from ..screening.repair import repair as repaired  # imports the physics, which a check does without
+
+        steps = repaired(results, quiet=json)
+        found = verify_results(results)
     fatal = [finding for finding in found.findings if finding.fatal]
     if json:
-        print(json_.dumps({"ok": found.ok, **asdict(found)}))
+        done = {"repair": [asdict(step) for step in steps]} if repair else {}
+        print(json_.dumps({"ok": found.ok, **asdict(found), **done}))
     else:
-        for finding in found.findings:
-            print(finding)
+        for line in (*steps, *found.findings):
+            print(printable(str(line)))
         verdict = "unchanged since it was written" if found.ok else f"damaged, {len(fatal)} findings"
         print(f"{verdict}: {found.runs} runs, {found.files} files, {found.devices} devices, {found.draws} draws")
     if fatal:
         raise IntegrityError(
             "the results have changed since they were written",
             value=fatal[0].file,
-            next_step="see the findings above; repeat the damaged runs with their run.toml",
+            next_step="see the findings above; restore the named files from a copy"
+            if repair
+            else "gyroscreen verify --repair computes damaged tables again",
         )

@@ -274,6 +274,7 @@ def test_every_log_line_is_json(tmp_path: Path) -> None:
     store.log({"event": "block", "rate": float("nan"), "where": Path("a"), "text": "two\nlines"})
     store.log({"event": "end"})
     first, second = map(json.loads, (store.folder / "log.jsonl").read_text().splitlines())
+    assert len(first.pop("sha256")) == 16
     assert {**first, "time": ""} == {"time": "", "event": "block", "rate": None, "where": "a", "text": "two\nlines"}
     assert second["time"] >= first["time"]
 

@@ -71,11 +71,22 @@ def report(
     command(run, results, out)
 
 
-def verify(results: Results = DEFAULT_RESULTS, json: Json = False) -> None:
-    """Check that no stored result has changed since it was written."""
+def verify(
+    results: Results = DEFAULT_RESULTS,
+    json: Json = False,
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="Compute damaged tables again; damaged files are kept in the folder 'damaged'."),
+    ] = False,
+) -> None:
+    """Check that no stored result has changed since it was written.
+
+    With --repair, damaged tables are computed again from the inputs that the run stored, and stored if they are equal to what was
+    committed.
+    """
     from ..results import verify as command
 
-    command(results, json)
+    command(results, json, repair)
 
 
 COMMANDS = (run, query, report, verify)

@@ -9,7 +9,8 @@ from distributed import Client
 
 from pipeline.store.columns import with_run
 from pipeline.store.run import RunStore
-from reports.run.lot_effects import FILE
+from reports.devices import ColumnSource
+from reports.run.lot_effects import FILE, LotEffects
 
 from ...config import RunConfig
 from ..campaign_source import CampaignSource
@@ -19,7 +20,7 @@ from ..guard import Begin
 from ..plan import RunPlan
 from ..progress import progress
 from .device import DeviceExamination, Request, examine_device, failed_examination
-from .effects import examine
+from .effects import Columns, examine
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,18 @@ EXAMINE_FAULTS: Faults[ExamineItem] = Faults(
 
 def examine_run(planned: RunPlan, store: RunStore, client: Client, quiet: bool) -> None:
     """Find the effects that misfits lack; add them to the devices table and store the findings in the run's folder."""
+    found, columns = with_run(
+        store.folder.parent, store.run_id, lambda run: examination(planned, store, run.devices, client, quiet)
+    )
+    store.amend_devices(columns)
+    store.write_file(FILE, found.to_json())
+    store.log({"event": "examined", "effects": [effect.effect for effect in found.effects]})
+
+
+def examination(
+    planned: RunPlan, store: RunStore, devices: ColumnSource, client: Client, quiet: bool
+) -> tuple[LotEffects, Columns]:
+    """What the misfits of a run lack, and the columns to amend: a pure function of the plan and of its devices."""
 
     def examine_devices(requests: Sequence[Request]) -> Iterator[DeviceExamination]:
         store.log({"event": "examine", "devices": len(requests)})
@@ -61,8 +74,4 @@ def examine_run(planned: RunPlan, store: RunStore, client: Client, quiet: bool) 
                 advance(1)
                 yield examination
 
-    rules, results = planned.config.diagnosis, store.folder.parent
-    found, columns = with_run(results, store.run_id, lambda run: examine(run.devices, rules, examine_devices))
-    store.amend_devices(columns)
-    store.write_file(FILE, found.to_json())
-    store.log({"event": "examined", "effects": [effect.effect for effect in found.effects]})
+    return examine(devices, planned.config.diagnosis, examine_devices)
