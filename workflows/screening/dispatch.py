@@ -34,6 +34,8 @@ _PATIENCE_S = 45.0
 #: A worker without a heartbeat for this time is stopped or isolated [s]; heartbeats come every second or so.
 _SILENT_S = 60.0
 _LOOK_S = 2.0
+#: Waits for a result that is finished, together as long as a worker may be silent [s].
+_WAITS_S = (1.0, 2.0, 4.0, 8.0, 15.0, 30.0)
 
 
 def in_parallel(
@@ -208,9 +210,11 @@ class _Dispatch(Generic[In, Out]):
 
     def _gathered(self, future: Future[Any]) -> Any:
         """The result of a finished future; its worker may have ended, or stopped, before the result was fetched."""
-        for _ in range(round(_SILENT_S)):
+        # Each wait cancels the transfer under way when it ends: with waits of 1 s alone, a machine whose transfers took longer
+        # computed the same blocks for ever (100 blocks computed, none committed).
+        for wait_s in _WAITS_S:
             try:
-                return future.result(timeout=1.0)
+                return future.result(timeout=wait_s)
             except (TimeoutError, UnboundLocalError):
                 # distributed (2026.1) raises the latter where its own wait was cancelled at the time limit: it returns a result
                 # that it has not set.  On a loaded machine this ended 2 of 3 studies of some hours.
