@@ -3,18 +3,15 @@
     consumer's (global) = P(accepted and not conforming)
     producer's (global) = P(rejected and conforming)
 
-JCGM 106:2012, section 9.  Predicted from the posteriors, counted against a virtual truth, or integrated
-for a normal process and a normal measurement.
+JCGM 106:2012, section 9.  Predicted from the posteriors, or counted against a virtual truth.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from pipeline.arrays import BoolArray, FloatArray
 
@@ -38,47 +35,6 @@ class CountedRisk:
     wrong_fail: int
     consumer: Interval
     producer: Interval
-
-
-def normal_risk(
-    process_sd: float, measurement_sd: float, tolerance: tuple[float, float], acceptance: tuple[float, float]
-) -> Risk:
-    """Risks of a rule that accepts if the measured y lies in the acceptance interval (JCGM 106:2012, section 9).
-
-    x ~ N(0, u0), y given x ~ N(x, u).
-
-        consumer's = int over x outside the tolerance of N(x; 0, u0) P(y accepted | x) dx,   producer's likewise
-
-    Parameters
-    ----------
-    process_sd, measurement_sd : u0 and u, in the unit of the quantity.
-    tolerance, acceptance : (low, high) about the process mean; the ends of ``acceptance`` may be guard-banded.
-    """
-
-    def accepted(x: float) -> float:
-        high, low = ndtr((np.asarray(acceptance)[::-1] - x) / measurement_sd)
-        return float(high - low)
-
-    def density(x: float) -> float:
-        return math.exp(-0.5 * (x / process_sd) ** 2) / (process_sd * math.sqrt(2.0 * math.pi))
-
-    def wrong_pass(x: float) -> float:
-        return density(x) * accepted(x)
-
-    def wrong_fail(x: float) -> float:
-        return density(x) * (1.0 - accepted(x))
-
-    # The probability beyond ten sd is below the resolution of a double.
-    reach = 10.0 * process_sd
-    low, high = np.clip(tolerance, -reach, reach)
-    outside = _integral(wrong_pass, -reach, low) + _integral(wrong_pass, high, reach)
-    return Risk(outside, _integral(wrong_fail, low, high))
-
-
-def _integral(integrand: Callable[[float], float], low: float, high: float) -> float:
-    from scipy.integrate import quad
-
-    return float(quad(integrand, low, high, epsabs=1e-13, epsrel=1e-12, limit=200)[0]) if high > low else 0.0
 
 
 def expected_risk(p_pass: FloatArray, verdicts: Sequence[str]) -> Risk:
