@@ -22,9 +22,7 @@ from typer.exceptions import TyperException
 from pipeline.errors import GyroscreenError, printable_lines
 
 from .commands.groups import benchmarks, devices, models, screening
-from .console import survive_any_encoding
-from .interrupts import INTERRUPTED, repeat_lost_interrupts
-from .machine import keep_memory
+from .process import INTERRUPTED, keep_memory, repeat_lost_interrupts, survive_any_encoding
 
 #: What the file system says about a path that it refuses; nothing was written then.
 _REFUSED = (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS)

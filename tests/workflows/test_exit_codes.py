@@ -27,7 +27,7 @@ from tests.stub_runs import run_arguments, stub_block, stub_runs
 from workflows.cli import call
 from workflows.commands import identify as identify_command
 from workflows.commands import learn
-from workflows.interrupts import deaf_children, repeat_lost_interrupts
+from workflows.process import deaf_children, repeat_lost_interrupts
 from workflows.screening import batch
 from workflows.screening.block import BlockTables, DeviceBlock
 

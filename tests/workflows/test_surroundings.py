@@ -16,7 +16,7 @@ from populations.spec import DEFAULT
 from tests.pipeline.experiment.checks.planted_faults import healthy
 from workflows.cli import call
 from workflows.config import load_config
-from workflows.console import plain_text, survive_any_encoding
+from workflows.process import plain_text, survive_any_encoding
 from workflows.screening.block import DeviceBlock, virtual_block
 from workflows.screening.plan import plan
 

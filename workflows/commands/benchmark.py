@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from populations.draw import draw
 
 from ..config import load_config
-from ..machine import worker_count
+from ..process import worker_count
 from ..screening.block import DeviceBlock, virtual_block
 from ..screening.settings import population
 from ..screening.virtual_device import identify_virtual

@@ -15,7 +15,7 @@ from pipeline.store.run import RunStore
 from reports.run.lot_effects import FILE
 
 from ..config import RunConfig
-from ..machine import worker_count
+from ..process import worker_count
 from .block import BlockTables
 from .cluster import cluster
 from .dispatch import guarded_in_parallel

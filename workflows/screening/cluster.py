@@ -16,7 +16,7 @@ from pipeline.errors import UsageError
 from pipeline.input_limits import WORKER_BYTES
 from pipeline.store.provenance import DISTRIBUTION, package_versions
 
-from ..interrupts import deaf_children
+from ..process import deaf_children
 from .local_workers import LocalWorkers
 from .scheduler import Scheduler
 

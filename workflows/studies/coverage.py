@@ -38,7 +38,7 @@ from reports.yields import clopper_pearson
 
 from ..config import RunConfig, load_config
 from ..config_tables import NoiseTable
-from ..machine import worker_count
+from ..process import worker_count
 from ..screening.cluster import cluster
 from ..screening.dispatch import in_parallel
 from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate_of, settings_of

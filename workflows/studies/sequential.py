@@ -42,7 +42,7 @@ from reports.decision import Verdict, conforms
 from reports.limits import Limits
 
 from ..config import RunConfig, load_config
-from ..machine import worker_count
+from ..process import worker_count
 from ..screening.cluster import cluster
 from ..screening.dispatch import in_parallel
 from ..screening.settings import mismatch_prior, population, rate_of

@@ -37,7 +37,7 @@ from pipeline.quantities import AXES
 from populations.draw import Draw, draw
 
 from ..config import RunConfig, load_config
-from ..machine import worker_count
+from ..process import worker_count
 from ..screening.cluster import cluster
 from ..screening.dispatch import in_parallel
 from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate_of, settings_of

@@ -30,7 +30,7 @@ from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.campaign.problem import CampaignProblem
 
 from ...learning import DiagnosisResult, RefinementResult
-from ...machine import worker_count
+from ...process import worker_count
 from ...screening.cluster import cluster
 from ...screening.dispatch import in_parallel
 from . import strengths
