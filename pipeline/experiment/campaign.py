@@ -14,9 +14,8 @@
                      sense_order = [2, 1]         sense1 of the record is sense2 of the files; drive_order likewise
                      lag_samples = 3              sense is 3 samples late: drive[n] is paired with sense[n + 3]
 
-Roles that are not stated: if no record has the role "validate", the last record validates and the others fit; otherwise all
-fit.  A single record fits.  A wrong campaign.toml is a :class:`ConfigError`, a file that is not a record a
-:class:`MeasurementError`.
+Roles that are not stated: if no record validates, the last one does and the others fit; else all fit.  A single record fits.
+A wrong campaign.toml is a :class:`ConfigError`, a file that is not a record a :class:`MeasurementError`.
 """
 
 from __future__ import annotations
