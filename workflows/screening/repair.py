@@ -30,7 +30,7 @@ from pipeline.store.verify import verify_run
 from reports.run.lot_effects import FILE as EFFECTS
 
 from ..config import config_of_run
-from ..machine import worker_count
+from ..process import worker_count
 from .block import BlockTables
 from .cluster import cluster
 from .dispatch import guarded_in_parallel
