@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import re
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,12 @@ def test_control_characters_of_ids_do_not_reach_the_terminal(tmp_path, monkeypat
     assert "\r" not in shown.out + shown.err
     assert "\\x1b[31mred" in shown.out
     assert printable_lines("a\nb\x07") == "a\nb\\x07"
+    reasons = ["query", "SELECT status_reason FROM devices", "--results", str(tmp_path / "results"), "--format", "csv"]
+    assert call(reasons) == 0
+    assert "\x1b[31mred" in capfd.readouterr().out  # a pipe receives what is stored
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert call(reasons) == 0
+    assert "\x1b" not in capfd.readouterr().out
 
 
 def test_pages_send_no_form_and_have_no_other_base():

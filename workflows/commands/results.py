@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json as json_
 import sys
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable
+from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines
 from pipeline.store.manifest import Manifest
 from pipeline.store.query import LATEST, answer, write_table
 from pipeline.store.read import list_runs
@@ -37,7 +38,13 @@ def query(sql: str, results: Path, format: str | None, run: str, rows: str | Non
     most = _most(rows, _SHOWN if chosen == "table" and out is None else None)
     found = answer(sql, results, run=run, rows=most)
     _name_run(list_runs(results), run)
-    write_table(found.table, chosen, sys.stdout.buffer if out is None else out)
+    if out is None and chosen == "csv" and sys.stdout.isatty():
+        shown = io.BytesIO()
+        write_table(found.table, chosen, shown)
+        # A terminal would obey control characters of ids; a file or a pipe receives them as they are.
+        print(printable_lines(shown.getvalue().decode()), end="")
+    else:
+        write_table(found.table, chosen, sys.stdout.buffer if out is None else out)
     sys.stdout.flush()
     left = found.rows - found.table.num_rows
     if left:
