@@ -22,7 +22,11 @@ from ..studies.commit_cost import commits as cost_of_commits
 from ..studies.coverage import Share, figures, run_study
 from ..studies.driver_kills import killed_drivers
 from ..studies.fault_study import killed_workers
+from ..studies.injected import injected_faults
 from ..studies.near_limits import DeviceShare
+
+#: Time limit of an injected device [s]: a stub takes less than a second.
+_LIMIT_S = 5.0
 
 
 def coverage(devices: int, splits: str, noise: str, bad: float, seed: int, workers: int, json: bool) -> None:
@@ -36,6 +40,7 @@ def faults(
     seconds: float,
     commits: int,
     driver_kills: int,
+    injected: int,
     out: Path | None,
     seed: int,
     workers: int,
@@ -48,6 +53,8 @@ def faults(
         folder = out or Path(temporary)
         if blocks and driver_kills:
             found |= killed_drivers(blocks, driver_kills, seconds, count, seed, folder / "kills")
+        if injected:
+            found |= injected_faults(injected, seconds, _LIMIT_S, count, folder / "injected")
         if commits:
             found |= cost_of_commits(commits, folder / "commits")
     show(found, json)

@@ -73,8 +73,12 @@ def faults(
     seconds: Annotated[float, typer.Option(help="Duration of a stub device [s].")] = 0.5,
     commits: Annotated[int, typer.Option(help="Blocks committed to measure the cost of a commit.")] = 10_000,
     driver_kills: Annotated[int, typer.Option(help="Kills of the driver in a run of the same blocks.")] = 0,
+    injected: Annotated[
+        int, typer.Option(help="Blocks of a night with a device each that stops, crashes, loops and takes 5 GB.")
+    ] = 0,
     out: Annotated[
-        Path | None, typer.Option(help="Folder that keeps the runs of --driver-kills and --commits; again: goes on.")
+        Path | None,
+        typer.Option(help="Folder that keeps the runs of --driver-kills, --commits and --injected; again: goes on."),
     ] = None,
     seed: Seed = 1,
     workers: Workers = 0,
@@ -86,7 +90,7 @@ def faults(
     """
     from ..benchmark import faults as command
 
-    command(blocks, kills, seconds, commits, driver_kills, out, seed, workers, json)
+    command(blocks, kills, seconds, commits, driver_kills, injected, out, seed, workers, json)
 
 
 @app.command()
