@@ -3,8 +3,8 @@
     python tests/measure/mutations.py files|configs|shapes COUNT OUT.jsonl [SEED]
 
 One line per case: number, kind, exit code, processor seconds, growth of the peak memory [MB].  The same command goes on with the
-cases that are missing in OUT.jsonl.  A case that ends its process, or takes 120 s, is a line with code null, and is tried again by
-the next command.  The summary is printed at the
+cases that are missing in OUT.jsonl.  A case that ends its process, or takes 120 s, is a line with code null, and is tried again
+by the next command.  The summary is printed at the
 end; the exit code is 1 where a code is not documented, or a case took more than 10 s or 1000 MB.
 """
 
