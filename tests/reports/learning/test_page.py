@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from markup import PAYLOADS, added
 
 from pipeline.device.effect import find_effects
 from pipeline.learning.answers import PairAnswer, Place, TermTest
@@ -275,3 +276,25 @@ def test_a_modal_record_has_f_tests_and_thetas_and_no_held_out_columns(
     assert tables["pair", "share of χ²", "p"] == [["loop delay and mains hum", "76.5 %", "2·10⁻⁴"]]
     labels = [label.partition(" ")[0] for label in Parsed(page).figures]
     assert labels == ["Error", "The", "Residues"]
+
+
+@pytest.mark.filterwarnings("ignore:Glyph")  # fonts lack some of the letters
+def test_no_payload_reaches_the_page_as_markup(
+    comparison: Build, diagnosis: Build, refinement: Build, candidate: Build, record: Build
+) -> None:
+    pages = []
+    for evil in (" ".join(PAYLOADS), "plain"):
+        pages.append(
+            render(
+                evil,
+                comparison(where=(Place("resonance", evil, evil, None, 0.7, 30.0, family=evil),)),
+                diagnosis(effects=(evil,), candidates=(candidate(effect=evil),), invisible=(evil,)),
+                refinement(
+                    last={"effect": evil, "status": evil, "verdict": evil}, refused={evil: evil}, effects=(evil,)
+                ),
+                before=[record(evil)],
+                truth=evil,
+            )
+        )
+    assert added(*pages) == set()
+    assert pages[0] != pages[1]

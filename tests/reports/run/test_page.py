@@ -14,6 +14,7 @@ import matplotlib
 import numpy as np
 import pyarrow as pa
 import pytest
+from markup import PAYLOADS, added
 
 from pipeline.store.schema import devices_table
 from reports.html.rendering import interval, measured, number
@@ -144,6 +145,23 @@ def test_markup_in_names_is_escaped(synthetic_run: Build) -> None:
     assert "script" not in _Elements(hostile).tags
     assert "<script" not in hostile
     assert "&lt;script&gt;" in hostile
+
+
+def test_no_payload_reaches_the_page_as_markup(synthetic_run: Build) -> None:
+    """Every device has another payload in each of its texts; the manifest, run.toml and the summary have all."""
+    pages = []
+    for evil in (PAYLOADS, ["plain"] * len(PAYLOADS)):
+        run = synthetic_run(len(PAYLOADS))
+        table = run.devices
+        for column in ("device_id", "lot", "wafer", "status_reason", "cause"):
+            place = table.column_names.index(column)
+            table = table.set_column(place, table.schema.field(column), pa.array(evil))
+        every = " ".join(evil)
+        run = dataclasses.replace(run, devices=table, config_toml=every, manifest={"run_id": every, "created": every})
+        pages.append(render_run_report(run, DEFAULT_LIMITS, population_summary={every: every}))
+    assert len(PAYLOADS) == 100
+    assert added(*pages) == set()
+    assert pages[0] != pages[1]
 
 
 def test_a_run_without_devices_gives_a_page_that_states_it(synthetic_run: Build) -> None:
