@@ -22,11 +22,16 @@ from .estimate import normal_intervals, reference_comparison
 from .gate import Gate
 from .general.fit import fit_campaign
 from .general.goodness import campaign_status
+from .general.starts import driven_band
 from .screening.campaign import identify_campaign, is_inband
 from .screening.device import IdentificationSettings, failed_result
 from .screening.mismatch import BROAD, NIGHTLY_MODEL
 from .screening.sample import SamplerSettings
 from .systematic import with_common_errors
+
+
+#: A chirp has 1 % of its power up to so much of its band beyond its ends.
+_MARGIN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +75,7 @@ def identify(
     if not campaign.with_role("fit"):
         campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
     campaign = without_bad_samples(campaign)
+    settings = in_driven_band(settings, campaign)
     if model is None and is_inband(campaign) and noise_level(campaign).known:
         stream = np.random.SeedSequence(seed)
         try:
@@ -91,6 +97,20 @@ def identify(
         **({"bad_samples": bad} if bad else {}),
     }
     return Identification(found, reference_comparison(campaign.reference, columns))
+
+
+def in_driven_band(settings: IdentificationSettings, campaign: Campaign) -> IdentificationSettings:
+    """``settings`` with the band of the drives where that is not inside the band of the settings.
+
+    Raises
+    ------
+    MeasurementError : no fit record is driven.
+    """
+    low_hz, high_hz = driven_band(campaign.with_role("fit"))
+    margin = _MARGIN * (settings.high_hz - settings.low_hz)
+    if settings.low_hz - margin <= low_hz and high_hz <= settings.high_hz + margin:
+        return settings
+    return replace(settings, low_hz=low_hz, high_hz=high_hz)
 
 
 def default_models(campaign: Campaign) -> tuple[Model, ...]:
