@@ -29,7 +29,6 @@ from .screening.mismatch import BROAD, NIGHTLY_MODEL
 from .screening.sample import SamplerSettings
 from .systematic import with_common_errors
 
-
 #: A chirp has 1 % of its power up to so much of its band beyond its ends.
 _MARGIN = 0.05
 

@@ -55,6 +55,26 @@ def undetected(
     command(effect, devices, seed, workers, out, json)
 
 
+@app.command("foreign-gyros")
+def foreign_gyros(
+    kind: Annotated[str, typer.Option(help="both, alternate, or all.")] = "all",
+    devices: Annotated[int, typer.Option(help="Devices per kind.")] = 100,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "foreign-gyros"
+    ),
+    json: Json = False,
+) -> None:
+    """Identify gyros of any frequency, Q and split from any chirp.
+
+    The gyros come from a simulator that shares no code with the model.
+    """
+    from ..foreign_gyros import foreign_gyros as command
+
+    command(kind, devices, seed, workers, out, json)
+
+
 @app.command()
 def throughput(devices: Devices = 100, json: Json = False) -> None:
     """Devices per second on one core, and peak memory.

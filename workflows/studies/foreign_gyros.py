@@ -1,0 +1,228 @@
+"""Study of gyros that are not the paper's: does ``identify`` find theta and split of any gyro from any chirp?
+
+    H(s) = sum_k a_k b_k^T s / (s^2 + w_k s / Q_k + w_k^2)      two rocking modes and an up-down mode, from v to S
+
+Each mode is discretized exactly for the hold of the drive samples (scipy), and filtered; no code is shared with the model under
+test.  Drawn are frequencies, Q, split, theta, gains, imbalances, sample rate, hold, band and duration of the chirp, and whether
+both drives sweep at once, in opposite directions, or one after the other.  White noise at 60 dB; two records are fitted, one of
+silence measures the noise.
+
+    DIR/<kind>.jsonl    one JSON object per device; an interrupted study continues there
+
+A row depends on (seed, kind, number) only.  Shapes: N samples of a record, (N, 2) [V].
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.signal import cont2discrete, lfilter
+from threadpoolctl import threadpool_limits
+
+from pipeline.arrays import FloatArray
+from pipeline.axial import difference, wrap
+from pipeline.errors import GyroscreenError, UsageError
+from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.identify import identify
+
+from ..machine import worker_count
+from ..screening.cluster import cluster
+from ..screening.dispatch import in_parallel
+from .coverage import Share
+from .hidden.study import append, make_folder, rows_in
+
+Kind = Literal["both", "alternate"]
+KINDS: dict[str, str] = {
+    "both": "both drives sweep at once, in opposite directions; swapped in the second record",
+    "alternate": "each record drives one electrode, and the other is at zero",
+}
+#: Noise of 60 dB: a thousandth of the rms of the signal.
+_NOISE = 1e-3
+#: Longest record [samples], so that a study of 200 devices takes minutes; the highest Q needs 2e5 for two ring-down times.
+_MOST_SAMPLES = 400_000
+_FREQUENCY_HZ, _QUALITY, _SPLIT_HZ = (200.0, 50_000.0), (50.0, 100_000.0), (0.1, 500.0)
+_STREAM = 120
+
+
+@dataclass(frozen=True)
+class ForeignGyro:
+    """A gyro and its experiment.
+
+    frequency_hz, quality : rocking 1, rocking 2, up-down; theta_deg; gains : rocking, up-down [1/s]; imbalances : sense, drive.
+    rate_hz, hold, low_hz, high_hz, duration_s : of the experiment.
+    """
+
+    frequency_hz: tuple[float, float, float]
+    quality: tuple[float, float, float]
+    theta_deg: float
+    gains: tuple[float, float]
+    imbalances: tuple[float, float]
+    rate_hz: float
+    hold: Literal["zoh", "foh"]
+    low_hz: float
+    high_hz: float
+    duration_s: float
+
+    @property
+    def split_hz(self) -> float:
+        return self.frequency_hz[1] - self.frequency_hz[0]
+
+
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(low * (high / low) ** random.uniform())
+
+
+def draw_gyro(random: np.random.Generator) -> ForeignGyro:
+    """A gyro with a split of at least 0.02 line widths, and a chirp of at least 2 ring-down times over its modes."""
+    f, q = _log_uniform(random, *_FREQUENCY_HZ), _log_uniform(random, *_QUALITY)
+    width, ring_down = f / q, q / (math.pi * f)
+    least, most = max(_SPLIT_HZ[0], 0.02 * width), min(_SPLIT_HZ[1], 0.05 * f)
+    split = _log_uniform(random, least, max(most, 1.01 * least))
+    f3 = f * (1.0 + random.choice([-1.0, 1.0]) * random.uniform(0.06, 0.3))
+    # The swept band, and the lines of all modes within it.
+    margin = random.uniform(0.05, 0.3) * f + 3.0 * width
+    low, high = max(min(f, f3) - margin, 0.3 * f), max(f + split, f3) + margin
+    while True:
+        rate = high * random.uniform(2.4, 8.0)
+        duration = max(random.uniform(2.0, 5.0) * ring_down, random.uniform(1.0, 3.0) * 1000.0 / f)
+        if duration * rate <= _MOST_SAMPLES:
+            break
+    loss = random.uniform(0.8, 1.25, 2)
+    return ForeignGyro(
+        (f, f + split, f3),
+        (q * loss[0], q * loss[1], q * _log_uniform(random, 0.3, 2.0)),
+        random.uniform(-90.0, 90.0),
+        (_log_uniform(random, 0.3, 3.0), _log_uniform(random, 0.3, 3.0)),
+        (random.uniform(-0.05, 0.05), random.uniform(-0.05, 0.05)),
+        rate,
+        random.choice(["zoh", "foh"]),
+        low,
+        high,
+        duration,
+    )
+
+
+def drives_of(gyro: ForeignGyro, kind: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Drive samples (N, 2) [V] of two records to fit and one to hold out."""
+    count = round(gyro.duration_s * gyro.rate_hz)
+    t, length = np.arange(count) / gyro.rate_hz, count / gyro.rate_hz
+
+    def chirp(start: float, stop: float) -> FloatArray:
+        return np.asarray(np.cos(2.0 * math.pi * (start * t + (stop - start) * t**2 / (2.0 * length))))
+
+    up, down, none = chirp(gyro.low_hz, gyro.high_hz), chirp(gyro.high_hz, gyro.low_hz), np.zeros(count)
+    both, swapped = np.stack([up, down], axis=1), np.stack([down, up], axis=1)
+    if kind == "alternate":
+        return np.stack([up, none], axis=1), np.stack([none, up], axis=1), swapped
+    return both, swapped, both
+
+
+def response(gyro: ForeignGyro, drive_v: FloatArray) -> FloatArray:
+    """Noise-free sense samples (N, 2) [V] of a device at rest before the record."""
+    (s, d), (rocking, updown) = gyro.imbalances, gyro.gains
+    angle = math.radians(gyro.theta_deg)
+    sense_gain, drive_gain = np.diag([1.0 - s, 1.0 + s]), np.diag([1.0 - d, 1.0 + d])
+    rock_sense, rock_drive = np.array([[-1.0, -1.0], [1.0, -1.0]]), np.array([[-1.0, 1.0], [1.0, 1.0]])
+    shapes = []
+    for axis in ((math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))):
+        shapes.append((sense_gain @ rock_sense @ axis, rocking * (np.array(axis) @ rock_drive @ drive_gain)))
+    shapes.append((sense_gain @ np.ones(2), updown * drive_gain @ np.ones(2)))
+    volts = np.zeros_like(drive_v)
+    for f, q, (a, b) in zip(gyro.frequency_hz, gyro.quality, shapes):
+        w = 2.0 * math.pi * f
+        numerator, denominator, _ = cont2discrete(([1.0, 0.0], [1.0, w / q, w * w]), 1.0 / gyro.rate_hz, gyro.hold)
+        volts += np.outer(lfilter(numerator.ravel(), denominator, drive_v @ b), a)
+    return volts
+
+
+def foreign_campaign(gyro: ForeignGyro, kind: str, random: np.random.Generator) -> Campaign:
+    """The campaign of a gyro: silence, two records to fit, one held out."""
+    drives = drives_of(gyro, kind)
+    clean = [response(gyro, drive) for drive in drives]
+    sigma = _NOISE * np.sqrt(np.mean(clean[0] ** 2 + clean[1] ** 2, axis=0) / 2.0)
+    silent = min(drives[0].shape[0], 20_000)
+    records = [
+        Record("silence", gyro.rate_hz, np.zeros((silent, 2)), sigma * random.standard_normal((silent, 2)), "noise")
+    ]
+    for name, role, drive, volts in zip(("a", "b", "c"), ("fit", "fit", "validate"), drives, clean):
+        noisy = volts + sigma * random.standard_normal(volts.shape)
+        records.append(Record(name, gyro.rate_hz, drive, noisy, role))  # type: ignore[arg-type]
+    return Campaign("foreign", tuple(records), Instrument(gyro.rate_hz, gyro.hold, 5.0))
+
+
+def study_row(seed: int, item: tuple[str, int]) -> dict[str, Any]:
+    """The row of device ``item`` = (kind, number), computed on a worker."""
+    kind, number = item
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, list(KINDS).index(kind), number)))
+    gyro = draw_gyro(random)
+    campaign = foreign_campaign(gyro, kind, random)
+    row: dict[str, Any] = {"kind": kind, "number": number, "seed": seed, "gyro": asdict(gyro), "failed": ""}
+    started = time.process_time()
+    with threadpool_limits(limits=1):
+        try:
+            columns = identify(campaign, seed=seed).columns
+        except GyroscreenError as error:
+            return row | {"status": "error", "failed": str(error), "cpu_seconds": time.process_time() - started}
+    row |= {
+        "status": columns["status"],
+        "reason": columns["status_reason"],
+        "cpu_seconds": time.process_time() - started,
+    }
+    for name, truth in (("theta_deg", gyro.theta_deg), ("split_hz", gyro.split_hz)):
+        if columns.get(f"{name}_sd"):
+            row[name] = _judged(columns, name, truth)
+    return row
+
+
+def _judged(columns: Mapping[str, Any], name: str, truth: float) -> dict[str, float | bool]:
+    ends = np.array([columns[f"{name}_q05"], columns[f"{name}_q95"]]) - truth
+    error = columns[name] - truth
+    if name == "theta_deg":
+        ends, error = wrap(ends), float(difference(columns[name], truth))
+    return {"z": float(error / columns[f"{name}_sd"]), "inside": bool(ends[0] <= 0.0 <= ends[1])}
+
+
+def run_study(kinds: Sequence[str], devices: int, seed: int, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
+    """Add the missing rows to the files in ``folder``; yields (done, total).
+
+    Raises
+    ------
+    UsageError : an unknown kind, or the folder cannot be written.
+    """
+    for kind in kinds:
+        if kind not in KINDS:
+            raise UsageError("no such kind", value=kind, allowed=f"all, {', '.join(KINDS)}", next_step="correct --kind")
+    make_folder(folder)
+    known = {(row["kind"], row["number"]) for row in rows_in(folder, kinds, seed)}
+    items = [(kind, number) for number in range(devices) for kind in kinds if (kind, number) not in known]
+    total = devices * len(kinds)
+    yield total - len(items), total
+    if not items:
+        return
+    with cluster(worker_count(workers), None) as client:
+        for done, row in enumerate(in_parallel(client, study_row, seed, items), total - len(items) + 1):
+            append(folder, row)
+            yield done, total
+
+
+def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
+    """Shares of devices that are ok, and of those whose theta and split lie in their 90 % intervals."""
+    ok = [row for row in rows if row["status"] == "ok"]
+    found: dict[str, Share | str] = {"status ok": Share(len(ok), len(rows))}
+    for name, label in (
+        ("theta_deg", "theta inside its 90 % interval"),
+        ("split_hz", "split inside its 90 % interval"),
+    ):
+        judged = [row[name]["inside"] for row in ok if name in row]
+        found[label] = Share(sum(judged), len(judged))
+    times = sorted(row["cpu_seconds"] for row in rows)
+    if times:
+        found["processor time, median and largest"] = f"{times[len(times) // 2]:.1f}, {times[-1]:.1f} s"
+    return found
