@@ -153,7 +153,8 @@ def _single(
     estimate = np.abs(np.where(side == 0.0, estimate, np.maximum(side * estimate, 0.0)))
     most = np.where(seen, estimate + Z95 / np.sqrt(size), np.inf)
     most = np.minimum(most, np.maximum(np.abs(low), np.abs(high)))
-    return p, strength, np.where(bias == 0.0, 0.0, np.abs(bias) * most).T
+    # An unlimited size of an effect without bias is no bias.
+    return p, strength, np.multiply(np.abs(bias), most, out=np.zeros_like(bias), where=bias != 0.0).T
 
 
 def _several(
