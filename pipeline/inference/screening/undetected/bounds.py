@@ -182,4 +182,5 @@ def _several(
 
 def _at_most(bias: FloatArray, reach: FloatArray) -> FloatArray:
     """Largest |b' a| (E, Q) for |a| <= ``reach`` (E, k), of biases (E, Q, k)."""
-    return np.asarray(np.sum(np.where(bias == 0.0, 0.0, np.abs(bias) * reach[:, None]), axis=2))
+    most = np.multiply(np.abs(bias), reach[:, None], out=np.zeros_like(bias), where=bias != 0.0)
+    return np.asarray(np.sum(most, axis=2))
