@@ -115,7 +115,8 @@ def drives_of(gyro: ForeignGyro, kind: str) -> tuple[FloatArray, FloatArray, Flo
     t, length = np.arange(count) / gyro.rate_hz, count / gyro.rate_hz
 
     def chirp(start: float, stop: float) -> FloatArray:
-        return np.asarray(np.cos(2.0 * math.pi * (start * t + (stop - start) * t**2 / (2.0 * length))))
+        # A sine: what a drive does before its first sample does not matter.
+        return np.asarray(np.sin(2.0 * math.pi * (start * t + (stop - start) * t**2 / (2.0 * length))))
 
     up, down, none = chirp(gyro.low_hz, gyro.high_hz), chirp(gyro.high_hz, gyro.low_hz), np.zeros(count)
     both, swapped = np.stack([up, down], axis=1), np.stack([down, up], axis=1)

@@ -20,17 +20,25 @@ from ..instrument import Adc
 
 #: Noise below this many LSB does not exercise the ADC in silence.
 _EXERCISED_LSB = 0.5
+#: Highest harmonic of the mains that is looked for: rectifiers emit up to some kHz.  A record at 280 kHz has 2,800 below Nyquist,
+#: whose basis alone takes 50 s.
+MOST_HARMONICS = 100
+
+
+def harmonic_count(sample_rate_hz: float, line_hz: float) -> int:
+    """Number of harmonics of ``line_hz`` [Hz] below Nyquist that are looked for."""
+    return min(math.ceil(sample_rate_hz / 2.0 / line_hz - 1e-9) - 1, MOST_HARMONICS)
 
 
 @lru_cache(maxsize=16)
 def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend: bool) -> FloatArray:
-    """Orthonormal basis (N, L) of offset, optional trend, and the harmonics of ``line_hz`` [Hz] below Nyquist; read-only."""
+    """Orthonormal basis (N, L) of offset, optional trend, and the harmonics of ``line_hz`` [Hz]; read-only."""
     t = np.arange(samples) / sample_rate_hz
     columns = [np.ones(samples)]
     if trend:
         columns.append(t - t.mean())
     if line_hz is not None:
-        for h in range(1, int(np.ceil(sample_rate_hz / 2.0 / line_hz - 1e-9))):
+        for h in range(1, harmonic_count(sample_rate_hz, line_hz) + 1):
             columns += [np.cos(2.0 * np.pi * h * line_hz * t), np.sin(2.0 * np.pi * h * line_hz * t)]
     basis, _ = np.linalg.qr(np.stack(columns, axis=1))
     basis.setflags(write=False)
@@ -39,7 +47,7 @@ def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend
 
 def lines_removed(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:
     """Degrees of freedom per channel that :func:`without_lines` removes; ``sample_rate_hz``, ``line_hz`` [Hz]."""
-    return 1 if line_hz is None else 1 + 2 * (math.ceil(sample_rate_hz / 2.0 / line_hz - 1e-9) - 1)
+    return 1 if line_hz is None else 1 + 2 * harmonic_count(sample_rate_hz, line_hz)
 
 
 def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> FloatArray:
@@ -49,7 +57,7 @@ def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -
     if cycles is not None and abs(cycles - round(cycles)) < 1e-9:
         # Lines that fall on bins are orthogonal, so zeroing their bins is the least-squares solution.
         spectrum = rfft(y, axis=0)
-        spectrum[:: round(cycles)] = 0.0
+        spectrum[: MOST_HARMONICS * round(cycles) + 1 : round(cycles)] = 0.0
         return np.asarray(irfft(spectrum, n=samples, axis=0))
     basis = line_basis(samples, sample_rate_hz, line_hz, False)
     return y - basis @ (basis.T @ y)

@@ -28,6 +28,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from ...arrays import ComplexArray, FloatArray
+from ...experiment.noise.lines import MOST_HARMONICS
 from .inband import Band, features
 from .likelihood import FEATURES, ORDER
 from .mismatch import MismatchPrior
@@ -94,9 +95,11 @@ class BandData:
 
 
 def lines_between(low_hz: float, high_hz: float, line_hz: float) -> FloatArray:
-    """Harmonics of ``line_hz`` [Hz] from half a harmonic below a band to half a harmonic above it."""
+    """The lowest harmonics of ``line_hz`` [Hz] that lie between half a harmonic below a band and half a harmonic above it."""
     low, high = low_hz - line_hz / 2.0, high_hz + line_hz / 2.0
-    return np.asarray(line_hz * np.arange(max(1, math.ceil(low / line_hz)), math.floor(high / line_hz) + 1.0))
+    return np.asarray(
+        line_hz * np.arange(max(1, math.ceil(low / line_hz)), min(math.floor(high / line_hz), MOST_HARMONICS) + 1.0)
+    )
 
 
 def line_columns(band: Band, lines_hz: FloatArray) -> FloatArray:
@@ -111,7 +114,10 @@ def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
     if line_hz is None:
         return np.zeros((2 * band.bins.size, 0))
     frequency = band.frequency_hz
-    columns = line_columns(band, lines_between(float(frequency[0]), float(frequency[-1]), line_hz))
+    lines_hz = lines_between(float(frequency[0]), float(frequency[-1]), line_hz)
+    if not lines_hz.size:
+        return np.zeros((2 * band.bins.size, 0))
+    columns = line_columns(band, lines_hz)
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
     return np.ascontiguousarray(left[:, size > 1e-6 * np.sqrt(band.samples)])
 

@@ -102,7 +102,7 @@ def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> Ban
 def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None) -> BandScan | None:
     frequency = next(member for member in members_of(effect) if member.name == effect.mains_frequency)
     lines = [lines_between(*edges_hz, f) for f in frequency.grid if f != line_hz]
-    if not lines:
+    if not sum(own.size for own in lines):
         return None
     columns = line_columns(band, np.concatenate(lines))
     pairs = np.stack(np.split(columns, 2, axis=1), axis=2).reshape(columns.shape)
