@@ -123,7 +123,7 @@ class _Dispatch(Generic[In, Out]):
         self._signs: dict[str, Sign] = {}
         self._workers: dict[str, tuple[float, float]] = {}
         self._replaced: set[str] = set()
-        self._alive = time.monotonic()
+        self._alive = self._busy = time.monotonic()
 
     def results(self) -> Iterator[tuple[In, Out]]:
         if self._limit is not None:
@@ -178,6 +178,9 @@ class _Dispatch(Generic[In, Out]):
 
     def _finished(self, key: str, at: float) -> tuple[In, Out] | None:
         """The result of an item, or ``None`` if it or its parts must be tried again."""
+        if key not in self._flight:
+            return None  # it was submitted again in the meantime
+        self._busy = time.monotonic()
         tried, future = self._flight[key]
         try:
             result, seconds = self._gathered(future)
@@ -249,6 +252,8 @@ class _Dispatch(Generic[In, Out]):
                 workers = self._client.scheduler_info(n_workers=-1)["workers"]
                 seen = {address: float(worker["last_seen"]) for address, worker in workers.items()}
                 names = {address: str(worker["name"]) for address, worker in workers.items()}
+                if any(worker["metrics"].get("task_counts", {}).get("executing") for worker in workers.values()):
+                    self._busy = now
         known = self._workers
         self._workers = {
             address: (at, known[address][1] if address in known and known[address][0] == at else now)
@@ -259,8 +264,18 @@ class _Dispatch(Generic[In, Out]):
             silent = {a: names[a] for a, (_, since) in self._workers.items() if now - since > _SILENT_S}
             if silent:
                 self._replace(silent)
+            elif now - self._busy > _SILENT_S:
+                self._submit_again()
         elif now - self._alive > self._patience_s:
             self._stop()
+
+    def _submit_again(self) -> None:
+        """Submit all items in flight again: after 60 kills dask left two idle workers beside 8 items that it never sent them."""
+        for key, (tried, _) in list(self._flight.items()):
+            self._again.append(tried)
+            self._forget(key)
+        self._busy = time.monotonic()
+        self._fill()
 
     def _replace(self, silent: Mapping[str, str]) -> None:
         """End the workers with these addresses and names; local ones, and those with a nanny, are started again."""

@@ -32,7 +32,7 @@ from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.identify import identify
 
-from ..machine import worker_count
+from ..process import worker_count
 from ..screening.cluster import cluster
 from ..screening.dispatch import in_parallel
 from .coverage import Share
@@ -132,8 +132,8 @@ def response(gyro: ForeignGyro, drive_v: FloatArray) -> FloatArray:
     sense_gain, drive_gain = np.diag([1.0 - s, 1.0 + s]), np.diag([1.0 - d, 1.0 + d])
     rock_sense, rock_drive = np.array([[-1.0, -1.0], [1.0, -1.0]]), np.array([[-1.0, 1.0], [1.0, 1.0]])
     shapes = []
-    for axis in ((math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))):
-        shapes.append((sense_gain @ rock_sense @ axis, rocking * (np.array(axis) @ rock_drive @ drive_gain)))
+    for axis in np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]):
+        shapes.append((sense_gain @ rock_sense @ axis, rocking * (axis @ rock_drive @ drive_gain)))
     shapes.append((sense_gain @ np.ones(2), updown * drive_gain @ np.ones(2)))
     volts = np.zeros_like(drive_v)
     for f, q, (a, b) in zip(gyro.frequency_hz, gyro.quality, shapes):

@@ -4,6 +4,7 @@ import asyncio
 import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -174,3 +175,21 @@ def test_a_wait_that_distributed_cancels_does_not_end_a_run() -> None:
         assert _Dispatch._gathered(None, _WaitCancelledOnce(runner.loop)) == "result"
     finally:
         runner.stop()
+
+
+def test_items_that_the_scheduler_never_sends_are_submitted_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dispatch, "_SILENT_S", 1.5)
+    monkeypatch.setattr(dispatch, "_LOOK_S", 0.2)
+    with cluster(1, None) as client:
+        submit, nowhere = client.submit, ["tcp://127.0.0.1:9"]
+        submitted: list[Any] = []
+
+        def lost_at_first(*arguments: Any, **options: Any) -> Any:
+            submitted.append(options["key"])
+            return submit(*arguments, **options, **({"workers": nowhere} if len(submitted) <= 3 else {}))
+
+        monkeypatch.setattr(client, "submit", lost_at_first)
+        items = [range(2), range(2, 4), range(4, 6)]
+        found = [n for _, part in guarded_in_parallel(client, faulty_numbers, {}, items, NUMBERS, 5.0) for n in part]
+    assert sorted(found) == [n * n for n in range(6)]
+    assert len(submitted) == 6
