@@ -127,18 +127,20 @@ def drives_of(gyro: ForeignGyro, kind: str) -> tuple[FloatArray, FloatArray, Flo
 
 def response(gyro: ForeignGyro, drive_v: FloatArray) -> FloatArray:
     """Noise-free sense samples (N, 2) [V] of a device at rest before the record."""
-    (s, d), (rocking, updown) = gyro.imbalances, gyro.gains
+    (k_s, k_d), (rocking, updown) = gyro.imbalances, gyro.gains
     angle = math.radians(gyro.theta_deg)
-    sense_gain, drive_gain = np.diag([1.0 - s, 1.0 + s]), np.diag([1.0 - d, 1.0 + d])
+    sense_gain, drive_gain = np.diag([1.0 - k_s, 1.0 + k_s]), np.diag([1.0 - k_d, 1.0 + k_d])
     rock_sense, rock_drive = np.array([[-1.0, -1.0], [1.0, -1.0]]), np.array([[-1.0, 1.0], [1.0, 1.0]])
     shapes = []
-    for axis in np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]):
+    c, s = math.cos(angle), math.sin(angle)
+    for axis in (np.array([c, s]), np.array([-s, c])):
         shapes.append((sense_gain @ rock_sense @ axis, rocking * (axis @ rock_drive @ drive_gain)))
     shapes.append((sense_gain @ np.ones(2), updown * drive_gain @ np.ones(2)))
     volts = np.zeros_like(drive_v)
     for f, q, (a, b) in zip(gyro.frequency_hz, gyro.quality, shapes):
         w = 2.0 * math.pi * f
-        numerator, denominator, _ = cont2discrete(([1.0, 0.0], [1.0, w / q, w * w]), 1.0 / gyro.rate_hz, gyro.hold)
+        analog = np.array([1.0, 0.0]), np.array([1.0, w / q, w * w])
+        numerator, denominator, _ = cont2discrete(analog, 1.0 / gyro.rate_hz, gyro.hold)
         volts += np.outer(lfilter(numerator.ravel(), denominator, drive_v @ b), a)
     return volts
 
