@@ -10,8 +10,9 @@ the paired difference of chi2:
 
 If the better model is right, its r is noise and delta_chi2 is +-sum(delta^2) + 2 sum(delta r), with sd 2 level sqrt(sum delta^2)
 for noise of rms ``level``: 1, or that of the larger fit where the noise level is unknown.  Sums over chunks of rows widen the sd
-where the noise is stronger, coloured or heavy-tailed, and never narrow it.  Free amplitudes that the larger model refits on the
-held-out data are subtracted from delta_chi2.  Source of W: Wald 1943.
+where the noise is stronger, coloured or heavy-tailed, and never narrow it.  Where chi2 rises they widen it to three times at
+most: beyond that r holds a misfit of the better model, which does not excuse a worse one.  Free amplitudes that the larger model
+refits on the held-out data are subtracted from delta_chi2.  Source of W: Wald 1943.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Literal
 
 import numpy as np
 
-from .budget import ALPHA, CLEAR_SNR, DRAWS
+from .budget import ALPHA, ALPHA_LEFT, CLEAR_SNR, DRAWS
 from .goodness import WINDOW, ResidualTests, excess, goodness
 from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
 from .scores import Baseline, Projected, Score, baseline, project
@@ -33,6 +34,8 @@ from .significance import Null, log_tail, score_all
 AT_LIMIT = "after its refit, a parameter is at the limit of its range, or the term duplicates part of the model"
 HeldOutStatus = Literal["confirmed", "partial", "refused"]
 Outcome = Literal["accepted", "failed", "at limit", "insignificant", "little", "unsupported"]
+#: Largest ratio of the observed to the nominal sd where chi2 rises.
+_MAX_INFLATION = 3.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Rules:
     Parameters
     ----------
     alpha : family-wise probability of naming a term where none is present.
+    alpha_left : probability of calling noise structured ("unknown", a milder fault than a wrong name).
     rungs : largest number of terms that may be added.
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
@@ -52,6 +56,7 @@ class Rules:
     """
 
     alpha: float = ALPHA
+    alpha_left: float = ALPHA_LEFT
     rungs: int = 6
     least_share: float = 0.15
     least_expected: float = 0.01
@@ -223,6 +228,8 @@ def paired_difference(
         nominal += level**2 * float(np.vdot(delta, delta))
         edges = np.arange(0, delta.size, WINDOW)
         actual += float(np.sum(np.add.reduceat(delta * right.rows, edges) ** 2)) if delta.size else 0.0
+    if decrease < 0.0:
+        actual = min(actual, _MAX_INFLATION**2 * nominal)
     return PairedDifference(decrease, 2.0 * float(np.sqrt(max(nominal, actual))))
 
 

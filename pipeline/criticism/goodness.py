@@ -39,8 +39,8 @@ from .significance import log_any, log_tail, normal_log_tail
 #: Rows of the shortest window in which repeats are correlated, and of a chunk of held-out rows: longer than the correlation of
 #: the noise.
 WINDOW = 128
-#: Median of |N(0, 1)|.
-_MEDIAN = float(ndtri(0.75))
+#: Median of |N(0, 1)|, and how many regions a family needs for its spread to be estimated: a single region would excuse itself.
+_MEDIAN, _SPREAD_NEEDS = float(ndtri(0.75)), 8
 
 
 @dataclass(frozen=True)
@@ -153,11 +153,11 @@ def _regions(regions: Sequence[Region]) -> ResidualStructure | None:
     log_p, where = [], []
     for family in sorted({region.family for region in regions}):
         own = [region for region in regions if region.family == family and region.dof > 0.0]
-        energy = np.array([region.chi2 for region in own])
+        energy = np.array([region.chi2 if region.robust is None else region.robust for region in own])
         dof = np.array([region.dof for region in own])
         level = max(1.0, float(np.median(energy / dof))) if own else 1.0
         z = (energy / level - dof) / np.sqrt(2.0 * dof)
-        spread = max(1.0, float(np.median(np.abs(z))) / _MEDIAN) if own else 1.0
+        spread = max(1.0, float(np.median(np.abs(z))) / _MEDIAN) if len(own) >= _SPREAD_NEEDS else 1.0
         for region, value, count in zip(own, energy / level, dof):
             # spread^2 times a chi2 of dof / spread^2 has the right mean and variance.
             log_p.append(float(log_tail(value / spread**2, max(round(count / spread**2), 1))))

@@ -68,6 +68,7 @@ class FitResult:
     strata : for each fitted block (n m,) the noise stratum of a row, from 0.  A stratum is a few hundred or more rows with a
         common noise level, which the residuals check.  ``None``: unit variance is assumed everywhere.
     noise_known : false where the residuals are white up to an unknown common factor.
+    noise_bounded : with an unknown level: the variance is at most 1, so chi2/dof well above 1 is a misfit.
     nuisances : number of amplitudes that were projected out; they reduce the degrees of freedom.
     at_limit : terms with a parameter at a limit of its range other than its null, or at a value where the term duplicates
         part of the model.
@@ -92,6 +93,7 @@ class FitResult:
     nuisances: int = 0
     error: Mapping[str, float] = field(default_factory=dict)
     relative_error: Mapping[str, float] = field(default_factory=dict)
+    noise_bounded: bool = False
     at_limit: tuple[str, ...] = ()
     misfit: str = ""
     error_given: bool = True
@@ -234,12 +236,14 @@ class Region:
     family : regions of one family partition the data along one quantity (frequency, time, level); their shares add up to 1.
     labels : where the region lies.
     chi2, dof : energy (sum of squared whitened residuals) and degrees of freedom.
+    robust : the same energy with single outliers clipped, for tests that must not respond to heavy-tailed noise.
     """
 
     family: str
     labels: Mapping[str, object]
     chi2: float
     dof: float
+    robust: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

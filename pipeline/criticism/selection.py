@@ -207,7 +207,7 @@ def _same_point(now: Score, before: Score) -> bool:
 def _pair(cache: FitCache, tests: FitTests, rules: Rules) -> tuple[SelectionStep, ...]:
     """The most significant pair, where structure is left (or the noise level is unknown) and no single term is significant."""
     fit = tests.fit
-    if fit.noise_known and tests.goodness.p_value >= rules.alpha:
+    if fit.noise_known and tests.goodness.p_value >= rules.alpha_left:
         return ()
     pairs = best_pairs(tests.projected, tests.signatures.candidates, fit.noise_known, seed=rules.seed)
     if not pairs or pairs[0].p_value >= rules.alpha:

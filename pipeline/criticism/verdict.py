@@ -36,6 +36,9 @@ from .scores import Projected, baseline, project
 from .selection import FitCache, Fits, ForwardSelection
 
 Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
+#: Rms of the residual, relative to the largest possible noise level, above which a misfit is certain.  Without it a Silverbox
+#: record with hold = "zoh" is "adequate" at a relative error of 23 %.
+_CERTAIN_MISFIT = 1.5
 #: Relative change of the fitted records up to which signatures of an earlier fit are used.  Sines that are smaller are not
 #: trusted to exclude a rival of a strong term, nor for T(B|A).
 STALE = 0.1
@@ -125,7 +128,7 @@ def _judged(selection: ForwardSelection, classes: tuple[TermClass, ...], rules: 
     ignored = () if last.fit.noise_known else selection.refused
     if any(score.name not in ignored for score in last.significant(rules.alpha)):
         return "unknown"
-    if last.goodness.p_value < rules.alpha:
+    if last.goodness.p_value < rules.alpha_left or (last.fit.noise_bounded and last.goodness.level > _CERTAIN_MISFIT):
         return "unknown"
     if last.fit.misfit:
         return "unknown"

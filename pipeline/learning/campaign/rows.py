@@ -123,6 +123,7 @@ def fit_result(
         error={k: v for k, v in fitted.error.items() if v is not None and noise_known},
         relative_error={k: v for k, v in fitted.relative_error.items() if v is not None},
         why=why,
+        noise_bounded=not noise_known,
         error_given=fitted.noise.independent,
         misfit=structured_misfit(fitted, campaign) or "",
         at_limit=tuple(

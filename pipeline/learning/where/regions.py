@@ -39,6 +39,8 @@ _WINDOWS = 12
 _WHOLE = ("level", "direction", "channel", "record")
 #: Largest number of items of a list: places of a family, pairs and rivals of effects.
 LISTED = 12
+#: Limit of a sample [sigma] in the energies of tests that must be robust to outliers.
+_CLIP = 4.0
 
 Labels = Mapping[str, object]
 
@@ -51,7 +53,9 @@ def structure_regions(fit: CampaignFit, partitions: Mapping[str, RecordPartition
     out: list[Region] = []
     for mine in fit.of_role("fit"):
         partition, density = partitions[mine.name], _dof_per_sample(fit, mine)
-        out += _structure(mine, mine.residual, partition, density)
+        clipped = np.clip(mine.residual, -_CLIP, _CLIP)
+        whole, robust = (_structure(mine, y, partition, density) for y in (mine.residual, clipped))
+        out += [replace(region, robust=other.chi2) for region, other in zip(whole, robust)]
     return out
 
 
