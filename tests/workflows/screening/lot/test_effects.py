@@ -135,7 +135,7 @@ def test_a_run_stopped_before_its_examination_is_resumed_to_the_same_table(tmp_p
     config, _, _ = all_affected
     config = msgspec.structs.replace(config, run=msgspec.structs.replace(config.run, devices=2, block=1))
     laid_out, results = plan(config), tmp_path / "results"
-    store = start(laid_out, results)
+    _, store = start(laid_out, results)
     for block in laid_out.blocks:
         tables = virtual_block(config, block)
         store.commit_block(tables.index, tables.devices, tables.posterior)
