@@ -1,6 +1,7 @@
 """Butterworth anti-alias filters as sums of poles.
 
     G(s) = sum_j r_j / (s - q_j),   G(0) = 1
+    G(s) / s = sum_j r_j / q_j / (s - q_j) + 1 / s                          where the filter integrates
 
 q_j and r_j [rad/s] include the conjugates.  Source: Oppenheim and Schafer, Discrete-Time Signal Processing, app. B.
 Shapes: B devices, P poles (one of each conjugate pair), S senses, D drives.
@@ -32,13 +33,15 @@ class Bank:
 
 @cache
 def filter_poles(antialias: AntiAlias) -> tuple[ComplexArray, ComplexArray]:
-    """Poles q_j and residues r_j of the filter, both (order,) [rad/s], read-only."""
+    """Poles q_j and residues r_j of the filter, both (order,) [rad/s], read-only; one more, at zero, where it integrates."""
     order = antialias.order
     corner = 2.0 * math.pi * antialias.corner_hz
     q = corner * np.exp(1j * math.pi * (2.0 * np.arange(1, order + 1) + order - 1) / (2.0 * order))
     difference = q[:, None] - q[None, :]
     np.fill_diagonal(difference, 1.0)
     r = corner**order / np.prod(difference, axis=1)
+    if antialias.integrates:
+        q, r = np.append(q, 0.0), np.append(r / q, 1.0)
     q.flags.writeable = r.flags.writeable = False
     return q, r
 
@@ -48,7 +51,8 @@ def filter_response(antialias: AntiAlias | None, s: ComplexArray) -> ComplexArra
     if antialias is None:
         return np.ones_like(s, dtype=np.complex128)
     q, _ = filter_poles(antialias)
-    return (2.0 * math.pi * antialias.corner_hz) ** antialias.order / np.prod(s[..., None] - q, axis=-1)
+    gain = (2.0 * math.pi * antialias.corner_hz) ** antialias.order
+    return np.asarray(gain / np.prod(s[..., None] - q, axis=-1))
 
 
 def behind_filter(modes: Modes, antialias: AntiAlias | None) -> Bank:
@@ -56,9 +60,9 @@ def behind_filter(modes: Modes, antialias: AntiAlias | None) -> Bank:
     if antialias is None:
         return Bank(modes.poles, modes.residues)
     q, r = filter_poles(antialias)
-    upper = q.imag > -1e-9 * np.abs(q)
+    upper = q.imag >= -1e-9 * np.abs(q)
     q, r = q[upper], r[upper]
-    weight = np.where(np.abs(q.imag) < 1e-9 * np.abs(q), 0.5, 1.0)
+    weight = np.where(np.abs(q.imag) <= 1e-9 * np.abs(q), 0.5, 1.0)
     plant = modes.residues * filter_response(antialias, modes.poles)[:, :, None, None]
     own = np.moveaxis(modes.response(q), -1, 1) * (r * weight)[None, :, None, None]
     batch = modes.poles.shape[0]

@@ -1,6 +1,6 @@
 """Campaigns: a folder of records of one device with a campaign.toml, read and written.
 
-    [device]         id, angular_gain = I_p / I_0p
+    [device]         id, angular_gain = I_p / I_0p, pickoff = "velocity" | "displacement"
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
     [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file)
@@ -31,7 +31,7 @@ from msgspec import Meta
 
 from .. import toml_files as toml
 from ..arrays import FloatArray
-from ..errors import MeasurementError, UsageError
+from ..errors import UsageError
 from .files.channels import correct
 from .files.columns import assemble
 from .files.common_tables import (
@@ -47,6 +47,7 @@ from .files.common_tables import (
 from .files.mapping import Source
 from .files.modal_record import ModalRecord, decode_modal_record
 from .files.readers import existing, read_columns, read_records, write_columns
+from .files.together import at_temperatures, check_same_shape, with_all_drives
 from .instrument import Instrument
 from .record import Campaign, Channels, Record, Role
 from .systematic import EXACT
@@ -124,54 +125,8 @@ def _records_of(
     ]
 
 
-def _with_all_drives(records: Sequence[Record]) -> list[Record]:
-    """The records, with zeros as the drives of those whose files have no drive columns."""
-    drives = max((record.drive_v.shape[1] for record in records), default=0) or 1
-    return [
-        dataclasses.replace(record, drive_v=np.zeros((record.sense_v.shape[0], drives)))
-        if record.drive_v.shape[1] == 0
-        else record
-        for record in records
-    ]
-
-
-def _at_temperatures(records: Sequence[Record], tcf_ppm_per_c: float) -> tuple[Record, ...]:
-    """The records with the frequency shifts of their declared temperatures, 1e-6 TCF (T - mean of T over the fit records)."""
-    fitted = [r.temperature_c for r in records if r.role == "fit" and r.temperature_c is not None]
-    if not fitted:
-        return tuple(records)
-    mean = sum(fitted) / len(fitted)
-    return tuple(
-        r
-        if r.temperature_c is None
-        else dataclasses.replace(r, frequency_shift=1e-6 * tcf_ppm_per_c * (r.temperature_c - mean))
-        for r in records
-    )
-
-
 def _channels(table: ChannelsTable) -> Channels:
     return Channels(**msgspec.structs.asdict(table))
-
-
-def _same_shape(records: Sequence[Record]) -> None:
-    first = records[0]
-    for record in records[1:]:
-        found = (record.drive_v.shape[1], record.sense_v.shape[1])
-        wanted = (first.drive_v.shape[1], first.sense_v.shape[1])
-        if found != wanted:
-            raise MeasurementError(
-                f"{record.name} has different channels from {first.name}",
-                value=f"{found[0]} drives, {found[1]} senses",
-                allowed=f"{wanted[0]} drives, {wanted[1]} senses, as in the first record",
-                next_step="put records with different channels into a separate campaign",
-            )
-        if record.sample_rate_hz != first.sample_rate_hz:
-            raise MeasurementError(
-                f"{record.name} has a different sample rate from {first.name}",
-                value=record.sample_rate_hz,
-                allowed=f"{first.sample_rate_hz} Hz, as in the first record",
-                next_step="state sample_rate_hz under [instrument]",
-            )
 
 
 def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
@@ -193,13 +148,13 @@ def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
     for entry, role in zip(document.record, _roles([entry.role for entry in document.record])):
         known = rate if rate is not None or not records else records[0].sample_rate_hz
         records += _records_of(file.parent, entry, role, known, document)
-    records = [correct(record, _channels(document.channels)) for record in _with_all_drives(records)]
-    _same_shape(records)
+    records = [correct(record, _channels(document.channels)) for record in with_all_drives(records)]
+    check_same_shape(records)
     systematic = document.systematic.built()
     return Campaign(
         device_id=document.device.id or file.absolute().parent.name,
-        records=_at_temperatures(records, systematic.tcf_ppm_per_c),
-        instrument=document.instrument.built(records[0].sample_rate_hz),
+        records=at_temperatures(records, systematic.tcf_ppm_per_c),
+        instrument=document.instrument.built(records[0].sample_rate_hz).with_pickoff(document.device.pickoff),
         angular_gain=document.device.angular_gain,
         phase_error_deg=document.demodulation.phase_error_deg,
         drive=document.demodulation.drive,
@@ -225,7 +180,7 @@ def read_measurement(path: Path) -> Campaign | ModalRecord:
         modal = decode_modal_record(toml.read_bytes(path), path)
         return modal if modal is not None else read_campaign(path)
     found = [dataclasses.replace(record, role="fit") for record in read_records(path, None)]
-    records = tuple(_with_all_drives(found))
+    records = tuple(with_all_drives(found))
     return Campaign(device_id=path.stem, records=records, instrument=Instrument(records[0].sample_rate_hz))
 
 
@@ -267,10 +222,14 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
         at_rest = None if record.at_rest else False
         entries.append(toml.table("[[record]]", {"file": file, "name": name, **conditions, "at_rest": at_rest}))
     instrument = campaign.instrument
+    filter_ = instrument.with_pickoff("velocity").antialias
+    pickoff = {} if instrument.pickoff == "velocity" else {"pickoff": instrument.pickoff}
     text = "\n".join(
         part
         for part in [
-            toml.table("[device]", {"id": campaign.device_id or None, "angular_gain": campaign.angular_gain}),
+            toml.table(
+                "[device]", {"id": campaign.device_id or None, "angular_gain": campaign.angular_gain, **pickoff}
+            ),
             toml.table("[demodulation]", {"phase_error_deg": campaign.phase_error_deg, "drive": campaign.drive}),
             toml.table(
                 "[instrument]",
@@ -278,7 +237,7 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
                     "sample_rate_hz": instrument.sample_rate_hz,
                     "hold": instrument.hold,
                     "bias_v": instrument.bias_v,
-                    "antialias": None if instrument.antialias is None else dataclasses.asdict(instrument.antialias),
+                    "antialias": None if filter_ is None else filter_.table,
                     "adc": None if instrument.adc is None else dataclasses.asdict(instrument.adc),
                 },
             ),

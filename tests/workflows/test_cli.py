@@ -166,7 +166,10 @@ def test_the_version_is_that_of_the_distribution(capfd):
             "run query report verify identify paper init check simulate compare diagnose refine demo effects model benchmark",
         ),
         (["model"], "show add drop export"),
-        (["benchmark"], "coverage undetected foreign-gyros throughput faults sequential lattice silverbox hidden-effects"),
+        (
+            ["benchmark"],
+            "coverage undetected foreign-gyros throughput faults sequential lattice silverbox hidden-effects",
+        ),
     ],
 )
 def test_help_lists_every_command_with_its_full_summary(group, names, capfd):

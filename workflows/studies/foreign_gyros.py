@@ -2,10 +2,10 @@
 
     H(s) = sum_k a_k b_k^T s / (s^2 + w_k s / Q_k + w_k^2)      two rocking modes and an up-down mode, from v to S
 
-Each mode is discretized exactly for the hold of the drive samples (scipy), and filtered; no code is shared with the model under
-test.  Drawn are frequencies, Q, split, theta, gains, imbalances, sample rate, hold, band and duration of the chirp, and whether
-both drives sweep at once, in opposite directions, or one after the other.  White noise at 60 dB; two records are fitted, one of
-silence measures the noise.
+Each mode is discretized exactly for the hold of the drive samples (scipy); no code is shared with the model under test.  Drawn are
+frequencies, Q, split, theta, gains, imbalances, sample rate, hold, band and duration of the chirp.  Both drives sweep at once, in
+opposite directions, or one after the other; the pick-offs sense velocity or displacement.  White noise at 60 dB; two records are
+fitted, one of silence measures the noise.
 
     DIR/<kind>.jsonl    one JSON object per device; an interrupted study continues there
 
@@ -38,10 +38,10 @@ from ..screening.dispatch import in_parallel
 from .coverage import Share
 from .hidden.study import append, make_folder, rows_in
 
-Kind = Literal["both", "alternate"]
 KINDS: dict[str, str] = {
     "both": "both drives sweep at once, in opposite directions; swapped in the second record",
     "alternate": "each record drives one electrode, and the other is at zero",
+    "displacement": "as both, with pick-offs that sense displacement",
 }
 #: Noise of 60 dB: a thousandth of the rms of the signal.
 _NOISE = 1e-3
@@ -125,8 +125,8 @@ def drives_of(gyro: ForeignGyro, kind: str) -> tuple[FloatArray, FloatArray, Flo
     return both, swapped, both
 
 
-def response(gyro: ForeignGyro, drive_v: FloatArray) -> FloatArray:
-    """Noise-free sense samples (N, 2) [V] of a device at rest before the record."""
+def response(gyro: ForeignGyro, drive_v: FloatArray, displacement: bool) -> FloatArray:
+    """Noise-free sense samples (N, 2) [V] of a device at rest before the record: its velocity or its displacement."""
     (k_s, k_d), (rocking, updown) = gyro.imbalances, gyro.gains
     angle = math.radians(gyro.theta_deg)
     sense_gain, drive_gain = np.diag([1.0 - k_s, 1.0 + k_s]), np.diag([1.0 - k_d, 1.0 + k_d])
@@ -139,7 +139,7 @@ def response(gyro: ForeignGyro, drive_v: FloatArray) -> FloatArray:
     volts = np.zeros_like(drive_v)
     for f, q, (a, b) in zip(gyro.frequency_hz, gyro.quality, shapes):
         w = 2.0 * math.pi * f
-        analog = np.array([1.0, 0.0]), np.array([1.0, w / q, w * w])
+        analog = np.array([1.0] if displacement else [1.0, 0.0]), np.array([1.0, w / q, w * w])
         numerator, denominator, _ = cont2discrete(analog, 1.0 / gyro.rate_hz, gyro.hold)
         volts += np.outer(lfilter(numerator.ravel(), denominator, drive_v @ b), a)
     return volts
@@ -148,7 +148,8 @@ def response(gyro: ForeignGyro, drive_v: FloatArray) -> FloatArray:
 def foreign_campaign(gyro: ForeignGyro, kind: str, random: np.random.Generator) -> Campaign:
     """The campaign of a gyro: silence, two records to fit, one held out."""
     drives = drives_of(gyro, kind)
-    clean = [response(gyro, drive) for drive in drives]
+    displacement = kind == "displacement"
+    clean = [response(gyro, drive, displacement) for drive in drives]
     sigma = _NOISE * np.sqrt(np.mean(clean[0] ** 2 + clean[1] ** 2, axis=0) / 2.0)
     silent = min(drives[0].shape[0], 20_000)
     records = [
@@ -157,7 +158,8 @@ def foreign_campaign(gyro: ForeignGyro, kind: str, random: np.random.Generator) 
     for name, role, drive, volts in zip(("a", "b", "c"), ("fit", "fit", "validate"), drives, clean):
         noisy = volts + sigma * random.standard_normal(volts.shape)
         records.append(Record(name, gyro.rate_hz, drive, noisy, role))  # type: ignore[arg-type]
-    return Campaign("foreign", tuple(records), Instrument(gyro.rate_hz, gyro.hold, 5.0))
+    instrument = Instrument(gyro.rate_hz, gyro.hold, 5.0).with_pickoff("displacement" if displacement else "velocity")
+    return Campaign("foreign", tuple(records), instrument)
 
 
 def study_row(seed: int, item: tuple[str, int]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 | kind | found from |
 |---|---|
-| polarity, swap, lag, hold | residues of the modes (2 x 2), phase of the response (one drive) |
+| polarity, swap, lag, hold, pickoff | residues of the modes (2 x 2), phase of the response (one drive) |
 | bad_samples | the prediction of each sample from its neighbours and the drives |
 | offset, drive_offset, clipping, dead, drive, converter, silence | the samples |
 | hum | lines at multiples of 50 or 60 Hz |

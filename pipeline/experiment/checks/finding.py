@@ -21,34 +21,38 @@ class Correction:
 
     Parameters
     ----------
-    instrument, channels : key -> value in that table.
+    instrument, channels, device : key -> value in that table.
     record : file -> key -> value in the [[record]] of that file.
     """
 
     instrument: dict[str, Any] = field(default_factory=dict)
     channels: dict[str, Any] = field(default_factory=dict)
     record: dict[str, dict[str, Any]] = field(default_factory=dict)
+    device: dict[str, Any] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return bool(self.instrument or self.channels or self.record)
+        return bool(self.instrument or self.channels or self.record or self.device)
 
     def joined(self, other: Correction) -> Correction:
         """Both corrections in one; where both write a key, ``other`` wins."""
         names = self.record | other.record
         records = {name: self.record.get(name, {}) | other.record.get(name, {}) for name in names}
-        return Correction(self.instrument | other.instrument, self.channels | other.channels, records)
+        device = self.device | other.device
+        return Correction(self.instrument | other.instrument, self.channels | other.channels, records, device)
 
     @property
     def toml(self) -> str:
         """The lines of campaign.toml."""
-        parts = [table("[instrument]", self.instrument), table("[channels]", self.channels)]
+        parts = [table("[device]", self.device), table("[instrument]", self.instrument)]
+        parts += [table("[channels]", self.channels)]
         parts += [table("[[record]]", {"file": name, **keys}) for name, keys in self.record.items()]
         return "\n".join(part for part in parts if part)
 
     @property
     def advice(self) -> str:
         """The same as a clause: ``write sense_polarity = [1, -1] under [channels]``; empty without keys."""
-        places = [("under [instrument]", self.instrument), ("under [channels]", self.channels)]
+        places = [("under [device]", self.device), ("under [instrument]", self.instrument)]
+        places += [("under [channels]", self.channels)]
         places += [(f"in the [[record]] of {name}", keys) for name, keys in self.record.items()]
         clauses = [
             f"{' and '.join(f'{name} = {encoded(value)}' for name, value in keys.items())} {where}"

@@ -17,13 +17,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from ...arrays import BoolArray, ComplexArray, FloatArray
 from ..record import Record
 
 _ITERATIONS = 10
-_MAX_SAMPLES = 2**16
+#: Samples and bins of a record that are used.  A slow chirp over modes of a high Q does not pass them all in fewer samples; of its
+#: bins the strongest half, where the modes are, and others at a constant distance carry what a fit needs.
+_MAX_SAMPLES = 2**19
+_MAX_BINS = 2**13
 _MAX_RECORDS = 4
 #: Bins with less than this share of the strongest drive power are left out.
 _DRIVEN = 1e-3
@@ -81,23 +85,33 @@ def _smoothed(power: FloatArray, width: int) -> FloatArray:
     return np.convolve(power, np.ones(width) / width, mode="same")
 
 
-def _spectra(record: Record, padded: int, band_hz: tuple[float, float]) -> _DrivenBand:
+def _spectra(record: Record, padded: int, band_hz: tuple[float, float], most: int | None = _MAX_BINS) -> _DrivenBand:
     count = min(record.drive_v.shape[0], _MAX_SAMPLES)
     drive = record.drive_v[:count]
     sense = record.sense_v[:count] - record.sense_v[:count].mean(axis=0)
     size = padded * count
     w = 2.0 * np.pi * np.arange(size // 2 + 1) * record.sample_rate_hz / size
-    keep = (w >= 2.0 * np.pi * band_hz[0]) & (w <= 2.0 * np.pi * band_hz[1])
-    return _DrivenBand(
-        w[keep], rfft(drive, size, axis=0)[keep], rfft(sense, size, axis=0)[keep], count / record.sample_rate_hz
-    )
+    inside = np.flatnonzero((w >= 2.0 * np.pi * band_hz[0]) & (w <= 2.0 * np.pi * band_hz[1]))
+    Y = rfft(sense, size, axis=0)[inside]
+    kept = _informative(np.sum(np.abs(Y) ** 2, axis=1), most)
+    U = rfft(drive, size, axis=0)[inside[kept]]
+    return _DrivenBand(w[inside[kept]], U, Y[kept], count / record.sample_rate_hz)
+
+
+def _informative(power: FloatArray, most: int | None) -> NDArray[np.int64]:
+    """At most ``most`` of the bins with this ``power`` (K,): the strongest half, and others at a constant distance."""
+    if most is None or power.size <= most:
+        return np.arange(power.size)
+    strongest = np.argpartition(power, -(most // 2))[-(most // 2) :]
+    others = np.linspace(0, power.size - 1, most // 2).astype(np.int64)
+    return np.unique(np.concatenate([strongest, others]))
 
 
 def band_hz(records: list[Record]) -> tuple[float, float] | None:
     """Edges [Hz] of the driven band around the centre of the response; ``None`` where nothing is driven."""
     edges = []
     for record in records:
-        full = _spectra(record, 1, (0.0, record.sample_rate_hz / 2.0))
+        full = _spectra(record, 1, (0.0, record.sample_rate_hz / 2.0), None)
         hz, width = full.w / (2.0 * np.pi), max(3, round(10.0 * full.duration_s) | 1)
         drive = _smoothed(np.sum(np.abs(full.U) ** 2, axis=1), min(width, max(hz.size // 8, 1)))
         driven: BoolArray = (drive > _DRIVEN * drive.max()) & (hz > 0.0)

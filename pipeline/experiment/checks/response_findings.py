@@ -66,10 +66,24 @@ def lag_findings(campaign: Campaign, lag: float, sd: float, channel: str | None)
     return found
 
 
+def _pickoff_findings(campaign: Campaign, found: Wiring) -> list[Finding]:
+    """A pick-off that is not the declared one."""
+    declared = campaign.instrument.pickoff
+    if found.pickoff == declared:
+        return []
+    correction = Correction(device={"pickoff": found.pickoff})
+    text = (
+        f"All modes have the phase of {found.pickoff}, a quarter of a period from that of {declared}, which is declared. A lag"
+        f" would turn modes of different frequencies by different angles; it is excluded by {found.pickoff_sd:.0f} sd. If the"
+        f" pick-offs sense {found.pickoff}, {correction.advice}; if not, look for a phase shift of 90 deg in the read-out."
+    )
+    return [Finding("pickoff", "fault", text, None, None, found.pickoff_sd, None, "sd", correction)]
+
+
 def wiring_findings(campaign: Campaign, found: Wiring) -> list[Finding]:
-    """Inverted and swapped channels."""
+    """A pick-off of another kind, inverted and swapped channels."""
     drives, senses = channel_counts(campaign)
-    findings = []
+    findings = _pickoff_findings(campaign, found)
     sure = f"weakest residue {found.confidence_sd:.0f} sd from zero"
     for kind, signs in (("sense", found.sense_polarity), ("drive", found.drive_polarity)):
         if -1 not in signs:

@@ -10,6 +10,8 @@ parameter.  A lag of tau multiplies the residue of a pole p by exp(-p tau).
 
 - lag: R_3 and R_1 + R_2 have opposite signs where both are large, which fixes tau to +-91 samples at 10 kHz; then R_3 must be
   real, which refines tau.
+- pick-off: a lag turns modes by different angles, a pick-off of the other kind turns all by a quarter.  The coarse lag, from the
+  difference of the modes, tells them apart.
 - polarity: the signs of R_3.  Inverting one sense and one drive, or all channels, leaves a linear device unchanged.
 - order: R_1 + R_2 lies off the diagonal.  It lies on the diagonal if the senses or the drives are swapped; the two cases
   differ only in the sign of theta.  If both are swapped, the device is mirrored, which no linear response shows.
@@ -27,7 +29,7 @@ import numpy as np
 from ...arrays import ComplexArray, FloatArray
 from ..antialias import filter_response
 from ..forward.modal_bank import hold_gains
-from ..instrument import Hold, Instrument
+from ..instrument import Hold, Instrument, Pickoff
 from .response import Response
 
 #: The rocking modes are closer to each other than this share of their distance to the up-down mode.
@@ -37,6 +39,10 @@ DOMINANCE = 3.0
 #: A residue must exceed this many sd for its sign to count.
 _CLEAR = 8.0
 _MAX_LAG = 90.0
+#: Least sd of the coarse lag, as a share of a quarter period: an undeclared filter delays the modes differently by some percent.
+_SHARE = 0.05
+#: Distance in sd beyond which a pick-off is excluded.
+_OTHER = 5.0
 
 _OTHER_DEVICE = "this does not look like a gyro with two rocking modes and one up-down mode"
 
@@ -52,6 +58,8 @@ class Wiring:
     lag_samples, lag_sd : lag of the senses beyond the declared hold and filter, and its sd.
     confidence_sd : the smallest residue that decides a sign, over its sd.
     poles_hz : frequencies of rocking, rocking, up-down [Hz].
+    pickoff : what the phase of the residues shows, "velocity" or "displacement"; the lag is that beyond it.
+    pickoff_sd : how far the phase is from that of the other one, in sd; 0 where the two are not told apart.
     """
 
     sense_polarity: tuple[int, int]
@@ -61,6 +69,8 @@ class Wiring:
     lag_sd: float
     confidence_sd: float
     poles_hz: tuple[float, ...]
+    pickoff: Pickoff
+    pickoff_sd: float
 
 
 def hold_factor(pole: complex, sample_rate_hz: float, hold: Hold) -> complex:
@@ -72,16 +82,26 @@ def hold_factor(pole: complex, sample_rate_hz: float, hold: Hold) -> complex:
 
 
 def _rocking_and_updown(response: Response) -> tuple[list[int], int] | None:
-    """Indices of the rocking pair and of the up-down mode; ``None`` unless two of three modes form a close pair."""
-    order = [int(k) for k in np.argsort(response.poles.imag)]
-    if len(order) != 3:
+    """Indices of the rocking pair and of the up-down mode; ``None`` where neither distance nor residues show them.
+
+    The residues of the pair add up to a matrix with one empty diagonal.  Of the groupings for which they do, the pair is the
+    closest; where they do for none, it is a pair that is much closer to each other than to the third mode.
+    """
+    if len(response.poles) != 3:
         return None
-    w = response.poles.imag[order]
-    if w[1] - w[0] < _PAIR * (w[2] - w[1]):
-        return order[:2], order[2]
-    if w[2] - w[1] < _PAIR * (w[1] - w[0]):
-        return order[1:], order[0]
-    return None
+    w = response.poles.imag
+    groupings = sorted((([0, 1], 2), ([0, 2], 1), ([1, 2], 0)), key=lambda g: abs(w[g[0][0]] - w[g[0][1]]))
+    for pair, single in groupings:
+        if max(_diagonals(response.summed(pair)[0])) > DOMINANCE * min(_diagonals(response.summed(pair)[0])):
+            return pair, single
+    pair, single = groupings[0]
+    apart = min(abs(w[single] - w[k]) for k in pair)
+    return groupings[0] if abs(w[pair[0]] - w[pair[1]]) < _PAIR * apart else None
+
+
+def _diagonals(R: ComplexArray) -> tuple[float, float]:
+    """Sums of the absolute values on and off the diagonal of R (2, 2)."""
+    return float(np.abs(R[0, 0]) + np.abs(R[1, 1])), float(np.abs(R[0, 1]) + np.abs(R[1, 0]))
 
 
 def _without_hold_and_filter(R: ComplexArray, pole: complex, instrument: Instrument) -> ComplexArray:
@@ -98,6 +118,15 @@ def _polarities(R: FloatArray) -> tuple[tuple[int, int], tuple[int, int]] | None
         return None
     best = min(fitting, key=lambda o: (o.count(-1), o[2:].count(-1), o[0] == -1))
     return (best[0], best[1]), (best[2], best[3])
+
+
+def _nearest(coarse: float, phase: float, omega: float) -> float:
+    """The lag [s] nearest to ``coarse`` that makes a residue of this phase at ``omega`` [rad/s] real."""
+    return (round((coarse * omega + phase) / math.pi) * math.pi - phase) / omega
+
+
+def _phase_sd(R: ComplexArray, sd: FloatArray) -> float:
+    return float(np.sqrt(np.sum(sd**2 * np.abs(R) ** 2)) / np.sum(np.abs(R) ** 2))
 
 
 def wiring(response: Response, instrument: Instrument) -> Wiring | str:
@@ -117,8 +146,7 @@ def wiring(response: Response, instrument: Instrument) -> Wiring | str:
     if np.any(np.abs(updown) < _CLEAR * updown_sd):
         weakest = float(np.min(np.abs(updown) / updown_sd))
         return f"the up-down mode is too weak in one channel ({weakest:.1f} sd, {_CLEAR:g} sd needed)"
-    diagonal = float(np.abs(rocking[0, 0]) + np.abs(rocking[1, 1]))
-    off_diagonal = float(np.abs(rocking[0, 1]) + np.abs(rocking[1, 0]))
+    diagonal, off_diagonal = _diagonals(rocking)
     swapped = diagonal > off_diagonal
     entries = [(0, 0), (1, 1)] if swapped else [(0, 1), (1, 0)]
     if any(np.abs(rocking[at]) < _CLEAR * rocking_sd[at] for at in entries):
@@ -126,6 +154,7 @@ def wiring(response: Response, instrument: Instrument) -> Wiring | str:
         return f"the rocking modes are too weak in one channel ({weakest:.1f} sd, {_CLEAR:g} sd needed)"
     rate = instrument.sample_rate_hz
     # One factor serves both modes of a pair: between their frequencies it changes by less than the noise.
+    raw_rocking = rocking
     updown = _without_hold_and_filter(updown, p3, instrument)
     rocking = _without_hold_and_filter(rocking, ps, instrument)
     ratio = sum(complex(rocking[at] * np.conj(updown[at])) for at in entries)
@@ -136,9 +165,18 @@ def wiring(response: Response, instrument: Instrument) -> Wiring | str:
         return (
             f"no lag within +-{_MAX_LAG:g} samples gives rocking and up-down residues opposite signs: {_OTHER_DEVICE}"
         )
+    pickoff, pickoff_sd = instrument.pickoff, 0.0
     phase = float(np.angle(np.sum(updown**2))) / 2.0
-    steps = round((coarse * p3.imag + phase) / math.pi)
-    tau = (steps * math.pi - phase) / p3.imag
+    tau = _nearest(coarse, phase, p3.imag)
+    turned = _nearest(coarse, phase + 0.5 * math.pi, p3.imag)
+    noise = _phase_sd(updown, updown_sd), *(float(rocking_sd[at] / np.abs(raw_rocking[at])) for at in entries)
+    coarse_sd = max(math.hypot(*noise) / abs(p3.imag - ps.imag), _SHARE * math.pi / (2.0 * p3.imag))
+    away, turned_away = abs(tau - coarse) / coarse_sd, abs(turned - coarse) / coarse_sd
+    if away > _OTHER and turned_away < _OTHER:
+        pickoff = "displacement" if instrument.pickoff == "velocity" else "velocity"
+        updown, tau = updown * (1j if pickoff == "displacement" else -1j), turned
+    if max(away, turned_away) > _OTHER:
+        pickoff_sd = max(away, turned_away)
     sd = float(np.sqrt(np.sum(updown_sd**2 * np.abs(updown) ** 2)) / np.sum(np.abs(updown) ** 2)) / p3.imag
     real = np.real(updown * np.exp(1j * p3.imag * tau))
     signs = _polarities(real)
@@ -155,5 +193,7 @@ def wiring(response: Response, instrument: Instrument) -> Wiring | str:
         lag_samples=tau * rate,
         lag_sd=sd * rate,
         confidence_sd=clear,
+        pickoff=pickoff,
+        pickoff_sd=pickoff_sd,
         poles_hz=tuple(float(response.poles[k].imag) / (2.0 * math.pi) for k in (*pair, single)),
     )

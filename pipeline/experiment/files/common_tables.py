@@ -15,7 +15,7 @@ from msgspec.structs import asdict
 from ...errors import ConfigError
 from ...quantities import NAMES
 from ...toml_files import check_known
-from ..instrument import Adc, AntiAlias, Hold, Instrument
+from ..instrument import Adc, AntiAlias, Hold, Instrument, Pickoff
 from ..systematic import SILICON_TCF_PPM_PER_C, Systematic
 
 #: Beyond 1e12 no quantity of a bench lies, in any of the units here; squares and products of larger numbers overflow.
@@ -74,10 +74,11 @@ class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DeviceTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The device: its id, and angular_gain = I_p / I_0p."""
+    """The device: its id, angular_gain = I_p / I_0p, and whether its pick-offs sense velocity or displacement."""
 
     id: str = ""
     angular_gain: Positive | None = None
+    pickoff: Pickoff = "velocity"
 
 
 class DemodulationTable(Struct, frozen=True, forbid_unknown_fields=True):

@@ -10,7 +10,6 @@ and of R0 / w, both in 1/s.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -189,7 +188,7 @@ def write_modal_record(record: ModalRecord, path: Path) -> None:
                 "kind": "modal",
                 "name": record.name,
                 "rate_dps": record.rate_dps,
-                "antialias": None if record.antialias is None else dataclasses.asdict(record.antialias),
+                "antialias": None if record.antialias is None else record.antialias.table,
             },
         ),
         toml.table("[device]", {"angular_gain": record.angular_gain}),

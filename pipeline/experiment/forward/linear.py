@@ -66,7 +66,7 @@ def interpolated(drive_v: FloatArray, clock: SampleClock) -> FloatArray:
 
 def upper_poles(readout: Readout) -> tuple[ComplexArray, ComplexArray]:
     """Poles (J,) with Im >= 0 and residues (J, S, S) [rad/s]; a real pole has half its residue, because conj is added."""
-    real = np.abs(readout.poles.imag) < 1e-9 * np.abs(readout.poles)
+    real = np.abs(readout.poles.imag) <= 1e-9 * np.abs(readout.poles)
     keep = (readout.poles.imag > 0.0) | real
     weight = np.where(real, 0.5, 1.0)[keep]
     return readout.poles[keep], readout.residues[keep] * weight[:, None, None]

@@ -30,11 +30,13 @@ _REACH = 64
 def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """z, g0 [s] and g1 [s] of poles of any shape [rad/s] for a step of ``step_s`` seconds; "bandlimited" steps as "foh"."""
     z = np.exp(poles * step_s)
+    integrates = poles == 0.0
+    p = np.where(integrates, 1.0, poles)
     # expm1 keeps z - 1 exact for slow poles.
-    whole = np.expm1(poles * step_s) / poles
+    whole = np.where(integrates, step_s, np.expm1(p * step_s) / p)
     if hold == "zoh":
         return z, whole, np.zeros_like(z)
-    g1 = (np.expm1(poles * step_s) - poles * step_s) / (poles**2 * step_s)
+    g1 = np.where(integrates, 0.5 * step_s, (np.expm1(p * step_s) - p * step_s) / (p**2 * step_s))
     return z, whole - g1, g1
 
 

@@ -223,7 +223,8 @@ def _free_features(band: Band, pole: complex, orders: int) -> ComplexArray:
     z = _exp_series(pole * step, step, orders)
     minus_one = z.copy()
     minus_one[0] = np.expm1(pole * step)
-    whole = _divide(minus_one, pole)
+    integrates = pole == 0.0  # the filter's own pole, which is never expanded
+    whole = np.full(1, step + 0j) if integrates else _divide(minus_one, pole)
     scaling = step ** np.arange(orders)
     ends = _end_sums(band.drive_v, complex(pole * step), orders) * scaling[:, None]
     if not band.first_order_hold:
@@ -232,7 +233,7 @@ def _free_features(band: Band, pole: complex, orders: int) -> ComplexArray:
     linear[0] -= pole * step
     if orders > 1:
         linear[1] -= step
-    g1 = _divide(_divide(linear, pole), pole) / step
+    g1 = np.full(1, step / 2.0 + 0j) if integrates else _divide(_divide(linear, pole), pole) / step
     ahead = np.ascontiguousarray(np.concatenate([band.drive_v[1:], band.drive_v[-1:]]))
     ends_ahead = _end_sums(ahead, complex(pole * step), orders) * scaling[:, None]
     first = _quotient(band.e_iw, band.now, z, ends, whole - g1)

@@ -111,7 +111,9 @@ def _ensemble_chain(log_density: _LogDensity, start: FloatArray, steps: int, ran
     sampler = emcee.EnsembleSampler(*start.shape, log_density, moves=moves, vectorize=True)
     sampler.log_prob_fn = log_density  # emcee's wrapper prints a traceback of whatever the function raises
     sampler.random_state = random.get_state()
-    sampler.run_mcmc(start, steps, skip_initial_state_check=True)
+    # Two points outside of the support cannot be compared: the fit is then no maximum.
+    with np.errstate(invalid="raise"):
+        sampler.run_mcmc(start, steps, skip_initial_state_check=True)
     return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction))
 
 

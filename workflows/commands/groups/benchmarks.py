@@ -57,7 +57,7 @@ def undetected(
 
 @app.command("foreign-gyros")
 def foreign_gyros(
-    kind: Annotated[str, typer.Option(help="both, alternate, or all.")] = "all",
+    kind: Annotated[str, typer.Option(help="both, alternate, displacement, or all.")] = "all",
     devices: Annotated[int, typer.Option(help="Devices per kind.")] = 100,
     seed: Seed = 1,
     workers: Workers = 0,
@@ -66,7 +66,7 @@ def foreign_gyros(
     ),
     json: Json = False,
 ) -> None:
-    """Identify gyros of any frequency, Q and split from any chirp.
+    """Identify gyros of any frequency, Q and split.
 
     The gyros come from a simulator that shares no code with the model.
     """
