@@ -2,10 +2,10 @@
 
     H(s) = sum_k a_k b_k^T s / (s^2 + w_k s / Q_k + w_k^2)      two rocking modes and an up-down mode, from v to S
 
-Each mode is discretized exactly for the hold of the drive samples (scipy); no code is shared with the model under test.  Drawn are
-frequencies, Q, split, theta, gains, imbalances, sample rate, hold, band and duration of the chirp.  Both drives sweep at once, in
-opposite directions, or one after the other; the pick-offs sense velocity or displacement.  White noise at 60 dB; two records are
-fitted, one of silence measures the noise.
+Each mode is discretized exactly for the hold of the drive samples (scipy); no code is shared with the model under test.  Drawn
+are frequencies, Q, split, theta, gains, imbalances, sample rate, hold, band and duration of the chirp.  Both drives sweep at
+once, in opposite directions, or one after the other; the pick-offs sense velocity or displacement.  White noise at 60 dB; two
+records are fitted, one of silence measures the noise.
 
     DIR/<kind>.jsonl    one JSON object per device; an interrupted study continues there
 
@@ -85,7 +85,7 @@ def draw_gyro(random: np.random.Generator) -> ForeignGyro:
     width, ring_down = f / q, q / (math.pi * f)
     least, most = max(_SPLIT_HZ[0], 0.02 * width), min(_SPLIT_HZ[1], 0.05 * f)
     split = _log_uniform(random, least, max(most, 1.01 * least))
-    f3 = f * (1.0 + random.choice([-1.0, 1.0]) * random.uniform(0.06, 0.3))
+    f3 = f * (1.0 + float(random.choice([-1.0, 1.0])) * random.uniform(0.06, 0.3))
     # The swept band, and the lines of all modes within it.
     margin = random.uniform(0.05, 0.3) * f + 3.0 * width
     low, high = max(min(f, f3) - margin, 0.3 * f), max(f + split, f3) + margin
@@ -102,7 +102,7 @@ def draw_gyro(random: np.random.Generator) -> ForeignGyro:
         (_log_uniform(random, 0.3, 3.0), _log_uniform(random, 0.3, 3.0)),
         (random.uniform(-0.05, 0.05), random.uniform(-0.05, 0.05)),
         rate,
-        random.choice(["zoh", "foh"]),
+        "zoh" if random.uniform() < 0.5 else "foh",
         low,
         high,
         duration,

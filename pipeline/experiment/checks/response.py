@@ -24,8 +24,8 @@ from ...arrays import BoolArray, ComplexArray, FloatArray
 from ..record import Record
 
 _ITERATIONS = 10
-#: Samples and bins of a record that are used.  A slow chirp over modes of a high Q does not pass them all in fewer samples; of its
-#: bins the strongest half, where the modes are, and others at a constant distance carry what a fit needs.
+#: Samples and bins of a record that are used.  A slow chirp over modes of a high Q does not pass them all in fewer samples; of
+#: its bins the strongest half, where the modes are, and others at a constant distance carry what a fit needs.
 _MAX_SAMPLES = 2**19
 _MAX_BINS = 2**13
 _MAX_RECORDS = 4

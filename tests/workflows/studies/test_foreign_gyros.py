@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from workflows.studies.coverage import Share
 from pipeline.experiment.campaign import read_campaign, write_campaign
 from pipeline.experiment.checks.check import check
+from workflows.studies.coverage import Share
 from workflows.studies.foreign_gyros import KINDS, draw_gyro, figures, foreign_campaign, study_row
 
 
@@ -44,7 +44,9 @@ def test_figures_count_only_what_was_identified():
 
 
 @pytest.mark.parametrize(("kind", "declared"), [("both", "displacement"), ("displacement", "velocity")])
-@pytest.mark.parametrize("seed", [0, 1])  # the second has a Q of 65,000: its modes are passed at the end of a long chirp
+@pytest.mark.parametrize(
+    "seed", [0, 1]
+)  # the second has a Q of 65,000: its modes are passed at the end of a long chirp
 def test_check_tells_a_pickoff_of_the_other_kind_from_a_lag_and_from_inverted_channels(tmp_path, kind, declared, seed):
     random = np.random.default_rng([seed])
     right = foreign_campaign(draw_gyro(random), kind, random)

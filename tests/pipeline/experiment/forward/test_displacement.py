@@ -14,8 +14,17 @@ from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
 
 VALUES = {
-    **{"f1_hz": 500.0, "f2_hz": 502.0, "f3_hz": 560.0, "zeta1": 2e-3, "zeta2": 2e-3, "zeta3": 3e-3, "theta_deg": 20.0},
-    **{"rocking_gain": 0.3, "updown_gain": 0.5, "sense_imbalance": 0.01, "drive_imbalance": -0.02},
+    "f1_hz": 500.0,
+    "f2_hz": 502.0,
+    "f3_hz": 560.0,
+    "zeta1": 2e-3,
+    "zeta2": 2e-3,
+    "zeta3": 3e-3,
+    "theta_deg": 20.0,
+    "rocking_gain": 0.3,
+    "updown_gain": 0.5,
+    "sense_imbalance": 0.01,
+    "drive_imbalance": -0.02,
 }
 
 
