@@ -238,7 +238,9 @@ def _score_local(projected: Projected, other: LocalCandidate, null: Null) -> Sco
     # An unknown noise level is estimated from the residual.
     level = 1.0 if null.known else max(projected.chi2 / max(projected.dof, 1), 1e-300)
     levels = other.levels or (1.0,) * len(other.delta_chi2s)
-    singles = [float(log_tail(f / (level * g), dof)) for f, g, dof in zip(other.delta_chi2s, levels, other.dofs)]
+    # A line above Nyquist has neither energy nor a level.
+    scaled = [f / max(level * g, 1e-300) for f, g in zip(other.delta_chi2s, levels)]
+    singles = [float(log_tail(f, dof)) for f, dof in zip(scaled, other.dofs)]
     best = max(range(len(singles)), key=lambda i: (-singles[i], other.delta_chi2s[i]))
     log_p = float(log_any(singles[best], len(singles)))
     values = {name: (value, float("nan")) for name, value in other.grid[best].items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.device.model import load_model
 from pipeline.experiment.campaign import read_campaign
 from workflows.cli import call
 
@@ -46,6 +47,8 @@ def test_one_bare_table_is_divided_into_a_fitted_and_a_held_out_half(tmp_path, c
     assert (fit.role, held_out.role) == ("fit", "validate")
     assert fit.sense_v.shape == held_out.sense_v.shape == (512, 1)
     assert "NOT STATED" in (tmp_path / "c" / "campaign.toml").read_text()
+    # One drive and one sense are no gyro, so there is a model file that fits them.
+    assert load_model(tmp_path / "c" / "model.toml").plant.kind == "modal"
 
 
 def test_files_with_different_columns_are_refused_with_a_way_out(tmp_path, capsys):

@@ -10,9 +10,9 @@ from pipeline.errors import GyroscreenError, UsageError, printable_lines
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.inspect import Inspection, inspect
 from pipeline.experiment.files.readers import existing, read_columns
-from pipeline.experiment.files.template import campaign_template, reason
+from pipeline.experiment.files.template import campaign_template, model_template, reason
 
-FILE, PICTURE = "campaign.toml", "columns.png"
+FILE, MODEL, PICTURE = "campaign.toml", "model.toml", "columns.png"
 
 
 def init(files: Sequence[Path], out: Path | None) -> None:
@@ -29,6 +29,8 @@ def init(files: Sequence[Path], out: Path | None) -> None:
     paths = [Path(os.path.relpath(file, folder)).as_posix() for file in files]
     gyro = len(found.of("drive")) == len(found.of("sense")) == 2
     _write(folder, target, campaign_template(folder.resolve().name, paths, found, gyro))
+    if not gyro:
+        _write(folder, folder / MODEL, model_template(found))
     print(printable_lines("\n".join(_text(files, found))))
     try:
         campaign = read_campaign(folder)
@@ -42,7 +44,8 @@ def init(files: Sequence[Path], out: Path | None) -> None:
     except OSError as error:
         raise _unwritable(folder / PICTURE, error) from None
     print(printable_lines(f"{target}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"))
-    print(printable_lines(f"next: gyroscreen check {folder}"))
+    model = "" if gyro else f" --model {folder / MODEL}"
+    print(printable_lines(f"next: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
 
 
 def _write(folder: Path, target: Path, text: str) -> None:

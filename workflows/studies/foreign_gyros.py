@@ -162,11 +162,16 @@ def foreign_campaign(gyro: ForeignGyro, kind: str, random: np.random.Generator) 
     return Campaign("foreign", tuple(records), instrument)
 
 
+def drawn(seed: int, kind: str, number: int) -> tuple[ForeignGyro, np.random.Generator]:
+    """The gyro with this kind and number, and the random stream of its noise."""
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, list(KINDS).index(kind), number)))
+    return draw_gyro(random), random
+
+
 def study_row(seed: int, item: tuple[str, int]) -> dict[str, Any]:
     """The row of device ``item`` = (kind, number), computed on a worker."""
     kind, number = item
-    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, list(KINDS).index(kind), number)))
-    gyro = draw_gyro(random)
+    gyro, random = drawn(seed, kind, number)
     campaign = foreign_campaign(gyro, kind, random)
     row: dict[str, Any] = {"kind": kind, "number": number, "seed": seed, "gyro": asdict(gyro), "failed": ""}
     started = time.process_time()

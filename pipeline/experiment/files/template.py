@@ -8,6 +8,8 @@ from ...toml_files import encoded
 from .inspect import FileColumn, Inspection
 from .units import UNITS
 
+#: Units of a quantity that follows displacement.
+_DISPLACEMENTS = {"m", "strain", "rad"}
 #: Share of a single record that is fitted; the rest is held out.
 _FITTED = 0.5
 _UNKNOWN = """\
@@ -47,6 +49,17 @@ def campaign_template(name: str, paths: Sequence[str], found: Inspection, gyro: 
         *_records(paths, found),
     ]
     return "\n".join(parts)
+
+
+def model_template(found: Inspection) -> str:
+    """The text of a model file for a device that is no gyro: one mode, sensed as the unit of the senses tells."""
+    units = {UNITS[column.unit][0] for column in found.of("sense") if column.unit is not None}
+    moved = units and units <= _DISPLACEMENTS
+    sense, why = ("displacement", "the unit of the senses") if moved else ("velocity", "a guess")
+    return (
+        f'plant = {{ kind = "modal", modes = 1, sense = "{sense}" }}    # "velocity" or "displacement": {why}; more modes where'
+        " the response has more peaks\n"
+    )
 
 
 def _columns(found: Inspection) -> list[str]:

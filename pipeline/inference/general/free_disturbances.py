@@ -48,7 +48,7 @@ class DisturbanceShape:
     @property
     def score(self) -> float:
         """delta_chi2 / level less three times its expectation in noise; the largest marks the best shape."""
-        return self.delta_chi2 / self.level - 3.0 * self.dof
+        return self.delta_chi2 / max(self.level, 1e-300) - 3.0 * self.dof  # above Nyquist there is neither
 
 
 @lru_cache(maxsize=32)

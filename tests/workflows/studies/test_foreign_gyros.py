@@ -10,14 +10,16 @@ import pytest
 from pipeline.experiment.campaign import read_campaign, write_campaign
 from pipeline.experiment.checks.check import check
 from workflows.studies.coverage import Share
-from workflows.studies.foreign_gyros import KINDS, draw_gyro, figures, foreign_campaign, study_row
+from workflows.studies.foreign_gyros import KINDS, draw_gyro, drawn, figures, foreign_campaign, study_row
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_theta_and_split_of_foreign_gyros_lie_where_their_intervals_say(kind):
-    rows = [study_row(3, (kind, number)) for number in range(5)]
-    assert [row["status"] for row in rows] == ["ok"] * 5
-    # 10 errors of unit variance: their rms is below 1.9 with a probability of 0.9999.
+    # Records of a high Q are long; the study has them.
+    short = [n for n in range(20) if (gyro := drawn(3, kind, n)[0]).duration_s * gyro.rate_hz < 12_000][:3]
+    rows = [study_row(3, (kind, number)) for number in short]
+    assert [row["status"] for row in rows] == ["ok"] * 3
+    # 6 errors of unit variance: their rms is below 1.9 with a probability of 0.999.
     z = np.array([row[name]["z"] for row in rows for name in ("theta_deg", "split_hz")])
     assert np.sqrt(np.mean(z**2)) < 1.9
 
@@ -43,10 +45,8 @@ def test_figures_count_only_what_was_identified():
     assert found["theta inside its 90 % interval"] == Share(1, 2)
 
 
-@pytest.mark.parametrize(("kind", "declared"), [("both", "displacement"), ("displacement", "velocity")])
-@pytest.mark.parametrize(
-    "seed", [0, 1]
-)  # the second has a Q of 65,000: its modes are passed at the end of a long chirp
+# The second has a Q of 65,000: its modes are passed at the end of a long chirp.
+@pytest.mark.parametrize(("kind", "declared", "seed"), [("both", "displacement", 0), ("displacement", "velocity", 1)])
 def test_check_tells_a_pickoff_of_the_other_kind_from_a_lag_and_from_inverted_channels(tmp_path, kind, declared, seed):
     random = np.random.default_rng([seed])
     right = foreign_campaign(draw_gyro(random), kind, random)
