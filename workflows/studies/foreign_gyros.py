@@ -2,7 +2,7 @@
 
     H(s) = sum_k a_k b_k^T s / (s^2 + w_k s / Q_k + w_k^2)      two rocking modes and an up-down mode, from v to S
 
-Each mode is discretized exactly for the hold of the drive samples (scipy); no code is shared with the model under test.  Drawn
+Each mode is a complex recursion, exact for the hold of the drive samples; no code is shared with the model under test.  Drawn
 are frequencies, Q, split, theta, gains, imbalances, sample rate, hold, band and duration of the chirp.  Both drives sweep at
 once, in opposite directions, or one after the other; the pick-offs sense velocity or displacement.  White noise at 60 dB; two
 records are fitted, one of silence measures the noise.
@@ -14,6 +14,7 @@ A row depends on (seed, kind, number) only.  Shapes: N samples of a record, (N, 
 
 from __future__ import annotations
 
+import cmath
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,10 +23,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter
+from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
-from pipeline.arrays import FloatArray
+from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.axial import difference, wrap
 from pipeline.errors import GyroscreenError, UsageError
 from pipeline.experiment.instrument import Instrument
@@ -125,6 +126,15 @@ def drives_of(gyro: ForeignGyro, kind: str) -> tuple[FloatArray, FloatArray, Flo
     return both, swapped, both
 
 
+def _held(x: complex, drive: FloatArray, hold: str) -> ComplexArray:
+    """int exp(x (n - t)) u(t) dt (N,) at sample n of the held ``drive`` (N,), time in samples: one complex recursion."""
+    z = cmath.exp(x)
+    if hold == "zoh":
+        return np.asarray(lfilter([0.0, (z - 1.0) / x], [1.0, -z], drive))
+    ramp = (z - 1.0 - x) / x**2
+    return np.asarray(lfilter([ramp, (z - 1.0) / x - ramp], [1.0, -z], drive))
+
+
 def response(gyro: ForeignGyro, drive_v: FloatArray, displacement: bool) -> FloatArray:
     """Noise-free sense samples (N, 2) [V] of a device at rest before the record: its velocity or its displacement."""
     (k_s, k_d), (rocking, updown) = gyro.imbalances, gyro.gains
@@ -138,10 +148,9 @@ def response(gyro: ForeignGyro, drive_v: FloatArray, displacement: bool) -> Floa
     shapes.append((sense_gain @ np.ones(2), updown * drive_gain @ np.ones(2)))
     volts = np.zeros_like(drive_v)
     for f, q, (a, b) in zip(gyro.frequency_hz, gyro.quality, shapes):
-        w = 2.0 * math.pi * f
-        analog = np.array([1.0] if displacement else [1.0, 0.0]), np.array([1.0, w / q, w * w])
-        numerator, denominator, _ = cont2discrete(analog, 1.0 / gyro.rate_hz, gyro.hold)
-        volts += np.outer(lfilter(numerator.ravel(), denominator, drive_v @ b), a)
+        p = math.pi * f * complex(-1.0 / q, math.sqrt(4.0 - 1.0 / q**2))
+        residue = (1.0 if displacement else p) / (p - p.conjugate())
+        volts += np.outer(2.0 * (residue * _held(p / gyro.rate_hz, drive_v @ b, gyro.hold)).real / gyro.rate_hz, a)
     return volts
 
 
