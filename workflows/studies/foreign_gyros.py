@@ -33,11 +33,8 @@ from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.identify import identify
 
-from ..process import worker_count
-from ..screening.cluster import cluster
-from ..screening.dispatch import in_parallel
 from .coverage import Share
-from .hidden.study import append, make_folder, rows_in
+from .hidden.study import make_folder, resumed, rows_in
 
 KINDS: dict[str, str] = {
     "both": "both drives sweep at once, in opposite directions; swapped in the second record",
@@ -219,16 +216,9 @@ def run_study(kinds: Sequence[str], devices: int, seed: int, folder: Path, worke
         if kind not in KINDS:
             raise UsageError("no such kind", value=kind, allowed=f"all, {', '.join(KINDS)}", next_step="correct --kind")
     make_folder(folder)
-    known = {(row["kind"], row["number"]) for row in rows_in(folder, kinds, seed)}
-    items = [(kind, number) for number in range(devices) for kind in kinds if (kind, number) not in known]
-    total = devices * len(kinds)
-    yield total - len(items), total
-    if not items:
-        return
-    with cluster(worker_count(workers), None) as client:
-        for done, row in enumerate(in_parallel(client, study_row, seed, items), total - len(items) + 1):
-            append(folder, row)
-            yield done, total
+    wanted = [(kind, number) for number in range(devices) for kind in kinds]
+    before = {(row["kind"], row["number"]) for row in rows_in(folder, kinds, seed)}
+    yield from resumed(study_row, seed, wanted, before, folder, workers)
 
 
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:

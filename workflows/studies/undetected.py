@@ -38,13 +38,11 @@ from populations.draw import Draw, draw
 
 from ..config import RunConfig, load_config
 from ..process import worker_count
-from ..screening.cluster import cluster
-from ..screening.dispatch import in_parallel
 from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
 from ..screening.virtual_device import physical_of, shared_record, virtual_volts
 from .coverage import COVERED, Share
 from .hidden.effects import draw_effect, peak_of
-from .hidden.study import append, make_folder, rows_in
+from .hidden.study import make_folder, resumed, rows_in
 from .hidden.truth import clipped, hum, response
 
 NONE = "none"
@@ -179,16 +177,7 @@ def run_study(effects: Sequence[str], devices: int, seed: int, folder: Path, wor
     make_folder(folder)
     wanted = [(effect, number) for number in range(devices) for effect in effects]
     before = {(row["kind"], row["number"]) for row in rows_in(folder, effects, seed)}
-    missing = [item for item in wanted if item not in before]
-    done = len(wanted) - len(missing)
-    yield done, len(wanted)
-    if not missing:
-        return
-    with cluster(min(worker_count(workers), len(missing)), None) as client:
-        for row in in_parallel(client, study_row, seed, missing):
-            append(folder, row)
-            done += 1
-            yield done, len(wanted)
+    yield from resumed(study_row, seed, wanted, before, folder, workers)
 
 
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -92,7 +92,8 @@ def _rocking_and_updown(response: Response) -> tuple[list[int], int] | None:
     w = response.poles.imag
     groupings = sorted((([0, 1], 2), ([0, 2], 1), ([1, 2], 0)), key=lambda g: abs(w[g[0][0]] - w[g[0][1]]))
     for pair, single in groupings:
-        if max(_diagonals(response.summed(pair)[0])) > DOMINANCE * min(_diagonals(response.summed(pair)[0])):
+        sizes = _diagonals(response.summed(pair)[0])
+        if max(sizes) > DOMINANCE * min(sizes):
             return pair, single
     pair, single = groupings[0]
     apart = min(abs(w[single] - w[k]) for k in pair)

@@ -70,10 +70,8 @@ def clock_of(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
     rounded = bool(np.max(away) > 0.01) and _is_rounded(time_s)
     if np.max(away) > 0.01:
         # The ends are not exact either, so the grid is that of all stamps.
-        n = np.arange(count) - (count - 1) / 2.0
-        centred = time_s - time_s.mean()
-        rate = float(n @ n) / float(n @ centred)
-        away = np.abs(centred - n / rate) * rate
+        step_s, away_s = _grid(time_s)
+        rate, away = 1.0 / step_s, away_s / step_s
     row = int(np.argmax(away))
     if not (np.isfinite(rate) and (away[row] <= JITTER_TOLERANCE or rounded)):
         raise MeasurementError(
@@ -108,10 +106,15 @@ def _is_rounded(time_s: FloatArray) -> bool:
     multiples = (time_s - time_s[0]) / unit
     if np.max(np.abs(multiples - np.round(multiples))) > 1e-3 or (np.max(moved) < 1.01 * unit and np.min(moved) > 0.0):
         return False
-    n = np.arange(count) - (count - 1) / 2.0
+    return bool(np.max(_grid(time_s)[1]) <= 0.55 * unit)
+
+
+def _grid(time_s: FloatArray) -> tuple[float, FloatArray]:
+    """Step [s] of the uniform grid nearest to all stamps (least squares), and the distance (N,) [s] of each from it."""
+    n = np.arange(time_s.size) - (time_s.size - 1) / 2.0
     centred = time_s - time_s.mean()
-    slope = float(n @ centred) / float(n @ n)
-    return bool(np.max(np.abs(centred - n * slope)) <= 0.55 * unit)
+    step_s = float(n @ centred) / float(n @ n)
+    return step_s, np.abs(centred - n * step_s)
 
 
 def _moves_grid(time_s: FloatArray, k: int, typical: float) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from errno import EACCES
 from pathlib import Path
@@ -221,6 +221,30 @@ def make_folder(folder: Path) -> None:
         ) from None
 
 
+def resumed(
+    task: Callable[[int, tuple[str, int]], dict[str, Any]],
+    seed: int,
+    wanted: Sequence[tuple[str, int]],
+    before: Collection[tuple[str, int]],
+    folder: Path,
+    workers: int,
+) -> Iterator[tuple[int, int]]:
+    """Append the rows ``task(seed, item)`` of the items (kind, number) that are ``wanted`` and were not done ``before``.
+
+    Yields (rows done, rows wanted), including those done before, each time one finishes.
+    """
+    missing = [item for item in wanted if item not in before]
+    done = len(wanted) - len(missing)
+    yield done, len(wanted)
+    if not missing:
+        return
+    with cluster(min(worker_count(workers), len(missing)), None) as client:
+        for row in in_parallel(client, task, seed, missing):
+            append(folder, row)
+            done += 1
+            yield done, len(wanted)
+
+
 def run_study(plan: StudyPlan, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
     """Run the campaigns of ``plan`` that are missing in ``folder``; a campaign that failed to run is run again.
 
@@ -229,13 +253,5 @@ def run_study(plan: StudyPlan, folder: Path, workers: int) -> Iterator[tuple[int
     make_folder(folder)
     wanted = [(kind, number) for kind, numbers in plan.numbers.items() for number in numbers]
     before = {(r["kind"], r["number"]) for r in rows_in(folder, tuple(plan.numbers), plan.seed) if not r["failed"]}
-    missing = [item for item in wanted if item not in before]
-    done = len(wanted) - len(missing)
-    yield done, len(wanted)
-    if not missing:
-        return
-    with dask.config.set(_MEMORY), cluster(min(worker_count(workers), len(missing)), None) as client:
-        for row in in_parallel(client, study_block, plan.seed, missing):
-            append(folder, row)
-            done += 1
-            yield done, len(wanted)
+    with dask.config.set(_MEMORY):
+        yield from resumed(study_block, plan.seed, wanted, before, folder, workers)

@@ -47,8 +47,8 @@ def read(path: Path) -> Columns:
             allowed="LabVIEW Measurement, keys, ***End_of_Header***, twice, and a table",
             next_step="export it again, or rename it to .txt if it is a plain table",
         )
-    general = {key: rest for key, _, rest in (line.partition(_mark(lines)) for line in lines[: ends[0]])}
     mark = _mark(lines)
+    general = {key: rest for key, _, rest in (line.partition(mark) for line in lines[: ends[0]])}
     if general.get("Multi_Headings", "No").strip().startswith("Yes") and _tables(path) > 2:
         raise MeasurementError(
             "the file holds several tables",
