@@ -15,7 +15,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -290,6 +290,15 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
     finally:
         shutil.rmtree(nascent, ignore_errors=True)
     return RunStore(folder)
+
+
+def discard_run(store: RunStore) -> None:
+    """Remove a run that could not start; one with a committed block, or that cannot be removed, is kept."""
+    nascent = store.folder.with_name(f".{store.folder.name}-{secrets.token_hex(4)}{files.STAGED}")
+    with suppress(OSError):
+        if not store.committed_blocks():
+            store.folder.rename(nascent)
+            shutil.rmtree(nascent, ignore_errors=True)
 
 
 def open_run(results: Path, run_id: str | None = None) -> RunStore:

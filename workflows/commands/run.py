@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
-from pipeline.errors import InterruptedRunError, UsageError, printable_lines
-from pipeline.store.run import RunStore
+from pipeline.errors import IncompleteError, InterruptedRunError, UsageError, printable_lines
+from pipeline.store.run import RunStore, discard_run
 
 from ..config import RunConfig, changed_config, load_config, to_toml_table
 from ..screening.plan import RunPlan, config_of, plan, resume, start, without_none
@@ -50,11 +50,21 @@ def run(
     # A dry run does without the cluster and the report.
     from ..screening.batch import run_batch
     from ..screening.outcome import check_identified, check_targets
+    from ..screening.scheduler import UnreachableError
 
     try:
         result = run_batch(planned, store, out, workers, scheduler, quiet=json)
     except KeyboardInterrupt:
         raise _interrupted(planned, store, out) from None
+    except UsageError as error:
+        if resume_run is None:
+            # The scheduler did not answer, or its workers have another version: an empty run would be the latest one.
+            discard_run(store)
+        elif isinstance(error, UnreachableError):
+            raise IncompleteError(
+                error.what, value=error.value, allowed=error.allowed, next_step="start it, and resume the run again"
+            ) from None
+        raise
     print(json_.dumps(result.to_dict()) if json else printable_lines(_summary(result, out)))
     check_identified(result)
     check_targets(planned.config.targets, result)

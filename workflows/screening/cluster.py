@@ -18,7 +18,7 @@ from pipeline.store.provenance import DISTRIBUTION, package_versions
 
 from ..process import deaf_children
 from .local_workers import LocalWorkers
-from .scheduler import Scheduler
+from .scheduler import Scheduler, UnreachableError
 
 #: How long workers of an existing cluster may take to state their versions [s].
 _ANSWER_S = 20.0
@@ -50,7 +50,7 @@ def cluster(workers: int, scheduler: Scheduler | None) -> Iterator[Client]:
 
     Raises
     ------
-    UsageError : the scheduler does not respond.
+    UnreachableError : the scheduler does not respond.
     """
     if scheduler is not None:
         with _quiet(), _connected(scheduler) as client:
@@ -73,7 +73,7 @@ def _connected(scheduler: Scheduler) -> Iterator[Client]:
     try:
         client = Client(scheduler.address, security=scheduler.security, timeout="5s", set_as_default=False)
     except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
-        raise UsageError(
+        raise UnreachableError(
             f"no connection to the dask scheduler ({_reason(error)})",
             value=scheduler.address,
             allowed="tcp://host:port of a running scheduler, or tls://host:port and certificates of its authority",

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from dataclasses import replace
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, NoReturn, TypeVar
 from uuid import uuid4
@@ -21,8 +22,9 @@ from distributed import Client, Future, KilledWorker, get_worker
 from pipeline.errors import GyroscreenError, IncompleteError
 
 from .cluster import local_workers
-from .faults import LOSSES, Faults, Sign, TimeLimit, Try, after_exception, after_loss
+from .faults import LOSSES, Ending, Faults, Sign, TimeLimit, Try, after_exception, after_loss
 from .guard import guarded
+from .heartbeats import Heartbeats
 from .worker_process import SIGNS, leave_sign, send_sign
 
 In = TypeVar("In")
@@ -121,7 +123,7 @@ class _Dispatch(Generic[In, Out]):
         self._flight: dict[str, tuple[Try[In], Future[Any]]] = {}
         self._done: SimpleQueue[tuple[str, float]] = SimpleQueue()
         self._signs: dict[str, Sign] = {}
-        self._workers: dict[str, tuple[float, float]] = {}
+        self._heartbeats = Heartbeats()
         self._replaced: set[str] = set()
         self._alive = self._busy = time.monotonic()
 
@@ -151,7 +153,7 @@ class _Dispatch(Generic[In, Out]):
 
     def _fill(self) -> bool:
         """Submit items up to the number in flight; whether any are in flight or left."""
-        while len(self._flight) < _IN_FLIGHT * max(len(self._workers), 1):
+        while len(self._flight) < _IN_FLIGHT * max(len(self._heartbeats.last), 1):
             if self._again:
                 tried = self._again.popleft()
             else:
@@ -227,12 +229,14 @@ class _Dispatch(Generic[In, Out]):
 
     def _lost(self, tried: Try[In], key: str, at: float, error: KilledWorker) -> None:
         worker, local = error.last_worker, local_workers(self._client)
-        replaced = worker.address in self._replaced
         sign = self._signs.get(key) if local is None else local.sign(str(worker.name))
         sign = sign if sign is not None and sign.key == key else None
-        why = "" if local is None else local.why(str(worker.name))
+        ending = Ending() if local is None else local.ending(str(worker.name))
+        if worker.address in self._replaced:
+            # Four times as long would be longer than a device may take: it is tried alone at once, and given up at the next loss.
+            tried, ending = replace(tried, losses=LOSSES - 1), Ending(f"no heartbeat for {_SILENT_S:g} s")
         if self._faults is not None:
-            self._again.extend(after_loss(tried, sign, at, replaced, why, self._faults))
+            self._again.extend(after_loss(tried, sign, at, ending, self._faults))
         elif tried.losses < 2 * LOSSES:
             self._again.append(Try(tried.item, tried.losses + 1))
         else:
@@ -254,14 +258,10 @@ class _Dispatch(Generic[In, Out]):
                 names = {address: str(worker["name"]) for address, worker in workers.items()}
                 if any(worker["metrics"].get("task_counts", {}).get("executing") for worker in workers.values()):
                     self._busy = now
-        known = self._workers
-        self._workers = {
-            address: (at, known[address][1] if address in known and known[address][0] == at else now)
-            for address, at in seen.items()
-        }
+        self._heartbeats.look(seen, now)
         if seen:
             self._alive = now
-            silent = {a: names[a] for a, (_, since) in self._workers.items() if now - since > _SILENT_S}
+            silent = {address: names[address] for address in self._heartbeats.silent(_SILENT_S)}
             if silent:
                 self._replace(silent)
             elif now - self._busy > _SILENT_S:

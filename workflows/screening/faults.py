@@ -64,6 +64,14 @@ class Sign:
 
 
 @dataclass(frozen=True)
+class Ending:
+    """How a worker ended: ``why``, if that is known, and whether that is certain, so that the time of the device says nothing."""
+
+    why: str = ""
+    certain: bool = False
+
+
+@dataclass(frozen=True)
 class Try(Generic[In]):
     """An item to work on, and how often its worker was lost while it ran, and before it ran."""
 
@@ -89,18 +97,15 @@ class TimeLimit:
         return max(self.LEAST_S, self.FACTOR * statistics.median(self.seconds)) if self.seconds else self.UNKNOWN_S
 
 
-def after_loss(
-    tried: Try[In], sign: Sign | None, at: float, replaced: bool, why: str, faults: Faults[In]
-) -> list[Try[In]]:
+def after_loss(tried: Try[In], sign: Sign | None, at: float, ending: Ending, faults: Faults[In]) -> list[Try[In]]:
     """What to do with an item whose worker ended while it was there.
 
-    ``sign`` is the last sign of life, ``at`` the time of the loss (monotonic, as that of the sign); ``replaced``: the driver
-    ended the worker because it did not respond; ``why``: how it ended, if that is known.
+    ``sign`` is the last sign of life, ``at`` the time of the loss (monotonic, as that of the sign).
     """
     if sign is None and tried.unstarted < _UNSTARTED:
         return [replace(tried, unstarted=tried.unstarted + 1)]
     suspect = None if sign is None else sign.device
-    ran = None if sign is None or replaced else sign.over(at)
+    ran = None if sign is None or ending.certain else sign.over(at)
     if ran is not None:
         reason = f"no result after {ran:.0f} s, the time limit of a device; its worker was ended"
         parts = faults.parts(tried.item, suspect)
@@ -111,7 +116,9 @@ def after_loss(
         # A part is divided again at its next loss; a device is only given up after as many losses as a block.
         parts = faults.parts(tried.item, suspect)
         return [Try(part, 0 if faults.single(part) else LOSSES - 1) for part in parts]
-    reason = f"its worker ended {LOSSES} times while it ran: {why or 'a crash, or more memory than a worker may use'}"
+    reason = (
+        f"its worker ended {LOSSES} times while it ran: {ending.why or 'a crash, or more memory than a worker may use'}"
+    )
     return [Try(faults.lost(tried.item, reason))]
 
 

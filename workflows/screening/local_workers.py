@@ -12,17 +12,21 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
 import psutil
 
-from .faults import Sign
+from .faults import Ending, Sign
 from .worker_process import SIGNS, name_of
 
 _LOOK_S = 0.1
 #: A worker that ends sooner than this after its start is not replaced before [s]: its environment may be broken.
 _LEAST_LIFE_S = 1.0
+#: Looks at which a worker is found stopped (SIGSTOP) before it is ended, 5 s: a batch system that suspends a job stops driver and
+#: workers one after the other.  Without it a device that stops its worker holds it until it is silent, four times 60 s.
+_STOPPED_LOOKS = 50
 _THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -34,20 +38,21 @@ class LocalWorkers:
         module = ["-P", "-m", "workflows.screening.worker_process"]
         self._command = [sys.executable, *module, address, str(memory_bytes), str(os.getpid())]
         self._memory_bytes = memory_bytes
-        self._ended: dict[str, str] = {}
+        self._ended: dict[str, Ending] = {}
         self._signs = tempfile.TemporaryDirectory(prefix="gyroscreen-")
+        self._stopped: Counter[int] = Counter()
         self._done = threading.Event()
         self._processes = [self._start() for _ in range(count)]
         self._started = [time.monotonic()] * count
         self._thread = threading.Thread(target=self._keep, daemon=True)
         self._thread.start()
 
-    def why(self, name: str) -> str:
-        """Why the worker ``name`` ended; empty if it is not known."""
+    def ending(self, name: str) -> Ending:
+        """How the worker ``name`` ended."""
         until = time.monotonic() + 5.0 * _LOOK_S
         while name not in self._ended and time.monotonic() < until:
             time.sleep(0.02)
-        return self._ended.get(name, "")
+        return self._ended.get(name, Ending())
 
     def sign(self, name: str) -> Sign | None:
         """The last sign of life of the worker ``name``."""
@@ -93,20 +98,29 @@ class LocalWorkers:
             for i, process in enumerate(self._processes):
                 code = process.poll()
                 if code is None:
-                    self._check_memory(process)
+                    self._check(process)
                 elif time.monotonic() - self._started[i] > _LEAST_LIFE_S:
-                    self._ended.setdefault(name_of(process.pid), _ending(code))
+                    self._ended.setdefault(name_of(process.pid), Ending(_said(code)))
                     self._processes[i], self._started[i] = self._start(), time.monotonic()
 
-    def _check_memory(self, process: subprocess.Popen[bytes]) -> None:
+    def _check(self, process: subprocess.Popen[bytes]) -> None:
+        """End a process that takes too much memory, or that somebody has stopped."""
         with suppress(psutil.Error):
-            if psutil.Process(process.pid).memory_info().rss > self._memory_bytes:
-                limit = f"more memory than the {self._memory_bytes / 2**30:g} GiB of a worker"
-                self._ended[name_of(process.pid)] = limit
-                process.kill()
+            found = psutil.Process(process.pid)
+            self._stopped[process.pid] = (
+                self._stopped[process.pid] + 1 if found.status() == psutil.STATUS_STOPPED else 0
+            )
+            if found.memory_info().rss > self._memory_bytes:
+                self._end(process, f"more memory than the {self._memory_bytes / 2**30:g} GiB of a worker")
+            elif self._stopped[process.pid] > _STOPPED_LOOKS:
+                self._end(process, f"it was stopped (SIGSTOP) for {_STOPPED_LOOKS * _LOOK_S:g} s")
+
+    def _end(self, process: subprocess.Popen[bytes], why: str) -> None:
+        self._ended[name_of(process.pid)] = Ending(why, certain=True)
+        process.kill()
 
 
-def _ending(code: int) -> str:
+def _said(code: int) -> str:
     if code >= 0:
         return f"exit code {code}"
     with suppress(ValueError):

@@ -24,6 +24,10 @@ _ALLOWED = "tcp://host:port of a running scheduler; tls://host:port with --tls-c
 _ENCRYPTED, _LOCAL = ("tls", "wss"), ("inproc",)
 
 
+class UnreachableError(UsageError):
+    """The scheduler does not answer: nothing was run."""
+
+
 @dataclass(frozen=True)
 class Scheduler:
     """Address of a scheduler; no ``security``: a plain connection, or certificates that dask's own settings name."""

@@ -12,6 +12,7 @@ from pipeline.errors import UsageError
 from pipeline.store import provenance
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
+from pipeline.store.run import create_run
 from tests.dask_processes import scheduler_and_worker
 from tests.drawn_devices import drawn_block, drawn_task
 from tests.stub_runs import run_arguments, stub_runs
@@ -90,6 +91,14 @@ def test_a_client_without_a_certificate_of_the_authority_is_refused(name, encryp
     message = capfd.readouterr().err
     assert message.startswith("error: no connection to the dask scheduler")
     assert message.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []  # an empty run would be the latest one
+
+
+def test_a_run_is_still_incomplete_where_its_scheduler_does_not_answer(tmp_path, capfd):
+    stopped = create_run(tmp_path, "stopped", "", {})
+    assert call(["run", "--resume", "latest", "--out", str(tmp_path), "--scheduler", "tcp://127.0.0.1:9"]) == 3
+    assert "resume the run again" in capfd.readouterr().err
+    assert stopped.folder.exists()
 
 
 @pytest.mark.parametrize(
