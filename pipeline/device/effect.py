@@ -183,6 +183,15 @@ class Effect:
         """Parameters of the effect on a plant of ``shape`` with families expanded, in the order of ``p``."""
         return tuple(member for parameter in self.parameters for member in parameter.members(shape))
 
+    def shows(self, shape: Shape) -> bool:
+        """Whether records of a plant of ``shape`` can show the effect.
+
+        Without a drive, free initial states hold what a linear read-out changes, and nothing excites an additional mode.
+        """
+        if not self.members(shape):
+            return False
+        return shape.drives > 0 or (self.resonance is None and not set(self.stages) <= {"drive", "readout"})
+
     def full_name(self, member: Parameter) -> str:
         """Name of a parameter in a model: "effect.parameter", or the name of the result quantity that it is."""
         return member.quantity or f"{self.name}.{member.name}"

@@ -91,9 +91,10 @@ class Model:
         return effect
 
     def candidates(self) -> tuple[str, ...]:
-        """Names of the effects that apply to the plant and are not in the model."""
-        kinds = self.built.kinds
-        return tuple(n for n, e in self.library.items() if kinds & set(e.plants) and n not in self.effects)
+        """Names of the effects that apply to the plant, that its records can show, and that are not in the model."""
+        kinds, shape = self.built.kinds, self.built.shape
+        applying = (n for n, e in self.library.items() if kinds & set(e.plants) and e.shows(shape))
+        return tuple(n for n in applying if n not in self.effects)
 
     def ordered_effects(self) -> tuple[Effect, ...]:
         """The effects of the model, sorted by name, so that the order in which they were added does not matter."""

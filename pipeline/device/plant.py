@@ -156,8 +156,8 @@ class ModalPlant:
 
     @property
     def kinds(self) -> frozenset[str]:
-        """{"modal"}, and "resonator" if there is one drive and one sense."""
-        return frozenset({"modal", "resonator"} if self.senses == self.drives == 1 else {"modal"})
+        """{"modal"}, and "resonator" if there is one sense and at most one drive."""
+        return frozenset({"modal", "resonator"} if self.senses == 1 and self.drives <= 1 else {"modal"})
 
     @cached_property
     def shape(self) -> Shape:
@@ -220,7 +220,7 @@ class ModalPlant:
         out = np.empty_like(rows)
         out[:, 0] = 1e-4 * np.maximum(np.abs(rows[:, 1]), 1e-7) * rows[:, 0]
         out[:, 1] = 1e-4 * np.maximum(np.abs(rows[:, 1]), 1e-7)
-        out[:, 2:] = 1e-4 * np.maximum(np.max(np.abs(rows[:, 2:]), axis=1, keepdims=True), 1e-12)
+        out[:, 2:] = 1e-4 * np.maximum(np.max(np.abs(rows[:, 2:]), axis=1, keepdims=True, initial=0.0), 1e-12)
         return out.reshape(-1)
 
 

@@ -54,8 +54,11 @@ class DriveGroup:
 
 
 def highest_drive_energy(drives: Sequence[FloatArray]) -> int:
-    """Index of the record with the highest mean squared drive, where nonlinear effects are strongest; drives (N, D) [V]."""
-    return max(range(len(drives)), key=lambda r: float(np.mean(drives[r] ** 2)))
+    """Index of the record with the highest mean squared drive, where nonlinear effects are strongest; drives (N, D) [V].
+
+    Of records without a drive it is the first: the earliest piece of a decay moves most.
+    """
+    return max(range(len(drives)), key=lambda r: float(np.sum(drives[r] ** 2)) / drives[r].shape[0])
 
 
 def waveforms_of(drives: Sequence[FloatArray], clock: SampleClock) -> tuple[FloatArray, FloatArray]:

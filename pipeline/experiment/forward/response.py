@@ -231,11 +231,11 @@ def volts(system: System, group: DriveGroup, starts: Starts | None = None) -> Fl
     return y
 
 
-def nonlinear_share(system: System, group: DriveGroup) -> float:
+def nonlinear_share(system: System, group: DriveGroup, starts: Starts | None = None) -> float:
     """Norm of the nonlinear response over that of the linear response [1]; 0 without force and sense laws."""
     if not (system.forces or system.senses):
         return 0.0
-    linear, nonlinear = linear_volts(system, group), nonlinear_response(system, group, substeps=1)
+    linear, nonlinear = linear_volts(system, group, starts), nonlinear_response(system, group, starts, substeps=1)
     return float(np.linalg.norm(nonlinear)) / max(float(np.linalg.norm(linear)), 1e-300)
 
 

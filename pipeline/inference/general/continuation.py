@@ -58,14 +58,14 @@ def continued(
     noise_measured : chi2 can say that the fit explains the records; a level from the driven records themselves cannot.
     """
     model = problem.model
-    start, end = model.to_values(first.x), model.to_values(result.at.x)
-    unstarted = [n for n in model.free if is_integrated(model, n) and start[n] == model.by_name[n].null]
+    begin, end = model.to_values(first.x), model.to_values(result.at.x)
+    unstarted = [n for n in model.free if is_integrated(model, n) and begin[n] == model.by_name[n].null]
     explained = result.at.chi2 < dof + 6.0 * (2.0 * dof) ** 0.5
     if not unstarted or (noise_measured and explained):
         return result
     if result.converged and _relative(problem, result.at, tasks) < CLOSE:
         return result
-    if max(problem.strength(end, task) for task in tasks.each) < STRONG:
+    if max(problem.strength(end, task, start) for task, start in zip(tasks.each, result.at.starts)) < STRONG:
         return result
     # The end of a fit in a wrong minimum is nearer to the right one than its start, but not always.
     for at in (result.at, first):

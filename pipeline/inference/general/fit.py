@@ -148,8 +148,8 @@ def fit_with_columns(
 def _first_point(problem: CampaignResiduals, tasks: Tasks, known: Mapping[str, float]) -> FitPoint:
     """The start of the fit, without off-diagonal damping where no device can have the given one."""
     model = problem.model
-    starts = tuple(np.zeros(2 * task.coordinates) if task.coordinates else None for task in tasks.each)
     values = model.complete(known)
+    starts = tuple(problem.linear_start(values, task) for task in tasks.each)
     at = point_at(problem, model.to_internal(values), tasks, starts)
     if at is None and C12 in values:
         values = model.complete({**known, C12: 0.0})

@@ -77,13 +77,14 @@ def minimise(problem: CampaignResiduals, at: FitPoint, tasks: Tasks, dof: int) -
     values, reference = problem.model.to_values(at.x), _reference_record(tasks)
     steps = problem.steps(values, tasks.each[reference], at.starts[reference])
     integrated = any(is_integrated(problem.model, name) for name in problem.model.free)
-    if not integrated or problem.strength(values, tasks.each[reference]) > STRONG:
+    if not integrated or problem.strength(values, tasks.each[reference], at.starts[reference]) > STRONG:
         return _minimise(problem, at, tasks, dof, steps)
     linear = _minimise(LinearizedResiduals(problem, values, tasks, at.starts, steps), at, tasks, dof, steps)
     nearer = point_at(problem, linear.at.x, tasks, linear.at.starts, at.chi2)
     if nearer is None:
         return _minimise(problem, at, tasks, dof, steps)
-    weak = problem.strength(problem.model.to_values(nearer.x), tasks.each[reference]) <= CLOSE
+    nearer_values, start = problem.model.to_values(nearer.x), nearer.starts[reference]
+    weak = problem.strength(nearer_values, tasks.each[reference], start) <= CLOSE
     # Columns are kept only if they predicted chi2: an inverse gap may have doubled, and its column with it.
     missed, decrease = abs(nearer.chi2 - linear.at.chi2), at.chi2 - nearer.chi2
     predicted = missed <= max(1.0, nearer.chi2 / dof, CLOSE * decrease)
@@ -169,8 +170,9 @@ def _minimise(
     sensitivities: Sequence[Sensitivity] | None = None,
 ) -> GaussNewtonResult:
     limits = _limits(problem.model, at.x)
-    task = tasks.each[_reference_record(tasks)]
-    exact = problem.strength(problem.model.to_values(at.x), task) > STRONG
+    reference = _reference_record(tasks)
+    task = tasks.each[reference]
+    exact = problem.strength(problem.model.to_values(at.x), task, at.starts[reference]) > STRONG
     damping = 0.0
     computed, paused = at, False
     normal = np.zeros((at.x.size, at.x.size))
@@ -190,7 +192,8 @@ def _minimise(
         if expected < FAINT * noise:
             return result(True)
         accepted, damping = _accepted(problem, at, tasks, linear, limits, damping)
-        strength = problem.strength(problem.model.to_values((accepted or at).x), task)
+        now = accepted or at
+        strength = problem.strength(problem.model.to_values(now.x), task, now.starts[reference])
         if accepted is None and not fresh and expected >= CLOSE * noise:
             sensitivities, damping = None, 0.0
             continue

@@ -48,7 +48,7 @@ class LinearizedResiduals(CampaignResiduals):
     def _nonlinear_columns(self, number: int) -> NonlinearColumns:
         return self._slopes[number]
 
-    def strength(self, values: Mapping[str, float], task: Task) -> float:
+    def strength(self, values: Mapping[str, float], task: Task, start: FloatArray | None = None) -> float:
         """0 [1]: there is no nonlinear response to differentiate."""
         return 0.0
 

@@ -63,6 +63,15 @@ def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, 
     return np.asarray(scaled @ (vectors[:, keep] / np.sqrt(values_[keep])))
 
 
+def start_step(columns: FloatArray, residual: FloatArray) -> FloatArray:
+    """(F^T F)^-1 F^T r (2n,): the step of an initial state, from its columns (N S, 2n) and the residual (N, S) in sigmas."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    unit = columns / scale
+    return np.asarray(
+        np.linalg.pinv(unit.T @ unit, rcond=1e-12, hermitian=True) @ (unit.T @ residual.reshape(-1)) / scale
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
     """A record in a fit.
@@ -239,9 +248,18 @@ class CampaignResiduals:
                 out[place] = columns
         return out
 
-    def strength(self, values: Mapping[str, float], task: Task) -> float:
+    def strength(self, values: Mapping[str, float], task: Task, start: FloatArray | None = None) -> float:
         """Norm of the nonlinear response over that of the linear response [1]; 0 without force and sense laws."""
-        return nonlinear_share(self.system(values, task.group), task.group)
+        return nonlinear_share(self.system(values, task.group), task.group, [start])
+
+    def linear_start(self, values: Mapping[str, float], task: Task) -> FloatArray | None:
+        """The initial state (2n,) [V s, V] that explains the record best without nonlinear effects; ``None``: at rest."""
+        if not task.coordinates:
+            return None
+        start = np.zeros(2 * task.coordinates)
+        f = self.start_columns(values, task, start, False)
+        alone = Tasks((task,), (((0,), task.group),))
+        return start + start_step(f, self.residuals(values, alone, [start])[0])
 
     def relative_size_change(self, before: FloatArray, after: FloatArray) -> float:
         """Largest relative change [1] of a parameter of a force or sense law between two points x (P,)."""

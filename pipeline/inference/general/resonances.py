@@ -22,7 +22,7 @@ from scipy.special import fdtrc
 from ...experiment.record import Campaign
 from .fit import CampaignFit
 from .free_disturbances import SPREAD_BINS
-from .starts import driven_band
+from .starts import excited_band
 
 #: Half-widths on either side that belong to a resonance.
 HALF_WIDTHS = 10.0
@@ -45,7 +45,7 @@ class ResonanceExcess:
 def resonance_excess(fit: CampaignFit, campaign: Campaign) -> ResonanceExcess:
     """F over all fit records and channels; 1 where no bin of the driven band is near, or none is away from, a resonance."""
     fitted = campaign.with_role("fit")
-    low_hz, high_hz = driven_band(fitted)
+    low_hz, high_hz = excited_band(fitted)
     residuals = {record.name: record.residual for record in fit.records}
     energy, rows = np.zeros(2), np.zeros(2)
     for record in fitted:

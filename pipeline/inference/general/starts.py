@@ -32,6 +32,8 @@ from ..screening.fit import maximise, start_from_modes
 from ..screening.inband import features, make_band
 
 _ROUNDS = 20
+#: Power of a line of a free decay over that of the strongest; a mode of a tenth of its amplitude counts.
+_LINE = 1e-2
 #: Degrees of B and T beyond that of A, for the tails of resonances outside the band.  Without it a fit of noise converges
 #: (``test_a_record_of_noise_has_status_fit_failed_with_a_reason``).
 _MORE = 1
@@ -55,6 +57,35 @@ def driven_band(records: Sequence[Record]) -> tuple[float, float]:
     if high <= low:
         raise MeasurementError("no record to fit is driven", next_step='give a driven record role = "fit"')
     return low, high
+
+
+def excited_band(records: Sequence[Record]) -> tuple[float, float]:
+    """The band [low, high] Hz in which records move: that of the drives, or around the lines of a free decay.
+
+    Raises
+    ------
+    MeasurementError : nothing moves.
+    """
+    if any(np.any(record.drive_v) for record in records):
+        return driven_band(records)
+    lines = [free_lines(record) for record in records]
+    low, high = min(line[0] for line in lines), max(line[1] for line in lines)
+    if high <= low:
+        raise MeasurementError("no record to fit moves", next_step="give a record with a drive or a free decay")
+    return low, high
+
+
+def free_lines(record: Record) -> tuple[float, float]:
+    """From half of the lowest to one and a half times the highest line [Hz] of a record without a drive."""
+    samples = record.sense_v.shape[0]
+    taper = np.hanning(samples)[:, None]
+    power = np.sum(np.abs(rfft((record.sense_v - record.sense_v.mean(axis=0)) * taper, axis=0)) ** 2, axis=1)
+    power[:3] = 0.0
+    hot = np.flatnonzero(power > _LINE * power.max())
+    if not hot.size:
+        return 0.0, 0.0
+    unit = record.sample_rate_hz / samples
+    return 0.5 * float(hot[0]) * unit, min(1.5 * float(hot[-1]) * unit, 0.49 * record.sample_rate_hz)
 
 
 def modes_from_spectra(
@@ -90,13 +121,13 @@ def modes_from_spectra(
                 weight = 1.0 / np.maximum(np.prod(distance, axis=1), 1e-12)
             transient, _ = np.linalg.qr(t * weight[:, None])
             a = np.concatenate([t[:, : modes + 1] * (y[:, s] * weight)[:, None] for s in range(y.shape[1])], axis=1)
-            b = np.concatenate([t * (u[:, d] * weight)[:, None] for d in range(u.shape[1])], axis=1)
+            b = np.concatenate([t[:, :0], *(t * (u[:, d] * weight)[:, None] for d in range(u.shape[1]))], axis=1)
             rows.append(a - transient @ (transient.T @ a))
             inputs.append(b - transient @ (transient.T @ b))
         stacked, driven = np.concatenate(rows), np.concatenate(inputs)
         norms = np.linalg.norm(driven, axis=0)
         basis, size, _ = np.linalg.svd(driven / np.where(norms > 0.0, norms, 1.0), full_matrices=False)
-        basis = basis[:, size > 1e-10 * size[0]]
+        basis = basis[:, size > 1e-10 * size[:1]]
         stacked = stacked - basis @ (basis.conj().T @ stacked)
         senses = stacked.shape[1] // (modes + 1)
         tall = np.concatenate([stacked[:, s * (modes + 1) : (s + 1) * (modes + 1)] for s in range(senses)])
@@ -162,8 +193,10 @@ def find_start(
 
     Raises
     ------
-    MeasurementError : no record is driven.
+    MeasurementError : no record is driven or in motion, or a gyro is not driven.
     """
+    if not any(np.any(r.drive_v) for r in records):
+        return _free_values(model, records, sigma_v)
     records = [r for r in records if np.any(r.drive_v)]
     low, high = driven_band(records)
     held = instrument if instrument.hold != "bandlimited" else replace(instrument, hold="foh")
@@ -184,6 +217,16 @@ def find_start(
     if C12 not in model.by_name:
         values.pop(C12)
     return values
+
+
+def _free_values(model: Model, records: Sequence[Record], sigma_v: FloatArray) -> dict[str, float]:
+    """Frequencies and damping ratios of a modal plant from records that are not driven: without a drive there are no gains."""
+    plant = model.built
+    if not isinstance(plant, ModalPlant):
+        raise MeasurementError("no record to fit is driven", next_step='give a driven record role = "fit"')
+    poles = modes_from_spectra(records, plant.modes, *excited_band(records), sigma_v)
+    none = np.zeros((plant.modes, plant.senses, plant.drives), dtype=np.complex128)
+    return _modal_values(plant, poles, none)
 
 
 def _modal_values(plant: ModalPlant, poles: ComplexArray, residues: ComplexArray) -> dict[str, float]:

@@ -92,7 +92,7 @@ def linearized(fit: CampaignFit, campaign: Campaign, c_v: Mapping[str, FloatArra
     starts = [known[r.name].start for r in driven]
     columns = [problem.whiten(c_v[t.record.name], t).reshape(len(c_v[t.record.name]), -1).T for t in tasks.each]
     reference = highest_drive_energy([r.drive_v for r in fitted])
-    exact = problem.strength(fit.values, tasks.each[reference]) > STRONG
+    exact = problem.strength(fit.values, tasks.each[reference], starts[reference]) > STRONG
     steps = problem.steps(fit.values, tasks.each[reference], starts[reference])
     jacobians = problem.columns(fit.values, tasks, starts, exact, steps)
     free = [None if s is None else problem.start_columns(fit.values, t, s, exact) for t, s in zip(tasks.each, starts)]

@@ -196,27 +196,31 @@ def _free_amplitudes(mine: RecordFit) -> int:
 
 
 def _same_drive(a: Record, b: Record) -> bool:
-    return a.drive_v.shape == b.drive_v.shape and bool(np.array_equal(a.drive_v, b.drive_v))
+    """Whether two records have the same drive; without one each begins in its own state, so they are no repeats."""
+    return bool(np.any(a.drive_v)) and a.drive_v.shape == b.drive_v.shape and bool(np.array_equal(a.drive_v, b.drive_v))
 
 
 def _labels(record: Record, campaign: Campaign) -> Mapping[str, str]:
     """Level (relative to the highest of the campaign), sweep direction and active drives of a record."""
     peaks = np.max(np.abs(record.drive_v), axis=0)
-    most = max(float(np.max(np.abs(r.drive_v))) for r in campaign.records) or 1.0
+    most = max(float(np.max(np.abs(r.drive_v), initial=0.0)) for r in campaign.records) or 1.0
     on = [d for d in range(peaks.size) if peaks[d] > 0.01 * most]
-    direction = "none"
-    if on:
-        v = record.drive_v[:, on[0]]
-        signs = np.signbit(v)
-        half = v.size // 2
-        early, late = np.count_nonzero(np.diff(signs[:half])), np.count_nonzero(np.diff(signs[half:]))
-        direction = "up" if late > 1.1 * early else ("down" if early > 1.1 * late else "flat")
-        if on[0] == 1 and direction in ("up", "down"):
-            direction = "down" if direction == "up" else "up"
+    if not on:
+        # Without a drive the motion is the level: each piece of a decay has its own.
+        rms = float(np.sqrt(np.mean(np.var(record.sense_v, axis=0))))
+        strongest = max(float(np.sqrt(np.mean(np.var(r.sense_v, axis=0)))) for r in campaign.records)
+        return {"level": f"{rms / max(strongest, 1e-300):.2g}", "direction": "none", "drives": "none"}
+    v = record.drive_v[:, on[0]]
+    signs = np.signbit(v)
+    half = v.size // 2
+    early, late = np.count_nonzero(np.diff(signs[:half])), np.count_nonzero(np.diff(signs[half:]))
+    direction = "up" if late > 1.1 * early else ("down" if early > 1.1 * late else "flat")
+    if on[0] == 1 and direction in ("up", "down"):
+        direction = "down" if direction == "up" else "up"
     return {
         "level": f"{float(peaks.max()) / most:.2g}",
         "direction": direction,
-        "drives": "+".join(str(d + 1) for d in on) or "none",
+        "drives": "+".join(str(d + 1) for d in on),
     }
 
 

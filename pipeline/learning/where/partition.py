@@ -256,7 +256,7 @@ def _drive_frequencies(record: Record, size: int) -> tuple[FloatArray, Band]:
     around = np.abs(np.arange(size) - energy.argmax(axis=2)[..., None]) <= SPREAD_BINS
     near = np.where(around, energy, 0.0).sum(axis=2)
     centre = np.where(around, energy * frequency, 0.0).sum(axis=2) / np.maximum(near, 1e-300)
-    sinusoidal = (total > 1e-4 * max(float(total.max()), 1e-300)) & (near > total - near)
+    sinusoidal = (total > 1e-4 * max(float(total.max(initial=0.0)), 1e-300)) & (near > total - near)
     return np.asarray(np.where(sinusoidal, centre, np.nan)), band
 
 
