@@ -1,12 +1,15 @@
 """The result quantities <q>: one name, one unit, one meaning, from the posterior to the Parquet columns.
 
-``MODEL`` are the parameters of plant "gyro" with offdiagonal_damping; ``DERIVED`` follow from them.
+``MODEL`` are the parameters of plant "gyro" with offdiagonal_damping; ``DERIVED`` follow from them; ``PERFORMANCE`` follow from
+them and from the declared operation (``pipeline/performance``, one file each).
 Columns of a quantity: <q>, <q>_sd, <q>_q05, <q>_q95; for a virtual device also true_<q> and fab_<q>.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from .performance.figure import find_figures
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,12 @@ DERIVED: tuple[Quantity, ...] = (
     Quantity("rate_bias_dps", "deg/s", "quadrature_bias_dps + inphase_bias_dps"),
 )
 
-QUANTITIES: tuple[Quantity, ...] = MODEL + DERIVED
+PERFORMANCE: tuple[Quantity, ...] = tuple(
+    Quantity(figure.name, figure.unit, figure.meaning) for figure in find_figures().values()
+)
+
+#: The quantities that the records alone determine, apart from the angular gain and the demodulation.
+IDENTIFIED: tuple[Quantity, ...] = MODEL + DERIVED
+QUANTITIES: tuple[Quantity, ...] = IDENTIFIED + PERFORMANCE
 NAMES: tuple[str, ...] = tuple(quantity.name for quantity in QUANTITIES)
 AXES: frozenset[str] = frozenset(quantity.name for quantity in QUANTITIES if quantity.axis)

@@ -15,9 +15,10 @@ MAY_IMPORT = {
     "workflows": {"pipeline", "populations", "reports"},
 }
 #: What every part of pipeline may import.
-BASE = {"errors", "input_limits", "arrays", "axial", "toml_files", "quantities", "threads", "plain"}
+BASE = {"errors", "input_limits", "arrays", "axial", "toml_files", "quantities", "threads", "plain", "performance"}
 #: The parts of pipeline, and the other parts that each may import.
 PARTS = {
+    "performance": set(),
     "device": set(),
     "experiment": {"device"},
     "identification": {"device", "experiment"},
@@ -28,7 +29,12 @@ PARTS = {
     "store": {"sql"},
 }
 #: The base modules that a part is held to, where it may not have them all.
-BASE_OF = {"criticism": {"errors", "arrays"}, "sql": {"errors"}, "store": {"errors", "arrays", "quantities", "plain"}}
+BASE_OF = {
+    "performance": {"errors", "arrays"},
+    "criticism": {"errors", "arrays"},
+    "sql": {"errors"},
+    "store": {"errors", "arrays", "quantities", "plain"},
+}
 #: Sub-packages of one part that do not know each other.
 APART = ({"reports.run", "reports.learning", "reports.paper"},)
 ONLY_IN_WORKFLOWS = {"dask", "distributed", "typer", "click"}

@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct
 
 from pipeline.errors import ConfigError
-from pipeline.experiment.files.common_tables import SystematicTable, check_phase
+from pipeline.experiment.files.common_tables import OperationTable, SystematicTable, check_phase
 from pipeline.experiment.noise.measure import Hum
 from pipeline.inference.gate import Gate
 from pipeline.input_limits import RECORD_VALUES
@@ -57,6 +57,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     hum: HumTable = HumTable()
     demodulation: RunDemodulationTable = RunDemodulationTable()
     systematic: SystematicTable = SystematicTable()
+    operation: OperationTable = OperationTable()
     effect_folders: tuple[str, ...] = ()
     identification: IdentificationTable = IdentificationTable()
     posterior: PosteriorTable = PosteriorTable()

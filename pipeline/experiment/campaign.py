@@ -6,6 +6,7 @@
     [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file)
     [systematic]     sds of errors that the devices of a tester share: phase_error_sd_deg, angular_gain_sd, gain_sd (relative),
                      clock_sd_ppm, temperature_sd_c with tcf_ppm_per_c
+    [operation]      how the gyro is operated, for performance figures (``performance.operating_point``): drive_amplitude_v, ..
     [reference]      quantity = [value, sd]
     [columns]        drive1_V = "V1"      column of the files by name, number or table with unit, gain, offset (``files.mapping``)
     [channels]       corrections of the files (``check`` prints these lines), applied in this order:
@@ -38,6 +39,7 @@ from .files.common_tables import (
     DemodulationTable,
     DeviceTable,
     InstrumentTable,
+    OperationTable,
     References,
     SystematicTable,
     Value,
@@ -90,6 +92,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     demodulation: DemodulationTable = DemodulationTable()
     instrument: InstrumentTable = InstrumentTable()
     systematic: SystematicTable = SystematicTable()
+    operation: OperationTable = OperationTable()
     reference: References = {}
     columns: dict[str, Source] = {}
     channels: ChannelsTable = ChannelsTable()
@@ -161,6 +164,7 @@ def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
         reference=references(document.reference, file.name),
         channels=_channels(document.channels),
         systematic=systematic,
+        operation=document.operation.built(),
     )
 
 
@@ -242,6 +246,7 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
                 },
             ),
             "" if campaign.systematic == EXACT else toml.table("[systematic]", dataclasses.asdict(campaign.systematic)),
+            toml.table("[operation]", dataclasses.asdict(campaign.operation)),
             *entries,
             toml.table("[reference]", {name: list(pair) for name, pair in campaign.reference.items()}),
         ]

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
+from ..performance.operating_point import UNDECLARED, DeclaredOperation
 from .instrument import Instrument
 from .systematic import EXACT, Systematic
 
@@ -135,6 +136,7 @@ class Campaign:
     reference : quantity -> (value, sd) from another instrument, in the units of the results columns.
     channels : corrections that were applied when the files were read.
     systematic : standard deviations of the errors of the tester, which its devices share.
+    operation : how the gyro is operated, as far as declared.
     """
 
     device_id: str
@@ -146,6 +148,7 @@ class Campaign:
     reference: dict[str, tuple[float, float]] = field(default_factory=dict)
     channels: Channels = field(default_factory=Channels)
     systematic: Systematic = EXACT
+    operation: DeclaredOperation = UNDECLARED
 
     def with_role(self, role: Role) -> tuple[Record, ...]:
         """The records with this role, in order."""

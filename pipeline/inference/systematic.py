@@ -104,8 +104,17 @@ def demodulated(rate: RateSettings, z: FloatArray) -> RateSettings:
 
 
 def rate_settings(campaign: Campaign) -> RateSettings:
-    """Angular gain, demodulation and common errors that a campaign declares."""
-    return RateSettings(campaign.angular_gain, campaign.phase_error_deg, campaign.drive, campaign.systematic)
+    """Angular gain, demodulation, common errors and operation that a campaign declares."""
+    instrument = campaign.instrument
+    return RateSettings(
+        campaign.angular_gain,
+        campaign.phase_error_deg,
+        campaign.drive,
+        campaign.systematic,
+        campaign.operation,
+        instrument.bias_v,
+        instrument.pickoff,
+    )
 
 
 def with_common_errors(

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 
 from ..errors import IntegrityError, UsageError
-from ..quantities import MODEL, QUANTITIES, Quantity
+from ..quantities import IDENTIFIED, MODEL, QUANTITIES, Quantity
 from .column import column_array
 
 TYPES: dict[str, pa.DataType] = {
@@ -122,7 +122,7 @@ _QUALITY = (
     ),
     _text("closest_effect", "the most significant effect of the library that the fitted model lacks"),
     _number("effect_p_value", "1", "family-wise p-value of closest_effect over the library; small: a misfit"),
-    *(_bound(quantity) for quantity in QUANTITIES),
+    *(_bound(quantity) for quantity in IDENTIFIED),
     _number("rhat", "1", "largest R-hat over the parameters, between independent ensembles"),
     _number("ess", "1", "smallest effective sample size over the parameters"),
     _number("acceptance", "1", "mean acceptance fraction of the sampler"),

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from pipeline.performance.figure import find_figures
 from pipeline.quantities import QUANTITIES
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ LABELS = {
     "quadrature_bias_dps": "quadrature bias",
     "inphase_bias_dps": "in-phase bias",
     "rate_bias_dps": "rate bias",
+    **{name: figure.label for name, figure in find_figures().items()},
 }
 
 

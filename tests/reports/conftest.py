@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from pipeline.axial import wrap
-from pipeline.quantities import MODEL, NAMES
+from pipeline.quantities import IDENTIFIED, MODEL
 from pipeline.store.schema import devices_table, posterior_table
 from reports.decision import decide
 from reports.limits import DEFAULT_LIMITS, Limits
@@ -40,6 +40,7 @@ MANIFEST = {
     ],
 }
 
+NAMES = tuple(quantity.name for quantity in IDENTIFIED)
 SD = {
     "theta_deg": 0.05, "split_hz": 1e-3, "f1_hz": 1e-3, "f2_hz": 1e-3, "f3_hz": 1e-2, "zeta1": 2e-7, "zeta2": 2e-7,
     "zeta3": 2e-6, "c12_per_s": 2e-3, "rocking_gain": 1e-3, "updown_gain": 1e-3, "sense_imbalance": 2e-5,

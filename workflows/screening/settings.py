@@ -106,9 +106,18 @@ def settings_of(config: RunConfig) -> IdentificationSettings:
 
 
 def rate_of(config: RunConfig, angular_gain: float | None) -> RateSettings:
-    """Settings of the rate biases [deg/s] and common errors of the tester; ``angular_gain`` is I_p / I_0p."""
-    demodulation = config.demodulation
-    return RateSettings(angular_gain, demodulation.phase_error_deg, demodulation.drive, _systematic(config))
+    """Settings of the rate biases [deg/s], common errors of the tester and operation; ``angular_gain`` is I_p / I_0p."""
+    demodulation, operation = config.demodulation, config.operation.built()
+    if operation.temperature_c is None and config.source.kind == "population":
+        operation = replace(operation, temperature_c=population(config).operating.temperature_c)
+    return RateSettings(
+        angular_gain,
+        demodulation.phase_error_deg,
+        demodulation.drive,
+        _systematic(config),
+        operation,
+        config.instrument.bias_v,
+    )
 
 
 def _systematic(config: RunConfig) -> Systematic:

@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import asdict
 
 from ...errors import ConfigError
+from ...performance.operating_point import DeclaredOperation
 from ...quantities import NAMES
 from ...toml_files import check_known
 from ..instrument import Adc, AntiAlias, Hold, Instrument, Pickoff
@@ -105,6 +106,23 @@ class SystematicTable(Struct, frozen=True, forbid_unknown_fields=True):
         """The standard deviations; ``tcf_ppm_per_c`` [ppm/K] where the table states no temperature coefficient."""
         tcf = tcf_ppm_per_c if self.tcf_ppm_per_c is None else self.tcf_ppm_per_c
         return Systematic(**(asdict(self) | {"tcf_ppm_per_c": tcf}))
+
+
+class OperationTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """How the gyro is operated, for the performance figures; see :class:`DeclaredOperation`.  A missing key is unknown."""
+
+    drive_amplitude_v: Positive | None = None
+    pickoff_noise_v: Positive | None = None
+    softening_hz_per_v2: Annotated[float, Meta(ge=-1000.0, lt=0.0)] | None = None
+    gap_um: Positive | None = None
+    mass_mg: Positive | None = None
+    temperature_c: Annotated[float, Meta(ge=-273.15, le=1000.0)] | None = None
+    damping_ppm_per_c: Annotated[float, Meta(ge=-1e5, le=1e5)] | None = None
+    shock_ms: Positive | None = None
+
+    def built(self) -> DeclaredOperation:
+        """The operation that this table declares."""
+        return DeclaredOperation(**asdict(self))
 
 
 def check_phase(demodulation: DemodulationTable, systematic: SystematicTable, where: str) -> None:

@@ -18,6 +18,7 @@ from pipeline.experiment.files.readers import WRITTEN, write_columns
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 from pipeline.experiment.record import Campaign, Channels, Record
 from pipeline.experiment.systematic import Systematic
+from pipeline.performance.operating_point import DeclaredOperation
 
 FS = 10_000.0
 SILVERBOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "silverbox" / "SNLS80mV.mat"
@@ -44,6 +45,7 @@ def full_campaign():
         drive="f2",
         reference={"f1_hz": (534.6, 0.1), "theta_deg": (-33.0, 2.0)},
         systematic=Systematic(0.5, 0.01, 0.02, 10.0, 0.3, -31.0),
+        operation=DeclaredOperation(drive_amplitude_v=0.5, gap_um=10.0, temperature_c=-40.0),
     )
 
 
@@ -63,6 +65,7 @@ def test_round_trip_keeps_every_number_and_condition(tmp_path, form):
         "reference",
         "channels",
         "systematic",
+        "operation",
     ):
         assert getattr(read, name) == getattr(written, name)
     for ours, theirs in zip(written.records, read.records, strict=True):

@@ -28,7 +28,7 @@ def test_names_end_in_the_unit_that_the_metadata_give() -> None:
     for column in COLUMNS:
         stem = column.name.removesuffix("_sd").removesuffix("_q05").removesuffix("_q95")
         for ending, unit in suffix.items():
-            if stem.endswith(ending) and not (ending == "_deg" and stem.endswith("_per_deg")):
+            if stem.endswith(ending) and not stem.endswith(f"_per{ending}"):
                 assert column.unit == unit, column
         assert column.meaning
         assert (column.unit == "") == (column.type == "string"), column

@@ -16,7 +16,7 @@ from ....arrays import FloatArray
 from ....axial import wrap
 from ....experiment.instrument import Instrument
 from ....experiment.noise.spectrum import NoiseSpectrum
-from ....quantities import AXES, NAMES
+from ....quantities import AXES, IDENTIFIED
 from ...estimate import RateSettings, cartesian_quantities
 from ...gate import Undetected
 from ..compressed import BandData
@@ -131,9 +131,10 @@ def quantity_slopes(
     step = STEPS[: x.size]
     points = np.concatenate([x + np.diag(step), x - np.diag(step)])
     q = cartesian_quantities(points if prior is None else mean_plant(points, prior), rate)
-    both = np.stack([q[name] for name in NAMES])
+    names = tuple(quantity.name for quantity in IDENTIFIED)
+    both = np.stack([q[name] for name in names])
     change = both[:, : x.size] - both[:, x.size :]
-    axes = [NAMES.index(name) for name in AXES]
+    axes = [names.index(name) for name in AXES]
     change[axes] = wrap(change[axes])
     known = np.asarray(np.isfinite(change).all(axis=1))
-    return tuple(name for name, is_known in zip(NAMES, known) if is_known), change[known] / (2.0 * step)
+    return tuple(name for name, is_known in zip(names, known) if is_known), change[known] / (2.0 * step)
