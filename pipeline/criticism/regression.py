@@ -59,6 +59,7 @@ class Regression:
     probe : name -> generic shapes, for each fitted block (n m, K).
     strata : for each fitted block (n m,) the noise stratum of a row.
     limits : parameter -> range of a fit.
+    slopes : (parameters of all terms, names) -> for each block d f / d name (n m, K); by default central differences.
     """
 
     predict: Predict
@@ -72,6 +73,7 @@ class Regression:
     probe: Mapping[str, tuple[FloatArray, ...]] | None = None
     strata: tuple[IntArray, ...] | None = None
     limits: Mapping[str, tuple[float, float]] | None = None
+    slopes: Callable[[Values, Sequence[str]], Sequence[FloatArray]] | None = None
 
     @property
     def fitted(self) -> int:
@@ -215,6 +217,8 @@ class Regression:
     def _columns(self, values: Values, names: Sequence[str]) -> list[FloatArray]:
         """d f / d parameter for each fitted block (n m, len(names))."""
         at = self._at_null(values)
+        if self.slopes is not None:
+            return list(self.slopes(at, names))[: self.fitted]
         columns: list[list[FloatArray]] = [[] for _ in range(self.fitted)]
         steps = [1e-5 * max(abs(at[name]), (self.scale or {}).get(name, 1.0)) for name in names]
         moved = [{**at, name: at[name] + side * step} for name, step in zip(names, steps) for side in (1.0, -1.0)]

@@ -4,6 +4,8 @@
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
     [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file)
+                     kind = "sweep" | "frf" (also at the top, for all records); quantity, reference_ohm, averages: see
+                     ``files.tone_columns``
     [systematic]     sds of errors that the devices of a tester share: phase_error_sd_deg, angular_gain_sd, gain_sd (relative),
                      clock_sd_ppm, temperature_sd_c with tcf_ppm_per_c
     [operation]      how the gyro is operated, for performance figures (``performance.operating_point``): drive_amplitude_v, ..
@@ -22,16 +24,13 @@ A wrong campaign.toml is a :class:`ConfigError`, a file that is not a record a :
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 
 from .. import toml_files as toml
-from ..arrays import FloatArray
 from ..errors import UsageError
 from .files.channels import correct
 from .files.columns import assemble
@@ -40,6 +39,7 @@ from .files.common_tables import (
     DeviceTable,
     InstrumentTable,
     OperationTable,
+    Positive,
     References,
     SystematicTable,
     Value,
@@ -48,11 +48,16 @@ from .files.common_tables import (
 )
 from .files.mapping import Source
 from .files.modal_record import ModalRecord, decode_modal_record
-from .files.readers import existing, read_columns, read_records, write_columns
-from .files.together import at_temperatures, check_same_shape, with_all_drives
+from .files.readers import existing, read_columns, read_records
+from .files.together import at_temperatures, check_same_shape, roles_of, with_all_drives
+from .files.tone_columns import Quantity
 from .instrument import Instrument
 from .record import Campaign, Channels, Record, Role
-from .systematic import EXACT
+from .tone_campaign import tone_campaign, tone_records
+from .tones import ToneCampaign, ToneKind, ToneRecord
+from .write_campaign import write_campaign
+
+__all__ = ["read_campaign", "read_measurement", "write_campaign"]
 
 Sign = Literal[-1, 1]
 FileName = Annotated[str, Meta(min_length=1)]
@@ -70,6 +75,10 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     at_rest: bool = True
     start: Annotated[int, Meta(ge=0)] = 0
     stop: Annotated[int, Meta(ge=1)] | None = None
+    kind: ToneKind | Literal["time"] | None = None
+    quantity: Quantity = "response"
+    reference_ohm: Positive = 50.0
+    averages: Annotated[int, Meta(ge=1)] = 1
 
 
 class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -87,7 +96,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A campaign.toml."""
 
     record: Annotated[list[RecordTable], Meta(min_length=1)]
-    kind: Literal["campaign"] = "campaign"
+    kind: ToneKind | Literal["campaign"] = "campaign"
     device: DeviceTable = DeviceTable()
     demodulation: DemodulationTable = DemodulationTable()
     instrument: InstrumentTable = InstrumentTable()
@@ -96,13 +105,6 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference: References = {}
     columns: dict[str, Source] = {}
     channels: ChannelsTable = ChannelsTable()
-
-
-def _roles(declared: Sequence[Role | None]) -> list[Role]:
-    undeclared = [k for k, role in enumerate(declared) if role is None]
-    others_fit = len(undeclared) > 1 or "fit" in declared
-    last = undeclared[-1] if undeclared and others_fit and "validate" not in declared else None
-    return [role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)]
 
 
 def _records_of(
@@ -128,10 +130,6 @@ def _records_of(
     ]
 
 
-def _channels(table: ChannelsTable) -> Channels:
-    return Channels(**msgspec.structs.asdict(table))
-
-
 def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
     """All records of a campaign, corrected as [channels] states, with their roles.
 
@@ -144,14 +142,37 @@ def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
     MeasurementError : a file is missing or is not a record.
     """
     file = path / "campaign.toml" if path.is_dir() else path
+    document = _document(file, text)
+    if tones := [entry for entry in document.record if _kind(entry, document) != "time"]:
+        raise UsageError(
+            "this needs records in the time domain",
+            value=f'{file.name}: {tones[0].file} has kind = "{_kind(tones[0], document)}"',
+            allowed="compare, diagnose, refine and check take sweeps and frequency responses",
+            next_step=f"gyroscreen refine {path}",
+        )
+    return _timed(file, document)
+
+
+def _document(file: Path, text: bytes | None = None) -> CampaignTable:
     document = toml.decode(toml.read_bytes(existing(file)) if text is None else text, CampaignTable, file.name)
     check_phase(document.demodulation, document.systematic, file.name)
+    return document
+
+
+def _kind(entry: RecordTable, document: CampaignTable) -> ToneKind | Literal["time"]:
+    """The kind of a record: its own, else that of the campaign."""
+    return entry.kind or ("time" if document.kind == "campaign" else document.kind)
+
+
+def _timed(file: Path, document: CampaignTable) -> Campaign:
+    """The campaign of the records of ``document``, all in the time domain."""
     rate = document.instrument.sample_rate_hz
     records: list[Record] = []
-    for entry, role in zip(document.record, _roles([entry.role for entry in document.record])):
+    for entry, role in zip(document.record, roles_of([entry.role for entry in document.record])):
         known = rate if rate is not None or not records else records[0].sample_rate_hz
         records += _records_of(file.parent, entry, role, known, document)
-    records = [correct(record, _channels(document.channels)) for record in with_all_drives(records)]
+    channels = Channels(**msgspec.structs.asdict(document.channels))
+    records = [correct(record, channels) for record in with_all_drives(records)]
     check_same_shape(records)
     systematic = document.systematic.built()
     return Campaign(
@@ -162,13 +183,29 @@ def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
         phase_error_deg=document.demodulation.phase_error_deg,
         drive=document.demodulation.drive,
         reference=references(document.reference, file.name),
-        channels=_channels(document.channels),
+        channels=channels,
         systematic=systematic,
         operation=document.operation.built(),
     )
 
 
-def read_measurement(path: Path) -> Campaign | ModalRecord:
+def _toned(file: Path, document: CampaignTable) -> ToneCampaign:
+    """The sweeps and frequency responses of ``document``, with its time records beside them."""
+    own = [entry for entry in document.record if _kind(entry, document) != "time"]
+    timed = [msgspec.structs.replace(entry, kind=None) for entry in document.record if entry not in own]
+    records: list[ToneRecord] = []
+    for entry, role in zip(own, roles_of([entry.role for entry in own])):
+        kind: ToneKind = "frf" if _kind(entry, document) == "frf" else "sweep"
+        records += tone_records(file.parent, entry, role, kind, {} if timed else document.columns)
+    whole = _timed(file, msgspec.structs.replace(document, record=timed, kind="campaign")) if timed else None
+    device, name = document.device, document.device.id or file.absolute().parent.name
+    instrument = document.instrument.built(1.0).with_pickoff(device.pickoff)
+    return tone_campaign(
+        name, records, instrument, device, document.demodulation, references(document.reference, file.name), whole
+    )
+
+
+def read_measurement(path: Path) -> Campaign | ModalRecord | ToneCampaign:
     """The measurement at ``path``: a campaign (folder or campaign.toml), a modal record, or a single record.
 
     A single record becomes a campaign of one record, with the default instrument at the sample rate of its time column.
@@ -178,87 +215,15 @@ def read_measurement(path: Path) -> Campaign | ModalRecord:
     ConfigError, MeasurementError : as :func:`read_campaign` and :func:`read_modal_record`.
     """
     existing(path)
-    if path.is_dir():
-        return read_campaign(path)
-    if path.suffix.lower() == ".toml":
-        modal = decode_modal_record(toml.read_bytes(path), path)
-        return modal if modal is not None else read_campaign(path)
+    if path.is_dir() or path.suffix.lower() == ".toml":
+        modal = None if path.is_dir() else decode_modal_record(toml.read_bytes(path), path)
+        if modal is not None:
+            return modal
+        file = path / "campaign.toml" if path.is_dir() else path
+        document = _document(file)
+        if any(_kind(entry, document) != "time" for entry in document.record):
+            return _toned(file, document)
+        return _timed(file, document)
     found = [dataclasses.replace(record, role="fit") for record in read_records(path, None)]
     records = tuple(with_all_drives(found))
     return Campaign(device_id=path.stem, records=records, instrument=Instrument(records[0].sample_rate_hz))
-
-
-def _vectors(record: Record) -> dict[str, FloatArray]:
-    count = record.drive_v.shape[0]
-    columns = {"time_s": np.arange(count) / record.sample_rate_hz}
-    columns |= {f"drive{k + 1}_V": np.ascontiguousarray(v) for k, v in enumerate(record.drive_v.T)}
-    columns |= {f"sense{k + 1}_V": np.ascontiguousarray(v) for k, v in enumerate(record.sense_v.T)}
-    return columns
-
-
-def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet") -> None:
-    """Write ``campaign`` so that :func:`read_campaign` returns the same numbers.
-
-    The records are written with their corrections applied, so ``channels`` is not written.  campaign.toml is written last: a
-    folder that contains it is complete.
-
-    Raises
-    ------
-    UsageError : the sample rate of a record differs from that of the instrument, or the folder cannot be written.
-    """
-    entries = []
-    for k, record in enumerate(campaign.records, start=1):
-        if record.sample_rate_hz != campaign.instrument.sample_rate_hz:
-            raise UsageError(
-                f"{record.name} has a different sample rate from the instrument",
-                value=record.sample_rate_hz,
-                allowed=f"{campaign.instrument.sample_rate_hz} Hz",
-                next_step="resample it, or write it to a separate campaign",
-            )
-        file = write_columns(folder, f"record-{k}", _vectors(record), format).name
-        conditions = {
-            "role": record.role,
-            "rate_dps": record.rate_dps,
-            "bias_v": record.bias_v,
-            "temperature_c": record.temperature_c,
-        }
-        name = record.name if record.name != file else None
-        at_rest = None if record.at_rest else False
-        entries.append(toml.table("[[record]]", {"file": file, "name": name, **conditions, "at_rest": at_rest}))
-    instrument = campaign.instrument
-    filter_ = instrument.with_pickoff("velocity").antialias
-    pickoff = {} if instrument.pickoff == "velocity" else {"pickoff": instrument.pickoff}
-    text = "\n".join(
-        part
-        for part in [
-            toml.table(
-                "[device]", {"id": campaign.device_id or None, "angular_gain": campaign.angular_gain, **pickoff}
-            ),
-            toml.table("[demodulation]", {"phase_error_deg": campaign.phase_error_deg, "drive": campaign.drive}),
-            toml.table(
-                "[instrument]",
-                {
-                    "sample_rate_hz": instrument.sample_rate_hz,
-                    "hold": instrument.hold,
-                    "bias_v": instrument.bias_v,
-                    "antialias": None if filter_ is None else filter_.table,
-                    "adc": None if instrument.adc is None else dataclasses.asdict(instrument.adc),
-                },
-            ),
-            "" if campaign.systematic == EXACT else toml.table("[systematic]", dataclasses.asdict(campaign.systematic)),
-            toml.table("[operation]", dataclasses.asdict(campaign.operation)),
-            *entries,
-            toml.table("[reference]", {name: list(pair) for name, pair in campaign.reference.items()}),
-        ]
-        if part
-    )
-    try:
-        staged = folder / ".campaign.toml.part"
-        staged.write_text(text, encoding="utf-8")
-        staged.replace(folder / "campaign.toml")
-    except OSError as error:
-        raise UsageError(
-            "campaign.toml cannot be written",
-            value=f"{folder}: {error}",
-            next_step="choose another folder",
-        ) from error

@@ -20,9 +20,11 @@ from ..words import quantities
 from .content import LearningContent, learning_content
 from .figures.ladder import four_thetas_plot, ladder_plot, residue_plot
 from .figures.records import record_figures
+from .figures.tones import tone_pictures
 from .record_view import RecordView
+from .tone_view import ToneView
 
-__all__ = ["RecordView", "render_learning_page"]
+__all__ = ["RecordView", "ToneView", "render_learning_page"]
 
 #: Rows of a table that are shown without a click.
 _SHOWN = 10
@@ -36,6 +38,8 @@ def render_learning_page(
     *,
     before: Sequence[RecordView] = (),
     after: Sequence[RecordView] | None = None,
+    tones: Sequence[ToneView] = (),
+    tones_after: Sequence[ToneView] = (),
     library: Mapping[str, Effect],
     truth: str | None = None,
 ) -> str:
@@ -47,6 +51,7 @@ def render_learning_page(
     comparison, diagnosis, refinement : the answers; ``None`` where the question was not asked.  Where both are given,
         ``refinement`` has the verdict and ``diagnosis`` the candidates of the first model.
     before, after : the records with the first and with the last model; none for a modal record.
+    tones, tones_after : sweeps and frequency responses with the first and with the last model.
     library : effects by name.
     truth : the hidden effect, where it is known.
     """
@@ -67,6 +72,7 @@ def render_learning_page(
             after if len(content.ladder) > 1 else None,
             {key: value for key, value in fitted.items() if value is not None},
         ),
+        tones=tone_pictures(tones, tones_after if len(content.ladder) > 1 else ()),
         stylesheet=stylesheet("learning.css"),
         sections=_sections(content, truth),
         shown=_SHOWN,

@@ -10,11 +10,12 @@ from typing import Any
 
 from pipeline.device.model import load_model
 from pipeline.errors import NegativeError, UsageError, printable_lines
-from pipeline.experiment.campaign import read_campaign, read_measurement
+from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.checks.check import CheckReport
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.files.readers import existing
 from pipeline.experiment.record import Campaign
+from pipeline.experiment.tones import ToneCampaign
 from pipeline.identification.route import RouteResult, identify_modal
 from pipeline.inference.identify import Identification
 from pipeline.inference.identify import identify as identify_device
@@ -25,13 +26,17 @@ from reports.limits import DEFAULT_LIMITS, load_limits
 from reports.words.noise import noise_words
 
 from ..config import load_config
+from .identify_tones import tone_columns, tone_text
 
 
 def identify(measurement: Path, model: Path | None, limits: Path | None, json: bool) -> None:
     """See ``gyroscreen identify --help``."""
     judged_by = DEFAULT_LIMITS if limits is None else load_limits(limits)
     found = with_its_campaign(measurement)
-    if isinstance(found, ModalRecord):
+    if isinstance(found, ToneCampaign):
+        columns = tone_columns(found, None if model is None else load_model(model))
+        lines = tone_text(columns)
+    elif isinstance(found, ModalRecord):
         if limits is not None:
             raise UsageError(
                 "a modal record is not judged, so limits do not apply",
@@ -64,7 +69,7 @@ def require_identified(status: str | None, reason: str | None, measurement: Path
     )
 
 
-def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:
+def with_its_campaign(measurement: Path) -> Campaign | ModalRecord | ToneCampaign:
     """The measurement; a single record is read with the campaign that lists it, if there is one.
 
     The campaign.toml in the folder of the record then gives the instrument and the silent records.
@@ -72,12 +77,20 @@ def with_its_campaign(measurement: Path) -> Campaign | ModalRecord:
     existing(measurement)
     beside = measurement.parent / "campaign.toml"
     if measurement.suffix != ".toml" and measurement.is_file() and beside.is_file():
-        campaign = read_campaign(beside)
+        campaign = read_measurement(beside)
+        if not isinstance(campaign, Campaign):
+            return campaign if measurement.name in _files(campaign) else read_measurement(measurement)
         listed = [r for r in campaign.records if r.file is not None and Path(r.file).name == measurement.name]
         if listed:
             silent = tuple(r for r in campaign.with_role("noise") if r is not listed[0])
             return replace(campaign, records=(*silent, replace(listed[0], role="fit")))
     return read_measurement(measurement)
+
+
+def _files(campaign: ModalRecord | ToneCampaign) -> set[str]:
+    """Names of the files of a campaign of sweeps and frequency responses."""
+    records = campaign.records if isinstance(campaign, ToneCampaign) else ()
+    return {Path(record.file).name for record in records if record.file is not None}
 
 
 def modal_columns(route: RouteResult, fit: ModalFit) -> dict[str, Any]:
@@ -152,11 +165,12 @@ def _text(result: Identification) -> list[str]:
 def check(campaign: Path, json: bool) -> None:
     """See ``gyroscreen check --help``."""
     from pipeline.experiment.checks.check import check as check_measurement
+    from pipeline.experiment.checks.tones import check_tones
 
     found = read_measurement(campaign)
     if isinstance(found, ModalRecord):
         raise UsageError("a modal record has no samples to check", value=str(campaign), allowed="a campaign or record")
-    report = check_measurement(found)
+    report = check_tones(found) if isinstance(found, ToneCampaign) else check_measurement(found)
     if json:
         print(json_.dumps(report.to_dict()))
         return

@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.errors import GyroscreenError, UsageError, printable_lines
-from pipeline.experiment.campaign import read_campaign
+from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.files.inspect import Inspection, inspect
+from pipeline.experiment.files.inspect_tones import ToneInspection, inspect_tones
 from pipeline.experiment.files.readers import existing, read_columns
 from pipeline.experiment.files.template import campaign_template, model_template, reason
+from pipeline.experiment.files.template_tones import TONE_MODEL, tone_reason, tone_template
+from pipeline.experiment.tones import ToneCampaign
 
 FILE, MODEL, PICTURE = "campaign.toml", "model.toml", "columns.png"
 
@@ -25,8 +28,12 @@ def init(files: Sequence[Path], out: Path | None) -> None:
             value=str(target),
             next_step="choose another folder with --out, or move the old campaign.toml away",
         )
-    found = inspect([(file.name, read_columns(file)) for file in files])
     paths = [Path(os.path.relpath(file, folder)).as_posix() for file in files]
+    columns = [(file.name, read_columns(file)) for file in files]
+    if (tones := inspect_tones(columns)) is not None:
+        _init_tones(folder, files, paths, tones)
+        return
+    found = inspect(columns)
     gyro = len(found.of("drive")) == len(found.of("sense")) == 2
     _write(folder, target, campaign_template(folder.resolve().name, paths, found, gyro))
     if not gyro:
@@ -44,6 +51,38 @@ def init(files: Sequence[Path], out: Path | None) -> None:
     except OSError as error:
         raise _unwritable(folder / PICTURE, error) from None
     print(printable_lines(f"{target}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"))
+    model = "" if gyro else f" --model {folder / MODEL}"
+    print(printable_lines(f"next: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
+
+
+def _init_tones(folder: Path, files: Sequence[Path], paths: Sequence[str], found: ToneInspection) -> None:
+    """The campaign of sweeps and frequency responses."""
+    gyro = found.kind == "frf" and any(column.key.startswith("H_s2d2") for column in found.columns)
+    _write(folder, folder / FILE, tone_template(folder.resolve().name, paths, found))
+    if not gyro:
+        _write(folder, folder / MODEL, TONE_MODEL)
+    lines = [f"{len(files)} files, kind {found.kind}"]
+    for file, rows, passes in zip(files, found.rows, found.passes):
+        lines.append(f"  {file.name}: {rows} rows, {len(passes)} passes")
+    lines += [f"  column {one.number} {one.name!r}: {one.key} ({tone_reason(one)})" for one in found.columns]
+    print(printable_lines("\n".join(lines)))
+    try:
+        campaign = read_measurement(folder)
+    except GyroscreenError as error:
+        print(f"{folder / FILE} is written, but the records cannot be read with it yet: {error}")
+        return
+    from reports.learning.figures.tones import tones_png
+
+    if isinstance(campaign, ToneCampaign):
+        try:
+            tones_png(campaign.records, folder / PICTURE)
+        except OSError as error:
+            raise _unwritable(folder / PICTURE, error) from None
+    print(
+        printable_lines(
+            f"{folder / FILE}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"
+        )
+    )
     model = "" if gyro else f" --model {folder / MODEL}"
     print(printable_lines(f"next: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
 

@@ -19,11 +19,13 @@ from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
+from pipeline.learning.tones.answers import ToneAnswers
 
-from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
+from ..learning import ComparisonResult, DiagnosisResult, Measured, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
+from ..learning.views import tone_views
 
 PAGES: dict[type[Result], str] = {
     ComparisonResult: "compare.html",
@@ -49,7 +51,7 @@ def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[P
 
 @threadpool_limits.wrap(limits=1)
 def _answer(
-    command: Callable[[Campaign | ModalRecord, Model], Result],
+    command: Callable[[Measured, Model], Result],
     path: Path,
     model: Path | None,
     out: Path | None,
@@ -58,7 +60,7 @@ def _answer(
 ) -> None:
     """Read the measurement, run ``command`` on it, write drive files and the page where ``out`` is given, and print."""
     measured = read_measurement(path)
-    found = command(measured if isinstance(measured, ModalRecord) else _fitted(measured), _model(model, folders))
+    found = command(_fitted(measured) if isinstance(measured, Campaign) else measured, _model(model, folders))
     page = None
     if out is not None:
         if isinstance(found, SelectionResult):
@@ -111,7 +113,7 @@ def _has_fit(found: Result) -> bool:
 
 
 def _write_page(
-    measured: Campaign | ModalRecord, found: Result, out: Path, folders: Sequence[Path], truth: str | None = None
+    measured: Measured, found: Result, out: Path, folders: Sequence[Path], truth: str | None = None
 ) -> Path:
     """The page of a result.
 
@@ -128,13 +130,13 @@ def _write_page(
     return path
 
 
-def _page(measured: Campaign | ModalRecord, found: Result, folders: Sequence[Path], truth: str | None) -> str:
+def _page(measured: Measured, found: Result, folders: Sequence[Path], truth: str | None) -> str:
     # Drawing takes a second to load; a command without a page does not wait for it.
-    from reports.learning.page import RecordView, render_learning_page
+    from reports.learning.page import RecordView, ToneView, render_learning_page
 
     def views(fit: CampaignFit | FitResult) -> list[RecordView]:
-        """Each driven record with the model's prediction; none for a modal record."""
-        if isinstance(fit, FitResult) or isinstance(measured, ModalRecord):
+        """Each driven record with the model's prediction; none for modal records, sweeps and frequency responses."""
+        if isinstance(fit, FitResult) or not isinstance(measured, Campaign):
             return []
         records = {record.name: record for record in measured.records}
         return [
@@ -144,6 +146,12 @@ def _page(measured: Campaign | ModalRecord, found: Result, folders: Sequence[Pat
             )
             for r in fit.records
         ]  # fmt: skip
+
+    def tones(fit: CampaignFit | FitResult) -> list[ToneView]:
+        """Each pass of a sweep and each frequency response, with the model's prediction."""
+        if not isinstance(fit, FitResult) or not isinstance(found.answers, ToneAnswers):
+            return []
+        return tone_views(found.answers.problem, fit)
 
     first = ComparisonResult(found.answers)
     diagnosis = refinement = after = None
@@ -158,6 +166,8 @@ def _page(measured: Campaign | ModalRecord, found: Result, folders: Sequence[Pat
         refinement,
         before=views(first.fit),
         after=after,
+        tones=tones(first.fit),
+        tones_after=tones(found.after) if isinstance(found, RefinementResult) else (),
         library=find_effects(tuple(folders)),
         truth=truth,
     )

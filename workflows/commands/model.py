@@ -14,6 +14,7 @@ from pipeline.device.model import Model, load_model
 from pipeline.errors import ConfigError, UsageError
 from pipeline.experiment.campaign import read_measurement, write_campaign
 from pipeline.experiment.files.modal_record import ModalRecord
+from pipeline.experiment.record import Campaign
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.device import IdentificationSettings
@@ -110,6 +111,13 @@ def export(measurement: Path, out: Path | None) -> None:
             value=str(measurement),
             allowed="a campaign folder or a record file",
             next_step="export a campaign",
+        )
+    if not isinstance(found, Campaign):
+        raise UsageError(
+            "only models of time records are exported",
+            value=str(measurement),
+            allowed="a campaign of time records, or a record file",
+            next_step="gyroscreen identify gives the parameters of a sweep or a frequency response",
         )
     if not found.with_role("fit"):
         found = replace(found, records=tuple(replace(r, role="fit") for r in found.records))

@@ -59,7 +59,9 @@ def stream(
     folder = source if campaign is None and source.is_dir() else campaign
     known = None if folder is None else read_measurement(folder)
     if known is not None and not isinstance(known, Campaign):
-        raise UsageError("--campaign is a modal record", value=str(campaign), allowed="a campaign folder")
+        raise UsageError(
+            "--campaign has no records in the time domain", value=str(campaign), allowed="a campaign folder"
+        )
     sigma = None if sigma_v is None else (sigma_v, sigma_v)
     bench = bench_of(known, StreamSettings(order=order, every_s=every_s, sigma_v=sigma))
     judged_by = DEFAULT_LIMITS if limits is None else load_limits(limits)

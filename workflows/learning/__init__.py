@@ -23,6 +23,7 @@ from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
+from pipeline.experiment.tones import ToneCampaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer, to_builtins
 from pipeline.learning.campaign.answers import CampaignAnswers, campaign_answers
@@ -31,6 +32,8 @@ from pipeline.learning.common import classes_of
 from pipeline.learning.modal.answers import ModalAnswers, modal_answers
 from pipeline.learning.modal.problem import ModalProblem
 from pipeline.learning.next_experiment.separating import Proposal
+from pipeline.learning.tones.answers import ToneAnswers, tone_answers
+from pipeline.learning.tones.problem import ToneProblem
 from reports.words.terminal import lines_of
 
 from . import tables
@@ -41,9 +44,12 @@ if TYPE_CHECKING:
 
 __all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
 
+Measured = Campaign | ModalRecord | ToneCampaign
+Answers = CampaignAnswers | ModalAnswers | ToneAnswers
+
 
 @threadpool_limits.wrap(limits=1)
-def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> ComparisonResult:
+def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL) -> ComparisonResult:
     """Fit ``model`` to the fit records and judge it on all records.
 
     Raises
@@ -56,7 +62,7 @@ def compare(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MOD
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> DiagnosisResult:
+def diagnose(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL) -> DiagnosisResult:
     """Find what ``model`` lacks; raises as :func:`compare`."""
     answers = _answers(campaign, model)
     answers, selection = answers.selected(answers.rules)
@@ -64,14 +70,16 @@ def diagnose(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MO
 
 
 @threadpool_limits.wrap(limits=1)
-def refine(campaign: Campaign | ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> RefinementResult:
+def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL) -> RefinementResult:
     """Add effects to ``model`` until no further one is significant; raises as :func:`compare`."""
     answers = _answers(campaign, model)
     answers, selection = answers.selected(answers.rules)
     return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules))
 
 
-def _answers(measured: Campaign | ModalRecord, model: Model) -> CampaignAnswers | ModalAnswers:
+def _answers(measured: Measured, model: Model) -> Answers:
+    if isinstance(measured, ToneCampaign):
+        return tone_answers(measured, model)
     return modal_answers(measured, model) if isinstance(measured, ModalRecord) else campaign_answers(measured, model)
 
 
@@ -79,10 +87,10 @@ def _answers(measured: Campaign | ModalRecord, model: Model) -> CampaignAnswers 
 class Result(ABC):
     """The result of a command; ``answers`` keeps the fits."""
 
-    answers: CampaignAnswers | ModalAnswers
+    answers: Answers
 
     @property
-    def problem(self) -> CampaignProblem | ModalProblem:
+    def problem(self) -> CampaignProblem | ModalProblem | ToneProblem:
         """The measurement as a problem of criticism, with its fits."""
         return self.answers.problem
 
@@ -239,7 +247,7 @@ class RefinementResult(SelectionResult):
     def answer(self) -> RefinementAnswer:
         """The result as data."""
         found = self.answers.refinement(self.ladder, self.separating, self.drive_files)
-        if isinstance(self.answers, ModalAnswers):
+        if not isinstance(self.answers, CampaignAnswers):
             return found
         campaign = self.answers.problem.campaign
         ladder = (with_verdict(rung, self.answers.fitted(rung.terms), campaign) for rung in found.ladder)

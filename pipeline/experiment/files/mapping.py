@@ -75,7 +75,7 @@ def channels_of(
     taken: set[tuple[int, str]] = set()
     for channel, source in mapping.items():
         table = _table(channel, source)
-        file, key = _column(name, channel, table, files, isinstance(source, str))
+        file, key = column_of(name, channel, table, files, isinstance(source, str))
         taken.add((file, key))
         found[channel] = _scaled(channel, table, key, files[file][key])
     rest = [
@@ -98,6 +98,11 @@ def _table(channel: str, source: Source) -> ColumnTable:
             allowed="time_s, drive<k>_V, sense<k>_V",
             next_step='write, for example, drive1_V = "V1" (the name in the file on the right)',
         )
+    return as_table(channel, source)
+
+
+def as_table(channel: str, source: Source) -> ColumnTable:
+    """The table of a source; ConfigError unless it states either a name or a number."""
     if isinstance(source, ColumnTable):
         if (source.name is None) == (source.number is None):
             raise ConfigError(
@@ -110,7 +115,7 @@ def _table(channel: str, source: Source) -> ColumnTable:
     return ColumnTable(name=source) if isinstance(source, str) else ColumnTable(number=source)
 
 
-def _column(
+def column_of(
     name: str, channel: str, table: ColumnTable, files: Sequence[Mapping[str, NDArray[Any]]], any_file: bool
 ) -> tuple[int, str]:
     """File (counted from 0) and name there of the column that ``table`` describes."""

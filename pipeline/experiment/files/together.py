@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...errors import MeasurementError
-from ..record import Record
+from ..record import Record, Role
 
 
 def with_all_drives(records: Sequence[Record]) -> list[Record]:
@@ -56,3 +56,11 @@ def check_same_shape(records: Sequence[Record]) -> None:
                 allowed=f"{first.sample_rate_hz} Hz, as in the first record",
                 next_step="state sample_rate_hz under [instrument]",
             )
+
+
+def roles_of(declared: Sequence[Role | None]) -> list[Role]:
+    """The roles of records, those that are not declared filled in: the last validates if none does, the others fit."""
+    undeclared = [k for k, role in enumerate(declared) if role is None]
+    others_fit = len(undeclared) > 1 or "fit" in declared
+    last = undeclared[-1] if undeclared and others_fit and "validate" not in declared else None
+    return [role if role is not None else "validate" if k == last else "fit" for k, role in enumerate(declared)]

@@ -74,7 +74,7 @@ def _window_variances(record: Record) -> tuple[FloatArray, int]:
     return np.array(out), width - unknowns
 
 
-def _covariance(windows: int, shape: int) -> FloatArray:
+def log_covariance(windows: int, shape: int) -> FloatArray:
     """Covariance (2, 2) of ln s at the quantiles ``_LOWER`` and ``_LEVEL`` of ``windows`` quiet ones."""
     p = np.array([_LOWER, _LEVEL])
     # x f(x) of a gamma variable of mean 1 at its quantiles x = y / shape.
@@ -84,14 +84,14 @@ def _covariance(windows: int, shape: int) -> FloatArray:
     return np.asarray(both / windows / np.outer(slope, slope))
 
 
-def _level(v: FloatArray, shape: int) -> tuple[float, bool]:
+def quiet_level(v: FloatArray, shape: int) -> tuple[float, bool]:
     """The level [V^2] of the windows v (K,) of one channel, and whether most of them are quiet."""
     quantiles, most = gammaincinv(shape, [_LOWER, _LEVEL]) / shape, gammainccinv(shape, _TAIL) / shape
     kept = v
     for _ in range(_PASSES):
         low, level = np.quantile(kept, [_LOWER, _LEVEL]) / quantiles
         kept = v[v < level * most]
-    covariance = _covariance(kept.size, shape)
+    covariance = log_covariance(kept.size, shape)
     sd = np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
     return float(level), bool(2 * kept.size > v.size and np.log(level / max(low, 1e-300)) < _AGREE * sd)
 
@@ -101,10 +101,10 @@ def local_noise(records: Sequence[Record]) -> LocalNoise:
     found = [_window_variances(record) for record in records]
     levels, bounds, sds = [], [], []
     for v, shape in found:
-        each = [_level(own, shape) for own in v.T]
+        each = [quiet_level(own, shape) for own in v.T]
         levels.append([level if quiet else np.inf for level, quiet in each])
         bounds.append(np.median(v, axis=0) / (gammaincinv(shape, 0.5) / shape))
-        sds.append(np.sqrt(_covariance(v.shape[0], shape)[1, 1]))
+        sds.append(np.sqrt(log_covariance(v.shape[0], shape)[1, 1]))
     level, sd = np.array(levels), np.array(sds)[:, None]
     dof = 2.0 / sd**2
     if not np.all(np.isfinite(level.min(axis=0))):

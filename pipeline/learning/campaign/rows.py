@@ -26,7 +26,7 @@ from ...inference.general.resonances import resonances_of
 #: Upper end of the rows [Hz]: drives below 700 Hz excite hardly anything above it, for any effect of the library.
 TOP_HZ = 2500.0
 #: Two modes overlap if their frequencies differ by less than this many half-widths.
-_APART = 3.0
+APART = 3.0
 #: Usable share of the anti-alias corner, of Nyquist and of full scale.
 USABLE = 0.9
 
@@ -243,4 +243,4 @@ def _overlaps_resonance(fitted: CampaignFit, term: str) -> bool:
     if mode is None:
         return False
     f, zeta = (fitted.values[name] for name in mode)
-    return any(abs(f - other) < _APART * (zeta * f + width) for other, width in resonances_of(fitted.values))
+    return any(abs(f - other) < APART * (zeta * f + width) for other, width in resonances_of(fitted.values))

@@ -1,0 +1,127 @@
+"""Campaigns of sweeps and frequency responses, from the entries of campaign.toml."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from ..errors import MeasurementError
+from .files.common_tables import DemodulationTable, DeviceTable
+from .files.mapping import Source
+from .files.readers import existing, read_columns
+from .files.tone_columns import Quantity, tone_record
+from .instrument import Instrument
+from .record import Campaign, Role
+from .tones import ToneCampaign, ToneKind, ToneRecord
+
+
+class ToneEntry(Protocol):
+    """What a [[record]] states about a sweep or a frequency response."""
+
+    @property
+    def file(self) -> str | list[str]:
+        """Its file or files."""
+
+    @property
+    def name(self) -> str | None:
+        """Its name; by default that of its first file."""
+
+    @property
+    def start(self) -> int:
+        """First row."""
+
+    @property
+    def stop(self) -> int | None:
+        """Row behind the last."""
+
+    @property
+    def rate_dps(self) -> float | None:
+        """Declared angular rate [deg/s]."""
+
+    @property
+    def bias_v(self) -> float | None:
+        """Declared bias [V]."""
+
+    @property
+    def quantity(self) -> Quantity:
+        """What a frequency response is the ratio of."""
+
+    @property
+    def reference_ohm(self) -> float:
+        """Reference impedance of S11 [ohm]."""
+
+    @property
+    def averages(self) -> int:
+        """Averages of a coherence."""
+
+
+def tone_records(
+    folder: Path, entry: ToneEntry, role: Role, kind: ToneKind, columns: Mapping[str, Source]
+) -> tuple[ToneRecord, ...]:
+    """The record of an entry, a frequency response as one for each drive; its files are in ``folder``.
+
+    Raises
+    ------
+    ConfigError, MeasurementError : as of ``files.tone_columns.tone_record``; a silent sweep.
+    """
+    names = [entry.file] if isinstance(entry.file, str) else entry.file
+    if role == "noise":
+        raise MeasurementError(
+            f'{names[0]}: a {kind} cannot have role = "noise"',
+            allowed="fit or validate",
+            next_step="declare its noise (sense1_sd_V or H_s1d1_sd under [columns]), or leave the record out",
+        )
+    found = tone_record(
+        entry.name or names[0],
+        kind,
+        [read_columns(existing(folder / name)) for name in names],
+        columns,
+        entry.start,
+        entry.stop,
+        entry.quantity,
+        entry.reference_ohm,
+        entry.averages,
+    )
+    return tuple(
+        dataclasses.replace(record, role=role, rate_dps=entry.rate_dps, bias_v=entry.bias_v, file=names[0])
+        for record in found
+    )
+
+
+def tone_campaign(
+    name: str,
+    records: Sequence[ToneRecord],
+    instrument: Instrument,
+    device: DeviceTable,
+    demodulation: DemodulationTable,
+    reference: dict[str, tuple[float, float]],
+    timed: Campaign | None,
+) -> ToneCampaign:
+    """The campaign of ``records``; ``timed`` are its records in the time domain.
+
+    Raises
+    ------
+    MeasurementError : the records have different channels.
+    """
+    shapes = {(record.sense_v.shape[1], record.drive_v.shape[1]) for record in records}
+    if timed is not None:
+        shapes |= {(record.sense_v.shape[1], record.drive_v.shape[1]) for record in timed.records}
+    if len(shapes) != 1:
+        raise MeasurementError(
+            "the records of a campaign have different channels",
+            value=[f"{senses} senses, {drives} drives" for senses, drives in sorted(shapes)],
+            allowed="the same senses and drives in every record",
+            next_step="put them into campaigns of their own",
+        )
+    return ToneCampaign(
+        device_id=name,
+        records=tuple(records),
+        instrument=instrument,
+        angular_gain=device.angular_gain,
+        phase_error_deg=demodulation.phase_error_deg,
+        drive=demodulation.drive,
+        reference=reference,
+        timed=timed,
+    )

@@ -1,0 +1,131 @@
+"""A model of frequency-domain records: what the detector of each record shows at given parameters.
+
+    Y = e^{i phi} Y_device + o             phi: phase of the reference of a lock-in, o: offset of its output (sweeps only)
+    Y_i <- Y_i + a_i (Y_{i-1} - Y_i)       a detector that has not settled: a share of the row before remains,
+                                           a_i = share^(dt_i / median dt), from exp(-dt / T) of a low-pass
+
+phi and o are parameters of every sweep: no instrument states them exactly.
+
+Shapes: N rows, S senses, D drives, P parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import ComplexArray, FloatArray
+from ...device.model import Model
+from ...experiment.forward.system import Conditions, System, assemble
+from ...experiment.forward.tones import linear_tones
+from ...experiment.tones import ToneCampaign, ToneRecord
+
+PHASE = "phase_deg"
+SETTLING = "lockin_settling"
+SHARE = f"{SETTLING}.share"
+#: Steps of central differences: of a frequency and a damping ratio in half-widths, of other parameters relative to themselves.
+_STEP, _RELATIVE = 1e-3, 1e-5
+
+
+def offset_names(senses: int) -> tuple[str, ...]:
+    """Names of the offsets of the output [V], in phase and in quadrature for each sense."""
+    return tuple(f"offset_s{k + 1}_{part}" for k in range(senses) for part in ("x", "y"))
+
+
+@dataclass(frozen=True, eq=False)
+class ToneModel:
+    """The records of a campaign as a function of parameters.
+
+    Parameters
+    ----------
+    model : plant and effects.
+    campaign : conditions, drives and frequencies.
+    """
+
+    model: Model
+    campaign: ToneCampaign
+
+    @property
+    def swept(self) -> bool:
+        """Whether there is a sweep, so that phase, offset and settling apply."""
+        return any(record.kind == "sweep" for record in self.campaign.records)
+
+    @property
+    def detector(self) -> tuple[str, ...]:
+        """Names of the parameters of the detector that every fit has."""
+        senses = self.campaign.records[0].sense_v.shape[1]
+        return (PHASE, *offset_names(senses)) if self.swept else ()
+
+    def system(self, values: Mapping[str, float], conditions: Conditions) -> System:
+        """The assembled system under ``conditions``; raises ConfigError for parameters no device can have."""
+        own = {name: value for name, value in values.items() if name in self.model.by_name}
+        return assemble(self.model, self.model.complete(own), self.campaign.instrument, conditions)
+
+    def predict(self, values: Mapping[str, float]) -> tuple[ComplexArray, ...]:
+        """Y (N, S) [V] of every record; ``values`` hold the parameters of the model and of the detector.
+
+        Raises
+        ------
+        ConfigError : parameters that no device can have.
+        """
+        systems: dict[Conditions, System] = {}
+        found = []
+        for record in self.campaign.records:
+            conditions = self._conditions(record)
+            if conditions not in systems:
+                systems[conditions] = self.system(values, conditions)
+            y = linear_tones(systems[conditions], record.frequency_hz, record.drive_v)
+            found.append(self._detected(values, record, y))
+        return tuple(found)
+
+    def _detected(self, values: Mapping[str, float], record: ToneRecord, y: ComplexArray) -> ComplexArray:
+        if record.kind != "sweep":
+            return y
+        offsets = np.array([values.get(name, 0.0) for name in offset_names(y.shape[1])])
+        turned = y * np.exp(1.0j * np.deg2rad(values.get(PHASE, 0.0))) + offsets[::2] + 1.0j * offsets[1::2]
+        share = values.get(SHARE, 0.0)
+        return turned if share == 0.0 else settled(turned, record.time_s, share)
+
+    def _conditions(self, record: ToneRecord) -> Conditions:
+        bias = self.campaign.instrument.bias_v
+        known = record.rate_dps is not None and (record.rate_dps == 0.0 or self.campaign.angular_gain is not None)
+        rate = float(np.deg2rad(record.rate_dps or 0.0)) * (self.campaign.angular_gain or 0.0)
+        own = bias if record.bias_v is None else record.bias_v
+        return Conditions(own, bias, rate if known else None)
+
+    def step(self, name: str, values: Mapping[str, float], size: float) -> float:
+        """Step of a central difference at ``values``; ``size`` is a typical value of the parameter."""
+        at = abs(values.get(name, 0.0))
+        if name.endswith("_hz") and f"zeta{name[1:-3]}" in values:
+            return _STEP * max(values[f"zeta{name[1:-3]}"], 1e-9) * at
+        if name.startswith("zeta"):
+            return _STEP * max(at, 1e-9)
+        return max(_RELATIVE * at, 0.1 * size)
+
+
+def settled(y: ComplexArray, time_s: FloatArray | None, share: float) -> ComplexArray:
+    """Y (N, S) of a detector in which ``share`` of the row before remains after a median interval.
+
+    ``time_s`` (N,) [s] of the rows; intervals are equal where it is not known.
+    """
+    intervals = np.ones(y.shape[0] - 1) if time_s is None else np.diff(time_s)
+    middle = float(np.median(intervals)) or 1.0
+    kept = np.sign(share) * np.minimum(abs(share), 1.0) ** np.maximum(intervals / middle, 0.0)
+    out = y.copy()
+    for i, a in enumerate(kept.tolist(), 1):
+        out[i] += a * (out[i - 1] - out[i])
+    return out
+
+
+def differences(
+    model: ToneModel, values: Mapping[str, float], names: Sequence[str], sizes: Mapping[str, float]
+) -> list[tuple[ComplexArray, ...]]:
+    """For each of ``names`` d Y / d parameter (N, S) of every record, by central differences at ``values``."""
+    found = []
+    for name in names:
+        step = model.step(name, values, sizes.get(name, 1.0))
+        above, below = (model.predict({**values, name: values[name] + side * step}) for side in (1.0, -1.0))
+        found.append(tuple((a - b) / (2.0 * step) for a, b in zip(above, below)))
+    return found

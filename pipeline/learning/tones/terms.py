@@ -1,0 +1,117 @@
+"""Candidate terms of frequency-domain records: the absent effects that change a steady response, and unsettled detectors.
+
+Ranges are relative to the data: a parameter may have any size, its step is the one that changes the response by about 1e-3, and
+an additional mode is sought at the frequencies and widths that the records resolve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ...arrays import ComplexArray
+from ...criticism.problem import TermParameter
+from ...criticism.regression import Term
+from ...device.effect import Effect
+from ...device.model import Model
+from ...errors import GyroscreenError
+from ...experiment.tones import ToneCampaign
+from ...inference.tones.model import SETTLING, SHARE, ToneModel
+
+#: Stages that a steady response can show.
+STAGES = frozenset({"mechanics", "readout"})
+#: Relative change of the response that gives the size of a parameter, and how near a size must come (factor) in how many tries.
+_CHANGE, _NEAR, _TRIES = 1e-3, 10.0, 12
+#: Frequencies and widths of an additional mode: rows of a width, and points of the grid at most.
+_WIDTHS, _POINTS = (3.0,), 48
+
+
+def term_names(model: Model) -> tuple[str, ...]:
+    """Absent effects that act on a steady response."""
+    return tuple(name for name in model.candidates() if set(model.library[name].stages) & STAGES)
+
+
+def sizes_of(model: ToneModel, names: Sequence[str], values: Mapping[str, float]) -> dict[str, float]:
+    """Full parameter name -> size that changes the response at ``values`` by about 1e-3.
+
+    Parameters that do not change it are left out.
+    """
+    plain = model.predict(values)
+    norm = float(np.sqrt(sum(np.vdot(y, y).real for y in plain)))
+    shape, found = model.model.built.shape, {}
+    for name in names:
+        effect = model.model.library[name]
+        members = effect.members(shape)
+        grid = {effect.full_name(m): m.grid[len(m.grid) // 2] for m in members if m.grid}
+        for member in members:
+            if member.grid:
+                continue
+            full = effect.full_name(member)
+            size = _size(model, {**values, **grid}, full, member.null, member.scale, plain, norm)
+            if size is not None:
+                found[full] = size
+    return found
+
+
+def _size(
+    model: ToneModel,
+    values: Mapping[str, float],
+    name: str,
+    null: float,
+    size: float,
+    plain: Sequence[ComplexArray],
+    norm: float,
+) -> float | None:
+    low = 0.0
+    for _ in range(_TRIES):
+        try:
+            moved = model.predict({**values, name: null + size})
+        except GyroscreenError:
+            size *= 1e-3
+            continue
+        change = float(np.sqrt(sum(np.sum(np.abs(a - b) ** 2) for a, b in zip(moved, plain)))) / norm
+        if not np.isfinite(change):
+            size *= 1e-3
+        elif change < 1e-13:
+            low = size
+            size *= 1e4
+        elif _CHANGE / _NEAR < change < _CHANGE * _NEAR:
+            return size
+        else:
+            size *= float(np.clip(_CHANGE / change, 1e-6, 1e6))
+    return size if low == 0.0 else None
+
+
+def tone_terms(model: Model, campaign: ToneCampaign, sizes: Mapping[str, float], swept: bool) -> tuple[Term, ...]:
+    """The terms whose parameters have a size, with the detector's settling where there is a sweep."""
+    found = [_term(model.library[name], model, campaign, sizes) for name in term_names(model)]
+    terms = [term for term in found if term is not None]
+    if swept:
+        terms.append(Term(SETTLING, (TermParameter(SHARE, "1", 0.0, 1.0, 1),)))
+    return tuple(terms)
+
+
+def _term(effect: Effect, model: Model, campaign: ToneCampaign, sizes: Mapping[str, float]) -> Term | None:
+    members = effect.members(model.built.shape)
+    plain = [m for m in members if not m.grid]
+    if not all(effect.full_name(m) in sizes for m in plain):
+        return None
+    scanned = {effect.full_name(m): m.grid for m in members if m.grid}
+    if effect.mode is not None:
+        scanned |= dict(zip(effect.mode, _mode_grid(campaign)))
+    parameters = []
+    for m in plain:
+        side = 1 if m.low == m.null else -1 if m.high == m.null else 0
+        parameters.append(TermParameter(effect.full_name(m), m.unit, m.null, np.inf, side))
+    return Term(effect.name, tuple(parameters), scanned or None)
+
+
+def _mode_grid(campaign: ToneCampaign) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Frequencies [Hz] within the rows, and damping ratios that a few rows resolve."""
+    f = np.unique(np.concatenate([record.frequency_hz for record in campaign.records]))
+    step = float(np.median(np.diff(f))) if f.size > 1 else 1e-3 * float(f[0])
+    step = max(step, float(np.ptp(f)) / _POINTS / 4.0)
+    points = np.linspace(f[0], f[-1], min(_POINTS, f.size))
+    zetas = [min(width * step / (2.0 * float(np.median(f))), 0.3) for width in _WIDTHS]
+    return tuple(points.tolist()), tuple(sorted({*zetas, min(8.0 * zetas[-1], 0.4)}))

@@ -1,0 +1,82 @@
+"""Measured and simulated stepped sweeps through the commands: init, check, compare, refine and the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.experiment.campaign import read_measurement
+from workflows.cli import call
+
+MEASURED = Path("/tmp/shared/data/measured")
+
+
+def ring(f, f0, width, gain):
+    """Velocity response of one mode, without any code of the package."""
+    s, w0 = 2j * np.pi * f, 2 * np.pi * f0
+    return gain * s / (s**2 + 2 * np.pi * width * s + w0**2)
+
+
+def sweep_file(path, y, f, drive, seed=0, sd=1e-6):
+    random = np.random.default_rng(seed)
+    y = y + sd * (random.standard_normal(f.size) + 1j * random.standard_normal(f.size))
+    rows = np.stack([np.arange(f.size) * 2.0, f, y.real, y.imag, drive], axis=1)
+    np.savetxt(path, rows, header="time [s],frequency [Hz],X,Y,drive", delimiter=",", comments="", fmt="%.10g")
+
+
+def said(capsys, *arguments):
+    code = call([str(one) for one in arguments])
+    return code, capsys.readouterr()
+
+
+def test_a_linear_sweep_gives_its_mode_phase_and_offset(tmp_path, capsys):
+    up = np.linspace(1180.0, 1220.0, 60)
+    f = np.concatenate([up, up[::-1], up, up[::-1]])
+    y = 1e-2 * ring(f, 1200.3, 4.0, 30.0) * np.exp(1j * np.deg2rad(25.0)) + 2e-4 - 1e-4j
+    sweep_file(tmp_path / "s.csv", y, f, np.full(f.size, 1e-2), sd=2e-5)
+    assert said(capsys, "init", tmp_path / "s.csv", "--out", tmp_path / "c")[0] == 0
+    code, out = said(capsys, "compare", tmp_path / "c", "--model", tmp_path / "c/model.toml", "--json")
+    answer = json.loads(out.out)
+    assert code == 0
+    assert 0.9 < answer["error"]["fit"] < 1.1
+    assert 0.85 < answer["error"]["validate"] < 1.15
+    found = answer["parameters"]
+    for name, true in (("f1_hz", 1200.3), ("width1_hz", 4.0), ("phase_deg", 25.0), ("offset_s1_x", 2e-4)):
+        value, sd = found[name]
+        assert abs(value - true) < 4.0 * sd, (name, value, sd)
+
+
+def test_an_inverted_quadrature_is_named_and_the_advice_can_be_followed(tmp_path, capsys):
+    f = np.linspace(1180.0, 1220.0, 80)
+    f = np.concatenate([f, f[::-1]])
+    sweep_file(tmp_path / "s.csv", np.conj(1e-2 * ring(f, 1200.3, 4.0, 30.0)), f, np.full(f.size, 1e-2))
+    said(capsys, "init", tmp_path / "s.csv", "--out", tmp_path / "c")
+    _, out = said(capsys, "check", tmp_path / "c", "--json")
+    (finding,) = [one for one in json.loads(out.out)["findings"] if one["kind"] == "polarity"]
+    assert "gain of -1 for sense1_Y_V" in finding["text"]
+    toml = tmp_path / "c" / "campaign.toml"
+    toml.write_text(toml.read_text().replace('sense1_Y_V = "Y"', 'sense1_Y_V = { name = "Y", gain = -1.0 }'))
+    _, out = said(capsys, "check", tmp_path / "c", "--json")
+    assert not [one for one in json.loads(out.out)["findings"] if one["kind"] == "polarity"]
+
+
+@pytest.mark.skipif(not MEASURED.exists(), reason="measured data are not shipped")
+def test_wire_1_is_linear_once_the_detector_settles(tmp_path, capsys):
+    """f0 3966.7 Hz and width 66.7 Hz are those of a fit without settling, the given model."""
+    assert said(capsys, "init", MEASURED / "wire-1.txt", "--out", tmp_path / "c")[0] == 0
+    assert {r.role for r in read_measurement(tmp_path / "c").records} == {"fit", "validate"}
+    assert said(capsys, "check", tmp_path / "c")[0] == 0
+    code, out = said(
+        capsys, "refine", tmp_path / "c", "--model", tmp_path / "c/model.toml", "--out", tmp_path / "o", "--json"
+    )
+    answer = json.loads(out.out)
+    assert (code, answer["verdict"], answer["effects"]) == (0, "adequate", ["lockin_settling"])
+    assert answer["ladder"][-1]["status"] == "confirmed"
+    assert 0.85 < answer["ladder"][-1]["error_validate"] < 1.15
+    first = answer["ladder"][0]
+    assert first["derived"]["width1_hz"][0] == pytest.approx(66.7, abs=0.15)
+    assert first["parameters"]["f1_hz"][0] == pytest.approx(3966.7, abs=0.1)
+    assert "Response to single tones" in (tmp_path / "o" / "ladder.html").read_text()
