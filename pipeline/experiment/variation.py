@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
-from ..arrays import FloatArray
+from ..arrays import ComplexArray, FloatArray
 
 #: The kinds of variation, in the order of the fields of ``RecordSpread``.
 KINDS = ("frequency", "start", "gain", "ramp")
@@ -96,12 +96,16 @@ def advanced(y: FloatArray, shift_s: float, sample_rate_hz: float) -> FloatArray
     tail = np.stack([_predicted(own, reach) for own in y.T], axis=1)
     head = np.stack([_predicted(own[::-1], reach) for own in y.T], axis=1)
     longer = np.concatenate([(middle + (head - middle) * fade)[::-1], y, middle + (tail - middle) * fade])
-    omega = 2.0 * np.pi * rfftfreq(longer.shape[0], 1.0 / sample_rate_hz)
-    top = np.pi * sample_rate_hz
-    taper = np.clip((omega / top - _EXACT) / (1.0 - _EXACT), 0.0, 1.0)
-    phase = omega * shift_s * 0.5 * (1.0 + np.cos(np.pi * taper))
-    moved = irfft(rfft(longer, axis=0) * np.exp(1j * phase)[:, None], n=longer.shape[0], axis=0)
+    response = advance_response(longer.shape[0], shift_s * sample_rate_hz)
+    moved = irfft(rfft(longer, axis=0) * response[:, None], n=longer.shape[0], axis=0)
     return np.asarray(moved[reach : reach + samples])
+
+
+def advance_response(samples: int, shift: float) -> ComplexArray:
+    """The all-pass filter of ``advanced`` at the bins (N/2 + 1,) of ``samples``; ``shift`` in samples."""
+    omega = 2.0 * np.pi * rfftfreq(samples)
+    taper = np.clip((omega / np.pi - _EXACT) / (1.0 - _EXACT), 0.0, 1.0)
+    return np.asarray(np.exp(0.5j * omega * shift * (1.0 + np.cos(np.pi * taper))))
 
 
 def _predicted(y: FloatArray, count: int) -> FloatArray:

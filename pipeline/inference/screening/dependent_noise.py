@@ -14,6 +14,10 @@ with sigma_a^2 from the silent record, so T_ab follows from a regression weighte
 are a quarter of a period apart, so the kind that is present explains more.  The more significant one enters the likelihood; it
 never enters sigma.
 
+A record that was advanced by phi samples, by an all-pass filter g, has interpolated noise:
+
+    cov_ab(k) = T_ab sum_j g(k - j)^2 (c_a c_b)(j - phi)
+
 Shapes: N samples, S = 2 senses.
 """
 
@@ -24,11 +28,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.fft import irfft, rfft
+from scipy.fft import irfft, rfft, rfftfreq
 
 from ...arrays import FloatArray
 from ...experiment.noise.source import slope_v_per_s
 from ...experiment.noise.spectrum import NoiseSpectrum
+from ...experiment.variation import advance_response
 
 DependentKind = Literal["jitter", "gain"]
 #: Column of the devices table, and key of the answers, by kind.
@@ -77,8 +82,18 @@ def factor_of(kind: DependentKind, volts: FloatArray, rate_hz: float) -> FloatAr
     return slope_v_per_s(volts, rate_hz) if kind == "jitter" else volts
 
 
+def advanced_products(product: FloatArray, shift: float) -> FloatArray:
+    """Products c_a c_b (.., N) of a record that was advanced by ``shift`` samples (head of this module)."""
+    if shift == 0.0:
+        return product
+    samples = product.shape[-1]
+    spread = rfft(irfft(advance_response(samples, shift), n=samples) ** 2)
+    later = np.exp(-2j * np.pi * rfftfreq(samples) * shift)
+    return np.asarray(irfft(rfft(product) * spread * later, n=samples))
+
+
 def find_dependent_noise(
-    residual_v: FloatArray, volts: FloatArray, noise: NoiseSpectrum, signal_hz: float
+    residual_v: FloatArray, volts: FloatArray, noise: NoiseSpectrum, signal_hz: float, shift: float = 0.0
 ) -> DependentNoise | None:
     """The most significant kind of a record; ``None`` where none is significant or no frequency is free of signal.
 
@@ -88,9 +103,10 @@ def find_dependent_noise(
     volts : of the model (N, S) [V].
     noise : of the silence.
     signal_hz : highest frequency of the band of the signal [Hz].
+    shift : by how many samples the record was advanced.
     """
     rate = noise.sample_rate_hz
-    found = [_find(kind, residual_v, factor_of(kind, volts, rate), noise, signal_hz) for kind in COLUMNS]
+    found = [_find(kind, residual_v, factor_of(kind, volts, rate), noise, signal_hz, shift) for kind in COLUMNS]
     return most_significant(one for one in found if one is not None)
 
 
@@ -99,8 +115,20 @@ def most_significant(found: Iterable[DependentNoise]) -> DependentNoise | None:
     return max(found, key=lambda one: one.significance, default=None)
 
 
+def pooled(found: Iterable[DependentNoise]) -> DependentNoise | None:
+    """The covariance of several records: the mean of those of the most significant kind, weighted by significance^2."""
+    every = list(found)
+    best = most_significant(every)
+    if best is None:
+        return None
+    own = [one for one in every if one.kind == best.kind]
+    z = np.array([one.significance for one in own])
+    mean = np.average([one.covariance for one in own], axis=0, weights=z**2)
+    return DependentNoise(best.kind, np.asarray(mean), float(np.linalg.norm(z)))
+
+
 def _find(
-    kind: DependentKind, residual_v: FloatArray, c: FloatArray, noise: NoiseSpectrum, signal_hz: float
+    kind: DependentKind, residual_v: FloatArray, c: FloatArray, noise: NoiseSpectrum, signal_hz: float, shift: float
 ) -> DependentNoise | None:
     """One kind, with its factor ``c`` (N, S); arguments as in ``find_dependent_noise``."""
     samples, rate = residual_v.shape[0], noise.sample_rate_hz
@@ -118,7 +146,7 @@ def _find(
     smooth = np.maximum(width - frequency, 0.0) / rate
 
     def seen(product: FloatArray) -> FloatArray:
-        return np.asarray(irfft(rfft(product) * smooth, n=samples))
+        return np.asarray(irfft(rfft(advanced_products(product, shift)) * smooth, n=samples))
 
     u = [seen(s[0] ** 2), seen(s[0] * s[1]), seen(s[1] ** 2)]
     diagonal, z = np.zeros(2), np.zeros(2)

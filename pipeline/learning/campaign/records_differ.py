@@ -70,15 +70,18 @@ def repeats_differ(problem: CampaignProblem) -> bool:
 
 
 def varied_problem(problem: CampaignProblem, found: VariedFit) -> CampaignProblem:
-    """The problem with the corrected records and the noise of a fit with variation."""
-    return CampaignProblem(
-        found.campaign,
-        problem.model,
-        found.noise,
-        problem.threads,
-        (problem.measured, found.variation),
-        problem.dependent,
-    )
+    """The problem with the corrected records and the noise of a fit with variation.
+
+    Jitter follows the slope, and the corrected records are advanced.  With the jitter of the fit without variation, a start
+    shift of 0.4 samples left 23 % too much energy at the resonance, and a campaign without a hidden effect was "unknown".
+    """
+    starts_s = {} if clips(found.fit.model) else {one.record: one.start_s for one in found.variation.deviations}
+    dependent = campaign_dependent_noise(found.fit, found.campaign, starts_s) or problem.dependent
+    noise = found.noise
+    if dependent is not None:
+        noise = with_dependent_noise(noise, dependent, found.fit, found.campaign, starts_s)
+    variation = (problem.measured, found.variation)
+    return CampaignProblem(found.campaign, problem.model, noise, problem.threads, variation, dependent)
 
 
 def prepared(problem: CampaignProblem) -> CampaignProblem:

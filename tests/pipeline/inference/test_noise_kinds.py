@@ -9,8 +9,9 @@ from scipy.stats import chi2
 from pipeline.device.gyro import gyro_modes, to_cartesian
 from pipeline.experiment.noise.source import NoiseKind, noise_volts
 from pipeline.experiment.noise.spectrum import NoiseSpectrum, noise_spectrum, white_spectrum
+from pipeline.experiment.variation import advance_response
 from pipeline.inference.screening.compressed import BandData, compress
-from pipeline.inference.screening.dependent_noise import factor_of, find_dependent_noise
+from pipeline.inference.screening.dependent_noise import advanced_products, factor_of, find_dependent_noise
 from pipeline.inference.screening.fit import maximise
 from pipeline.inference.screening.whitening import BandNoise, band_noise, on_grid, white_noise
 
@@ -69,6 +70,20 @@ def test_whitened_data_of_noise_alone_are_independent_with_unit_variance(bench, 
         found.append(float(np.sum(data**2)))
         dof = data.size
     assert chi2.ppf(1e-4, 12 * dof) < sum(found) < chi2.ppf(1.0 - 1e-4, 12 * dof)
+
+
+def test_jitter_of_an_advanced_record_has_the_variance_of_interpolated_noise():
+    """The noise of a sample is spread over its neighbours: the variance at the zeros of the slope is not zero."""
+    random, t = np.random.default_rng(6), np.arange(2000)
+    shift, slope = 0.4, lambda k: np.cos(2.0 * np.pi * 0.054 * k)
+    # Noise of sample j belongs to the signal at j - shift, because a record that starts late is advanced.
+    noise = slope(t - shift) * random.standard_normal((400, t.size))
+    moved = np.fft.irfft(np.fft.rfft(noise) * advance_response(t.size, shift), n=t.size)
+    measured = np.mean(moved**2, axis=0)[300:-300]
+    expected = advanced_products(slope(t) ** 2, shift)[300:-300]
+    z = (measured / expected - 1.0) / np.sqrt(2.0 / 400)
+    assert abs(np.mean(z)) < 5.0 / np.sqrt(z.size)
+    assert np.mean(z**2) < 1.3
 
 
 @pytest.mark.parametrize("kind", [NoiseKind("jitter", jitter_s=3e-7), NoiseKind("gain", gain_noise=1e-3)])
