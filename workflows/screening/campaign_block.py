@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.errors import GyroscreenError
+from pipeline.experiment.files.size import check_identification
 from pipeline.inference.estimate import reference_comparison
 from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.device import DeviceResult, failed_result, lost_result
@@ -28,9 +29,9 @@ def _identified(config: RunConfig, source: CampaignSource, n: int) -> tuple[str,
     try:
         campaign = with_systematic(config, source.read())
         device_id = campaign.device_id
-        result = identify_campaign(
-            campaign, settings_of(config), config.posterior.settings(), config.judging_gate(), seed
-        )
+        settings = settings_of(config)
+        check_identification(campaign, settings.low_hz, settings.high_hz)
+        result = identify_campaign(campaign, settings, config.posterior.settings(), config.judging_gate(), seed)
         compared = reference_comparison(campaign.reference, result.columns)
         if compared:
             text = ", ".join(f"{name} z={r['z']:+.2f}" for name, r in compared.items())

@@ -30,7 +30,7 @@ from ...arrays import FloatArray
 from ...errors import MeasurementError
 from ..instrument import Adc
 from ..record import Campaign, Record
-from .lines import line_basis, with_quantisation
+from .lines import fitted_lines, regressors, with_quantisation
 from .local import has_windows, local_noise
 from .spectrum import NoiseSpectrum, noise_spectrum
 
@@ -86,8 +86,7 @@ def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | No
     question: which bins exceed a known noise level as well as their neighbours.
     """
     samples = y.shape[0]
-    basis = line_basis(samples, sample_rate_hz, line_hz, True)
-    detrended = y - basis @ (basis.T @ y)
+    detrended = y - fitted_lines(y, sample_rate_hz, line_hz, True)
     power = np.abs(rfft(detrended * np.hanning(samples)[:, None], axis=0)[1:]) ** 2
     reach = min(_NEIGHBOURS, power.shape[0] | 1)
     # The median of an exponential distribution is ln 2 of its mean.  One channel at a time: a filter over one axis is ten
@@ -95,7 +94,7 @@ def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | No
     level = np.stack([median_filter(own, size=reach, mode="nearest") for own in power.T], axis=1) / np.log(2.0)
     # A Hann window spreads a line over at most five bins.
     line = maximum_filter1d(power > _LINE * level, size=5, axis=0)
-    free = samples - basis.shape[1]
+    free = samples - regressors(sample_rate_hz, line_hz, True)
     plain = np.sum(detrended**2, axis=0) / max(free, 1)
     kept = np.maximum(np.sum(~line, axis=0), 1)
     window = np.sum(np.hanning(samples) ** 2)

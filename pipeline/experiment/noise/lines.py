@@ -17,12 +17,16 @@ from scipy.special import fdtrc
 
 from ...arrays import FloatArray
 from ..instrument import Adc
+from .long_lines import long_fit
 
 #: Noise below this many LSB does not exercise the ADC in silence.
 _EXERCISED_LSB = 0.5
 #: Highest harmonic of the mains that is looked for: rectifiers emit up to some kHz.  A record at 280 kHz has 2,800 below Nyquist,
 #: whose basis alone takes 50 s.
 MOST_HARMONICS = 100
+#: Longest record whose regressors are a matrix [samples]: 200 columns take 52 MB, four times that while they are made, and
+#: the matrices of 50 and 60 Hz are kept.  With a minute of silence at 10 kHz a process took 6 GB.
+_LONGEST_BASIS = 2**15
 
 
 def harmonic_count(sample_rate_hz: float, line_hz: float) -> int:
@@ -45,6 +49,20 @@ def line_basis(samples: int, sample_rate_hz: float, line_hz: float | None, trend
     return basis
 
 
+def regressors(sample_rate_hz: float, line_hz: float | None, trend: bool) -> int:
+    """Number of offset, optional trend, and waves of the harmonics of ``line_hz`` [Hz]."""
+    return 1 + int(trend) + (0 if line_hz is None else 2 * harmonic_count(sample_rate_hz, line_hz))
+
+
+def fitted_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None, trend: bool) -> FloatArray:
+    """Offset, optional trend and harmonics of ``line_hz`` [Hz] (N, S) of y (N, S), by least squares."""
+    if y.shape[0] > _LONGEST_BASIS:
+        count = 0 if line_hz is None else harmonic_count(sample_rate_hz, line_hz)
+        return long_fit(y, 2.0 * np.pi * (line_hz or 0.0) / sample_rate_hz, count, trend)
+    basis = line_basis(y.shape[0], sample_rate_hz, line_hz, trend)
+    return np.asarray(basis @ (basis.T @ y))
+
+
 def lines_removed(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:
     """Degrees of freedom per channel that :func:`without_lines` removes; ``sample_rate_hz``, ``line_hz`` [Hz]."""
     return 1 if line_hz is None else 1 + 2 * harmonic_count(sample_rate_hz, line_hz)
@@ -59,8 +77,7 @@ def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -
         spectrum = rfft(y, axis=0)
         spectrum[: MOST_HARMONICS * round(cycles) + 1 : round(cycles)] = 0.0
         return np.asarray(irfft(spectrum, n=samples, axis=0))
-    basis = line_basis(samples, sample_rate_hz, line_hz, False)
-    return y - basis @ (basis.T @ y)
+    return y - fitted_lines(y, sample_rate_hz, line_hz, False)
 
 
 def with_quantisation(variance: FloatArray, adc: Adc | None) -> FloatArray:
@@ -74,8 +91,7 @@ def with_quantisation(variance: FloatArray, adc: Adc | None) -> FloatArray:
 def silent_residual(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, FloatArray]:
     """A silent record y (N, S) [V] without offset, trend and lines, (N, S), and its variance (S,) [V^2]."""
     samples = y.shape[0]
-    trend = line_basis(samples, sample_rate_hz, None, True)
-    residual = without_lines(y - trend @ (trend.T @ y), sample_rate_hz, line_hz)
+    residual = without_lines(y - fitted_lines(y, sample_rate_hz, None, True), sample_rate_hz, line_hz)
     return residual, np.sum(residual**2, axis=0) / silent_dof(samples, sample_rate_hz, line_hz)
 
 
@@ -99,16 +115,14 @@ def hum_line(y: FloatArray, sample_rate_hz: float) -> float | None:
     for line_hz in (50.0, 60.0):
         if sample_rate_hz / 2.0 <= line_hz or y.shape[0] < 2.0 * sample_rate_hz / line_hz:
             continue
-        lines = line_basis(y.shape[0], sample_rate_hz, line_hz, True)
-        plain = line_basis(y.shape[0], sample_rate_hz, None, True)
-        without_harmonics = y - plain @ (plain.T @ y)
-        residual = y - lines @ (lines.T @ y)
-        regressors, dof = lines.shape[1] - plain.shape[1], y.shape[0] - lines.shape[1]
-        if dof < 10 * regressors:
+        count, dof = 2 * harmonic_count(sample_rate_hz, line_hz), y.shape[0] - regressors(sample_rate_hz, line_hz, True)
+        if dof < 10 * count:
             continue
+        without_harmonics = y - fitted_lines(y, sample_rate_hz, None, True)
+        residual = y - fitted_lines(y, sample_rate_hz, line_hz, True)
         explained = float(np.sum(without_harmonics**2) - np.sum(residual**2))
-        ratio = (explained / regressors) / max(float(np.sum(residual**2)) / dof, 1e-300)
+        ratio = (explained / count) / max(float(np.sum(residual**2)) / dof, 1e-300)
         senses = y.shape[1]
-        if fdtrc(regressors * senses, dof * senses, ratio) < 1e-3 and (best is None or ratio > best[1]):
+        if fdtrc(count * senses, dof * senses, ratio) < 1e-3 and (best is None or ratio > best[1]):
             best = (line_hz, ratio)
     return None if best is None else best[0]

@@ -30,6 +30,10 @@ from ...errors import ConfigError
 from ...experiment.antialias import filter_poles, filter_response
 from ...experiment.instrument import AntiAlias, Instrument
 
+#: Longest record that is treated as a whole, and whose parts are kept for the next device [samples]: 26 s at 10 kHz.  Longer
+#: ones are treated in parts where that saves memory, at the cost of time.
+SHORT = 2**18
+
 
 @dataclass(frozen=True, eq=False)
 class Band:
@@ -64,7 +68,18 @@ class Band:
 
     def transform(self, y: FloatArray) -> ComplexArray:
         """sum_n y[n] exp(-i w n) (C, W) [V] of a record y (N, C) [V] at the bins of the band."""
-        return np.ascontiguousarray(rfft(y.T, axis=-1)[:, self.bins])
+        return transformed(y, self.bins)
+
+
+def transformed(y: FloatArray, bins: IntArray) -> ComplexArray:
+    """sum_n y[n] exp(-i w n) (C, W) [V] of a record y (N, C) [V] at some bins."""
+    if y.shape[0] <= SHORT:
+        return np.ascontiguousarray(rfft(y.T, axis=-1)[:, bins])
+    # One channel after the other: the transform of all is as large as the record.
+    out = np.empty((y.shape[1], bins.size), dtype=np.complex128)
+    for one, column in zip(out, y.T):
+        one[:] = rfft(np.ascontiguousarray(column))[bins]
+    return out
 
 
 def make_band(drive_v: FloatArray, instrument: Instrument, low_hz: float, high_hz: float) -> Band:
@@ -88,9 +103,8 @@ def make_band(drive_v: FloatArray, instrument: Instrument, low_hz: float, high_h
     if bins.size == 0:
         raise ConfigError("no frequency bin in the band", value=[low_hz, high_hz], allowed=f"above {resolution:.3g} Hz")
     e_iw = np.exp(2j * np.pi * bins / samples)
-    now = np.ascontiguousarray(rfft(drive_v.T, axis=-1)[:, bins])
-    ahead = np.concatenate([drive_v[1:], drive_v[-1:]])
-    following = np.ascontiguousarray(rfft(ahead.T, axis=-1)[:, bins])
+    now = transformed(drive_v, bins)
+    following = transformed(np.concatenate([drive_v[1:], drive_v[-1:]]), bins)
     bare = Band(
         instrument.sample_rate_hz,
         samples,

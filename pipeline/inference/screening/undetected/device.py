@@ -30,7 +30,7 @@ from .linear import linear_devices
 from .linear_stages import moved_mechanics
 from .rows import products_of, real_rows, stationary_rows, stationary_variance
 from .scan_bounds import judged_scans
-from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
+from .scanned import ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
 
 
@@ -59,7 +59,6 @@ def scored_device(
     """
     count = fit.x.size
     found: Sequence[BandSignature] = ()
-    scans: Sequence[BandScan] = ()
     products: FloatArray | float = 0.0
     scanned: ScannedProducts | None = None
     with_mismatch = prior is not None
@@ -82,6 +81,7 @@ def scored_device(
         products = products + products_of(rows, item, variance)
         kept = np.append(np.arange(count), rows.shape[0] - 1)
         stationary = stationary_rows(rows[kept], item, variance)
+        del rows  # as large as a long record
         own = scanned_products(scans, stationary, np.sqrt(2.0 / item.band.samples / variance))
         scanned = own if scanned is None else scanned + own
     assert scanned is not None
@@ -100,7 +100,7 @@ def scored_device(
     dof = 2.0 / float(np.mean(noise.relative_sd(frequency) ** 2))
     parts = (
         judged(whole, Projection.of(whole[:count, :count], gradient), candidates, dof),
-        judged_scans(scans, scanned, gradient, of_prior, dof),
+        judged_scans(scanned, gradient, of_prior, dof),
     )
     return summary(parts, names)
 

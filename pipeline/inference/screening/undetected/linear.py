@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from ....experiment.antialias import filter_response
 from ....experiment.instrument import Instrument
 from ..fit import Fit
 from ..inband import Band
+from ..kept import kept_if_short
 from ..likelihood import ORDER
 from .narrow_band import Grid, Signals
 
@@ -151,14 +152,14 @@ def hold_response(band: Band) -> ComplexArray:
     return held**2 * np.exp(step) if band.first_order_hold else held
 
 
-@lru_cache(maxsize=4)
+@kept_if_short(4)
 def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """i w (W,), G(w) (W,) and the drive behind its hold (D, W) [V], which all devices of a band share."""
     s = np.asarray(2j * np.pi * band.frequency_hz, dtype=np.complex128)
     return s, filter_response(band.antialias, s), band.now * hold_response(band)
 
 
-@lru_cache(maxsize=4)
+@kept_if_short(4)
 def _shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
     """1 / G (W,) and the envelopes of the drive (D, n) [V], which all devices of a band share."""
     _, antialias, drive = frequency_axis(band)

@@ -19,6 +19,7 @@ from ....device.mechanics import Mechanics
 from ....device.readout import Readout, plain_readout
 from ....experiment.antialias import filter_poles
 from ..inband import Band
+from ..kept import kept_if_short
 from .library import SHAPE, BandSignature, Probe, probes_of
 from .linear import LinearDevice, Moved, frequency_axis
 
@@ -58,7 +59,7 @@ def mechanics_signatures(device: LinearDevice, moved: Moved, with_mismatch: bool
         yield probe.signature(spectrum, 1.0, 1)
 
 
-@lru_cache(maxsize=8)
+@kept_if_short(8)
 def _readout_changes(
     band: Band, with_mismatch: bool, bias_v: float
 ) -> tuple[tuple[BandSignature, ...], tuple[Probe, ...], ComplexArray]:

@@ -20,7 +20,7 @@ Shapes: n points over the record, n' of them used, 3 coordinates, D drives, S se
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.fft import fft, ifft, next_fast_len
@@ -28,6 +28,7 @@ from scipy.fft import fft, ifft, next_fast_len
 from ....arrays import ComplexArray, FloatArray, IntArray
 from ....device.force_law import Points
 from ..inband import Band
+from ..kept import kept_if_short
 
 #: Phases of a general law: those of third order are exact.
 PHASES = 5
@@ -75,7 +76,7 @@ class Grid:
         return np.asarray(whole * (self.band.samples / (2.0 * self.points)))
 
 
-@lru_cache(maxsize=4)
+@kept_if_short(4)
 def grid_of(band: Band) -> Grid:
     """The grid of a band."""
     middle = band.frequency_hz[band.bins.size // 2]

@@ -7,14 +7,12 @@ Shapes: g points, P parameters, Q quantities.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.special import fdtrc
 
 from ....arrays import FloatArray
 from .bounds import Z95, Judged, Projection
-from .scanned import BandScan, ScannedProducts
+from .scanned import ScannedProducts
 
 #: Share of the range of a scan for which a bound holds.
 _SHARE = 0.95
@@ -22,14 +20,12 @@ _SHARE = 0.95
 _RIDGE = 1e-9
 
 
-def judged_scans(
-    scans: Sequence[BandScan], products: ScannedProducts, slopes: FloatArray, prior: FloatArray, noise_dof: float
-) -> Judged:
+def judged_scans(products: ScannedProducts, slopes: FloatArray, prior: FloatArray, noise_dof: float) -> Judged:
     """p-values and bounds of the scans.
 
     Parameters
     ----------
-    scans, products : summed over the records.
+    products : summed over the records.
     slopes : dq/dx (Q, P).
     prior : rows of the prior, [J, r]' [J, r] (P + 1, P + 1).
     noise_dof : degrees of freedom of the noise level.
@@ -38,7 +34,7 @@ def judged_scans(
     ------
     numpy.linalg.LinAlgError : the Jacobian has no full rank.
     """
-    count = slopes.shape[1]
+    count, scans = slopes.shape[1], products.scans
     base = products.base + prior
     projection = Projection.of(base[:count, :count], slopes)
     residual = projection.overlap(base[:count, count:])[:, 0]

@@ -14,8 +14,9 @@ Shapes: W bins, D = 2 drives, g points, P parameters.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
 
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from ....arrays import FloatArray
 from ....device.effect import Effect
 from ..compressed import line_columns, lines_between
-from ..inband import Band, features
+from ..inband import SHORT, Band, features
 from .library import members_of, scored_effects
 
 #: Damping ratios of a mode, and step of its frequency in units of its damping: half-way to the next point a mode shares 64 % of
@@ -35,33 +36,47 @@ _ZETAS, _STEP = (3e-3, 1e-2), 3.0
 _OUTSIDE = 0.1
 
 
+#: Numbers of a column that are made at once, for records whose scans are not kept: 8 MB.
+_AT_ONCE = 2**20
+
+
 @dataclass(frozen=True, eq=False)
-class BandScan:
-    """Columns of one effect in a band.
+class ScanPoints:
+    """Points of the scan of one effect.
 
     Parameters
     ----------
     effect : its name.
-    columns : (2 W, 2 g) real, two for each point; in single precision, as products with them are scores of at most 1e7 sigmas.
-    squares, sums : (2 W, 3 g) products of the two columns of a point: 11, 12, 22; and their sums (3 g,) over the bins.
     weight : (g,) share of each point in the range of the scan; (0,): the bound holds for all points.
     reach : largest strength of a column.
     """
 
     effect: str
-    columns: NDArray[np.float32]
-    squares: FloatArray
-    sums: FloatArray
     weight: FloatArray
     reach: float
 
 
-def _scan(effect: str, columns: FloatArray, weight: FloatArray, reach: float) -> BandScan:
+@dataclass(frozen=True, eq=False)
+class BandScan:
+    """Columns of some or all points of a scan in a band; the weights need not add up to 1.
+
+    Parameters
+    ----------
+    scan : the points.
+    columns : (2 W, 2 g) real, two for each point; in single precision, as products with them are scores of at most 1e7 sigmas.
+    squares, sums : (2 W, 3 g) products of the two columns of a point: 11, 12, 22; and their sums (3 g,) over the bins.
+    """
+
+    scan: ScanPoints
+    columns: NDArray[np.float32]
+    squares: FloatArray
+    sums: FloatArray
+
+
+def _band_scan(scan: ScanPoints, columns: FloatArray) -> BandScan:
     first, second = columns[:, ::2], columns[:, 1::2]
     squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
-    return BandScan(
-        effect, np.ascontiguousarray(columns, dtype=np.float32), squares, squares.sum(axis=0), weight, reach
-    )
+    return BandScan(scan, np.ascontiguousarray(columns, dtype=np.float32), squares, squares.sum(axis=0))
 
 
 def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> list[tuple[float, float, float]]:
@@ -81,32 +96,34 @@ def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> 
     return points
 
 
-def _mode_scan(effect: Effect, band: Band, edges_hz: tuple[float, float]) -> BandScan:
+def _mode_scans(effect: Effect, band: Band, edges_hz: tuple[float, float], most: int) -> Iterator[BandScan]:
     assert effect.resonance is not None
     members = {member.name: member for member in members_of(effect)}
     frequency = members[effect.resonance[0]]
     low, high = frequency.typical or (frequency.low, frequency.high)
-    points = _mode_points(edges_hz, low, high)
-    columns = []
-    for f, zeta, _ in points:
-        omega = 2.0 * np.pi * f
-        pole = complex(-zeta * omega, omega * np.sqrt(1.0 - zeta**2))
-        gain = pole / (pole - np.conj(pole))
-        y = gain * features(band, pole, 0)[0] + np.conj(gain) * features(band, complex(np.conj(pole)), 0)[0]
-        columns.append(np.concatenate([y.real, y.imag], axis=1))
     reach = max(member.high for name, member in members.items() if not member.grid)
-    weight = np.array([share for *_, share in points])
-    return _scan(effect.name, np.concatenate(columns).T, weight / weight.sum(), reach)
+    points = _mode_points(edges_hz, low, high)
+    for first in range(0, len(points), most):
+        columns = []
+        for f, zeta, _ in points[first : first + most]:
+            omega = 2.0 * np.pi * f
+            pole = complex(-zeta * omega, omega * np.sqrt(1.0 - zeta**2))
+            gain = pole / (pole - np.conj(pole))
+            y = gain * features(band, pole, 0)[0] + np.conj(gain) * features(band, complex(np.conj(pole)), 0)[0]
+            columns.append(np.concatenate([y.real, y.imag], axis=1))
+        weight = np.array([share for *_, share in points[first : first + most]])
+        yield _band_scan(ScanPoints(effect.name, weight, reach), np.concatenate(columns).T)
 
 
-def _line_scan(effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None) -> BandScan | None:
+def _line_scans(
+    effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None, most: int
+) -> Iterator[BandScan]:
     frequency = next(member for member in members_of(effect) if member.name == effect.mains_frequency)
-    lines = [lines_between(*edges_hz, f) for f in frequency.grid if f != line_hz]
-    if not sum(own.size for own in lines):
-        return None
-    columns = line_columns(band, np.concatenate(lines))
-    pairs = np.stack(np.split(columns, 2, axis=1), axis=2).reshape(columns.shape)
-    return _scan(effect.name, pairs, np.zeros(0), np.inf)
+    lines = np.concatenate([np.zeros(0), *(lines_between(*edges_hz, f) for f in frequency.grid if f != line_hz)])
+    for first in range(0, lines.size, most):
+        columns = line_columns(band, lines[first : first + most])
+        pairs = np.stack(np.split(columns, 2, axis=1), axis=2).reshape(columns.shape)
+        yield _band_scan(ScanPoints(effect.name, np.zeros(0), np.inf), pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,23 +148,32 @@ def _driven(band: Band) -> BandOfDrive:
 
 def scans_of(
     band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
-) -> tuple[BandScan, ...]:
-    """All scans of a record, dense between ``edges_hz``; the lines of ``line_hz`` [Hz] are in the model."""
-    return _scans(_driven(band), edges_hz, line_hz, with_mismatch)
+) -> Iterable[BandScan]:
+    """All scans of a record, dense between ``edges_hz``; the lines of ``line_hz`` [Hz] are in the model.
+
+    Those of a long record are made point by point while they are used: together they take 15 times the record.
+    """
+    if band.samples <= SHORT:
+        return _kept_scans(_driven(band), edges_hz, line_hz, with_mismatch)
+    return _scans(band, edges_hz, line_hz, with_mismatch, max(_AT_ONCE // (2 * band.bins.size), 1))
 
 
 @lru_cache(maxsize=8)
-def _scans(
+def _kept_scans(
     driven: BandOfDrive, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
 ) -> tuple[BandScan, ...]:
-    found: list[BandScan] = []
+    return tuple(_scans(driven.band, edges_hz, line_hz, with_mismatch, sys.maxsize))
+
+
+def _scans(
+    band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool, most: int
+) -> Iterator[BandScan]:
+    """The scans in parts of at most ``most`` points."""
     for effect in scored_effects(with_mismatch):
         if effect.resonance is not None:
-            found.append(_mode_scan(effect, driven.band, edges_hz))
+            yield from _mode_scans(effect, band, edges_hz, most)
         elif effect.mains_frequency:
-            lines = _line_scan(effect, driven.band, edges_hz, line_hz)
-            found += [] if lines is None else [lines]
-    return tuple(found)
+            yield from _line_scans(effect, band, edges_hz, line_hz, most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +182,12 @@ class ScannedProducts:
 
     Parameters
     ----------
+    scans : of which they are products.
     base : [J, r]' [J, r] (P + 1, P + 1).
     cross, gram : of each scan, [J, r]' Z (g, P + 1, 4) and Z' Z (g, 4, 4) of its points.
     """
 
+    scans: tuple[ScanPoints, ...]
     base: FloatArray
     cross: tuple[FloatArray, ...]
     gram: tuple[FloatArray, ...]
@@ -167,19 +195,21 @@ class ScannedProducts:
     def __add__(self, other: ScannedProducts) -> ScannedProducts:
         cross = tuple(a + b for a, b in zip(self.cross, other.cross))
         gram = tuple(a + b for a, b in zip(self.gram, other.gram))
-        return ScannedProducts(self.base + other.base, cross, gram)
+        return ScannedProducts(self.scans, self.base + other.base, cross, gram)
 
 
-def scanned_products(scans: Sequence[BandScan], rows: FloatArray, weight: FloatArray) -> ScannedProducts:
+def scanned_products(scans: Iterable[BandScan], rows: FloatArray, weight: FloatArray) -> ScannedProducts:
     """Products of the scans with the ``rows`` (P + 1, S, 2 W) of the Jacobian and of the residual, in sigmas.
 
     ``weight`` (S, W) turns volts into sigmas.
     """
     weighted = (rows * np.tile(weight, 2)).reshape(-1, rows.shape[2])
     scale = np.linalg.norm(weighted, axis=1, keepdims=True) + 1e-300
-    single = (weighted / scale).astype(np.float32)
+    np.divide(weighted, scale, out=weighted)
+    single = weighted.astype(np.float32)
+    del weighted  # as large as a third of a long record
     flat_weight = bool(np.all(weight == weight[:, :1]))
-    crosses, grams = [], []
+    parts, crosses, grams = [], [], []
     for scan in scans:
         count = scan.squares.shape[1] // 3
         cross = ((single @ scan.columns) * scale).reshape(rows.shape[0], 2, count, 2)
@@ -192,5 +222,20 @@ def scanned_products(scans: Sequence[BandScan], rows: FloatArray, weight: FloatA
             gram[:, a, a], gram[:, a + 1, a + 1] = own[:, 0], own[:, 2]
             gram[:, a, a + 1] = gram[:, a + 1, a] = own[:, 1]
         grams.append(gram)
+        parts.append(scan.scan)
     flat = rows.reshape(rows.shape[0], -1)
-    return ScannedProducts(flat @ flat.T, tuple(crosses), tuple(grams))
+    own = [
+        [k for k, part in enumerate(parts) if part.effect == name] for name in dict.fromkeys(p.effect for p in parts)
+    ]
+    return ScannedProducts(
+        tuple(_joined([parts[k] for k in one]) for one in own),
+        flat @ flat.T,
+        tuple(np.concatenate([crosses[k] for k in one]) for one in own),
+        tuple(np.concatenate([grams[k] for k in one]) for one in own),
+    )
+
+
+def _joined(parts: Sequence[ScanPoints]) -> ScanPoints:
+    """A scan from its parts, with weights that add up to 1."""
+    weight = np.concatenate([part.weight for part in parts])
+    return replace(parts[0], weight=weight / weight.sum() if weight.size else weight)
