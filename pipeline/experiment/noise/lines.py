@@ -25,7 +25,7 @@ _EXERCISED_LSB = 0.5
 #: whose basis alone takes 50 s.
 MOST_HARMONICS = 100
 #: Longest record whose regressors are a matrix [samples]: 200 columns take 52 MB, four times that while they are made, and
-#: the matrices of 50 and 60 Hz are kept.  With a minute of silence at 10 kHz a process took 6 GB.
+#: the matrices of 50 and 60 Hz are kept.  For 80 s of silence at 10 kHz each takes 1.3 GB and minutes.
 _LONGEST_BASIS = 2**15
 
 
