@@ -54,7 +54,7 @@ DERIVED: tuple[Quantity, ...] = (
 )
 
 PERFORMANCE: tuple[Quantity, ...] = tuple(
-    Quantity(figure.name, figure.unit, figure.meaning) for figure in find_figures().values()
+    Quantity(figure.name, figure.unit, figure.meaning + figure.condition) for figure in find_figures().values()
 )
 
 #: The quantities that the records alone determine, apart from the angular gain and the demodulation.

@@ -18,6 +18,8 @@ from pipeline.experiment.files.common_tables import OperationTable, SystematicTa
 from pipeline.experiment.noise.measure import Hum
 from pipeline.inference.gate import Gate
 from pipeline.input_limits import RECORD_VALUES
+from pipeline.performance.figure import find_figures
+from pipeline.performance.operating_point import OperatingPoint
 from pipeline.toml_files import converted, decode, load
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
 
@@ -191,9 +193,26 @@ def _check(config: RunConfig, where: str) -> None:
             allowed=f"at least {LEAST_STORED_DRAWS}: each stored draw is one value of the common errors in the yield interval",
             next_step="raise posterior.stored_draws or leave it out",
         )
+    _check_figures(config, where)
     if config.trim is not None:
         config.trim.electrodes()
         config.trim.target()
+
+
+def _check_figures(config: RunConfig, where: str) -> None:
+    """Raise ConfigError where a limited performance figure of a population would be null; campaigns may declare what it needs."""
+    # A population states angular gain and temperature, and its silent records show the noise.
+    known = msgspec.structs.replace(config.operation, temperature_c=0.0, pickoff_noise_v=1.0).built()
+    point = OperatingPoint(known, angular_gain=1.0, bias_v=config.instrument.bias_v or None)
+    for name in config.limits if config.source.kind == "population" else ():
+        figure = find_figures().get(name)
+        if figure is not None and figure.missing(point):
+            raise ConfigError(
+                f"{where}: [limits.{name}] limits a quantity that is unknown",
+                value={key: None for key in figure.needs if not point.declared(key)},
+                allowed="a figure whose inputs are declared",
+                next_step=f"declare {', '.join(figure.missing(point))} (docs/performance.md), or leave the limit out",
+            )
 
 
 def config_of_run(text: str, where: str) -> RunConfig:

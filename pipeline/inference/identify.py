@@ -8,6 +8,7 @@ Both paths apply the same gate and the same status rule.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..experiment.bad_samples import without_bad_samples
 from ..experiment.noise.level import noise_level
 from ..experiment.noise.lines import hum_line
 from ..experiment.record import Campaign
+from ..performance.figure import unknown_figures
 from .estimate import normal_intervals, reference_comparison
 from .gate import Gate
 from .general.fit import fit_campaign
@@ -27,7 +29,7 @@ from .screening.campaign import identify_campaign, is_inband
 from .screening.device import IdentificationSettings, failed_result
 from .screening.mismatch import BROAD, NIGHTLY_MODEL
 from .screening.sample import SamplerSettings
-from .systematic import with_common_errors
+from .systematic import rate_settings, with_common_errors
 
 #: A chirp has 1 % of its power up to so much of its band beyond its ends.
 _MARGIN = 0.05
@@ -79,6 +81,7 @@ def identify(
         stream = np.random.SeedSequence(seed)
         try:
             columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns
+            columns = columns | _unknown(campaign, columns)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             # Records that no device could have made; as for a device of a run.
             columns = failed_result(f"{type(error).__name__}: {error}").columns
@@ -96,6 +99,16 @@ def identify(
         **({"bad_samples": bad} if bad else {}),
     }
     return Identification(found, reference_comparison(campaign.reference, columns))
+
+
+def _unknown(campaign: Campaign, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """``figures_unknown``: performance figure -> what would have to be declared; nothing where all are known."""
+    rate = rate_settings(campaign)
+    # The silence that the in-band fit needs shows the noise of the pick-offs.
+    measured = replace(rate.operation, pickoff_noise_v=1.0)
+    needed = unknown_figures(replace(rate, operation=measured).point)
+    unknown = {name: list(needed[name]) for name in needed if name not in columns}
+    return {"figures_unknown": unknown} if unknown and "theta_deg" in columns else {}
 
 
 def in_driven_band(settings: IdentificationSettings, campaign: Campaign) -> IdentificationSettings:

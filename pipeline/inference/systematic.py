@@ -23,7 +23,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import ndtri
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..device.gyro import PHYSICAL, to_physical
 from ..device.gyro import split_hz as cartesian_split_hz
 from ..experiment.record import Campaign
@@ -69,6 +69,13 @@ class Identified:
         """From physical draws (n, 12); the split is f2 - f1."""
         return cls(physical, physical[:, PHYSICAL.index("f2_hz")] - physical[:, PHYSICAL.index("f1_hz")], rate)
 
+    def thinned(self, kept: IntArray) -> Identified:
+        """The draws ``kept`` (k,)."""
+        rate, noise = self.rate, self.rate.operation.pickoff_noise_v
+        if isinstance(noise, np.ndarray):
+            rate = replace(rate, operation=replace(rate.operation, pickoff_noise_v=noise[kept]))
+        return Identified(self.physical[kept], self.split_hz[kept], rate)
+
     @property
     def draws(self) -> dict[str, FloatArray]:
         """Quantities (n,) by name, with common errors drawn where their sd is not 0."""
@@ -105,13 +112,16 @@ def demodulated(rate: RateSettings, z: FloatArray) -> RateSettings:
 
 def rate_settings(campaign: Campaign) -> RateSettings:
     """Angular gain, demodulation, common errors and operation that a campaign declares."""
-    instrument = campaign.instrument
+    instrument, operation = campaign.instrument, campaign.operation
+    known = [r.temperature_c for r in campaign.with_role("fit") if r.temperature_c is not None]
+    if operation.temperature_c is None and known:
+        operation = replace(operation, temperature_c=float(np.mean(known)))
     return RateSettings(
         campaign.angular_gain,
         campaign.phase_error_deg,
         campaign.drive,
         campaign.systematic,
-        campaign.operation,
+        operation,
         instrument.bias_v,
         instrument.pickoff,
     )

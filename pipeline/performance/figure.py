@@ -24,6 +24,10 @@ from .operating_point import OperatingPoint
 _TABLES = {"angular_gain": "[device]", "bias_v": "[instrument]"}
 
 
+def _place(key: str) -> str:
+    return f"{_TABLES.get(key, '[operation]')} {key}"
+
+
 @dataclass(frozen=True, repr=False)
 class Figure:
     """One performance figure.
@@ -46,9 +50,14 @@ class Figure:
     needs: tuple[str, ...]
     value: Callable[[OpenLoop], FloatArray]
 
+    @property
+    def condition(self) -> str:
+        """What must be declared, as an addition to the meaning."""
+        return f"; null unless {', '.join(map(_place, self.needs))} is declared" if self.needs else ""
+
     def missing(self, point: OperatingPoint) -> tuple[str, ...]:
         """The keys that would have to be declared, with their tables: "[operation] gap_um"."""
-        return tuple(f"{_TABLES.get(key, '[operation]')} {key}" for key in self.needs if not point.declared(key))
+        return tuple(_place(key) for key in self.needs if not point.declared(key))
 
 
 @cache

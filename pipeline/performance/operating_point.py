@@ -19,7 +19,8 @@ class DeclaredOperation:
     Parameters
     ----------
     drive_amplitude_v : amplitude A [V] of the driven mode in the blend of pick-offs that shows it; S1 + S2 for rocking about y.
-    pickoff_noise_v : noise of each pick-off near the drive frequency, one-sided [V/sqrt(Hz)].
+    pickoff_noise_v : noise of each pick-off at the drive frequency, one-sided [V/sqrt(Hz)], one number or (...); not declared:
+        that of the silent record, where there is one.
     softening_hz_per_v2 : shift of the rocking modes by the bias on both drive electrodes [Hz/V^2], negative.
     gap_um : gap of the drive electrodes at the bias [um].
     mass_mg : effective mass of rocking at an electrode, I_0p / l^2 [mg].
@@ -29,7 +30,7 @@ class DeclaredOperation:
     """
 
     drive_amplitude_v: float | None = None
-    pickoff_noise_v: float | None = None
+    pickoff_noise_v: float | FloatArray | None = None
     softening_hz_per_v2: float | None = None
     gap_um: float | None = None
     mass_mg: float | None = None

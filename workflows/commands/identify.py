@@ -154,6 +154,11 @@ def _text(result: Identification) -> list[str]:
         lines.append(f"  noise: {noise}")
     if not columns.get("effects_scored", True) and columns["status"] != "fit_failed":
         lines.append("  effects of the library were not scored here: run gyroscreen diagnose")
+    if unknown := columns.get("figures_unknown"):
+        keys = ", ".join(dict.fromkeys(key for keys in unknown.values() for key in keys))
+        lines.append(
+            f"  {len(unknown)} performance figures are unknown without {keys} in campaign.toml (docs/performance.md)"
+        )
     if bad := columns.get("bad_samples"):
         count = sum(one["samples"] for one in bad)
         lines.append(f"  {count} bad samples in {len(bad)} stretches were left out (gyroscreen check lists them)")

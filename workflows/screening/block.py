@@ -27,7 +27,7 @@ from reports.limits import Limits
 
 from ..config import RunConfig
 from .guard import Begin, unguarded
-from .settings import TRIM_STREAM, device_seed, population, rate_of
+from .settings import TRIM_STREAM, device_seed, population, rate_of, with_true_noise
 from .trimming import trimmed_columns
 from .virtual_device import identify_virtual, physical_of
 
@@ -87,8 +87,9 @@ def _results(
 def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[str, FloatArray]:
     """fab_<q> and true_<q>, each (B,) in the unit of its column, of a draw: as fabricated and as packaged."""
     out: dict[str, FloatArray] = {}
+    rate = with_true_noise(config, rate_of(config, angular_gain))
     for prefix, values in (("fab", drawn.fab), ("true", drawn.true)):
-        all_q = quantities(physical_of(values), rate_of(config, angular_gain), values["split_hz"])
+        all_q = quantities(physical_of(values), rate, values["split_hz"])
         out |= {f"{prefix}_{name}": all_q[name] for name in NAMES}
     return out
 
@@ -145,8 +146,7 @@ def p_pass_given_common(limits: Limits, identified: Identified, nodes: FloatArra
     """P(conform) (K,) of a device at each of K common errors, ``nodes`` (K, 5) [sd]; nan where it is unknown."""
     count = identified.split_hz.size
     kept = np.linspace(0, count - 1, min(_DRAWS_GIVEN_COMMON, count)).round().astype(np.int64)
-    thinned = replace(identified, physical=identified.physical[kept], split_hz=identified.split_hz[kept])
-    draws = thinned.given(np.broadcast_to(nodes[:, None], (nodes.shape[0], kept.size, nodes.shape[1])))
+    draws = identified.thinned(kept).given(np.broadcast_to(nodes[:, None], (nodes.shape[0], kept.size, nodes.shape[1])))
     return decide(limits, {q: draws[q] for q in limits.quantities}, ["ok"] * nodes.shape[0]).p_pass
 
 

@@ -19,7 +19,7 @@ from ..config import RunConfig
 from .block import BlockTables, DeviceBlock, tables_of
 from .campaign_source import CampaignSource, declared_id
 from .guard import Begin, unguarded
-from .settings import CAMPAIGN_STREAM, device_seed, settings_of, with_systematic
+from .settings import CAMPAIGN_STREAM, device_seed, settings_of, with_run_tables
 from .trimming import trimmed_columns
 
 
@@ -27,7 +27,7 @@ def _identified(config: RunConfig, source: CampaignSource, n: int) -> tuple[str,
     device_id = source.folder.name
     seed = device_seed(config, CAMPAIGN_STREAM, n)
     try:
-        campaign = with_systematic(config, source.read())
+        campaign = with_run_tables(config, source.read())
         device_id = campaign.device_id
         settings = settings_of(config)
         check_identification(campaign, settings.low_hz, settings.high_hz)

@@ -6,7 +6,7 @@ the block.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from pipeline.experiment.systematic import Systematic
 from pipeline.inference.estimate import RateSettings
 from pipeline.inference.screening.device import IdentificationSettings
 from pipeline.inference.screening.mismatch import BROAD, MismatchPrior, prior_from
+from pipeline.performance.operating_point import DeclaredOperation
 from populations.draw import draw
 from populations.spec import PopulationSpec, load_spec, spec_from_toml
 
@@ -28,6 +29,8 @@ from ..config_tables import SourceTable
 MISMATCHES = ("electrode_mismatch", "updown_tilt")
 #: Devices from which the prior is taken: its sd is then known to 7 %, and the records are a hundred times as precise as it.
 _PRIOR_DEVICES, _PRIOR_SEED = 100, 20260101
+#: Noise of virtual records where the configuration states none [V].
+DEFAULT_SIGMA_V = 0.001
 NOISE_STREAM, POSTERIOR_STREAM, CAMPAIGN_STREAM, TRIM_STREAM, EFFECT_STREAM = 101, 102, 103, 107, 108
 
 
@@ -120,6 +123,16 @@ def rate_of(config: RunConfig, angular_gain: float | None) -> RateSettings:
     )
 
 
+def with_true_noise(config: RunConfig, rate: RateSettings) -> RateSettings:
+    """The settings with the noise of the virtual pick-offs, white and the same for all devices; else as they are."""
+    operation, noise, adc = rate.operation, config.noise, config.instrument.instrument().adc
+    if operation.pickoff_noise_v is not None or noise.kind != "white" or noise.snr_db is not None:
+        return rate
+    sigma = float(np.hypot(noise.sigma_v or DEFAULT_SIGMA_V, 0.0 if adc is None else adc.lsb_v / np.sqrt(12.0)))
+    density = sigma * float(np.sqrt(2.0 / config.instrument.sample_rate_hz))
+    return replace(rate, operation=replace(operation, pickoff_noise_v=density))
+
+
 def _systematic(config: RunConfig) -> Systematic:
     """Common errors of the run; the temperature coefficient is that of the population if the run states none."""
     if config.source.kind == "population" and config.systematic.temperature_sd_c > 0.0:
@@ -129,6 +142,10 @@ def _systematic(config: RunConfig) -> Systematic:
     return config.systematic.built()
 
 
-def with_systematic(config: RunConfig, campaign: Campaign) -> Campaign:
-    """``campaign`` with the common errors of the run, unless it declares its own."""
-    return replace(campaign, systematic=_systematic(config)) if campaign.systematic.exact else campaign
+def with_run_tables(config: RunConfig, campaign: Campaign) -> Campaign:
+    """``campaign`` with the common errors of the run, unless it declares its own, and each key of [operation] that it lacks."""
+    own, common = campaign.operation, config.operation.built()
+    keys = [field.name for field in fields(own)]
+    merged = {key: getattr(common if getattr(own, key) is None else own, key) for key in keys}
+    systematic = _systematic(config) if campaign.systematic.exact else campaign.systematic
+    return replace(campaign, systematic=systematic, operation=DeclaredOperation(**merged))

@@ -30,7 +30,16 @@ from pipeline.inference.screening.device import DeviceResult, FitRecord, identif
 from populations.draw import Draw, draw
 
 from ..config import RunConfig
-from .settings import EFFECT_STREAM, NOISE_STREAM, POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
+from .settings import (
+    DEFAULT_SIGMA_V,
+    EFFECT_STREAM,
+    NOISE_STREAM,
+    POSTERIOR_STREAM,
+    device_seed,
+    population,
+    rate_of,
+    settings_of,
+)
 
 
 def physical_of(values: Mapping[str, FloatArray]) -> FloatArray:
@@ -145,7 +154,7 @@ def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray,
     """Silent and fit record, (N, 2) [V], of device ``i`` of a draw, and sigma [V]; raises as :func:`virtual_model`."""
     instrument = config.instrument.instrument()
     volts = virtual_volts(config, drawn, i)
-    sigma = config.noise.sigma_v or 0.001
+    sigma = config.noise.sigma_v or DEFAULT_SIGMA_V
     if config.noise.snr_db is not None:
         window = window_slice(volts, instrument.sample_rate_hz, config.identification.window_s)
         sigma = float(np.sqrt(np.mean(volts[window] ** 2)) * 10.0 ** (-config.noise.snr_db / 20.0))

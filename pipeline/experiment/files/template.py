@@ -43,6 +43,11 @@ def campaign_template(name: str, paths: Sequence[str], found: Inspection, gyro: 
         "[device]",
         f"id = {encoded(name)}",
         *(["# angular_gain = 0.7             # I_p / I_0p, needed for rate biases in deg/s"] if gyro else []),
+        *(
+            ["# [operation]: drive amplitude, gap, mass, .. for performance figures: docs/performance.md"]
+            if gyro
+            else []
+        ),
         "",
         _UNKNOWN.format(rate=rate, bias="5.0" if gyro else "0.0"),
         *_columns(found),

@@ -28,6 +28,7 @@ from ...identification.route import RouteResult, identify_record
 from ..estimate import Estimate, RateSettings, estimate_from
 from ..gate import Gate, GoodnessOfFit, Undetected
 from ..general.starts import gyro_start
+from ..pickoff_noise import with_measured_noise
 from ..systematic import Identified
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
@@ -242,6 +243,9 @@ def identify_device(
     except np.linalg.LinAlgError:
         return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
     plant, mismatch = _plant_draws(posterior.flat(), prior, seed)
+    rate = with_measured_noise(
+        rate, noise, float(to_physical(fit.x[:12])[0 if rate.drive == "f1" else 1]), plant.shape[0]
+    )
     return _result(columns, mismatch, sampler, gate, rate, fit, posterior, plant, quality, undetected)
 
 
