@@ -31,6 +31,8 @@ def test_limits_narrower_than_what_an_effect_could_do_refuse_the_device(campaign
     assert (code, narrow["status"]) == (1, "misfit")
     assert "could bias split_hz" in narrow["status_reason"]
     assert narrow["split_hz"] == wide["split_hz"]
+    assert wide["bandwidth_hz_sd"] > 0.0
+    assert "[operation] gap_um" in wide["figures_unknown"]["shock_limit_g"]
 
 
 def test_limits_that_cannot_be_read_are_refused(campaign, capfd):
