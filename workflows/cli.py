@@ -22,9 +22,11 @@ from typer.exceptions import TyperException
 from pipeline.errors import GyroscreenError, printable_lines
 
 from .commands.groups import benchmarks, devices, models, screening
-from .process import INTERRUPTED, keep_memory, repeat_lost_interrupts, survive_any_encoding
+from .process import INTERRUPTED, end_like_ctrl_c, keep_memory, repeat_lost_interrupts, survive_any_encoding
 
-#: What the file system says about a path that it refuses; nothing was written then.
+#: What the file system says when it cannot store what is printed.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+#: What it says about a path that it refuses; nothing was written then.
 _REFUSED = (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS)
 
 app = typer.Typer(
@@ -72,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     keep_memory()
     survive_any_encoding()
     repeat_lost_interrupts()
+    end_like_ctrl_c()
     code = call(arguments)
     # Frozen objects are never collected, which DuckDB reports as a leak at exit.
     if "duckdb" not in sys.modules:
@@ -85,6 +88,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
         # typer turns a KeyboardInterrupt into the value 130; commands themselves return nothing.
         if app(args=None if arguments is None else list(arguments), standalone_mode=False) == INTERRUPTED:
             return _failed("interrupted", INTERRUPTED)
+        sys.stdout.flush()
     except GyroscreenError as error:
         return _failed(f"{error}" if error.exit_code == INTERRUPTED else f"error: {error}", error.exit_code)
     except typer.Exit as exit_:
@@ -98,6 +102,12 @@ def call(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
+        if error.errno in _FULL and error.filename is None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            reason = (error.strerror or "").lower()
+            return _failed(
+                f"error: the output cannot be written: {reason}; next: free space; stored results are kept", 3
+            )
         if error.errno not in _REFUSED:
             return _failed(_defect(error), 70)
         shown = str(error.filename)[:200]

@@ -74,6 +74,16 @@ def deaf_children() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def end_like_ctrl_c() -> None:
+    """SIGTERM and SIGHUP interrupt the command like Ctrl-C, so that it says how to go on; under nohup they stay ignored.
+
+    Changes the handlers of the process.
+    """
+    for number in (getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")):
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
+
+
 def repeat_lost_interrupts() -> None:
     """Interrupt the main thread again where Python could only print the interrupt."""
     usual = sys.unraisablehook

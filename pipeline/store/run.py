@@ -17,7 +17,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,7 +31,18 @@ from .journal import Journal, read_manifest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest
 from .parquet import encode_table
-from .read import CONFIG, PREFIX, check_results, find_run, read_block, read_config, read_file, read_table, settled
+from .read import (
+    CONFIG,
+    PREFIX,
+    check_results,
+    find_run,
+    list_runs,
+    read_block,
+    read_config,
+    read_file,
+    read_table,
+    settled,
+)
 from .stream import streamed
 
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -233,6 +244,16 @@ def _amended(folder: Path, entry: FileEntry, values: Mapping[str, Mapping[str, A
     return replace(entry, name=name, bytes=data.nbytes, sha256=files.sha256(data))
 
 
+def _later(results: Path) -> str:
+    """The time, or a moment after the last run where the clock was set back: a new run is the latest one."""
+    with suppress(IntegrityError, ValueError):
+        runs = list_runs(results)
+        if runs and runs[-1].created >= _now():
+            after = datetime.fromisoformat(runs[-1].created) + timedelta(milliseconds=1)
+            return after.isoformat(timespec="milliseconds")
+    return _now()
+
+
 def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping[str, Any]) -> RunStore:
     """Create the folder of a new run atomically.
 
@@ -256,7 +277,7 @@ def create_run(results: Path, run_id: str, config_toml: str, provenance: Mapping
     manifest = Manifest(
         run_id=run_id,
         status="running",
-        created=_now(),
+        created=_later(results),
         finished=None,
         config_sha256=files.sha256(config),
         provenance=dict(provenance),

@@ -32,7 +32,9 @@ def name_of(pid: int) -> str:
 
 def leave_sign(folder: str, key: str, device: int, limit_s: float) -> None:
     """State in the worker's file which device starts; a message would wait for the interpreter, which the device may hold."""
-    (Path(folder) / name_of(os.getpid())).write_text(f"{key} {device} {limit_s} {time.monotonic()}")
+    # Without it a device that ends its worker is found by division; a full disk must not cost every device.
+    with suppress(OSError):
+        (Path(folder) / name_of(os.getpid())).write_text(f"{key} {device} {limit_s} {time.monotonic()}")
 
 
 def send_sign(worker: Worker, topic: str, sign: dict[str, Any]) -> None:
