@@ -17,7 +17,8 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.errors import MeasurementError
-from pipeline.experiment.files.columns import MIN_SAMPLES, assemble, only
+from pipeline.experiment.files.clock import MIN_SAMPLES
+from pipeline.experiment.files.columns import assemble, only
 from pipeline.experiment.files.readers import FORMATS, existing, read_record
 from pipeline.experiment.record import Record
 

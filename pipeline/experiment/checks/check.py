@@ -28,7 +28,7 @@ from .clock import clocks
 from .drives import drive_offsets, is_driven, roles, unused_drives, without_bias
 from .finding import Correction, Finding, Severity
 from .hum import hum
-from .levels import Level, clipping, converter, dead, level, offset
+from .levels import Level, clipping, converter, dead, drive_clipping, level, offset
 from .response import respond
 from .response_findings import (
     channel_counts,
@@ -152,6 +152,7 @@ def check(campaign: Campaign) -> CheckReport:
             dead_channels += dead(record, row, others)
             findings += offset(record, row)
             findings += clipping(record, row, campaign.instrument.adc)
+        findings += drive_clipping(record)
     findings += dead_channels
     findings += converter(campaign, found)
     marked_records = [marked(record, campaign.instrument.adc) for record in campaign.records]

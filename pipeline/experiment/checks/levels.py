@@ -1,7 +1,7 @@
 """Level of each sense channel, from its samples: offset, noise floor, ADC step, clipping, dead channels.
 
     floor   sigma^2 = median |DFT of the Hann-windowed samples|^2 / (ln 2 sum w^2), because most bins hold only noise
-    clip    runs of 3 or more samples at one extreme, entered by a step too large for a smooth maximum
+    clip    runs of 3 or more samples at one extreme, entered by a step too large for a smooth maximum; equal samples: ``flat``
     LSB     the smallest difference between values, if all values are multiples of it apart
 
 Shapes: y (N,) samples of one channel [V].
@@ -20,6 +20,7 @@ from ..instrument import Adc
 from ..record import Campaign, Record
 from .drives import is_driven
 from .finding import Correction, Finding
+from .flat import flat_extreme
 
 #: Fewest flat tops that count as clipping.
 _MIN_TOPS = 3
@@ -107,13 +108,14 @@ def clipping(record: Record, found: Level, adc: Adc | None) -> list[Finding]:
     """Flat tops at one level: the full scale of the ADC, or the limit of an earlier stage."""
     y = record.sense_v[:, int(found.channel.removeprefix("sense")) - 1]
     tolerance = max(4.0 * found.floor_v, 1.5 * (found.lsb_v or 0.0), 1e-9 * found.peak_v)
-    # Noise as large as the signal hides flat tops.
-    if found.rms_v < 20.0 * tolerance:
+    # Noise as large as the signal hides flat tops, unless the samples are equal.
+    tops = [_flat_tops(y, tolerance), _flat_tops(-y, tolerance)] if found.rms_v >= 20.0 * tolerance else [0, 0]
+    if max(tops) >= _MIN_TOPS:
+        count, at = sum(tops), float(y.max() if tops[0] >= tops[1] else y.min())
+    elif (flat := flat_extreme(y, found.lsb_v)) is not None:
+        count, at = flat.runs, flat.level
+    else:
         return []
-    tops = [_flat_tops(y, tolerance), _flat_tops(-y, tolerance)]
-    if max(tops) < _MIN_TOPS:
-        return []
-    at = float(y.max() if tops[0] >= tops[1] else y.min())
     if adc is None:
         cause = "no ADC is declared, so either the ADC or an earlier stage saturates"
     elif abs(at) >= adc.full_scale_v - 2.0 * adc.lsb_v:
@@ -121,10 +123,26 @@ def clipping(record: Record, found: Level, adc: Adc | None) -> list[Finding]:
     else:
         cause = f"the declared ADC reaches {adc.full_scale_v:g} V, so an earlier stage saturates"
     text = (
-        f"{found.channel} clips: {sum(tops)} flat tops at {at:.4g} V ({cause}). Measure again at a lower drive level, or"
+        f"{found.channel} clips: {count} flat tops at {at:.4g} V ({cause}). Measure again at a lower drive level, or"
         " add the effect adc_saturation to the model (gyroscreen model add adc_saturation MODEL.toml)."
     )
     return [Finding("clipping", "fault", text, record.name, found.channel, at, None, "V")]
+
+
+def drive_clipping(record: Record) -> list[Finding]:
+    """Drive columns that stay at an extreme value, as behind a limiter."""
+    findings = []
+    for k in range(record.drive_v.shape[1]):
+        v = np.ascontiguousarray(record.drive_v[:, k])
+        flat = flat_extreme(v, lsb_of(v))
+        if flat is not None:
+            text = (
+                f"drive{k + 1} is clipped: {flat.samples} samples in {flat.runs} flat tops at {flat.level:.4g} V. The fits take"
+                " the column as the drive of the device, which is right where it was recorded behind the limiter; otherwise"
+                " measure again at a lower level."
+            )
+            findings.append(Finding("clipping", "warning", text, record.name, f"drive{k + 1}", flat.level, None, "V"))
+    return findings
 
 
 def dead(record: Record, found: Level, others: float) -> list[Finding]:

@@ -12,7 +12,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...errors import ConfigError
 from ..record import Channels, Record
-from .columns import MIN_SAMPLES
+from .clock import MIN_SAMPLES
 
 
 def _per_channel(

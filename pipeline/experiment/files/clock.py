@@ -21,12 +21,16 @@ RATE_TOLERANCE = 1e-4
 JITTER_TOLERANCE = 0.5
 #: Most pieces of a record: a file with more gaps was not sampled uniformly.
 MOST_PIECES = 64
+#: Samples of the shortest record.
+MIN_SAMPLES = 16
 #: Samples on both sides of a long step over which the grid must move for it to be a gap and not jitter.
 _AROUND = 16
 
 
-def pieces(name: str, time_s: FloatArray) -> list[slice]:
+def pieces(name: str, time_s: FloatArray, first_row: int = 0) -> list[slice]:
     """The uniform pieces of a record: ``time_s`` (N,) [s] is divided where samples are missing.
+
+    ``first_row`` of the file is the first of ``time_s``; messages count the rows of the file.
 
     Raises
     ------
@@ -37,18 +41,24 @@ def pieces(name: str, time_s: FloatArray) -> list[slice]:
     if _is_rounded(time_s):
         return [slice(0, time_s.size)]
     if (backward := np.flatnonzero(steps <= 0.0)).size:
-        row = int(backward[0]) + 1
+        row, last = int(backward[0]) + 1, int(backward[-1]) + 1
+        at = first_row + row
+        advice = [f"end the record before this row with stop = {at}"] if row >= MIN_SAMPLES else []
+        advice += (
+            [f"begin at row {first_row + last} with start = {first_row + last}"]
+            if time_s.size - last >= MIN_SAMPLES
+            else []
+        )
         raise MeasurementError(
-            f"{name}: {'a time stamp occurs twice' if steps[row - 1] == 0.0 else 'time runs backwards'}, first in row {row}",
+            f"{name}: {'a time stamp occurs twice' if steps[row - 1] == 0.0 else 'time runs backwards'}, first in row {at}",
             value=float(time_s[row]),
             allowed=f"steps of {typical:.6g} s everywhere (rows are counted from 0)",
-            next_step=f"end the record before this row with stop = {row} or begin after it with start = {row + 1} in its"
-            " [[record]], or measure again",
+            next_step=f"{' or '.join(advice)} in its [[record]], or measure again" if advice else "measure again",
         )
     gaps = [int(k) for k in np.flatnonzero(steps > 1.5 * typical) if _moves_grid(time_s, int(k), typical)]
     if len(gaps) >= MOST_PIECES:
         raise MeasurementError(
-            f"{name}: {len(gaps)} gaps, the first before row {gaps[0] + 1}",
+            f"{name}: {len(gaps)} gaps, the first before row {first_row + gaps[0] + 1}",
             value=float(time_s[gaps[0] + 1]),
             allowed=f"at most {MOST_PIECES - 1} gaps",
             next_step="resample the record to a uniform time, or measure again",
@@ -57,8 +67,8 @@ def pieces(name: str, time_s: FloatArray) -> list[slice]:
     return [slice(first, stop) for first, stop in itertools.pairwise(edges)]
 
 
-def clock_of(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
-    """Sample rate and jitter of a uniform piece (N,) [s].
+def clock_of(name: str, time_s: FloatArray, declared_hz: float | None, first_row: int = 0) -> Clock:
+    """Sample rate and jitter of a uniform piece (N,) [s], which begins at ``first_row`` of the file.
 
     Raises
     ------
@@ -75,7 +85,7 @@ def clock_of(name: str, time_s: FloatArray, declared_hz: float | None) -> Clock:
     row = int(np.argmax(away))
     if not (np.isfinite(rate) and (away[row] <= JITTER_TOLERANCE or rounded)):
         raise MeasurementError(
-            f"{name}: time is not uniform, worst in row {row}",
+            f"{name}: time is not uniform, worst in row {first_row + row}",
             value=f"{away[row]:.3g} samples off the uniform grid",
             allowed=f"at most {JITTER_TOLERANCE} samples (rows are counted from 0)",
             next_step="resample the record to a uniform time; if the clock is uniform, remove time_s and state sample_rate_hz",

@@ -21,11 +21,9 @@ from numpy.typing import NDArray
 from ...arrays import FloatArray
 from ...errors import MeasurementError
 from ..record import Record
-from .clock import clock_of, pieces
+from .clock import MIN_SAMPLES, clock_of, pieces
 from .mapping import NAME, Channel, Source, channels_of
 
-#: Fewest samples of a record.
-MIN_SAMPLES = 16
 #: Volts and seconds; even the counts of a 40-bit converter are fewer.  Squares of squares stay far from overflow.
 LARGEST = 1e12
 
@@ -77,7 +75,7 @@ def _numbers(name: str, key: str, channel: Channel, rows: slice) -> FloatArray:
             f"{name}: column {key} has {bad.size} values that are not finite, the first in row {rows.start + bad[0]}",
             value=float(numbers[bad[0]]),
             allowed="finite numbers (rows are counted from 0)",
-            next_step="cut the record with start and stop in its [[record]], or measure again; missing samples are not filled in",
+            next_step=f"{_cut(rows.start, bad, numbers.size)}measure again; missing samples are not filled in",
         )
     large = np.flatnonzero(np.abs(numbers) > LARGEST)
     if large.size:
@@ -88,6 +86,16 @@ def _numbers(name: str, key: str, channel: Channel, rows: slice) -> FloatArray:
             next_step="check the file format and the unit of the column",
         )
     return channel.factor * numbers - channel.offset
+
+
+def _cut(first_row: int, bad: NDArray[Any], count: int) -> str:
+    """The longest stretch without the ``bad`` rows (B,), counted from ``first_row``, as an advice; "" where it is too short."""
+    edges = np.concatenate([[-1], bad, [count]])
+    k = int(np.argmax(np.diff(edges)))
+    start, stop = int(edges[k]) + 1, int(edges[k + 1])
+    if stop - start < MIN_SAMPLES:
+        return ""
+    return f"cut the record with start = {first_row + start} and stop = {first_row + stop} in its [[record]], or "
 
 
 def _side_by_side(columns: Sequence[FloatArray], count: int) -> FloatArray:
@@ -149,7 +157,7 @@ def assemble(
     drive_v, sense_v = (_side_by_side([numbers[key] for key in keys], count) for keys in (drives, senses))
     units = {key: channels[key].unit for key in (*drives, *senses) if channels[key].unit != "V"}
     whole = Record(name, sample_rate_hz or float("nan"), drive_v, sense_v, units=units)
-    return _divided(whole, numbers.get("time_s"), sample_rate_hz)
+    return _divided(whole, numbers.get("time_s"), sample_rate_hz, rows.start)
 
 
 def _rows(name: str, count: int, start: int, stop: int | None) -> slice:
@@ -164,11 +172,13 @@ def _rows(name: str, count: int, start: int, stop: int | None) -> slice:
     return slice(start, end)
 
 
-def _divided(whole: Record, time_s: FloatArray | None, sample_rate_hz: float | None) -> tuple[Record, ...]:
-    """The uniform pieces of ``whole``; pieces shorter than the shortest record are left out."""
+def _divided(
+    whole: Record, time_s: FloatArray | None, sample_rate_hz: float | None, first_row: int
+) -> tuple[Record, ...]:
+    """The uniform pieces of ``whole``, which begins at ``first_row``; pieces shorter than the shortest record are left out."""
     if time_s is None:
         return (whole,)
-    parts = [part for part in pieces(whole.name, time_s) if part.stop - part.start >= MIN_SAMPLES]
+    parts = [part for part in pieces(whole.name, time_s, first_row) if part.stop - part.start >= MIN_SAMPLES]
     if not parts:
         raise MeasurementError(
             f"{whole.name}: no piece between gaps has {MIN_SAMPLES} samples",
@@ -180,7 +190,7 @@ def _divided(whole: Record, time_s: FloatArray | None, sample_rate_hz: float | N
         name = whole.name if k == 0 else f"{whole.name} ({k + 1})"
         with np.errstate(all="ignore"):  # absurd time stamps may overflow before they are rejected
             rate = sample_rate_hz or (records[0].sample_rate_hz if records else None)
-            clock = clock_of(name, time_s[part], rate)
+            clock = clock_of(name, time_s[part], rate, first_row + part.start)
         records.append(
             dataclasses.replace(
                 whole,
@@ -206,6 +216,6 @@ def only(records: Sequence[Record]) -> Record:
             f"{first.name}: {lost} samples are missing before row {rows}",
             value=f"{len(records) - 1} gaps",
             allowed="a record without gaps (rows are counted from 0)",
-            next_step=f"put it into a campaign, where each piece is a record, or end it with stop = {rows}",
+            next_step=f"put it into a campaign, where each piece is a record, or end that [[record]] with stop = {rows}",
         )
     return records[0]

@@ -1,12 +1,14 @@
 """Offsets, motion at the start, roles, hum, clipping, resolution, dead channels; sound records raise no finding."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from planted_faults import FS, campaign_of, chirps, corrected, healthy, kinds, noise, sensed, transformed
 
 from pipeline.experiment.checks.check import check
+from pipeline.experiment.checks.flat import flat_extreme
 from pipeline.experiment.instrument import Adc, AntiAlias, Instrument
 
 
@@ -86,6 +88,30 @@ def test_smooth_tops_are_not_clipping():
     y = np.round(np.stack([np.sin(2 * np.pi * 20.0 * t), np.cos(2 * np.pi * 55.0 * t)], axis=1) / 1e-3) * 1e-3
     campaign = campaign_of((chirps(20_000), y), roles=("fit",))
     assert check(campaign).of_kind("clipping") == ()
+
+
+def test_samples_at_one_extreme_are_clipping_at_any_level_and_smooth_or_held_signals_are_not():
+    random, t = np.random.default_rng(4), np.arange(4000)
+    found = []
+    for _ in range(40):
+        tones = sum(
+            np.sin(2 * np.pi * f * t + a) for f, a in zip(random.uniform(2e-3, 0.05, 5), random.uniform(0, 7, 5))
+        )
+        scale = 10.0 ** random.uniform(1.5, 4.5)  # from 30 to 30,000 steps
+        smooth = np.round(scale * tones / np.abs(tones).max() + 0.5 * random.standard_normal(t.size))
+        level = np.round(scale * random.uniform(0.3, 0.8))
+        flat = flat_extreme(np.clip(smooth, -level, level), 1.0)
+        found.append(flat is not None and abs(flat.level) == level)
+        sine = np.round(scale * np.sin(2 * np.pi * t / 10.0 ** random.uniform(0.5, 3.0)))
+        for sound in (smooth, sine, np.repeat(sine, 5)[: t.size], np.sign(sine)):
+            assert flat_extreme(sound, 1.0) is None
+    assert np.mean(found) > 0.9
+    # The motor command of a measured loop, clipped at 200 counts in 14 samples of 2000.
+    file = Path(__file__).resolve().parents[5] / "shared" / "data" / "measured" / "ruler-swept-1.txt"
+    if file.exists():
+        flat = flat_extreme(np.loadtxt(file, skiprows=1)[:, 3], 1.0)
+        assert flat is not None
+        assert flat.level == 200.0
 
 
 @pytest.mark.parametrize("declared", [None, Adc(12, 10.0), Adc(14, 10.0)])

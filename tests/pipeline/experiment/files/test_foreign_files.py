@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import h5py
 import numpy as np
 import pytest
@@ -137,6 +139,26 @@ def test_the_advised_stop_removes_the_fault(tmp_path):
         campaign(tmp_path, "", text)
     (record,) = campaign(tmp_path, "", text, 'file = "r.csv"\nstop = 150\n').records
     assert record.sense_v.shape == (150, 1)
+
+
+@pytest.mark.parametrize("fault", ["twice", "backwards", "not a number"])
+@pytest.mark.parametrize("start", [0, 37])
+def test_every_advised_start_and_stop_gives_a_record(tmp_path, fault, start):
+    rows = [[f"{t:.9f}", f"{u:.9f}", f"{y:.9f}"] for t, u, y in zip(T, U, Y)]
+    for row in (120, 121, 160):
+        if fault == "not a number":
+            rows[row][2] = "nan"
+        else:
+            rows[row][0] = rows[row - 1 if fault == "twice" else row - 30][0]
+    text = "time_s,drive1_V,sense1_V\n" + "\n".join(",".join(row) for row in rows) + "\n"
+    with pytest.raises(MeasurementError) as error:
+        campaign(tmp_path, "", text, f'file = "r.csv"\nstart = {start}\n')
+    cuts = [dict(re.findall(r"(start|stop) = (\d+)", part)) for part in error.value.next_step.split(" or ")[:2]]
+    for cut in filter(None, cuts):
+        lines = "\n".join(f"{key} = {value}" for key, value in {"start": str(start), **cut}.items())
+        (record,) = campaign(tmp_path, "", text, f'file = "r.csv"\n{lines}\n').records
+        assert record.sense_v.shape[0] >= 30
+    assert any(cuts)
 
 
 @pytest.mark.parametrize("digits", [3, 4])
