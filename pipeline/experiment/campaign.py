@@ -3,7 +3,9 @@
     [device]         id, angular_gain = I_p / I_0p, pickoff = "velocity" | "displacement"
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
-    [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file)
+    [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file);
+                     start_s, stop_s (the same in seconds from the first sample)
+                     kind = "decay": free motion from any initial state, without a drive (``decays.pieces``);
                      kind = "sweep" | "frf" (also at the top, for all records); quantity, reference_ohm, averages: see
                      ``files.tone_columns``
     [systematic]     sds of errors that the devices of a tester share: phase_error_sd_deg, angular_gain_sd, gain_sd (relative),
@@ -32,6 +34,7 @@ from msgspec import Meta
 
 from .. import toml_files as toml
 from ..errors import UsageError
+from .decays.pieces import decay_pieces
 from .files.channels import correct
 from .files.columns import assemble
 from .files.common_tables import (
@@ -46,6 +49,7 @@ from .files.common_tables import (
     check_phase,
     references,
 )
+from .files.crop import between
 from .files.mapping import Source
 from .files.modal_record import ModalRecord, decode_modal_record
 from .files.readers import existing, read_columns, read_records
@@ -75,7 +79,9 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     at_rest: bool = True
     start: Annotated[int, Meta(ge=0)] = 0
     stop: Annotated[int, Meta(ge=1)] | None = None
-    kind: ToneKind | Literal["time"] | None = None
+    start_s: Annotated[float, Meta(ge=0.0, le=1e9)] | None = None
+    stop_s: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None
+    kind: ToneKind | Literal["time", "decay"] | None = None
     quantity: Quantity = "response"
     reference_ohm: Positive = 50.0
     averages: Annotated[int, Meta(ge=1)] = 1
@@ -114,8 +120,9 @@ def _records_of(
     names = [entry.file] if isinstance(entry.file, str) else entry.file
     files = [read_columns(existing(folder / name)) for name in names]
     found = assemble(names[0], files, rate, document.columns, entry.start, entry.stop)
+    found = between(found, entry.start_s, entry.stop_s)
     name = entry.name if entry.name is not None else names[0]
-    return [
+    records = [
         dataclasses.replace(
             record,
             name=name + record.name.removeprefix(names[0]),
@@ -128,6 +135,9 @@ def _records_of(
         )
         for record in found
     ]
+    if entry.kind == "decay":
+        return [piece for record in records for piece in decay_pieces(record, entry.role)]
+    return records
 
 
 def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
@@ -160,7 +170,9 @@ def _document(file: Path, text: bytes | None = None) -> CampaignTable:
 
 
 def _kind(entry: RecordTable, document: CampaignTable) -> ToneKind | Literal["time"]:
-    """The kind of a record: its own, else that of the campaign."""
+    """The domain of a record: that of its own kind, else of the campaign."""
+    if entry.kind == "decay":
+        return "time"
     return entry.kind or ("time" if document.kind == "campaign" else document.kind)
 
 
@@ -172,7 +184,8 @@ def _timed(file: Path, document: CampaignTable) -> Campaign:
         known = rate if rate is not None or not records else records[0].sample_rate_hz
         records += _records_of(file.parent, entry, role, known, document)
     channels = Channels(**msgspec.structs.asdict(document.channels))
-    records = [correct(record, channels) for record in with_all_drives(records)]
+    free = any(entry.kind == "decay" for entry in document.record)
+    records = [correct(record, channels) for record in with_all_drives(records, free)]
     check_same_shape(records)
     systematic = document.systematic.built()
     return Campaign(
@@ -192,7 +205,7 @@ def _timed(file: Path, document: CampaignTable) -> Campaign:
 def _toned(file: Path, document: CampaignTable) -> ToneCampaign:
     """The sweeps and frequency responses of ``document``, with its time records beside them."""
     own = [entry for entry in document.record if _kind(entry, document) != "time"]
-    timed = [msgspec.structs.replace(entry, kind=None) for entry in document.record if entry not in own]
+    timed = [entry for entry in document.record if entry not in own]
     records: list[ToneRecord] = []
     for entry, role in zip(own, roles_of([entry.role for entry in own])):
         kind: ToneKind = "frf" if _kind(entry, document) == "frf" else "sweep"

@@ -11,8 +11,13 @@ from ...errors import MeasurementError
 from ..record import Record, Role
 
 
-def with_all_drives(records: Sequence[Record]) -> list[Record]:
-    """The records, with zeros as the drives of those whose files have no drive columns."""
+def with_all_drives(records: Sequence[Record], free: bool = False) -> list[Record]:
+    """The records, with zeros as the drives of those whose files have no drive columns.
+
+    ``free`` : some are free decays; if nothing is driven at all, no record has a drive.
+    """
+    if free and not any(np.any(record.drive_v) for record in records):
+        return [dataclasses.replace(record, drive_v=record.drive_v[:, :0]) for record in records]
     drives = max((record.drive_v.shape[1] for record in records), default=0) or 1
     return [
         dataclasses.replace(record, drive_v=np.zeros((record.sense_v.shape[0], drives)))

@@ -60,6 +60,9 @@ def continued(
     model = problem.model
     begin, end = model.to_values(first.x), model.to_values(result.at.x)
     unstarted = [n for n in model.free if is_integrated(model, n) and begin[n] == model.by_name[n].null]
+    if not any(np.any(task.record.drive_v) for task in tasks.each):
+        # The pieces of a decay are short already, each with a state of its own.
+        return result
     explained = result.at.chi2 < dof + 6.0 * (2.0 * dof) ** 0.5
     if not unstarted or (noise_measured and explained):
         return result
@@ -81,7 +84,9 @@ def _continued(problem: CampaignResiduals, at: FitPoint, tasks: Tasks, dof: int)
     """The fit from ``at`` by way of the first samples of the records; ``None`` where a point is not allowed."""
     values = problem.model.to_values(at.x)
     for share in _SHARES:
-        short = problem.tasks([_beginning(task.record, share) for task in tasks.each], values)
+        short = problem.tasks(
+            [beginning(task.record, max(int(share * task.record.drive_v.shape[0]), 1)) for task in tasks.each], values
+        )
         start = point_at(problem, at.x, short, at.starts)
         if start is None:
             return None
@@ -97,9 +102,8 @@ def _relative(problem: CampaignResiduals, at: FitPoint, tasks: Tasks) -> float:
     return float(np.sqrt(left / sum(float(np.sum(task.record.sense_v**2)) for task in tasks.each)))
 
 
-def _beginning(record: Record, share: float) -> Record:
+def beginning(record: Record, samples: int) -> Record:
     """The first samples of a record; its own name keeps it apart from the whole record."""
-    samples = max(int(share * record.drive_v.shape[0]), 1)
     return replace(
         record,
         name=f"{record.name}[:{samples}]",

@@ -25,6 +25,7 @@ from ...experiment.record import Campaign, Record, Role
 from ...threads import mapped
 from .continuation import continued, restarted
 from .effect_starts import with_effect_starts
+from .free_states import free_start
 from .gauss_newton import GaussNewtonResult, minimise
 from .linear_step import FitPoint, Sensitivity, covariance_of, point_at
 from .record_fit import RecordFit, held_out_fit, misfit_of, pooled_errors, record_fit
@@ -149,7 +150,7 @@ def _first_point(problem: CampaignResiduals, tasks: Tasks, known: Mapping[str, f
     """The start of the fit, without off-diagonal damping where no device can have the given one."""
     model = problem.model
     values = model.complete(known)
-    starts = tuple(problem.linear_start(values, task) for task in tasks.each)
+    starts = tuple(free_start(problem, values, task) for task in tasks.each)
     at = point_at(problem, model.to_internal(values), tasks, starts)
     if at is None and C12 in values:
         values = model.complete({**known, C12: 0.0})

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...experiment.forward.sensitivity import STRONG
 from ...experiment.record import Campaign, Role
-from .gauss_newton import CLOSE, FAINT, ITERATIONS
-from .residuals import CampaignResiduals, Task, Tasks, start_step
+from .free_states import free_start
+from .residuals import CampaignResiduals, Task, Tasks
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,17 +85,8 @@ def record_fit(problem: CampaignResiduals, task: Task, start: FloatArray | None,
 
 
 def held_out_fit(problem: CampaignResiduals, values: Mapping[str, float], task: Task) -> RecordFit:
-    """A record that was not fitted; only its unknown initial state is fitted, by Gauss-Newton, at complete ``values``."""
-    alone, start = Tasks((task,), (((0,), task.group),)), problem.linear_start(values, task)
-    if start is not None and (strength := problem.strength(values, task, start)) > FAINT:
-        for iteration in range(ITERATIONS):
-            # Where the motion is strongly nonlinear, the columns change with the state.
-            if iteration == 0 or strength > STRONG:
-                f = problem.start_columns(values, task, start, True)
-            step = start_step(f, problem.residuals(values, alone, [start])[0])
-            start = start + step
-            if float(np.sum((f @ step) ** 2)) < CLOSE:
-                break
+    """A record that was not fitted; only its unknown initial state is fitted, at complete ``values``."""
+    alone, start = Tasks((task,), (((0,), task.group),)), free_start(problem, values, task)
     (predicted_v,) = problem.predictions(values, alone, [start])
     return record_fit(problem, task, start, predicted_v)
 

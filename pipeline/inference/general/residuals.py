@@ -54,7 +54,9 @@ def nuisance_columns(model: Model, values: Mapping[str, float], record: Record, 
         decay = np.exp(np.outer(t, q[q.imag >= 0.0]))
         columns.append(np.concatenate([decay.real, decay.imag], axis=1))
     stacked = np.concatenate(columns, axis=1)
-    scaled = stacked / np.linalg.norm(stacked, axis=0)
+    # A real pole has no sine.
+    norms = np.linalg.norm(stacked, axis=0)
+    scaled = stacked[:, norms > 0.0] / norms[norms > 0.0]
     gram = scaled.T @ scaled
     if np.max(np.abs(gram - np.eye(gram.shape[0]))) < 1e-12:
         return np.asarray(scaled)

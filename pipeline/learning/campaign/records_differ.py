@@ -119,7 +119,9 @@ def selected(
     selection = forward_selection(restricted(problem), (), rules)
     if problem.variation is None:
         decided = not selection.tests or verdict_of(selection, (), rules) != "unknown"
-        if decided or len(problem.records) < 2 or repeats_of(problem.campaign):
+        # The pieces of a decay are one run; each has a state of its own already.
+        free = not any(np.any(record.drive_v) for record in problem.records)
+        if decided or free or len(problem.records) < 2 or repeats_of(problem.campaign):
             return problem, selection
         last = problem.campaign_fit(selection.last.fit.terms)
         if record_variation(last, problem.campaign, threads=problem.threads).spread.is_zero:

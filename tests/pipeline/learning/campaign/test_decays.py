@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from pipeline.arrays import FloatArray
 from pipeline.device.model import Model, PlantSpec
+from pipeline.errors import MeasurementError
+from pipeline.experiment.campaign import read_campaign
+from pipeline.experiment.decays.backbone import oscillations
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 from workflows.learning import refine
@@ -68,3 +73,48 @@ def test_one_ring_down_names_its_effect(effect: str, size: float, pieces: int) -
     value, sd = found.parameters[effect]
     assert abs(value - size) < 3.5 * sd
     assert sd < 0.02 * size
+
+
+def written(folder: Path, text: str, drive: bool = False) -> Path:
+    """A campaign of one file: a burst of 0.1 s, then a ring-down to far below the noise."""
+    t = np.arange(8000) / RATE_HZ
+    ring = np.where(t < 0.1, 0.5, np.exp(-ZETA * OMEGA * t) * np.cos(OMEGA * t))
+    columns = [t, ring + 1e-2 * np.random.default_rng(2).standard_normal(t.size)]
+    if drive:
+        columns.append(np.where(t < 0.1, np.sin(700.0 * t), 0.0))
+    header = "time_s,sense1_V" + ",drive1_V" * drive
+    np.savetxt(folder / "ring.csv", np.stack(columns, axis=1), delimiter=",", header=header, comments="")
+    (folder / "campaign.toml").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(("keys", "drive"), [("start_s = 0.1", False), ("", True)])
+def test_a_decay_is_read_as_pieces_and_the_silence_behind_it(tmp_path: Path, keys: str, drive: bool) -> None:
+    text = f'[[record]]\nfile = "ring.csv"\nkind = "decay"\n{keys}\n'
+    *pieces, silence = read_campaign(written(tmp_path, text, drive)).records
+    assert len(pieces) == 6
+    assert [piece.role for piece in pieces] == ["fit", "validate", "fit", "fit", "validate", "fit"]
+    assert all(piece.drive_v.shape[1] == 0 and not piece.at_rest for piece in pieces)
+    assert sum(piece.sense_v.shape[0] for piece in (*pieces, silence)) == pytest.approx(7800, abs=1)
+    assert silence.role == "noise"
+    # e^(-zeta omega t) has fallen below a tenth of the noise.
+    assert np.exp(-ZETA * OMEGA * (0.1 + silence.elapsed_s)) < 2e-3
+    assert silence.sense_v.std() == pytest.approx(1e-2, rel=0.05)
+
+
+def test_a_decay_whose_drive_never_stops_is_refused_with_a_way_out(tmp_path: Path) -> None:
+    written(tmp_path, '[[record]]\nfile = "ring.csv"\nkind = "decay"\nstop_s = 0.1\n', True)
+    with pytest.raises(MeasurementError, match="does not stop"):
+        read_campaign(tmp_path)
+
+
+def test_frequency_and_damping_of_a_piece_are_covered_without_a_model() -> None:
+    random, z = np.random.default_rng(4), []
+    t = np.arange(600) / RATE_HZ
+    for _ in range(40):
+        y = np.exp(-ZETA * OMEGA * t) * np.cos(OMEGA * np.sqrt(1.0 - ZETA**2) * t + random.uniform(0.0, 6.0))
+        y += 0.3 * np.exp(-30.0 * t) * np.cos(2.0 * np.pi * 170.0 * t) + 0.05 * random.standard_normal(t.size) + 3.0
+        one = oscillations(y, RATE_HZ, [101.0, 171.0])[0]
+        z.append([(one.f_hz - F_HZ) / one.f_sd_hz, (one.zeta - ZETA) / one.zeta_sd])
+    assert np.all(np.abs(np.mean(z, axis=0)) < 3.5 / np.sqrt(40.0))
+    assert np.all(np.abs(np.std(z, axis=0) - 1.0) < 0.4)
