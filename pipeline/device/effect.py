@@ -25,7 +25,7 @@ import importlib.util
 import pkgutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -40,7 +40,7 @@ from .mechanics import Mechanics
 from .parameters import Parameter, Shape
 from .readout import Readout
 
-__all__ = ["Context", "Effect", "Laws", "LookAlike", "SizeRange", "find_effects", "load_effect"]
+__all__ = ["Context", "Effect", "Laws", "LookAlike", "SizeRange", "find_effects", "load_effect", "numbered"]
 
 _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbance")
 
@@ -109,6 +109,7 @@ class Effect:
     mains_frequency : name of the parameter that is the mains frequency [Hz]; the effect is added if silence shows a mains line.
     potential : (q (M, n), p, axes) -> (M,), potential energy of ``force``, if the force has one; checked by a test.
     size : plausible sizes; by default a tenth of the parameters' scales, up to their range.
+    number : k of the k-th mode that one file adds (:func:`numbered`).
 
     Raises
     ------
@@ -137,6 +138,7 @@ class Effect:
     mains_frequency: str = ""
     potential: Callable[[FloatArray, FloatArray, int], FloatArray] | None = None
     size: SizeRange | None = None
+    number: int = 1
 
     def __post_init__(self) -> None:
         for required in ("name", "law", "source", "signature", "parameters", "plants"):
@@ -165,7 +167,9 @@ class Effect:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Functions of a user's file cannot be pickled by name, so the receiver loads the file again.
-        return load_effect, (self.origin,)
+        return (
+            (load_effect, (self.origin,)) if self.number == 1 else (numbered, (load_effect(self.origin), self.number))
+        )
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -213,6 +217,12 @@ class Effect:
         if all(member.grid for member in members):
             return all(value == member.null for value, member in zip(p, members))
         return all(value == member.null for value, member in zip(p, members) if not member.grid)
+
+
+@lru_cache(maxsize=256)
+def numbered(effect: Effect, k: int) -> Effect:
+    """The same effect once more, as ``<name>_<k>``: an effect that adds a mode may act several times in one model."""
+    return replace(effect, name=f"{effect.name}_{k}", number=k)
 
 
 def _effect_of(module: ModuleType, where: str) -> Effect:

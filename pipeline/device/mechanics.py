@@ -1,34 +1,44 @@
 """Linear mechanics of a device and its modes.
 
-    q'' + (C + G) q' + K q = F u,      S = V q' + D q                                    (mass-normalised)
+    q'' + (C + G) q' + K q = F u + a,      S = A q'' + V q' + D q                       (mass-normalised)
 
-q (n,) coordinates [V s], u (D,) drive volts, S (S,) pick-off volts before the filter; every array has a leading batch axis B.
+                                        = (V - A (C + G)) q' + (D - A K) q + A F u + A a
 
-| symbol | field          | shape     | unit |
+q (n,) coordinates [V s], u (D,) drive volts, a (n,) nonlinear forces [V/s], S (S,) pick-off volts before the filter; every
+array has a leading batch axis B.
+
+| symbol | field              | shape     | unit |
 |---|---|---|---|
-| C      | damping        | (B, n, n) | 1/s, symmetric |
-| G      | gyroscopic     | (B, n, n) | 1/s, antisymmetric |
-| K      | stiffness      | (B, n, n) | 1/s^2, symmetric |
-| F      | drive          | (B, n, D) | 1/s (q in V s) |
-| V      | velocity_sense | (B, S, n) | 1 |
-| D      | position_sense | (B, S, n) | 1/s |
+| C      | damping            | (B, n, n) | 1/s, symmetric |
+| G      | gyroscopic         | (B, n, n) | 1/s, antisymmetric |
+| K      | stiffness          | (B, n, n) | 1/s^2, symmetric |
+| F      | drive              | (B, n, D) | 1/s (q in V s) |
+| V      | velocity_sense     | (B, S, n) | 1 |
+| D      | position_sense     | (B, S, n) | 1/s |
+| A      | acceleration_sense | (B, S, n) | s |
 
-As modes:   H(s) = sum_k R_k / (s - p_k) + conj,   Im p_k > 0.
+As modes:   H(s) = sum_k R_k / (s - p_k) + conj + A F,   Im p_k > 0.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..arrays import ComplexArray, FloatArray
 from ..errors import ConfigError
 
+_ABSENT: FloatArray = np.zeros((1, 1, 1))
+_ABSENT.flags.writeable = False
+
 
 @dataclass(frozen=True, eq=False)
 class Mechanics:
-    """Mass-normalised second-order mechanics of a batch of devices; symbols, shapes and units at the head of the module."""
+    """Mass-normalised second-order mechanics of a batch of devices; symbols, shapes and units at the head of the module.
+
+    ``acceleration_sense`` that is not given is zero.
+    """
 
     damping: FloatArray
     gyroscopic: FloatArray
@@ -36,20 +46,46 @@ class Mechanics:
     drive: FloatArray
     velocity_sense: FloatArray
     position_sense: FloatArray
+    acceleration_sense: FloatArray = field(default_factory=lambda: _ABSENT)
+
+    def __post_init__(self) -> None:
+        if self.acceleration_sense is _ABSENT:
+            object.__setattr__(self, "acceleration_sense", np.zeros_like(self.velocity_sense))
+
+    @property
+    def senses_acceleration(self) -> bool:
+        """Whether a pick-off senses acceleration."""
+        return bool(np.any(self.acceleration_sense))
+
+    @property
+    def reads(self) -> FloatArray:
+        """[D - A K, V - A (C + G)] (B, S, 2n): pick-off volts from a state (q, q'), without drive and forces."""
+        position, velocity = self.position_sense, self.velocity_sense
+        if self.senses_acceleration:
+            position = position - self.acceleration_sense @ self.stiffness
+            velocity = velocity - self.acceleration_sense @ (self.damping + self.gyroscopic)
+        return np.concatenate([position, velocity], axis=-1)
+
+    @property
+    def direct(self) -> FloatArray:
+        """A F (B, S, D) [1]: pick-off volts that follow the drive at once."""
+        return np.asarray(self.acceleration_sense @ self.drive)
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """H(s) = sum_k R_k / (s - p_k) + conj: poles (B, n) [rad/s] with Im p > 0, residues (B, n, S, D) [rad/s]."""
+    """H(s) = sum_k R_k / (s - p_k) + conj + direct: poles (B, n) [rad/s], Im p > 0, residues (B, n, S, D) [rad/s], (B, S, D)."""
 
     poles: ComplexArray
     residues: ComplexArray
+    direct: FloatArray = field(default_factory=lambda: _ABSENT)
 
     def response(self, s: ComplexArray) -> ComplexArray:
         """H(s) (B, S, D, W) [1], from drive to pick-off volts, at complex frequencies ``s`` (W,) [rad/s]."""
         p = self.poles[:, :, None, None, None]
         r = self.residues[..., None]
-        return np.sum(r / (s - p) + np.conj(r) / (s - np.conj(p)), axis=1)
+        found = np.sum(r / (s - p) + np.conj(r) / (s - np.conj(p)), axis=1)
+        return found + self.direct[..., None] if np.any(self.direct) else found
 
 
 def state_matrix(mechanics: Mechanics) -> FloatArray:
@@ -64,7 +100,7 @@ def state_matrix(mechanics: Mechanics) -> FloatArray:
 
 
 def modes_of(mechanics: Mechanics) -> Modes:
-    """R_k = (V p_k + D) x_k (y_k F): poles and residues of ``mechanics`` by the eigenvectors of its state matrix.
+    """R_k = (A p_k^2 + V p_k + D) x_k (y_k F): poles and residues of ``mechanics`` by the eigenvectors of its state matrix.
 
     x_k is the position half of the right eigenvector, y_k the velocity half of the left one.
 
@@ -90,5 +126,7 @@ def modes_of(mechanics: Mechanics) -> Modes:
     y = np.take_along_axis(left[:, :, n:], order[:, :, None], axis=1)
     sensed = np.einsum("bsn,bnk->bks", mechanics.velocity_sense, x) * poles[:, :, None]
     sensed = sensed + np.einsum("bsn,bnk->bks", mechanics.position_sense, x)
+    if mechanics.senses_acceleration:
+        sensed = sensed + np.einsum("bsn,bnk->bks", mechanics.acceleration_sense, x) * poles[:, :, None] ** 2
     driven = np.einsum("bkn,bnd->bkd", y, mechanics.drive)
-    return Modes(poles, sensed[:, :, :, None] * driven[:, :, None, :])
+    return Modes(poles, sensed[:, :, :, None] * driven[:, :, None, :], mechanics.direct)

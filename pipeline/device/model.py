@@ -16,12 +16,16 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
-from .effect import Effect, find_effects
+from .effect import Effect, find_effects, numbered
 from .model_toml import ModelFields, model_toml, read_model
 from .parameters import Parameter, read_prior
 from .plant import C12, Plant, PlantSpec
+from .scale import Scale
 
 __all__ = ["DEFAULT_COMPARE_MODEL", "SCREENING_MODEL", "Model", "PlantSpec", "load_model", "mains_effects"]
+
+#: Most modes that one effect may add to a model: a ladder has at most as many rungs (``criticism.fit_tests.Rules``).
+MOST_MODES = 6
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,11 @@ class Model:
 
     @cached_property
     def library(self) -> dict[str, Effect]:
-        """All available effects by name: those of the package and those in ``effect_folders``."""
-        return find_effects(tuple(Path(folder) for folder in self.effect_folders))
+        """All available effects by name: those of the package and of ``effect_folders``; modes may be added several times."""
+        found = find_effects(tuple(Path(folder) for folder in self.effect_folders))
+        modes = [effect for effect in found.values() if effect.mode is not None]
+        more = {one.name: one for e in modes for one in (numbered(e, k) for k in range(2, MOST_MODES + 1))}
+        return dict(sorted({**more, **found}.items()))
 
     @cached_property
     def built(self) -> Plant:
@@ -91,10 +98,12 @@ class Model:
         return effect
 
     def candidates(self) -> tuple[str, ...]:
-        """Names of the effects that apply to the plant, that its records can show, and that are not in the model."""
+        """Names of the effects that the plant's records can show and that are not in the model; of several modes, the next."""
         kinds, shape = self.built.kinds, self.built.shape
-        applying = (n for n, e in self.library.items() if kinds & set(e.plants) and e.shows(shape))
-        return tuple(n for n in applying if n not in self.effects)
+        absent = [e for e in self.library.values() if kinds & set(e.plants) and e.shows(shape)]
+        absent = [e for e in absent if e.name not in self.effects]
+        next_mode = {e.origin: e.number for e in sorted(absent, key=lambda e: -e.number) if e.mode is not None}
+        return tuple(e.name for e in absent if e.number == next_mode.get(e.origin, e.number))
 
     def ordered_effects(self) -> tuple[Effect, ...]:
         """The effects of the model, sorted by name, so that the order in which they were added does not matter."""
@@ -208,6 +217,10 @@ class Model:
         if (self.plant.senses, self.plant.drives) == (senses, drives):
             return self
         return replace(self, plant=replace(self.plant, senses=senses, drives=drives))
+
+    def at_scale(self, scale: Scale) -> Model:
+        """This model with the ranges of its effects relative to ``scale``."""
+        return self if self.plant.scale == scale else replace(self, plant=replace(self.plant, scale=scale))
 
     @cached_property
     def _plant_names(self) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Model files: TOML text to the fields of a model, and back.
 
-plant = "gyro"                   # or { kind = "modal", modes = 1, sense = "velocity" | "displacement" }
+plant = "gyro"                   # or { kind = "modal", modes = 1, sense = "velocity" | "displacement" | "acceleration" }
 effects = ["offdiagonal_damping"]
 effect_folders = ["my-effects"]  # optional: folders with your own effects, relative to this file
 [fixed]                          # optional: parameter = value
@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from msgspec import Meta, Struct
 
 from ..toml_files import load, table
-from .plant import PlantSpec
+from .plant import PlantSpec, Sense
 
 Count = Annotated[int, Meta(ge=1, le=64)]
 Value = TypeVar("Value", float, str)
@@ -30,7 +30,7 @@ class PlantTable(Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: Literal["gyro", "modal"]
     modes: Count = 1
-    sense: Literal["velocity", "displacement"] = "velocity"
+    sense: Sense = "velocity"
     senses: Count = 1
     drives: Count = 1
 

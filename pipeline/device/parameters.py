@@ -18,9 +18,11 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 from ..errors import ConfigError
+from .scale import PAPER, RelativeTo, Scale
 
 Per = Literal["", "axis", "drive", "path", "direction"]
 
@@ -29,11 +31,12 @@ _PRIOR = re.compile(r"^(normal|uniform)\(\s*([^,\s]+)\s*,\s*([^,\s]+)\s*\)$")
 
 @dataclass(frozen=True)
 class Shape:
-    """Indices of a plant: numbers of senses and drives, and suffixes of the axes that nonlinear laws act on."""
+    """Indices of a plant: numbers of senses and drives, suffixes of the axes that nonlinear laws act on, and its scale."""
 
     senses: int
     drives: int
     axes: tuple[str, ...]
+    scale: Scale = PAPER
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,7 @@ class Parameter:
     fitted : false if only the values of the grid are possible (mains frequency).
     quantity : name of the result quantity that the parameter is (c12_per_s), or none.
     typical : range from which studies draw a parameter with a grid, log-uniformly; by default the range of the grid.
+    relative_to : what its numbers are relative to (:mod:`pipeline.device.scale`); they are declared for the gyro of the paper.
     """
 
     name: str
@@ -70,9 +74,29 @@ class Parameter:
     fitted: bool = True
     quantity: str = ""
     typical: tuple[float, float] | None = None
+    relative_to: RelativeTo = "motion"
+
+    def scaled(self, scale: Scale) -> Parameter:
+        """The same parameter of a device with another scale than the gyro of the paper.  A stated prior stays as it is."""
+        factor = scale.factor(self.unit, self.relative_to)
+        low, high = (self.low * factor, self.high * factor) if self.relative_to != "mode" else scale.modes_hz
+        if (factor, low, high) == (1.0, self.low, self.high):
+            return self
+        return replace(
+            self,
+            low=low,
+            high=high,
+            null=self.null * factor,
+            scale=self.scale * factor,
+            grid=tuple(value * factor for value in self.grid),
+            typical=None if self.typical is None else (self.typical[0] * factor, self.typical[1] * factor),
+        )
 
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
-        """The members of the family on a plant of ``shape``."""
+        """The members of the family on a plant of ``shape``, relative to its scale."""
+        return _members(self, shape)
+
+    def _family(self, shape: Shape) -> tuple[Parameter, ...]:
         if self.per == "axis":
             suffixes = shape.axes
         elif self.per == "drive":
@@ -82,6 +106,11 @@ class Parameter:
         else:
             return (self,) if self.per == "" or shape.senses > 1 else ()
         return tuple(replace(self, name=self.name + suffix, per="") for suffix in suffixes)
+
+
+@lru_cache(maxsize=4096)
+def _members(parameter: Parameter, shape: Shape) -> tuple[Parameter, ...]:
+    return parameter.scaled(shape.scale)._family(shape)
 
 
 def read_prior(name: str, text: str) -> tuple[str, float, float]:

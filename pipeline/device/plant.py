@@ -8,7 +8,7 @@ Shapes: n coordinates, S senses, D drives, P parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Literal, Protocol
 
@@ -18,8 +18,12 @@ from ..arrays import FloatArray
 from .gyro import M_D, M_S, PHYSICAL, gyro_mechanics, to_cartesian, to_physical
 from .mechanics import Mechanics
 from .parameters import Parameter, Shape
+from .scale import PAPER, Scale
 
 C12 = "c12_per_s"
+#: What a pick-off of a modal plant senses, by the order of the derivative of the motion.
+Sense = Literal["displacement", "velocity", "acceleration"]
+SENSES: tuple[Sense, ...] = ("displacement", "velocity", "acceleration")
 
 
 class Plant(Protocol):
@@ -143,16 +147,17 @@ class GyroPlant:
 
 @dataclass(frozen=True)
 class ModalPlant:
-    """H(s) = sum_k B_k s / (s^2 + 2 zeta_k omega_k s + omega_k^2), without the s for a displacement pick-off.
+    """H(s) = sum_k B_k s^m / (s^2 + 2 zeta_k omega_k s + omega_k^2), m = 0, 1, 2 for pick-offs of displacement, velocity, ..
 
-    B_k (S, D) = gain<k>_s<a>d<b> [1/s; for displacement 1/s^2].  Coordinates q_(k,a), one for each mode and sense: row a of
+    B_k (S, D) = gain<k>_s<a>d<b> [1/s^2, 1/s, 1].  Coordinates q_(k,a), one for each mode and sense: row a of
     B_k drives it, and only sense a measures it.
     """
 
     modes: int
-    displacement: bool
+    sense: Sense
     senses: int = 1
     drives: int = 1
+    scale: Scale = PAPER
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -163,12 +168,18 @@ class ModalPlant:
     def shape(self) -> Shape:
         """One axis for each coordinate; a single coordinate has the suffix x, as in the gyro."""
         n = self.modes * self.senses
-        return Shape(self.senses, self.drives, ("x",) if n == 1 else tuple(f"_{i + 1}" for i in range(n)))
+        axes = ("x",) if n == 1 else tuple(f"_{i + 1}" for i in range(n))
+        return Shape(self.senses, self.drives, axes, self.scale)
+
+    @property
+    def derivative(self) -> int:
+        """m: the pick-offs sense the m-th derivative of the motion."""
+        return SENSES.index(self.sense)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Frequency, damping ratio and gains, mode by mode."""
-        unit = "1/s^2" if self.displacement else "1/s"
+        unit = ("1/s^2", "1/s", "1")[self.derivative]
         out: list[Parameter] = []
         for k in range(1, self.modes + 1):
             out += [
@@ -193,9 +204,8 @@ class ModalPlant:
                 damping[0, i, i], stiffness[0, i, i] = 2.0 * values[f"zeta{k + 1}"] * omega, omega**2
                 drive[0, i] = [values[f"gain{k + 1}_s{a + 1}d{b + 1}"] for b in range(self.drives)]
                 sense[0, a, i] = 1.0
-        none = np.zeros_like(sense)
-        velocity, position = (none, sense) if self.displacement else (sense, none)
-        return Mechanics(damping, np.zeros((1, n, n)), stiffness, drive, velocity, position)
+        position, velocity, acceleration = (sense if m == self.derivative else np.zeros_like(sense) for m in range(3))
+        return Mechanics(damping, np.zeros((1, n, n)), stiffness, drive, velocity, position, acceleration)
 
     def sense_motion(self) -> FloatArray:
         """(S, n) [1]: each sense measures the sum of its own coordinates."""
@@ -206,7 +216,7 @@ class ModalPlant:
         return np.zeros((self.drives, self.modes * self.senses))
 
     def to_internal(self, physical: FloatArray) -> FloatArray:
-        """The identity on (P,): frequency [Hz], damping ratio [1] and gains [1/s or 1/s^2] are smooth coordinates."""
+        """The identity on (P,): frequency [Hz], damping ratio [1] and gains [1/s^2, 1/s or 1] are smooth coordinates."""
         return physical
 
     def to_external(self, internal: FloatArray) -> FloatArray:
@@ -226,16 +236,20 @@ class ModalPlant:
 
 @dataclass(frozen=True)
 class PlantSpec:
-    """A choice of plant: "gyro", or "modal" with its number of modes, kind of pick-off and ``senses`` x ``drives`` channels."""
+    """A choice of plant: "gyro", or "modal" with its number of modes, kind of pick-off and ``senses`` x ``drives`` channels.
+
+    ``scale`` is what the ranges of effects are relative to; ``None``: not known yet, as for the gyro of the paper.
+    """
 
     kind: Literal["gyro", "modal"] = "gyro"
     modes: int = 1
-    sense: Literal["velocity", "displacement"] = "velocity"
+    sense: Sense = "velocity"
     senses: int = 1
     drives: int = 1
+    scale: Scale | None = None
 
     def build(self) -> Plant:
         """The plant object."""
         if self.kind == "gyro":
-            return GyroPlant()
-        return ModalPlant(self.modes, self.sense == "displacement", self.senses, self.drives)
+            return GyroPlant(shape=replace(_GYRO_SHAPE, scale=self.scale or PAPER))
+        return ModalPlant(self.modes, self.sense, self.senses, self.drives, self.scale or PAPER)

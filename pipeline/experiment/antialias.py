@@ -58,6 +58,7 @@ def filter_response(antialias: AntiAlias | None, s: ComplexArray) -> ComplexArra
 def behind_filter(modes: Modes, antialias: AntiAlias | None) -> Bank:
     """Partial fractions of H(s) G(s): residues R_k G(p_k) at the poles of the plant and r_j H(q_j) at those of the filter."""
     if antialias is None:
+        assert not np.any(modes.direct), "a bank of poles has no part that follows the drive at once"
         return Bank(modes.poles, modes.residues)
     q, r = filter_poles(antialias)
     upper = q.imag >= -1e-9 * np.abs(q)

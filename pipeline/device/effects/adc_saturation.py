@@ -28,6 +28,7 @@ EFFECT = Effect(
             "inverse of the clip level",
             scale=0.1,
             grid=tuple(0.02 * 1.03**k for k in range(200)),
+            relative_to="sense",
         ),
     ),
     adc=adc,

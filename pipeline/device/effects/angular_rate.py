@@ -24,7 +24,11 @@ EFFECT = Effect(
     law="psi'' += -2 Omega I_p/I_0p [[0, -1], [1, 0]] psi'",
     source="the paper, eq. (2)",
     signature="antisymmetric cross-channel response (H12 - H21) at the rocking resonances",
-    parameters=(Parameter("Omega", "rad/s", -100.0, 100.0, "rate times angular gain I_p/I_0p", scale=0.1),),
+    parameters=(
+        Parameter(
+            "Omega", "rad/s", -100.0, 100.0, "rate times angular gain I_p/I_0p", scale=0.1, relative_to="absolute"
+        ),
+    ),
     mechanics=mechanics,
     plants=("gyro",),
     condition="rate",

@@ -22,7 +22,18 @@ EFFECT = Effect(
     law="S += C dv/dt of the held drive, before the anti-alias filter",
     source="displacement current of a stray capacitance, i = C dv/dt",
     signature="broadband response that grows with frequency, in quadrature with the drive; antiresonances",
-    parameters=(Parameter("C", "s", -1e-2, 1e-2, "coupling capacitance times pick-off gain", scale=1e-7, per="path"),),
+    parameters=(
+        Parameter(
+            "C",
+            "s",
+            -1e-2,
+            1e-2,
+            "coupling capacitance times pick-off gain",
+            scale=1e-7,
+            per="path",
+            relative_to="transfer",
+        ),
+    ),
     readout=readout,
     mimics_hold=True,
     # In the driven band, a mode far above it responds like a capacitance of rank one.

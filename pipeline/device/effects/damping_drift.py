@@ -19,7 +19,9 @@ EFFECT = Effect(
     law="C (1 + gamma t) for all modes, t from the start of the record",
     source="free-molecular gas damping is proportional to pressure, so C follows a leak or outgassing",
     signature="resonances that the sweep passes late are broader than those it passes early; reverses with the sweep direction",
-    parameters=(Parameter("gamma", "1/s", -0.3, 10.0, "relative drift rate of the damping", scale=0.05),),
+    parameters=(
+        Parameter("gamma", "1/s", -0.3, 10.0, "relative drift rate of the damping", scale=0.05, relative_to="record"),
+    ),
     force=force,
     size=SizeRange(2e-3, 1.0, signed=False),
 )

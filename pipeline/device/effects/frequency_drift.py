@@ -19,7 +19,9 @@ EFFECT = Effect(
     law="K (1 + beta t) for all modes, t from the start of the record",
     source="temperature coefficient of Young's modulus of silicon: Hopcroft et al., JMEMS 19 (2010) 229",
     signature="detuning that grows during a record; reverses with the sweep direction",
-    parameters=(Parameter("beta", "1/s", -0.1, 0.1, "relative drift rate of the stiffness", scale=1e-4),),
+    parameters=(
+        Parameter("beta", "1/s", -0.1, 0.1, "relative drift rate of the stiffness", scale=1e-4, relative_to="record"),
+    ),
     force=force,
     size=SizeRange(1e-6, 1e-2),
 )

@@ -17,7 +17,9 @@ EFFECT = Effect(
     law="S (1 + gamma t) in both channels, t from the start of the record",
     source="thermal drift of the amplifier and of the bias reference",
     signature="amplitudes late in a record differ from those early in it; reverses with the sweep direction; no detuning",
-    parameters=(Parameter("gamma", "1/s", -0.3, 1.0, "relative drift rate of the gain", scale=1e-3),),
+    parameters=(
+        Parameter("gamma", "1/s", -0.3, 1.0, "relative drift rate of the gain", scale=1e-3, relative_to="record"),
+    ),
     sense=sense,
     size=SizeRange(5e-4, 0.2),
 )

@@ -23,7 +23,9 @@ EFFECT = Effect(
     source="the paper, section 3.1 and figure 4 (multiples of 60 Hz)",
     signature="lines at fixed frequencies, also in silent records",
     parameters=(
-        Parameter("f", "Hz", 50.0, 60.0, "mains frequency", 60.0, grid=(50.0, 60.0), fitted=False),
+        Parameter(
+            "f", "Hz", 50.0, 60.0, "mains frequency", 60.0, grid=(50.0, 60.0), fitted=False, relative_to="absolute"
+        ),
         Parameter("top", "1", 1.0, 1e3, "number of the highest harmonic", 16.0, grid=(1.0, 5.0, 16.0), fitted=False),
     ),
     disturbance=disturbance,

@@ -14,28 +14,31 @@ _GRID = tuple(300.0 * 1.02**k for k in range(141))
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
     """Append w to q (n,) [V s]: f = p[0] [Hz], zeta = p[1] [1], b = p[2:2 + D] [1/s], a = p[-1] [deg] if S > 1."""
-    n, senses, drives = m.stiffness.shape[1], m.velocity_sense.shape[1], m.drive.shape[2]
+    n, channels, drives = m.stiffness.shape[1], m.velocity_sense.shape[1], m.drive.shape[2]
     omega, a = 2.0 * np.pi * p[0], np.deg2rad(p[-1])
-    vector = np.ones(1) if senses == 1 else np.array([np.cos(a), np.sin(a)] + [0.0] * (senses - 2))
+    vector = np.ones(1) if channels == 1 else np.array([np.cos(a), np.sin(a)] + [0.0] * (channels - 2))
     c, g, k = (np.pad(old, ((0, 0), (0, 1), (0, 1))) for old in (m.damping, m.gyroscopic, m.stiffness))
     c[:, n, n], k[:, n, n] = 2.0 * p[1] * omega, omega**2
     drive = np.append(m.drive, np.broadcast_to(p[2 : 2 + drives], (m.drive.shape[0], 1, drives)), axis=1)
-    velocity, position = (np.pad(old, ((0, 0), (0, 0), (0, 1))) for old in (m.velocity_sense, m.position_sense))
-    # A displacement pick-off measures omega w, so that b has the same unit as for a velocity pick-off.
-    displacement = bool(np.any(m.position_sense))
-    (position if displacement else velocity)[:, :, n] = vector * (omega if displacement else 1.0)
-    return Mechanics(c, g, k, drive, velocity, position)
+    senses = [
+        np.pad(old, ((0, 0), (0, 0), (0, 1))) for old in (m.position_sense, m.velocity_sense, m.acceleration_sense)
+    ]
+    # Pick-offs of displacement measure omega w, those of acceleration w'' / omega, so that b has the unit 1/s for each kind.
+    kind = 2 if m.senses_acceleration else 0 if np.any(m.position_sense) else 1
+    senses[kind][:, :, n] = vector * omega ** (1 - kind)
+    position, velocity, acceleration = senses
+    return Mechanics(c, g, k, drive, velocity, position, acceleration)
 
 
 EFFECT = Effect(
     name="parasitic_mode",
-    law="w'' + 2 zeta omega w' + omega^2 w = b.v,  S += (cos a, sin a) w';  300 Hz <= f",
+    law="w'' + 2 zeta omega w' + omega^2 w = b.v,  S += (cos a, sin a) w';  f in the band of the records",
     source="the residue of a structural mode has rank one",
     signature="a resonance at a frequency where the plant has none, with the same sense vector for all drives",
     parameters=(
-        Parameter("f", "Hz", 300.0, 1e5, "frequency", 1e3, grid=_GRID, typical=(300.0, 2500.0)),
+        Parameter("f", "Hz", 300.0, 1e5, "frequency", 1e3, grid=_GRID, typical=(300.0, 2500.0), relative_to="mode"),
         Parameter("zeta", "1", 1e-5, 0.5, "damping ratio", 3e-3, 1e-4, grid=(1e-3, 1e-2), typical=(5e-4, 2e-2)),
-        Parameter("b", "1/s", -1e3, 1e3, "drive vector", scale=0.01, per="drive"),
+        Parameter("b", "1/s", -1e3, 1e3, "drive vector", scale=0.01, per="drive", relative_to="transfer"),
         Parameter("a", "deg", -90.0, 90.0, "sense angle", 45.0, grid=(-67.5, -22.5, 22.5, 67.5), per="direction"),
     ),
     mechanics=mechanics,

@@ -20,7 +20,7 @@ EFFECT = Effect(
     law="S += R v",
     source="ohmic leakage or a shared ground: electrical cross-coupling, the paper, section 2.2",
     signature="broadband response in phase with the drive, independent of frequency",
-    parameters=(Parameter("R", "1", -10.0, 10.0, "coupling gain", scale=1e-3, per="path"),),
+    parameters=(Parameter("R", "1", -10.0, 10.0, "coupling gain", scale=1e-3, per="path", relative_to="transfer"),),
     readout=readout,
     mimics_hold=True,
     size=SizeRange(3e-4, 1.0),

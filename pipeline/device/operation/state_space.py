@@ -45,9 +45,8 @@ def state_space(mechanics: Mechanics, sample_rate_hz: float) -> StateSpace:
     n, drives = mechanics.drive.shape[1:]
     a = state_matrix(mechanics)[0]
     b = np.concatenate([np.zeros((n, drives)), mechanics.drive[0]])
-    c = np.concatenate([mechanics.position_sense[0], mechanics.velocity_sense[0]], axis=1)
+    c = mechanics.reads[0]
     big = np.zeros((2 * n + drives, 2 * n + drives))
     big[: 2 * n, : 2 * n], big[: 2 * n, 2 * n :] = a, b
     step = expm(big / sample_rate_hz)
-    direct = np.zeros((c.shape[0], drives))
-    return StateSpace(a, b, c, direct, step[: 2 * n, : 2 * n], step[: 2 * n, 2 * n :], sample_rate_hz)
+    return StateSpace(a, b, c, mechanics.direct[0], step[: 2 * n, : 2 * n], step[: 2 * n, 2 * n :], sample_rate_hz)

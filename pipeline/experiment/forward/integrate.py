@@ -183,6 +183,19 @@ def trajectory(
     return linear, deviation
 
 
+def between_samples(drive: FloatArray, substeps: int, sloped: bool) -> FloatArray:
+    """Drives (N, D) [V] at the grid points (M, D): held, or linear between samples if ``sloped``.
+
+    A held drive that jumps at a sample has its new value there.
+    """
+    held = np.repeat(drive, substeps, axis=0)[: (drive.shape[0] - 1) * substeps + 1]
+    if not sloped:
+        return held
+    rise = np.repeat(np.diff(drive, axis=0), substeps, axis=0) * (np.arange(held.shape[0] - 1) % substeps)[:, None]
+    held[:-1] += rise / substeps
+    return held
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """A linear trajectory: its steps, drive (N, D) [V], and padded states (2M - 1, 2H) [V] at every half substep."""

@@ -1,11 +1,12 @@
 """Linear part of a record: mechanics and read-out as one bank of poles, exact at the sample times.
 
-    y = G(s) exp(-s tau) [H(s) u + (R + s C) v]
+    y = G(s) exp(-s tau) [(H(s) + E) u + (R + s C) v]
 
 - G H in partial fractions has the residues G(p_k) R_k at the poles p_k of the mechanics and Q_j H(q_j) at the poles q_j of
   the read-out.
 - Feedthrough followed by a filter has the residues Q_j (R + q_j C) at q_j, plus the direct part (sum_j Q_j) C.  Without a filter
   it is R v plus C times the slope of v just before the sample.
+- E u, the part of a pick-off of acceleration that follows the drive at once (``Mechanics.direct``), acts like R v.
 - A delay tau reads each state before its sample: with m + 1 = ceil(tau f_s) and t = (m + 1)/f_s - tau,
 
       x(n/f_s - tau) = e^{p t} x[n - m - 1] + (response to the held drive over t)
@@ -20,7 +21,7 @@ Units: poles in rad/s, time in seconds, drives and responses in volts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor
 
 import numpy as np
@@ -169,8 +170,11 @@ def linear_response(
             filter_residues = filter_residues + g @ (readout.resistive + q[:, None, None] * readout.capacitive)
         poles, residues = np.concatenate([p, q]), np.concatenate([residues, filter_residues])
     y = _bank_response(poles, residues, waveforms, gains, clock, late_s)
-    if fed:
-        y += _direct_feedthrough(readout, g, waveforms, gains, clock, late_s)
+    if fed or mechanics.senses_acceleration:
+        none = np.zeros_like(readout.resistive)
+        fed_now = readout if fed else replace(readout, resistive=none, capacitive=none)
+        fed_now = replace(fed_now, resistive=fed_now.resistive + modes.direct[0])
+        y += _direct_feedthrough(fed_now, g, waveforms, gains, clock, late_s)
     return np.moveaxis(shifted(y, shift), 1, 0)
 
 
@@ -204,6 +208,13 @@ def _direct_feedthrough(
     return np.asarray(y.reshape(waveforms.shape[1], gains.shape[0], -1))
 
 
+def direct_gain(mechanics: Mechanics, readout: Readout) -> FloatArray:
+    """(S, D) [1]: what of the response follows the drive at once."""
+    g = upper_poles(readout)[1]
+    gain = readout.static @ (readout.resistive + mechanics.direct[0])
+    return np.asarray(gain + 2.0 * g.sum(axis=0).real @ readout.capacitive if g.size else gain)
+
+
 def shifted(y: FloatArray, steps: int) -> FloatArray:
     """y (N, ...) delayed by whole samples, zero before; unit unchanged."""
     if steps == 0:
@@ -218,7 +229,7 @@ def free_response(mechanics: Mechanics, readout: Readout, samples: int, clock: S
     n = mechanics.stiffness.shape[-1]
     poles, right = np.linalg.eig(state_matrix(mechanics)[0])
     left = np.linalg.inv(right)
-    sensed = np.concatenate([mechanics.position_sense[0], mechanics.velocity_sense[0]], axis=1) @ right
+    sensed = mechanics.reads[0] @ right
     gain = np.einsum("ksj,jk->ks", readout.response(poles), sensed) * np.exp(-poles * readout.delay_s)[:, None]
     decay = np.exp(np.arange(samples)[:, None] * (poles * clock.step_s))
     parts = (gain[:, :, None] * left[:, None, :]).reshape(2 * n, -1)

@@ -19,12 +19,14 @@ from typing import TypeVar
 import numpy as np
 
 from ...arrays import FloatArray
+from ...device.force_law import Points, force_along
 from ...threads import mapped
 from .drive_groups import DriveGroup, waveforms_of
-from .integrate import SUBSTEPS, Motion, linear_motion, perturbed_motion, trajectory
+from .integrate import SUBSTEPS, Motion, between_samples, linear_motion, perturbed_motion, trajectory
 from .linear import (
     SampleClock,
     delay_steps,
+    direct_gain,
     fed_through,
     free_response,
     interpolated,
@@ -52,10 +54,10 @@ def force_volts(system: System, drive_v: FloatArray) -> FloatArray:
 
 
 def full_start(system: System, start: FloatArray) -> FloatArray:
-    """State (2n,) [V s, V] from that of the plant's own coordinates; coordinates that effects append start at rest."""
-    n, own = system.mechanics.stiffness.shape[1], start.size // 2
-    full = np.zeros(2 * n)
-    full[:own], full[n : n + own] = start[:own], start[own:]
+    """State (2n,) [V s, V] from that of other coordinates: those that an effect appends start at rest, or are at their null."""
+    n, given = system.mechanics.stiffness.shape[1], start.size // 2
+    own, full = min(n, given), np.zeros(2 * n)
+    full[:own], full[n : n + own] = start[:own], start[given : given + own]
     return full
 
 
@@ -82,6 +84,9 @@ def linear_volts(system: System, group: DriveGroup, starts: Starts | None = None
         if start is not None:
             free = free_response(m, readout, group.waveforms.shape[1], clock) @ full_start(system, start)
             y[record] += free[:: clock.stride]
+            # What follows the drive at once is late too; the drive before the first sample is taken as the first one.
+            late = -(-delay_steps(readout.delay_s, clock.step_s)[0] // clock.stride)
+            y[record, :late] += group.drives[record][0] @ direct_gain(m, readout).T
     return y
 
 
@@ -151,8 +156,11 @@ def first_order_response(system: System, group: DriveGroup, motions: Sequence[Mo
         r = np.zeros((motion.states.shape[0] // 2 + 1, reads.shape[0]))
         if system.forces:
             r += perturbed_motion(motion, [(effect.force, p) for effect, p in system.forces], system.laws, reads)
+            if system.mechanics.senses_acceleration:
+                u = between_samples(motion.drive, motion.steps.substeps, motion.steps.sloped)
+                r += _force_volts(system, motion.state, u, group.clock.step_s / motion.steps.substeps)
         if system.senses:
-            r += _sense_effect_volts(system, motion.state, group.clock.step_s / motion.steps.substeps)
+            r += _sense_effect_volts(system, motion.state, motion.drive, group.clock, motion.steps.substeps)
         return _after_readout(system, r, group.clock, motion.steps.substeps)
 
     source = [next(k for k, other in enumerate(motions) if other is motion) for motion in motions]
@@ -179,8 +187,8 @@ def _substeps(clock: SampleClock, substeps: int) -> int:
 
 
 def _pickoff_rows(system: System) -> FloatArray:
-    """(S, 2n): pick-off volts from a state, without sense effects."""
-    return np.concatenate([system.mechanics.position_sense[0], system.mechanics.velocity_sense[0]], axis=1)
+    """(S, 2n): pick-off volts from a state, without drive, forces and sense effects."""
+    return system.mechanics.reads[0]
 
 
 def _nonlinear_pickoff(
@@ -191,22 +199,42 @@ def _nonlinear_pickoff(
     state = None if start is None else full_start(system, start)
     reads = _pickoff_rows(system)
     solve = partial(trajectory, system.mechanics, forces, system.laws, u, clock.step_s, clock.hold, state, substeps)
+    if not system.senses and not system.mechanics.senses_acceleration:
+        return solve(reads=reads)[1]
+    linear, deviation = solve()
+    r = deviation @ reads.T
+    if system.mechanics.senses_acceleration:
+        v = between_samples(u, substeps, clock.hold != "zoh")
+        r += _force_volts(system, linear + deviation, v, clock.step_s / substeps)
     if system.senses:
-        linear, deviation = solve()
-        r = deviation @ reads.T + _sense_effect_volts(system, linear + deviation, clock.step_s / substeps)
-    else:
-        _, r = solve(reads=reads)
+        r += _sense_effect_volts(system, linear + deviation, u, clock, substeps)
     return r
 
 
-def _sense_effect_volts(system: System, state: FloatArray, step_s: float) -> FloatArray:
-    """What sense effects add to the pick-off volts along states (M, 2n), (M, S) [V]; ``step_s`` between grid points."""
+def _force_volts(system: System, state: FloatArray, u: FloatArray, step_s: float) -> FloatArray:
+    """A a (M, S) [V]: the forces a along states (M, 2n) under drives u (M, D) [V], as pick-offs of acceleration see them."""
     n = system.mechanics.stiffness.shape[1]
+    points = Points(np.arange(state.shape[0], dtype=np.float64) * step_s, state[:, :n].T, state[:, n:].T, u.T)
+    forces = np.zeros((n, state.shape[0]))
+    for effect, p in system.forces:
+        assert effect.force is not None
+        forces += force_along(effect.force, points, p, system.laws)
+    return np.asarray(forces.T @ system.mechanics.acceleration_sense[0].T)
+
+
+def _sense_effect_volts(
+    system: System, state: FloatArray, drive: FloatArray, clock: SampleClock, substeps: int
+) -> FloatArray:
+    """What sense effects add to the pick-off volts along states (M, 2n) under ``drive`` (N', D) [V], (M, S) [V]."""
+    n, step_s = system.mechanics.stiffness.shape[1], clock.step_s / substeps
     x, xd, s = (
         state[:, :n] @ system.sense_motion.T,
         state[:, n:] @ system.sense_motion.T,
         state @ _pickoff_rows(system).T,
     )
+    if system.mechanics.senses_acceleration:
+        u = between_samples(drive, substeps, clock.hold != "zoh")
+        s = s + u @ system.mechanics.direct[0].T + _force_volts(system, state, u, step_s)
     t = np.arange(state.shape[0], dtype=np.float64) * step_s
     sensed = s
     for effect, p in system.senses:

@@ -30,6 +30,7 @@ from .gauss_newton import GaussNewtonResult, minimise
 from .linear_step import FitPoint, Sensitivity, covariance_of, point_at
 from .record_fit import RecordFit, held_out_fit, misfit_of, pooled_errors, record_fit
 from .residuals import CampaignResiduals, Tasks
+from .scales import scaled_to
 from .starts import find_start
 
 ValueAndSd = tuple[float, float]
@@ -131,7 +132,7 @@ def fit_with_columns(
     if not fitted:
         raise MeasurementError("no record to fit", next_step='give a record role = "fit"')
     first, sigma_v = fitted[0], noise.sigma_v
-    model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])
+    model = scaled_to(model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1]), campaign)
     known = {name: float(value) for name, value in (start or {}).items() if name in model.by_name}
     if any(p.name not in known and p.name not in model.fixed for p in model.built.parameters):
         known = {**find_start(model, fitted, campaign.instrument, sigma_v), **known}

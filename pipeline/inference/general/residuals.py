@@ -133,9 +133,9 @@ class CampaignResiduals:
         MeasurementError : the plant has other numbers of channels.
         """
         channels_checked(self.model, record)
-        coordinates = 0 if record.at_rest else self.model.built.sense_motion().shape[1]
         basis = nuisance_columns(self.model, values, record, self.instrument)
         group = drive_group_of([record], self.instrument, self.angular_gain)
+        coordinates = 0 if record.at_rest else self.system(values, group).mechanics.stiffness.shape[1]
         white = whitening_of(self.noise, record)
         task = Task(record, basis, coordinates, group, masked_basis(basis, record.good), white)
         found = self.noise.common_v.get(record.name)
@@ -205,16 +205,22 @@ class CampaignResiduals:
         group = task.group
         system = self.system(values, group)
         m, clock = system.mechanics, group.clock
-        n, own = m.stiffness.shape[1], task.coordinates
+        own = task.coordinates
         samples = task.record.drive_v.shape[0]
-        columns = free_response(m, system.readout, samples * clock.stride, clock)[:: clock.stride]
-        columns = np.moveaxis(columns[:, :, [*range(own), *range(n, n + own)]], -1, 0).copy()
+        columns = np.moveaxis(free_response(m, system.readout, samples * clock.stride, clock)[:: clock.stride], -1, 0)
+        if own > m.stiffness.shape[1]:
+            # An effect that appends a coordinate is at its null here, where its initial state changes nothing.
+            padding = np.zeros((own - m.stiffness.shape[1], *columns.shape[1:]))
+            columns = np.concatenate([part for half in np.split(columns, 2) for part in (half, padding)])
+        columns = columns.copy()
         if exact and start is not None:
             before = nonlinear_response(system, group, [start])[0]
-            omega = np.sqrt(np.diagonal(m.stiffness[0]))
-            sensitivity = np.max(np.abs(m.position_sense[0]) + omega * np.abs(m.velocity_sense[0]), axis=0)
-            motion = (1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / sensitivity)[:own]
-            for i, step in enumerate(np.concatenate([motion, motion * omega[:own]])):
+            n, omega = m.stiffness.shape[1], np.sqrt(np.diagonal(m.stiffness[0]))
+            position, velocity = np.abs(m.reads[0])[:, :n], np.abs(m.reads[0])[:, n:]
+            motion = (
+                1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / np.max(position + omega * velocity, axis=0)
+            )
+            for i, step in zip([*range(n), *range(own, own + n)], [*motion, *(motion * omega)]):
                 moved = start.copy()
                 moved[i] += step
                 columns[i] += (nonlinear_response(system, group, [moved])[0] - before) / step

@@ -235,7 +235,7 @@ def _modal_values(plant: ModalPlant, poles: ComplexArray, residues: ComplexArray
     for k, p in enumerate(poles):
         values[f"f{k + 1}_hz"] = abs(p) / (2.0 * np.pi)
         values[f"zeta{k + 1}"] = float(np.clip(-p.real / abs(p), 1e-6, 0.9))
-        gain = (residues[k] * 2j * p.imag / (1.0 if plant.displacement else p)).real
+        gain = (residues[k] * 2j * p.imag / p**plant.derivative).real
         for a in range(plant.senses):
             for b in range(plant.drives):
                 values[f"gain{k + 1}_s{a + 1}d{b + 1}"] = float(gain[a, b])

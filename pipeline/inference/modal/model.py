@@ -187,7 +187,7 @@ def _chosen(record: ModalRecord, modes: tuple[int, ...]) -> ModalRecord:
 
 
 def _modal_start(plant: ModalPlant, record: ModalRecord) -> dict[str, float]:
-    """Frequencies, damping ratios and real gains B from c = i G B (velocity) or G B / w (displacement), filter response G."""
+    """Frequencies, damping ratios and real gains B from c = i (i w)^(m - 1) G B, filter response G, m of the plant."""
     if record.frequency_hz.size < plant.modes:
         raise MeasurementError(
             "the plant has more modes than the record",
@@ -200,7 +200,7 @@ def _modal_start(plant: ModalPlant, record: ModalRecord) -> dict[str, float]:
     for k, m in enumerate(sorted(_strongest_first(record, plant.modes)[0]), 1):
         omega = abs(modes.poles[m])
         filtered = filter_response(record.antialias, np.array([1.0j * omega]))[0]
-        gain = (modes.c[m] / filtered * (omega if plant.displacement else -1.0j)).real
+        gain = (modes.c[m] / filtered * (1.0j * omega) ** (1 - plant.derivative) * -1.0j).real
         values[f"f{k}_hz"] = float(omega / (2.0 * np.pi))
         values[f"zeta{k}"] = float(-modes.poles[m].real / omega)
         for a in range(gain.shape[0]):

@@ -1,13 +1,15 @@
 """The scan for an additional mode over a grid of frequency and damping ratio, which do not exist at its null.
 
-    H(s) = s / (s^2 + 2 zeta w s + w^2)            (w / (..) if the pick-off senses displacement)
+    H(s) = w^(1 - m) s^m / (s^2 + 2 zeta w s + w^2)         pick-offs of displacement, velocity, acceleration: m = 0, 1, 2
     Z_{r,d} = sum_w gain[r, d, w] G H b_w,   delta_chi2 = s^T (Z~^T Z~)^-1 s,   s = Z~^T r~        free for every drive and sense
 
-G is the anti-alias filter and b_w the spectrum of waveform w; the baseline is projected out of Z and r.  A grid point has
-S D degrees of freedom.  Only the bins around the mode are used, so that a narrow mode can have a fine grid.
+G is the anti-alias filter and b_w the spectrum of waveform w; the baseline is projected out of Z and r.  A record that does not
+start at rest has two more columns, the decay of the mode from any state.  A grid point has S (D + 2 R') degrees of freedom, R'
+such records.  Only the bins around the mode are used, so that a narrow mode can have a fine grid.
 Complex bins are held as pairs of real numbers, so that the real part of z^* x is a product of real matrices.
 
-Shapes: R records, N samples, F bins, S senses, D drives, W waveforms, P poles, K grid points, p columns of the baseline.
+Shapes: R records, N samples, F bins, S senses, D drives, W waveforms, P poles, K grid points, Q = D + 2 R',
+p columns of the baseline.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from scipy.fft import fft
 from ...arrays import ComplexArray, FloatArray, real_parts
 from ...criticism.problem import FitResult, LocalCandidate
 from ...criticism.scores import Baseline, baseline
+from ...device.plant import SENSES, Sense
 from ...device.readout import plain_readout
 from ...experiment.antialias import filter_poles
 from ...experiment.forward.drive_groups import DriveGroup, drive_groups_of
@@ -29,7 +32,7 @@ from ...experiment.forward.modal_bank import hold_gains
 from ...experiment.instrument import Instrument
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
-from ...inference.general.starts import driven_band
+from ...inference.general.starts import excited_band
 from ...inference.general.whitening import colour_of
 from .rows import USABLE
 
@@ -43,20 +46,28 @@ _TOGETHER = 4
 
 @dataclass(frozen=True, eq=False)
 class ScanPoint:
-    """A mode of the grid: frequency, damping ratio, first bin, and response (W, bins) to each waveform, scaled as the rows."""
+    """A mode of the grid: frequency, damping ratio, first bin, response (W, bins) to each waveform, and decay (2, bins).
+
+    Both are scaled as the rows.  The decay starts from a unit of each of two states; (0, bins) if no record needs it.
+    """
 
     f_hz: float
     zeta: float
     first: int
     response: ComplexArray
+    decay: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """The grid for one drive group: places of its records, gains (R, D, W) of the waveforms, grid points."""
+    """The grid for one drive group: places of its records, gains (R, D, W) of the waveforms, records in motion, grid points.
+
+    ``moving`` are the indices, in the group, of the records that do not start at rest.
+    """
 
     places: tuple[int, ...]
     gains: FloatArray
+    moving: tuple[int, ...]
     points: tuple[ScanPoint, ...]
 
     @property
@@ -66,7 +77,7 @@ class Scan:
 
 
 def mode_scans(
-    campaign: Campaign, bins: Sequence[int], low_hz: float, top_hz: float, displacement: bool, noise: NoiseLevel
+    campaign: Campaign, bins: Sequence[int], low_hz: float, top_hz: float, sense: Sense, noise: NoiseLevel
 ) -> tuple[Scan, ...]:
     """The scan of each drive group of the fit records.
 
@@ -76,18 +87,20 @@ def mode_scans(
     bins : number F of bins above zero of each fit record.
     low_hz, top_hz : lowest and highest frequency of a mode [Hz]; nearer to Nyquist than ``USABLE`` of it, a mode cannot be
         distinguished from its alias.
-    displacement : whether the pick-off senses displacement rather than velocity.
+    sense : what the pick-offs sense.
     noise : its colour, averaged over the channels, weights the bins.
     """
     records = campaign.with_role("fit")
     groups = drive_groups_of(records, campaign.instrument, campaign.angular_gain)
     top_hz = min(top_hz, USABLE * 0.5 * records[0].sample_rate_hz)
-    driven_hz = driven_band([record for record in records if np.any(record.drive_v)])
+    driven_hz = excited_band(records)
     wide, narrow = _ZETAS
     grid = [*_grid(wide, low_hz, top_hz), *_grid(narrow, max(low_hz, driven_hz[0]), min(driven_hz[1], top_hz))]
+    m, instrument = SENSES.index(sense), campaign.instrument
+    moving = [tuple(k for k, i in enumerate(places) if not records[i].at_rest) for places, _ in groups]
     return tuple(
-        _scan(places, group, campaign.instrument, bins[places[0]], grid, displacement, noise)
-        for places, group in groups
+        _scan(places, own, group, instrument, bins[places[0]], grid, m, noise)
+        for (places, group), own in zip(groups, moving)
     )
 
 
@@ -99,27 +112,34 @@ def _grid(zeta: float, low_hz: float, high_hz: float) -> list[tuple[float, float
 
 def _scan(
     places: tuple[int, ...],
+    moving: tuple[int, ...],
     group: DriveGroup,
     instrument: Instrument,
     bins: int,
     grid: Sequence[tuple[float, float]],
-    displacement: bool,
+    m: int,
     noise: NoiseLevel,
 ) -> Scan:
-    """The response of every mode of ``grid`` in the first ``bins`` bins above zero of a drive group."""
+    """The response of every mode of ``grid`` in the first ``bins`` bins above zero of a drive group.
+
+    ``m`` is the derivative of the motion that the pick-offs sense.
+    """
     samples = group.drives[0].shape[0]
     omega = 2.0 * np.pi * np.arange(1, bins + 1) * group.sample_rate_hz / samples
     transfer = np.ones(bins, dtype=np.complex128)
     if instrument.antialias is not None:
         transfer = plain_readout(*filter_poles(instrument.antialias), 1, 1).response(1j * omega)[:, 0, 0]
-    transfer = transfer * np.sqrt(2.0 / samples)
     colour = colour_of(noise, samples, group.sample_rate_hz)
-    if colour is not None:
-        transfer = transfer * colour[1 : bins + 1].mean(axis=1)
+    scale = (
+        np.full(bins, np.sqrt(2.0 / samples))
+        if colour is None
+        else np.sqrt(2.0 / samples) * colour[1 : bins + 1].mean(axis=1)
+    )
+    transfer = transfer * scale
     points: list[ScanPoint] = []
     w, zeta = 2.0 * np.pi * np.array([f for f, _ in grid]), np.array([z for _, z in grid])
     poles = w * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
-    residues = (w if displacement else poles) / (2j * poles.imag)
+    residues = w ** (1 - m) * poles**m / (2j * poles.imag)
     z, now, following = hold_gains(poles, group.clock.step_s, group.clock.hold)
     # The samples are every ``stride``-th step of the clock, so their spectrum is the mean of its aliases.
     aliases = np.arange(group.clock.stride)[:, None] * samples + np.arange(1, bins + 1)
@@ -135,12 +155,29 @@ def _scan(
             v0 = group.waveforms[k][0]
             out = responses[: z[of].size, k]
             _respond(z[of], now[of], following[of], end[of], residues[of], phasor, drive, v0, transfer, out)
+            if m == 2:
+                # s^2 / (..) = 1 - (..): the part of an acceleration that follows the drive at once.
+                out += np.multiply.outer(1.0 / w[of], drive.mean(axis=0) * transfer)
         for (f, damping), response in zip(grid[of], responses):
             size = np.max(np.abs(response), axis=0, initial=0.0)
-            strong = np.flatnonzero(size > _KEPT * size.max())
+            # The response of a displacement below the mode, and of an acceleration above it, does not fall off.
+            strong = np.flatnonzero(size > (_KEPT if m == 1 else 0.0) * size.max())
             begin, end_bin = (int(strong[0]), int(strong[-1]) + 1) if strong.size else (0, 1)
-            points.append(ScanPoint(f, damping, begin, np.ascontiguousarray(response[:, begin:end_bin])))
-    return Scan(places, group.gains, tuple(points))
+            kept = slice(begin, end_bin)
+            decay = (
+                _decay(f, damping, samples, group.sample_rate_hz, kept) if moving else np.zeros((0, end_bin - begin))
+            )
+            points.append(ScanPoint(f, damping, begin, response[:, kept].copy(), decay * scale[kept]))
+    return Scan(places, group.gains, moving, tuple(points))
+
+
+def _decay(f_hz: float, zeta: float, samples: int, rate_hz: float, bins: slice) -> ComplexArray:
+    """Spectra (2, bins) of Re z^n and Im z^n, z = exp(p / f_s), at the bins above zero; scaled to the energy of one sample."""
+    w = 2.0 * np.pi * f_hz
+    z = np.exp(w * complex(-zeta, np.sqrt(1.0 - zeta**2)) / rate_hz)
+    back = np.exp(-2j * np.pi * np.arange(bins.start + 1, bins.stop + 1) / samples)
+    forward, mirrored = ((1.0 - v**samples) / (1.0 - v * back) for v in (z, np.conj(z)))
+    return np.stack([0.5 * (forward + mirrored), -0.5j * (forward - mirrored)])
 
 
 _FAST = {"contract", "reassoc", "nsz"}
@@ -207,20 +244,28 @@ def mode_candidate(
     base = baseline(fit)
     stacked = [_by_bin(base, scan.places, senses) for scan in scans]
     drives, p = scans[0].gains.shape[1], base.upper.shape[0]
+    first_decay = np.cumsum([drives, *(2 * len(scan.moving) for scan in scans)])
+    columns = int(first_decay[-1])
     points = scans[0].points
 
     def scored(first: int) -> tuple[FloatArray, FloatArray]:
         """Decrease of chi2 and noise level (K,) of the grid points scored together."""
         together = slice(first, first + _TOGETHER)
         size = len(points[together])
-        score, overlap = np.zeros((size, drives, senses)), np.zeros((size, drives, senses, p))
-        gram, level, weight = np.zeros((size, drives, drives)), np.zeros((size, senses)), np.zeros((size, 1))
-        for scan, (residual, basis, gamma) in zip(scans, stacked):
-            begin, response = _side_by_side(scan.points[together])
+        score, overlap = np.zeros((size, columns, senses)), np.zeros((size, columns, senses, p))
+        gram, level, weight = np.zeros((size, columns, columns)), np.zeros((size, senses)), np.zeros((size, 1))
+        for scan, decays, (residual, basis, gamma) in zip(scans, first_decay, stacked):
+            begin, response, decay = _side_by_side(scan.points[together])
             part = slice(begin, begin + response.shape[1])
             mixed = (response @ scan.mixing).reshape(size, response.shape[1], drives, -1)
-            z = np.ascontiguousarray(np.moveaxis(mixed, 2, 1)).view(np.float64).reshape(size, drives, -1)
-            flat, energy = z.reshape(size * drives, -1), np.sum(z**2, axis=1)
+            if columns > drives:
+                free = np.zeros((*mixed.shape[:2], columns, mixed.shape[3]), dtype=np.complex128)
+                free[:, :, :drives] = mixed
+                for k, record in enumerate(scan.moving):
+                    free[:, :, decays + 2 * k : decays + 2 * k + 2, record] = decay
+                mixed = free
+            z = np.ascontiguousarray(np.moveaxis(mixed, 2, 1)).view(np.float64).reshape(size, columns, -1)
+            flat, energy = z.reshape(size * columns, -1), np.sum(z[:, :drives] ** 2, axis=1)
             score += (flat @ residual[part].reshape(-1, senses)).reshape(score.shape)
             overlap += (flat @ basis[part].reshape(flat.shape[1], -1)).reshape(overlap.shape)
             gram += z @ np.swapaxes(z, 1, 2)
@@ -234,29 +279,32 @@ def mode_candidate(
     return LocalCandidate(
         name,
         tuple(delta_chi2s),
-        (drives * senses,) * len(points),
+        (columns * senses,) * len(points),
         tuple({mode[0]: point.f_hz, mode[1]: point.zeta} for point in points),
         levels=tuple(levels),
     )
 
 
-def _side_by_side(points: Sequence[ScanPoint]) -> tuple[int, ComplexArray]:
-    """First bin and responses (K, F, W) of neighbouring grid points, in the bins of any of them."""
+def _side_by_side(points: Sequence[ScanPoint]) -> tuple[int, ComplexArray, ComplexArray]:
+    """First bin, responses (K, F, W) and decays (K, F, 2) of neighbouring grid points, in the bins of any of them."""
     first = min(point.first for point in points)
     last = max(point.first + point.response.shape[1] for point in points)
-    out = np.zeros((len(points), last - first, points[0].response.shape[0]), dtype=np.complex128)
-    for own, point in zip(out, points):
-        own[point.first - first : point.first - first + point.response.shape[1]] = point.response.T
-    return first, out
+    shape = (len(points), last - first)
+    out = np.zeros((*shape, points[0].response.shape[0]), dtype=np.complex128)
+    decays = np.zeros((*shape, points[0].decay.shape[0]), dtype=np.complex128)
+    for own, decay, point in zip(out, decays, points):
+        part = slice(point.first - first, point.first - first + point.response.shape[1])
+        own[part], decay[part] = point.response.T, point.decay.T
+    return first, out, decays
 
 
 def _delta_chi2(score: FloatArray, overlap: FloatArray, gram: FloatArray, sigma_v: FloatArray) -> FloatArray:
-    """s^T (Z~^T Z~)^-1 s over drives and senses (K,); the columns of sense k are in units of 1/sigma_k.
+    """s^T (Z~^T Z~)^-1 s over columns and senses (K,); the columns of sense k are in units of 1/sigma_k.
 
-    score (K, D, S), overlap (K, D, S, p) with the baseline, gram (K, D, D) before the projection.
+    score (K, Q, S), overlap (K, Q, S, p) with the baseline, gram (K, Q, Q) before the projection.
     """
-    count, drives, senses = score.shape
-    width = drives * senses
+    count, columns, senses = score.shape
+    width = columns * senses
     o = (overlap / sigma_v[:, None]).reshape(count, width, -1)
     full = np.einsum("kde,st->kdset", gram, np.diag(1.0 / sigma_v**2)).reshape(count, width, width)
     full = full - o @ np.swapaxes(o, 1, 2)

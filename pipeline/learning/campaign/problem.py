@@ -19,6 +19,7 @@ from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit, fit_with_columns
 from ...inference.general.residuals import CampaignResiduals
+from ...inference.general.scales import scaled_to, top_hz
 from ...inference.general.variation import RecordVariation
 from ...inference.screening.dependent_noise import DependentNoise
 from ..where.partition import (
@@ -30,7 +31,7 @@ from ..where.partition import (
 )
 from ..where.regions import misfit_regions, structure_regions
 from .modes import Scan, mode_candidate, mode_scans
-from .rows import TOP_HZ, FourierRows, fit_result, spectra_of, strata_of
+from .rows import FourierRows, fit_result, spectra_of, strata_of
 from .signatures import KnownSignatures, disturbance_candidate, known_signatures, probe_signatures
 
 
@@ -64,7 +65,7 @@ class CampaignProblem:
         self.noise = noise
         self.records = campaign.with_role("fit")
         first = self.records[0]
-        self.model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])
+        self.model = scaled_to(model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1]), campaign)
         self._fits: dict[frozenset[str], tuple[CampaignFit, FitResult]] = {}
         self._known: KnownSignatures | None = None
         self._offset: tuple[FloatArray, ...] = ()
@@ -73,9 +74,14 @@ class CampaignProblem:
         self._mode_starts: dict[tuple[str, frozenset[str]], tuple[float, ...]] = {}
 
     @cached_property
+    def top_hz(self) -> float:
+        """Upper end of the rows [Hz]."""
+        return top_hz(self.records)
+
+    @cached_property
     def spectra(self) -> tuple[FourierRows, ...]:
         """For each fit record its transform (N, S) -> (2 F, S)."""
-        return tuple(spectra_of(record) for record in self.records)
+        return tuple(spectra_of(record, self.top_hz) for record in self.records)
 
     @cached_property
     def strata(self) -> tuple[IntArray, ...]:
@@ -97,9 +103,8 @@ class CampaignProblem:
     def scans(self) -> tuple[Scan, ...]:
         """The scan for an additional mode, one per drive group."""
         bins = [spectra.bins.size for spectra in self.spectra]
-        effects, shape = [self.model.library[name] for name in self._modes], self.model.built.shape
-        low_hz = min(m.low for e in effects for m in e.members(shape) if e.mode and e.full_name(m) == e.mode[0])
-        return mode_scans(self.campaign, bins, low_hz, TOP_HZ, self.model.plant.sense == "displacement", self.noise)
+        low_hz = self.model.built.shape.scale.modes_hz[0]
+        return mode_scans(self.campaign, bins, low_hz, self.top_hz, self.model.plant.sense, self.noise)
 
     def campaign_fit(self, terms: Sequence[str]) -> CampaignFit:
         """The fit with these terms, which ``fit`` made before."""
@@ -144,7 +149,8 @@ class CampaignProblem:
                 known = known_signatures(residuals, fitted, names, self.records, self.spectra, self.strata, pool)
                 self._known = known
         candidates = tuple(c for c in known.candidates if c.name in names)
-        local = [*(job.result() for job in disturbances), *(mode for job in scanned for mode in job.result())]
+        found = [job.result() for job in disturbances]
+        local = [*(one for one in found if one is not None), *(mode for job in scanned for mode in job.result())]
         return Signatures(candidates, known.blocks, tuple(local), known.grams)
 
     def _mode(self, name: str, fit: FitResult) -> tuple[LocalCandidate, ...]:

@@ -1,6 +1,7 @@
 """A fitted campaign as a ``FitResult`` of criticism: whitened Fourier coefficients of its residuals and Jacobian.
 
-A record becomes, channel by channel, the coefficients sqrt(2/N) (Re, Im) Y(w)/sigma of its bins above zero up to ``TOP_HZ``.
+A record becomes, channel by channel, the coefficients sqrt(2/N) (Re, Im) Y(w)/sigma of its bins above zero up to the top
+of the rows (``inference.general.scales.top_hz``).
 This is a unitary transform of that part of the data; the bin at zero is the free offset.
 
 Shapes: N samples, S senses, F bins, P free parameters; a block of residuals is (2 F, S), its rows in C order.
@@ -23,8 +24,6 @@ from ...inference.general.linear_step import Sensitivity
 from ...inference.general.record_fit import RecordFit
 from ...inference.general.resonances import resonances_of
 
-#: Upper end of the rows [Hz]: drives below 700 Hz excite hardly anything above it, for any effect of the library.
-TOP_HZ = 2500.0
 #: Two modes overlap if their frequencies differ by less than this many half-widths.
 APART = 3.0
 #: Usable share of the anti-alias corner, of Nyquist and of full scale.
@@ -33,11 +32,12 @@ USABLE = 0.9
 
 @dataclass(frozen=True, eq=False)
 class FourierRows:
-    """The transform of one record of ``samples`` samples to rows: its ``bins`` (F,) and their frequencies (F,) [Hz]."""
+    """The transform of one record of ``samples`` samples to rows: its ``bins`` (F,), their frequencies (F,) and end [Hz]."""
 
     samples: int
     bins: IntArray
     frequency_hz: FloatArray
+    top_hz: float
 
     def __call__(self, y: FloatArray) -> FloatArray:
         """(.., N, S) -> (.., 2 F, S): unitary real Fourier coefficients."""
@@ -59,18 +59,18 @@ class FourierRows:
         return self(jacobian.T.reshape(k, self.samples, senses)).reshape(k, -1).T
 
 
-def spectra_of(record: Record) -> FourierRows:
-    """Bins above zero, up to ``TOP_HZ`` [Hz] and below Nyquist."""
+def spectra_of(record: Record, top_hz: float) -> FourierRows:
+    """Bins above zero, up to ``top_hz`` [Hz] and below Nyquist."""
     n, rate = record.drive_v.shape[0], record.sample_rate_hz
     bins = np.arange(1, (n - 1) // 2 + 1)
     frequency = bins * rate / n
-    kept = frequency <= TOP_HZ
-    return FourierRows(n, bins[kept], frequency[kept])
+    kept = frequency <= top_hz
+    return FourierRows(n, bins[kept], frequency[kept], top_hz)
 
 
 def strata_of(spectra: FourierRows, senses: int) -> IntArray:
-    """(2 F S,) noise stratum of each row: octave below ``TOP_HZ`` (the first holds all below a quarter of it) and channel."""
-    band = np.digitize(spectra.frequency_hz, (TOP_HZ / 4.0, TOP_HZ / 2.0))
+    """(2 F S,) noise stratum of each row: channel, and octave below the top of the rows (the first is all below a quarter)."""
+    band = np.digitize(spectra.frequency_hz, (spectra.top_hz / 4.0, spectra.top_hz / 2.0))
     both = np.concatenate([band, band])
     return np.asarray((both[:, None] * senses + np.arange(senses)).reshape(-1))
 
@@ -101,7 +101,8 @@ def fit_result(
     derived = {}
     if fitted.theta_deg is not None and fitted.split_hz is not None:
         derived = {"theta_deg": fitted.theta_deg, "split_hz": fitted.split_hz}
-    blocks = tuple(_block(record, fitted, campaign) for record in campaign.with_role("fit"))
+    top_hz = spectra[0].top_hz
+    blocks = tuple(_block(record, fitted, campaign, top_hz) for record in campaign.with_role("fit"))
     jacobians = _jacobians(fitted, sensitivities, spectra, free)
     ok = fitted.converged and bool(np.isfinite(fitted.chi2))
     why = "" if ok else f"it stopped before it converged, at {100 * (fitted.relative_error['fit'] or 0):.3g} % error"
@@ -114,7 +115,7 @@ def fit_result(
         blocks,
         jacobians,
         derived=derived,
-        held=tuple(_block(record, fitted, campaign) for record in campaign.with_role("validate")),
+        held=tuple(_block(record, fitted, campaign, top_hz) for record in campaign.with_role("validate")),
         columns=columns,
         shifts={term: tuple(_shift(fitted, names[i]) for i in columns[term]) for term in terms},
         strata=strata,
@@ -176,12 +177,12 @@ def _block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
     return out
 
 
-def _block(record: Record, fitted: CampaignFit, campaign: Campaign) -> ResidualBlock:
+def _block(record: Record, fitted: CampaignFit, campaign: Campaign, top_hz: float) -> ResidualBlock:
     mine = next(r for r in fitted.records if r.name == record.name)
     repeats = [r.name for r in campaign.records if r.role == record.role and _same_drive(r, record)]
     return ResidualBlock(
         record.name,
-        spectra_of(record)(mine.residual),
+        spectra_of(record, top_hz)(mine.residual),
         _labels(record, campaign),
         repeat=repeats[0] if len(repeats) > 1 else None,
         nuisances=_free_amplitudes(mine),
@@ -238,9 +239,12 @@ def _at_limit(fitted: CampaignFit, name: str) -> bool:
 
 
 def _overlaps_resonance(fitted: CampaignFit, term: str) -> bool:
-    """Whether a term adds a mode in the resonance of a plant mode: it then only corrects that mode's residue."""
-    mode = fitted.model.effect(term).mode
+    """Whether a term adds a mode in the resonance of another mode: it then only corrects that mode's residue."""
+    model, values = fitted.model, fitted.values
+    mode = model.effect(term).mode
     if mode is None:
         return False
-    f, zeta = (fitted.values[name] for name in mode)
-    return any(abs(f - other) < APART * (zeta * f + width) for other, width in resonances_of(fitted.values))
+    f, zeta = (values[name] for name in mode)
+    added = [effect.mode for effect in model.ordered_effects() if effect.mode not in (None, mode)]
+    others = [(values[other[0]], values[other[1]] * values[other[0]]) for other in added if other is not None]
+    return any(abs(f - g) < APART * (zeta * f + width) for g, width in (*resonances_of(values), *others))

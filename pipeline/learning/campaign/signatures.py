@@ -209,8 +209,11 @@ def _candidate(
     return Candidate(effect.name, tuple(parameters), cells, grid)
 
 
-def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: str) -> LocalCandidate:
-    """The disturbance ``name``, its amplitudes free in every fit record and channel: delta_chi2 by grid point."""
+def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: str) -> LocalCandidate | None:
+    """The disturbance ``name``, its amplitudes free in every fit record and channel: delta_chi2 by grid point.
+
+    ``None`` where all of it lies above Nyquist.
+    """
     residuals = {r.name: r.residual for r in fitted.records}
     shapes = free_shapes(
         fitted.model.library[name],
@@ -218,6 +221,9 @@ def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: 
         [residuals[record.name] for record in records],
         [record.sample_rate_hz for record in records],
     )
+    shapes = tuple(shape for shape in shapes if shape.dof > 0)
+    if not shapes:
+        return None
     return LocalCandidate(
         name,
         tuple(shape.delta_chi2 for shape in shapes),

@@ -23,7 +23,8 @@ from ...device.model import Model
 from ...experiment.excitation import Chirp, Excitation, Multisine, drive_samples
 from ...experiment.instrument import Adc
 from ...experiment.record import Campaign, Record
-from ..campaign.rows import TOP_HZ, USABLE
+from ...inference.general.scales import top_hz
+from ..campaign.rows import USABLE
 
 #: Share of the level, and of the bias, at the experiment with less of it.
 _LESS = 0.5
@@ -137,7 +138,7 @@ def _top(campaign: Campaign) -> float:
     """Highest usable drive frequency [Hz]."""
     filter_ = campaign.instrument.antialias
     corner = campaign.instrument.sample_rate_hz / 2.0 if filter_ is None else filter_.corner_hz
-    return min(USABLE * min(corner, campaign.instrument.sample_rate_hz / 2.0), TOP_HZ)
+    return min(USABLE * min(corner, campaign.instrument.sample_rate_hz / 2.0), top_hz(campaign.with_role("fit")))
 
 
 def _band(driven: Sequence[Record]) -> tuple[float, float]:

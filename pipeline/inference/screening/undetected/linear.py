@@ -189,7 +189,7 @@ def linear_devices(
     x, expansion = fit.x, fit.likelihood.expansion
     mechanics, context = device_mechanics(x, instrument.bias_v)
     every = [mechanics, *others(mechanics, context)]
-    damping, gyroscopic, stiffness, drive, velocity, position = (
+    damping, gyroscopic, stiffness, drive, velocity, position, _ = (
         np.concatenate([getattr(one, field.name) for one in every]) for field in fields(Mechanics)
     )
     unit = np.broadcast_to(np.eye(3), (len(every), 3, 3))
