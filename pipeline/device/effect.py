@@ -40,7 +40,17 @@ from .mechanics import Mechanics
 from .parameters import Parameter, Shape
 from .readout import Readout
 
-__all__ = ["Context", "Effect", "Laws", "LookAlike", "SizeRange", "find_effects", "load_effect", "numbered"]
+__all__ = [
+    "Context",
+    "Effect",
+    "Laws",
+    "LookAlike",
+    "SizeRange",
+    "find_effects",
+    "load_effect",
+    "numbered",
+]
+
 
 _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbance")
 

@@ -16,16 +16,13 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
-from .effect import Effect, find_effects, numbered
+from .effect import Effect, find_effects
 from .model_toml import ModelFields, model_toml, read_model
 from .parameters import Parameter, read_prior
 from .plant import C12, Plant, PlantSpec
-from .scale import Scale
+from .several_modes import with_more_modes
 
 __all__ = ["DEFAULT_COMPARE_MODEL", "SCREENING_MODEL", "Model", "PlantSpec", "load_model", "mains_effects"]
-
-#: Most modes that one effect may add to a model: a ladder has at most as many rungs (``criticism.fit_tests.Rules``).
-MOST_MODES = 6
 
 
 @dataclass(frozen=True)
@@ -68,11 +65,8 @@ class Model:
 
     @cached_property
     def library(self) -> dict[str, Effect]:
-        """All available effects by name: those of the package and of ``effect_folders``; modes may be added several times."""
-        found = find_effects(tuple(Path(folder) for folder in self.effect_folders))
-        modes = [effect for effect in found.values() if effect.mode is not None]
-        more = {one.name: one for e in modes for one in (numbered(e, k) for k in range(2, MOST_MODES + 1))}
-        return dict(sorted({**more, **found}.items()))
+        """All available effects by name: those of the package and of ``effect_folders``; modes, several times."""
+        return with_more_modes(find_effects(tuple(Path(folder) for folder in self.effect_folders)))
 
     @cached_property
     def built(self) -> Plant:
@@ -100,8 +94,8 @@ class Model:
     def candidates(self) -> tuple[str, ...]:
         """Names of the effects that the plant's records can show and that are not in the model; of several modes, the next."""
         kinds, shape = self.built.kinds, self.built.shape
-        absent = [e for e in self.library.values() if kinds & set(e.plants) and e.shows(shape)]
-        absent = [e for e in absent if e.name not in self.effects]
+        apply = [e for e in self.library.values() if kinds & set(e.plants) and e.shows(shape)]
+        absent = [e for e in apply if e.name not in self.effects]
         next_mode = {e.origin: e.number for e in sorted(absent, key=lambda e: -e.number) if e.mode is not None}
         return tuple(e.name for e in absent if e.number == next_mode.get(e.origin, e.number))
 
@@ -111,9 +105,9 @@ class Model:
 
     def parameters(self) -> tuple[tuple[str, Parameter], ...]:
         """All parameters as (name, Parameter): those of the plant, c12_per_s, then effect by effect."""
-        found = [(parameter.name, parameter) for parameter in self.built.parameters]
+        found, shape = [(parameter.name, parameter) for parameter in self.built.parameters], self.built.shape
         for effect in self.ordered_effects():
-            found += [(effect.full_name(member), member) for member in effect.members(self.built.shape)]
+            found += [(effect.full_name(member), member) for member in effect.members(shape)]
         # c12 belongs to the smooth coordinates of the plant, so it must come directly after the plant's parameters.
         return tuple(sorted(found, key=lambda item: (len(item[0].split(".")), item[0] == C12)))
 
@@ -154,11 +148,8 @@ class Model:
 
     def allowed(self, values: Mapping[str, float]) -> bool:
         """Whether all of ``values`` (from :meth:`complete`) lie within their bounds."""
-        for name, value in values.items():
-            low, high = self.bounds(name)
-            if not low <= value <= high:
-                return False
-        return True
+        limits = ((value, *self.bounds(name)) for name, value in values.items())
+        return all(low <= value <= high for value, low, high in limits)
 
     def bounds(self, name: str) -> tuple[float, float]:
         """(low, high) of a parameter [its declared unit]: its range, narrowed by a uniform prior in the model."""
@@ -217,10 +208,6 @@ class Model:
         if (self.plant.senses, self.plant.drives) == (senses, drives):
             return self
         return replace(self, plant=replace(self.plant, senses=senses, drives=drives))
-
-    def at_scale(self, scale: Scale) -> Model:
-        """This model with the ranges of its effects relative to ``scale``."""
-        return self if self.plant.scale == scale else replace(self, plant=replace(self.plant, scale=scale))
 
     @cached_property
     def _plant_names(self) -> tuple[str, ...]:

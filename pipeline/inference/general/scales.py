@@ -13,6 +13,7 @@ is at least as high as the frequency resolution.  Rows end at the octave of Nyqu
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.fft import rfft
@@ -40,7 +41,8 @@ def scaled_to(model: Model, campaign: Campaign) -> Model:
     if model.plant.scale is not None:
         return model
     sense = "velocity" if model.plant.kind == "gyro" else model.plant.sense
-    return model.at_scale(scale_of(campaign.with_role("fit"), campaign.instrument, SENSES.index(sense)))
+    scale = scale_of(campaign.with_role("fit"), campaign.instrument, SENSES.index(sense))
+    return replace(model, plant=replace(model.plant, scale=scale))
 
 
 def scale_of(records: Sequence[Record], instrument: Instrument, derivative: int) -> Scale:

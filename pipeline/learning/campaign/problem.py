@@ -30,7 +30,8 @@ from ..where.partition import (
     residual_spectra,
 )
 from ..where.regions import misfit_regions, structure_regions
-from .modes import Scan, mode_candidate, mode_scans
+from .mode_grid import Scan, mode_scans
+from .modes import mode_candidate
 from .rows import FourierRows, fit_result, spectra_of, strata_of
 from .signatures import KnownSignatures, disturbance_candidate, known_signatures, probe_signatures
 
