@@ -310,6 +310,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     Parameters
     ----------
     refused : effect -> why it was not added although its score was significant.
+    not_refitted : those of them that were never refitted, because their score expects too little of the misfit.
     noise_louder : as in ``DiagnosisAnswer``, for the last model.
     regions, regions_by_kind : where the first model failed, with what the last one leaves there.
     relative_error, where, candidates_left, invisible, declared : of a modal record.
@@ -325,6 +326,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     p_left: float
     left: str
     why: str
+    not_refitted: tuple[str, ...] = ()
     noise_louder: float | UnsetType = UNSET
     hints: tuple[str, ...] | UnsetType = UNSET
     separating_record: str | UnsetType | None = UNSET

@@ -48,6 +48,9 @@ def refinement_answer(ladder: Ladder) -> RefinementAnswer:
         p_left=ladder.p_left,
         left=ladder.left,
         why=ladder.why,
+        not_refitted=tuple(
+            name for name in ladder.refused if not any(name in terms for terms in ladder.selection.fits)
+        ),
     )
     if not ladder.rungs:
         return answer

@@ -71,6 +71,8 @@ def measured(value: float, sd: float) -> str:
         return _DASH
     if not (math.isfinite(sd) and sd > 0.0):
         return f"{number(value, 6)} ± ?"
+    if max(abs(value), sd) >= 1e6:
+        return estimate((value, sd))
     decimals = _decimals(sd)
     return f"{_fixed(value, sd, decimals)} ± {_fixed(sd, sd, decimals)}"
 

@@ -17,6 +17,7 @@ from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Measure
 from ..html.rendering import environment, estimate, stylesheet
 from ..words import campaign as words
 from ..words import quantities
+from ..words.support import support_words
 from .content import LearningContent, learning_content
 from .figures.ladder import four_thetas_plot, ladder_plot, residue_plot
 from .figures.records import record_figures
@@ -57,6 +58,7 @@ def render_learning_page(
     """
     content = learning_content(name, comparison, diagnosis, refinement, library)
     fitted = {row.name: value[0] for row in content.parameters if (value := row.after or row.before) is not None}
+    refused = [name for name in refinement.refused if name not in refinement.not_refitted] if refinement else []
     last = refinement.where or () if refinement else ()
     env = environment()
     # Included templates see the context of the page, but their macros see globals only.
@@ -64,7 +66,7 @@ def render_learning_page(
     env.globals.update(_WORDS, size=lambda key, value: _size(key, value, library))
     return env.get_template("learning.html.j2").render(
         c=content,
-        ladder_figure=ladder_plot(content.ladder, list(refinement.refused) if refinement else ()),
+        ladder_figure=ladder_plot(content.ladder, refused),
         residues=residue_plot(comparison.where, last),
         four_thetas=four_thetas_plot(content.ladder),
         records=record_figures(
@@ -100,6 +102,7 @@ def _chi2_width(delta_chi2: float, largest: float) -> float:
 
 _WORDS: Mapping[str, Any] = {
     "bad_words": words.BAD_WORDS,
+    "support": support_words,
     "change_sentence": words.change_sentence,
     "chi2_width": _chi2_width,
     "effect": words.effect_words,

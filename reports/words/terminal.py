@@ -18,7 +18,9 @@ from pipeline.learning.answers import (
 )
 
 from .campaign import UNCONVERGED, failure_sentence, missing_sentence, noise_sentence, notes, record_sentences
+from .numbers import number, with_sd
 from .quantities import place_words
+from .support import support_words
 
 #: Lines of a list that are printed.
 _MOST = 8
@@ -40,11 +42,11 @@ def compare_lines(answer: ComparisonAnswer) -> list[str]:
     error, relative = answer.error, answer.relative_error
     if answer.dof is not UNSET:
         lines = [
-            f"relative error {_percent(relative['fit'])} of the residues at resonance, error {_number(error['fit'])}"
+            f"relative error {_percent(relative['fit'])} of the residues at resonance, error {number(error['fit'])}"
         ]
     else:
         lines = [
-            f"error {_number(error['fit'])} on the fitted records, {_number(error['validate'])} on the held-out records"
+            f"error {number(error['fit'])} on the fitted records, {number(error['validate'])} on the held-out records"
             " (1 is the noise level)",
             f"relative error {_percent(relative['fit'])} on the fitted records, {_percent(relative['validate'])} on the"
             " held-out records",
@@ -62,7 +64,7 @@ def compare_lines(answer: ComparisonAnswer) -> list[str]:
         lines.append("most of it in")
     lines += [_place(place) for place in sorted(places, key=lambda place: -place.share)[:_MOST]]
     if answer.four_thetas_deg:
-        thetas = ", ".join(f"{_number(value)} +- {_sd(sd)}" for value, sd in answer.four_thetas_deg.values())
+        thetas = ", ".join(with_sd(value, sd) for value, sd in answer.four_thetas_deg.values())
         lines.append(f"four thetas (u1, v1, u2, v2) {thetas} deg, spread {answer.theta_spread_deg:.2f} deg")
     return lines
 
@@ -94,10 +96,13 @@ def refine_lines(answer: RefinementAnswer) -> list[str]:
         lines = _volts_ladder(rungs)
     else:
         lines = _error_ladder(rungs)
+    lines += [
+        f"{_name(rung)} is partial: {support_words(rung)}" for rung in rungs if rung.status == "partial" and not modal
+    ]
     lines.append(_verdict(answer, any(rung.error_fit is not None for rung in rungs)))
     lines += notes(answer)
     if answer.theta_before_deg and answer.theta_deg:
-        ends = [f"{theta:.4f} +- {_sd(sd)} deg" for theta, sd in (answer.theta_before_deg, answer.theta_deg)]
+        ends = [f"{with_sd(theta, sd)} deg" for theta, sd in (answer.theta_before_deg, answer.theta_deg)]
         lines.append(f"theta {ends[0]} before, {ends[1]} after")
     verdicts = [rung.verdict for rung in rungs if rung.verdict]
     if verdicts:
@@ -105,7 +110,7 @@ def refine_lines(answer: RefinementAnswer) -> list[str]:
     if answer.noise and answer.noise.from_ != "silent":
         lines.append(noise_sentence(answer.noise))
     if modal and answer.parameters:
-        lines += [f"  {name:32s} {value:.6g} +- {_sd(sd)}" for name, (value, sd) in answer.parameters.items()]
+        lines += [f"  {name:32s} {with_sd(value, sd)}" for name, (value, sd) in answer.parameters.items()]
     return lines
 
 
@@ -115,7 +120,7 @@ def _error_ladder(rungs: Sequence[RungAnswer]) -> list[str]:
     lines = ["rung                      status      error fitted  held-out   misfit"]
     for rung in rungs:
         decades = math.log10(max(rung.misfit_fit or 0.0, _NO_BAR) / _NO_BAR) / math.log10(largest / _NO_BAR)
-        errors = f"{_number(rung.error_fit):>12s}  {_number(rung.error_validate):>8s}"
+        errors = f"{number(rung.error_fit):>12s}  {number(rung.error_validate):>8s}"
         lines.append(f"{_name(rung):24s}  {rung.status or '':10s}  {errors}   {'#' * round(_BAR * decades)}")
     return lines
 
@@ -127,7 +132,7 @@ def _volts_ladder(rungs: Sequence[RungAnswer]) -> list[str]:
     lines = ["rung                      status      relative error   rms residual of each record"]
     for rung in rungs:
         volts = ", ".join(f"{name} {1e3 * rms:.3g} mV" for name, rms in (rung.error_v or {}).items())
-        lines.append(f"{_name(rung):24s}  {rung.status or '':10s}  {_number(rung.relative_error):>14s}   {volts}")
+        lines.append(f"{_name(rung):24s}  {rung.status or '':10s}  {number(rung.relative_error):>14s}   {volts}")
     return lines
 
 
@@ -135,7 +140,7 @@ def _modal_ladder(rungs: Sequence[RungAnswer]) -> list[str]:
     """One rung per line for a modal record."""
     lines = ["rung                      status     rel. error   p of all   theta, deg          spread of four thetas"]
     for rung in rungs:
-        theta = f"{rung.theta_deg[0]:.2f} +- {_sd(rung.theta_deg[1])}" if rung.theta_deg else ""
+        theta = with_sd(*rung.theta_deg) if rung.theta_deg else ""
         spread = f"{rung.theta_spread_deg:.2f} deg" if rung.four_thetas_deg else ""
         p = _p(rung.p_value) if rung.p_value is not UNSET else ""
         relative = _percent(rung.relative_error)
@@ -160,28 +165,24 @@ def _verdict(answer: DiagnosisAnswer | RefinementAnswer, noise_known: bool) -> s
 
 def _place(place: Place) -> str:
     share = f"  {100.0 * place.share:5.1f} % of the misfit:"
-    error = f"{_percent(place.relative_error)} of the mode" if place.relative_error else _number(place.error)
+    error = f"{_percent(place.relative_error)} of the mode" if place.relative_error else number(place.error)
     return f"{share} {place_words(place)}, error {error}"
 
 
 def _test(one: CandidateAnswer) -> str:
     if not one.F_dof:
-        return f"delta chi2 {_number(one.delta_chi2)}, p {_p(one.p_value)}"
+        return f"delta chi2 {number(one.delta_chi2)}, p {_p(one.p_value)}"
     parameters, left = one.F_dof
     statistic = f"chi2/{parameters}" if left is None else f"F({parameters}, {left})"
     return f"{statistic} = {one.F:6.2f}, p {_p(one.p_single or None)} alone, {_p(one.p_value)} among all"
 
 
 def _sizes(estimate: Values) -> str:
-    return ", ".join(f"{name} = {_number(value)} +- {_sd(sd)}" for name, (value, sd) in estimate.items())
+    return ", ".join(f"{name} = {with_sd(value, sd)}" for name, (value, sd) in estimate.items())
 
 
 def _name(rung: RungAnswer) -> str:
     return rung.effect or "(the given model)"
-
-
-def _number(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.4g}"
 
 
 def _percent(share: float | None) -> str:
@@ -190,7 +191,3 @@ def _percent(share: float | None) -> str:
 
 def _p(p_value: float | None) -> str:
     return "unknown" if p_value is None else f"{p_value:.2g}" if p_value >= 1e-99 else "< 1e-99"
-
-
-def _sd(sd: float | None) -> str:
-    return "?" if sd is None or not math.isfinite(sd) else f"{sd:.2g}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
 from reports.limits import DEFAULT_LIMITS, load_limits
 from reports.words.noise import noise_words
+from reports.words.numbers import rounded, sd_text, with_sd
 
 from ..config import load_config
 from .identify_tones import tone_columns, tone_text
@@ -115,21 +115,13 @@ def _modal_text(name: str, c: dict[str, Any]) -> list[str]:
     four = ", ".join(f"{c[f'theta_{k}_deg']:.2f}" for k in ("u1", "v1", "u2", "v2"))
     return [
         f"modal record {name}",
-        f"theta       {c['theta_deg']:.2f} +- {c['theta_deg_sd']:.2f} deg, least squares over all modes",
+        f"theta       {with_sd(c['theta_deg'], c['theta_deg_sd'])} deg, least squares over all modes",
         f"four thetas {four} deg (u1, v1, u2, v2)",
         f"split       {c['split_hz']:.4g} Hz",
         f"modes       {c['f1_hz']:.2f}, {c['f2_hz']:.2f}, {c['f3_hz']:.2f} Hz",
         f"imbalance   sense {c['sense_imbalance']:.4f}, drive {c['drive_imbalance']:.4f}",
         f"model error {100 * c['relative_error']:.1f} % of the residues at resonance",
     ]
-
-
-def rounded(value: float, sd: float | None) -> str:
-    """``value`` rounded to two significant digits of its sd."""
-    if sd is None or not sd > 0.0 or not math.isfinite(sd):
-        return f"{value:.6g}"
-    digits = 1 - math.floor(math.log10(sd))
-    return f"{value:.{max(digits, 0)}f}" if digits < 13 else f"{value:.6g}"
 
 
 def _text(result: Identification) -> list[str]:
@@ -142,11 +134,10 @@ def _text(result: Identification) -> list[str]:
     for name in shown:
         unit = "" if units.get(name, "1") == "1" else f" {units[name]}"
         sd, low, high = (columns.get(f"{name}_{end}") for end in ("sd", "q05", "q95"))
-        value = rounded(columns[name], sd)
         span = "" if low is None or high is None else f"   90 %: {rounded(low, sd)} to {rounded(high, sd)}"
         bound = columns.get(f"{name}_bias_bound")
-        bias = "" if bound is None else f"   undetected bias: at most {bound:.2g}"
-        lines.append(f"  {name:20s} {value} +- {sd:.2g}{unit}{span}{bias}")
+        bias = "" if bound is None else f"   undetected bias: at most {sd_text(bound)}"
+        lines.append(f"  {name:20s} {with_sd(columns[name], sd)}{unit}{span}{bias}")
     error = "unknown (no silent record and no repeats)" if columns.get("error") is None else f"{columns['error']:.4f}"
     if columns.get("relative_error") is not None:
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")

@@ -7,6 +7,7 @@ from typing import Any
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.experiment.tones import ToneCampaign
 from pipeline.inference.gate import Gate
+from reports.words.numbers import with_sd
 
 from ..learning import compare
 
@@ -37,7 +38,7 @@ def tone_text(columns: dict[str, Any]) -> list[str]:
     for name in columns:
         if f"{name}_sd" in columns:
             sd = columns[f"{name}_sd"]
-            lines.append(f"  {name:20s} {columns[name]:.8g} +- {'?' if sd is None else format(sd, '.2g')}")
+            lines.append(f"  {name:20s} {with_sd(columns[name], sd)}")
     if columns.get("relative_error") is not None:
         error = "unknown (the noise is not measured)" if columns.get("error") is None else f"{columns['error']:.4f}"
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")

@@ -14,10 +14,11 @@ from pipeline.experiment.record import Campaign
 from pipeline.inference.screening.stream import StreamSettings
 from pipeline.plain import plain
 from reports.limits import DEFAULT_LIMITS, load_limits
+from reports.words.numbers import with_sd
 
 from ..streaming.growing import record_blocks
 from ..streaming.stream import StreamStep, bench_of, follow
-from .identify import require_identified, rounded
+from .identify import require_identified
 
 _HEAD = "  time s   theta deg            split Hz                 P(conform)  verdict    lattice: theta, split"
 
@@ -127,8 +128,8 @@ def _line(step: StreamStep) -> str:
     s = step.snapshot
     c = s.estimate.columns
     if "theta_deg" in c:
-        theta = f"{rounded(c['theta_deg'], c['theta_deg_sd'])} +- {c['theta_deg_sd']:.2g}"
-        split = f"{rounded(c['split_hz'], c['split_hz_sd'])} +- {c['split_hz_sd']:.2g}"
+        theta = with_sd(c["theta_deg"], c["theta_deg_sd"])
+        split = with_sd(c["split_hz"], c["split_hz_sd"])
         judged = f"{theta:20s} {split:24s} {step.p_pass:10.4f}  {step.verdict:9s}"
     else:
         judged = f"{s.estimate.status}: {s.estimate.reason}"

@@ -298,3 +298,18 @@ def test_no_payload_reaches_the_page_as_markup(
         )
     assert added(*pages) == set()
     assert pages[0] != pages[1]
+
+
+def test_effects_that_were_never_refitted_are_not_shown_as_refused(comparison: Build, refinement: Build) -> None:
+    refused = {
+        "gain_drift": "its size is not significant",
+        "pickoff_pole": "its expected decrease is below 1 % of the misfit",
+    }
+    partial = {"status": "partial", "held_out_fall": 13.0, "held_out_sd": 10.0}
+    page = render("A17", comparison(), None, refinement(last=partial, refused=refused, not_refitted=("pickoff_pole",)))
+    read = Parsed(page)
+    assert read.tables["gain drift", "its size is not significant"] == []
+    text = " ".join(" ".join(read.words).split())
+    assert "not refitted, because too little of the misfit was expected of it: pick-off pole" in text
+    assert "held out: 1.3 sd, 2 would confirm it" in text
+    assert page.count(">refused<") == 1

@@ -1,0 +1,70 @@
+"""Numbers as people write them, in plain text: 1.0684e11 +- 5.5e8, 534.5012 +- 0.0031, 3.167e-4.
+
+The sd has two significant digits, and the value as many decimals.  Powers of ten stand where zeros would: from 10^6, and where
+more than seven decimals would follow a number below 0.01.
+"""
+
+from __future__ import annotations
+
+import math
+
+UNKNOWN = "unknown"
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number with at most ``digits`` significant digits, or all before the decimal point; "unknown" for none."""
+    if value is None or math.isnan(value):
+        return UNKNOWN
+    if value == 0.0 or math.isinf(value):
+        return f"{value:.0f}"
+    exponent = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if -4 <= exponent < 6:
+        text = f"{value:.{max(digits - 1 - exponent, 0)}f}"
+        return text.rstrip("0").rstrip(".") if "." in text else text
+    return _power(value, digits - 1, strip=True)
+
+
+def rounded(value: float, sd: float | None) -> str:
+    """``value`` with as many decimals as two significant digits of its sd have."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    if sd is None or not (math.isfinite(sd) and sd > 0.0):
+        return number(value, 6)
+    decimals = 1 - math.floor(math.log10(float(f"{sd:.1e}")))
+    if _as_power(value, sd, decimals):
+        size = abs(value) or sd
+        return _power(value, max(math.floor(math.log10(size)) + decimals, 0))
+    # More than fifteen significant digits are those of the binary number.
+    most = 15 - math.floor(math.log10(max(abs(value), 1.0)))
+    return f"{round(value, decimals):.{max(min(decimals, most), 0)}f}"
+
+
+def with_sd(value: float | None, sd: float | None) -> str:
+    """ "value +- sd"; "?" for an sd that is not known."""
+    if value is None:
+        return UNKNOWN
+    if sd is None or not (math.isfinite(sd) and sd > 0.0):
+        return f"{rounded(value, sd)} +- ?"
+    return f"{rounded(value, sd)} +- {sd_text(sd)}"
+
+
+def sd_text(sd: float | None) -> str:
+    """An sd with two significant digits."""
+    if sd is None or not math.isfinite(sd):
+        return "?"
+    if sd == 0.0:
+        return "0"
+    rough = float(f"{sd:.1e}")
+    exponent = math.floor(math.log10(rough))
+    return f"{rough:.{max(1 - exponent, 0)}f}" if -4 <= exponent < 6 else _power(rough, 1)
+
+
+def _as_power(value: float, sd: float, decimals: int) -> bool:
+    return max(abs(value), sd) >= 1e6 or (decimals > 7 and abs(value) < 1e-2)
+
+
+def _power(value: float, digits: int, strip: bool = False) -> str:
+    mantissa, exponent = f"{value:.{digits}e}".split("e")
+    if strip and "." in mantissa:
+        mantissa = mantissa.rstrip("0").rstrip(".")
+    return f"{mantissa}e{int(exponent)}"
