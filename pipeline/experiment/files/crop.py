@@ -8,7 +8,7 @@ from math import ceil
 
 from ...errors import ConfigError
 from ..record import Record
-from .columns import MIN_SAMPLES
+from .clock import MIN_SAMPLES
 
 
 def between(records: Sequence[Record], start_s: float | None, stop_s: float | None) -> tuple[Record, ...]:
