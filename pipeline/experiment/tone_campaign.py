@@ -74,7 +74,7 @@ def tone_records(
             next_step="declare its noise (sense1_sd_V or H_s1d1_sd under [columns]), or leave the record out",
         )
     found = tone_record(
-        entry.name or names[0],
+        entry.name or Path(names[0]).name,
         kind,
         [read_columns(existing(folder / name)) for name in names],
         columns,

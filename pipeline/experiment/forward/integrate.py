@@ -110,7 +110,8 @@ def steps_of(mechanics: Mechanics, step_s: float, hold: Hold, substeps: int) -> 
     return Steps(step_s, substeps, hold != "zoh", half_size, scale, factors, index, half, held, ramp)
 
 
-def _compiled(forces: Forces) -> tuple[Any, int, Any]:
+def compiled_forces(forces: Forces) -> tuple[Any, int, Any]:
+    """Force functions padded to ``MOST_FORCES``, how many act, and their parameters, as the compiled loops take them."""
     if len(forces) > MOST_FORCES:
         raise ConfigError(
             "too many forces at once",
@@ -162,7 +163,7 @@ def trajectory(
     deviation = np.empty((points, taps.shape[0]))
     compiled_deviation(steps.half_size)(
         (0,) * steps.half_size,
-        *_compiled(forces),
+        *compiled_forces(forces),
         laws,
         steps.half,
         steps.held,
@@ -246,7 +247,7 @@ def perturbed_motion(motion: Motion, forces: Forces, laws: Laws, reads: FloatArr
     deviation = np.empty((motion.states.shape[0] // 2 + 1, taps.shape[0]))
     compiled_first_order(steps.half_size)(
         (0,) * steps.half_size,
-        *_compiled(forces),
+        *compiled_forces(forces),
         laws,
         steps.half,
         steps.half @ steps.half,

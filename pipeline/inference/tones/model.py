@@ -11,13 +11,16 @@ Shapes: N rows, S senses, D drives, P parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ...device.model import Model
+from ...experiment.forward.harmonic import branch, steady_motion
+from ...experiment.forward.harmonic_terms import TonePoints
 from ...experiment.forward.system import Conditions, System, assemble
 from ...experiment.forward.tones import linear_tones
 from ...experiment.tones import ToneCampaign, ToneRecord
@@ -70,15 +73,39 @@ class ToneModel:
         ------
         ConfigError : parameters that no device can have.
         """
-        systems: dict[Conditions, System] = {}
         found = []
-        for record in self.campaign.records:
-            conditions = self._conditions(record)
-            if conditions not in systems:
-                systems[conditions] = self.system(values, conditions)
-            y = linear_tones(systems[conditions], record.frequency_hz, record.drive_v)
+        for system, record in zip(self._systems(values), self.campaign.records):
+            if record.kind == "sweep" and (system.forces or system.senses or system.drives):
+                y = steady_motion(system, _points(record)).y
+            else:
+                y = linear_tones(system, record.frequency_hz, record.drive_v)
             found.append(self._detected(values, record, y))
         return tuple(found)
+
+    def nearby(self, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], tuple[ComplexArray, ...]]:
+        """``predict`` at values close to ``values``: the motion of a nonlinear device stays on its branch, to first order."""
+        at: dict[int, Callable[[System], ComplexArray]] = {}
+        systems = self._systems(values)
+
+        def predicted(moved: Mapping[str, float]) -> tuple[ComplexArray, ...]:
+            found = []
+            for k, (system, record) in enumerate(zip(self._systems(moved), self.campaign.records)):
+                if record.kind == "sweep" and k not in at:
+                    at[k] = branch(steady_motion(systems[k], _points(record)))
+                y = at[k](system) if k in at else linear_tones(system, record.frequency_hz, record.drive_v)
+                found.append(self._detected(moved, record, y))
+            return tuple(found)
+
+        return predicted
+
+    def _systems(self, values: Mapping[str, float]) -> list[System]:
+        """The system of each record; records under the same conditions share one."""
+        known: dict[Conditions, System] = {}
+        for record in self.campaign.records:
+            conditions = self._conditions(record)
+            if conditions not in known:
+                known[conditions] = self.system(values, conditions)
+        return [known[self._conditions(record)] for record in self.campaign.records]
 
     def _detected(self, values: Mapping[str, float], record: ToneRecord, y: ComplexArray) -> ComplexArray:
         if record.kind != "sweep":
@@ -95,14 +122,30 @@ class ToneModel:
         own = bias if record.bias_v is None else record.bias_v
         return Conditions(own, bias, rate if known else None)
 
+    @cached_property
+    def _zetas(self) -> dict[str, str]:
+        """Name of the frequency of each mode -> that of its damping ratio."""
+        plant = {
+            n: f"zeta{n[1:-3]}"
+            for n in self.model.by_name
+            if n.endswith("_hz") and f"zeta{n[1:-3]}" in self.model.by_name
+        }
+        added = (effect.mode for effect in self.model.ordered_effects())
+        return plant | {mode[0]: mode[1] for mode in added if mode is not None}
+
     def step(self, name: str, values: Mapping[str, float], size: float) -> float:
         """Step of a central difference at ``values``; ``size`` is a typical value of the parameter."""
-        at = abs(values.get(name, 0.0))
-        if name.endswith("_hz") and f"zeta{name[1:-3]}" in values:
-            return _STEP * max(values[f"zeta{name[1:-3]}"], 1e-9) * at
-        if name.startswith("zeta"):
+        at, zetas = abs(values.get(name, 0.0)), self._zetas
+        if name in zetas:
+            return _STEP * max(values.get(zetas[name], 1.0), 1e-9) * at
+        if name in zetas.values():
             return _STEP * max(at, 1e-9)
         return max(_RELATIVE * at, 0.1 * size)
+
+
+def _points(record: ToneRecord) -> TonePoints:
+    time_s = np.arange(record.frequency_hz.size, dtype=np.float64) if record.time_s is None else record.time_s
+    return TonePoints(record.frequency_hz, record.drive_v, time_s - time_s[0])
 
 
 def settled(y: ComplexArray, time_s: FloatArray | None, share: float) -> ComplexArray:
@@ -123,9 +166,9 @@ def differences(
     model: ToneModel, values: Mapping[str, float], names: Sequence[str], sizes: Mapping[str, float]
 ) -> list[tuple[ComplexArray, ...]]:
     """For each of ``names`` d Y / d parameter (N, S) of every record, by central differences at ``values``."""
-    found = []
+    found, near = [], model.nearby(values)
     for name in names:
         step = model.step(name, values, sizes.get(name, 1.0))
-        above, below = (model.predict({**values, name: values[name] + side * step}) for side in (1.0, -1.0))
+        above, below = (near({**values, name: values[name] + side * step}) for side in (1.0, -1.0))
         found.append(tuple((a - b) / (2.0 * step) for a, b in zip(above, below)))
     return found

@@ -73,13 +73,14 @@ class ToneProblem:
         largest = max(float(np.abs(record.sense_v).max()) for record in self.campaign.records)
         own = dict.fromkeys(offset_names(self.campaign.records[0].sense_v.shape[1]), 0.001 * largest)
         own |= {name: max(abs(self.start[name]), 1e-12) for name in self.start if name not in own}
-        return {**own, PHASE: 1.0, **sizes_of(tone, term_names(self.model), self._at_null)}
+        return {**own, PHASE: 1.0, **sizes_of(tone, term_names(self.model, tone.swept), self._at_null)}
 
     @cached_property
     def _full_model(self) -> Model:
         """The model with every term; at their nulls they do nothing."""
         larger = self.model
-        for name in term_names(self.model):
+        swept = ToneModel(self.model, self.campaign).swept
+        for name in term_names(self.model, swept):
             larger = larger.with_effect(name)
         return larger
 

@@ -6,7 +6,7 @@ an additional mode is sought at the frequencies and widths that the records reso
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -19,17 +19,19 @@ from ...errors import GyroscreenError
 from ...experiment.tones import ToneCampaign
 from ...inference.tones.model import SETTLING, SHARE, ToneModel
 
-#: Stages that a steady response can show.
-STAGES = frozenset({"mechanics", "readout"})
+#: Stages that a steady response can show, and those of a linear one.
+STAGES = frozenset({"drive", "mechanics", "force", "sense", "readout"})
+_LINEAR = frozenset({"mechanics", "readout"})
 #: Relative change of the response that gives the size of a parameter, and how near a size must come (factor) in how many tries.
 _CHANGE, _NEAR, _TRIES = 1e-3, 10.0, 12
 #: Frequencies and widths of an additional mode: rows of a width, and points of the grid at most.
 _WIDTHS, _POINTS = (3.0,), 48
 
 
-def term_names(model: Model) -> tuple[str, ...]:
-    """Absent effects that act on a steady response."""
-    return tuple(name for name in model.candidates() if set(model.library[name].stages) & STAGES)
+def term_names(model: Model, swept: bool) -> tuple[str, ...]:
+    """Absent effects that act on a steady response; a frequency response has no level, so it shows linear effects only."""
+    stages = STAGES if swept else _LINEAR
+    return tuple(name for name in model.candidates() if set(model.library[name].stages) & stages)
 
 
 def sizes_of(model: ToneModel, names: Sequence[str], values: Mapping[str, float]) -> dict[str, float]:
@@ -37,7 +39,8 @@ def sizes_of(model: ToneModel, names: Sequence[str], values: Mapping[str, float]
 
     Parameters that do not change it are left out.
     """
-    plain = model.predict(values)
+    near = model.nearby(values)
+    plain = near(values)
     norm = float(np.sqrt(sum(np.vdot(y, y).real for y in plain)))
     shape, found = model.model.built.shape, {}
     for name in names:
@@ -48,14 +51,14 @@ def sizes_of(model: ToneModel, names: Sequence[str], values: Mapping[str, float]
             if member.grid:
                 continue
             full = effect.full_name(member)
-            size = _size(model, {**values, **grid}, full, member.null, member.scale, plain, norm)
+            size = _size(near, {**values, **grid}, full, member.null, member.scale, plain, norm)
             if size is not None:
                 found[full] = size
     return found
 
 
 def _size(
-    model: ToneModel,
+    near: Callable[[Mapping[str, float]], Sequence[ComplexArray]],
     values: Mapping[str, float],
     name: str,
     null: float,
@@ -66,7 +69,7 @@ def _size(
     low = 0.0
     for _ in range(_TRIES):
         try:
-            moved = model.predict({**values, name: null + size})
+            moved = near({**values, name: null + size})
         except GyroscreenError:
             size *= 1e-3
             continue
@@ -85,7 +88,7 @@ def _size(
 
 def tone_terms(model: Model, campaign: ToneCampaign, sizes: Mapping[str, float], swept: bool) -> tuple[Term, ...]:
     """The terms whose parameters have a size, with the detector's settling where there is a sweep."""
-    found = [_term(model.library[name], model, campaign, sizes) for name in term_names(model)]
+    found = [_term(model.library[name], model, campaign, sizes) for name in term_names(model, swept)]
     terms = [term for term in found if term is not None]
     if swept:
         terms.append(Term(SETTLING, (TermParameter(SHARE, "1", 0.0, 1.0, 1),)))
