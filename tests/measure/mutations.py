@@ -1,6 +1,6 @@
 """Mutated measurements, configurations and TOML shapes through the command line, in one long-lived process.
 
-    python tests/measure/mutations.py files|configs|shapes COUNT OUT.jsonl [SEED]
+    python tests/measure/mutations.py files|configs|shapes|files2|init COUNT OUT.jsonl [SEED]
 
 One line per case: number, kind, exit code, processor seconds, growth of the peak memory [MB].  The same command goes on with the
 cases that are missing in OUT.jsonl.  A case that ends its process, or takes 120 s, is a line with code null, and is tried again
@@ -23,8 +23,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.mutated import CASES
+from tests import mutated
+from tests.mutated_more import files2_case, init_case
 
+#: By name; a new study has a new name, so that the numbers of the others keep their meaning.
+CASES = {**mutated.CASES, "files2": files2_case, "init": init_case}
 DOCUMENTED = {0, 1, 2, 3, 4, 5}
 SECONDS, MEGABYTES, PATIENCE_S = 10.0, 1000.0, 120
 

@@ -56,3 +56,15 @@ def test_files_with_different_columns_are_refused_with_a_way_out(tmp_path, capsy
     np.savetxt(tmp_path / "b.txt", np.zeros((50, 3)))
     assert call(["init", str(tmp_path / "a.txt"), str(tmp_path / "b.txt"), "--out", str(tmp_path / "c")]) == 5
     assert 'file = ["drive.csv", "sense.csv"]' in capsys.readouterr().err
+
+
+def test_columns_without_rows_or_of_another_length_are_left_out(tmp_path, capsys):
+    random = np.random.default_rng(3)
+    columns = {"force": np.sin(20.0 * T), "pick": random.standard_normal(600), "mean": np.ones(7), "none": np.zeros(0)}
+    np.savez(tmp_path / "a.npz", **columns)
+    assert call(["init", str(tmp_path / "a.npz"), "--out", str(tmp_path / "c")]) == 0
+    printed = capsys.readouterr().out
+    assert "'mean': unused (7 rows, another column has 600" in printed
+    assert "'none': unused (0 rows, another column has 600" in printed
+    np.savez(tmp_path / "empty.npz", force=np.zeros(0))
+    assert call(["init", str(tmp_path / "empty.npz"), "--out", str(tmp_path / "d")]) == 5

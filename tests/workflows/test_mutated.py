@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from tests.mutated import CASES
+from tests.measure.mutations import CASES
 from workflows.cli import call
 
 

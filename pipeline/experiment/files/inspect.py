@@ -119,7 +119,16 @@ def inspect(files: Sequence[tuple[str, Mapping[str, NDArray[Any]]]]) -> Inspecti
     drives = [column.name for column in seen if column.use == "drive"]
     senses = [column.name for column in seen if column.use == "sense"]
     rates, gaps, rest, silent = [], [], [], []
+    used = [column.name for column in seen if column.use != "unused"]
     for name, each in files:
+        sizes = sorted({len(each[key]) for key in used})
+        if len(sizes) > 1:
+            raise MeasurementError(
+                f"{name}: the columns have different numbers of rows",
+                value=sizes,
+                allowed="as many rows in every column that is used",
+                next_step="look at this file alone, or export it again",
+            )
         if time is not None:
             stamps = np.asarray(each[time.name], dtype=np.float64) * UNITS[time.unit or "s"][1]
             parts = pieces(name, stamps)
@@ -135,7 +144,8 @@ def inspect(files: Sequence[tuple[str, Mapping[str, NDArray[Any]]]]) -> Inspecti
 
 
 def _uses(found: Mapping[str, NDArray[Any]]) -> list[FileColumn]:
-    columns = [_plain(name, k, np.asarray(values)) for k, (name, values) in enumerate(found.items(), 1)]
+    rows = max((np.asarray(values).size for values in found.values()), default=0)
+    columns = [_plain(name, k, np.asarray(values), rows) for k, (name, values) in enumerate(found.items(), 1)]
     if not any(column.use == "time" for column in columns) and columns:
         head = np.asarray(next(iter(found.values())))
         if columns[0].use == "open" and head.dtype.kind == "f" and _rises(head):
@@ -153,10 +163,13 @@ def _uses(found: Mapping[str, NDArray[Any]]) -> list[FileColumn]:
     return columns
 
 
-def _plain(name: str, number: int, values: NDArray[Any]) -> FileColumn:
-    """The use of a column by its name and its values; "open" where they do not tell."""
+def _plain(name: str, number: int, values: NDArray[Any], rows: int) -> FileColumn:
+    """The use of a column by its name and its values; "open" where they do not tell.  The longest column has ``rows``."""
     base, unit = split_unit(name)
     named = re.fullmatch(r"column\d+", name) is None
+    if values.size != rows or not rows:
+        why = f"{values.size} rows, another column has {rows}" if rows else "no rows"
+        return FileColumn(name, number, unit, "unused", why, float("nan"), float("nan"), named)
     if values.dtype.kind not in "fiub" or values.ndim != 1 or not np.all(np.isfinite(values.astype(float))):
         return FileColumn(name, number, unit, "unused", "not numbers in every row", float("nan"), float("nan"), named)
     low, high = float(values.min()), float(values.max())

@@ -83,10 +83,11 @@ def inspect_tones(files: Sequence[tuple[str, Columns]]) -> ToneInspection | None
 
 
 def _columns(columns: Columns) -> tuple[ToneKind, tuple[ToneColumn, ...]] | None:
+    rows = max((values.size for values in columns.values()), default=0)
     numbers = {
         name: np.asarray(values, dtype=np.float64)
         for name, values in columns.items()
-        if values.ndim == 1 and values.dtype.kind in "fiu" and values.size >= _FEWEST and np.all(np.isfinite(values))
+        if values.shape == (rows,) and values.dtype.kind in "fiu" and rows >= _FEWEST and np.all(np.isfinite(values))
     }
     place = {name: k for k, name in enumerate(columns, 1)}
 
