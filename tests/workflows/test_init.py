@@ -64,7 +64,7 @@ def test_columns_without_rows_or_of_another_length_are_left_out(tmp_path, capsys
     np.savez(tmp_path / "a.npz", **columns)
     assert call(["init", str(tmp_path / "a.npz"), "--out", str(tmp_path / "c")]) == 0
     printed = capsys.readouterr().out
-    assert "'mean': unused (7 rows, another column has 600" in printed
-    assert "'none': unused (0 rows, another column has 600" in printed
+    assert "'mean': not used (7 rows, another column has 600)" in printed
+    assert "'none': not used (0 rows, another column has 600)" in printed
     np.savez(tmp_path / "empty.npz", force=np.zeros(0))
     assert call(["init", str(tmp_path / "empty.npz"), "--out", str(tmp_path / "d")]) == 5

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isnan
 
 from ...toml_files import encoded
 from .inspect import FileColumn, Inspection
@@ -91,7 +92,7 @@ def reason(column: FileColumn) -> str:
     """Why a column was taken for its use, its unit and its range."""
     si = "" if column.unit is None or UNITS[column.unit][0] == column.unit else f", read in {UNITS[column.unit][0]}"
     if column.use == "unused":
-        return f"{column.why}; {column.low:.4g} to {column.high:.4g}"
+        return column.why if isnan(column.low) else f"{column.why}; {column.low:.4g} to {column.high:.4g}"
     unit = f"in {column.unit}{si}" if column.unit is not None else "unit not stated, taken as V"
     return f"{column.why}; {unit}; {column.low:.4g} to {column.high:.4g}"
 
