@@ -24,6 +24,7 @@ from typing import Literal
 
 import numpy as np
 
+from .announce import announce
 from .budget import ALPHA, ALPHA_LEFT, CLEAR_SNR, DRAWS
 from .goodness import WINDOW, ResidualTests, excess, goodness
 from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
@@ -113,6 +114,7 @@ class FitTests:
 
 def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
     """Test a fit: scores of the absent terms, structure in the residual, energy by region.  ``fit.ok`` must hold."""
+    announce("testing the absent effects")
     base = baseline(fit)
     with ThreadPoolExecutor(1) as pool:
         # The tests of the residual do not need the signatures, so both run at the same time.

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from pipeline.criticism.announce import announce
 from pipeline.criticism.problem import FitResult
 from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
@@ -25,6 +26,7 @@ from ..learning import ComparisonResult, DiagnosisResult, Measured, RefinementRe
 from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
+from ..learning.progress import working
 from ..learning.views import tone_views
 
 PAGES: dict[type[Result], str] = {
@@ -60,13 +62,17 @@ def _answer(
 ) -> None:
     """Read the measurement, run ``command`` on it, write drive files and the page where ``out`` is given, and print."""
     measured = read_measurement(path)
-    found = command(_fitted(measured) if isinstance(measured, Campaign) else measured, _model(model, folders))
     page = None
-    if out is not None:
-        if isinstance(found, SelectionResult):
-            found = found.with_drive_files(out)
-        if _has_fit(found):
-            page = _write_page(measured, found, out, folders)
+    with working(command.__name__, quiet=json):
+        found = command(_fitted(measured) if isinstance(measured, Campaign) else measured, _model(model, folders))
+        if out is not None:
+            if isinstance(found, SelectionResult):
+                found = found.with_drive_files(out)
+            if _has_fit(found):
+                announce("drawing the page")
+                page = _write_page(measured, found, out, folders)
+        # Records that separate classes are looked for when the answer is first asked for.
+        _ = found.answer
     print(to_json(found.answer) if json else printable_lines(str(found)))
     if page is not None and not json:
         print(page)
@@ -182,7 +188,9 @@ def demo(out: Path, seed: int | None) -> None:
     chosen = int(time.time()) % 100_000 if seed is None else seed
     made = hidden_device(chosen)
     print(f"a virtual device with a hidden effect was measured (seed {chosen}); searching ...", file=sys.stderr)
-    found = refine_measurement(made.campaign)
+    with working("demo", quiet=False):
+        found = refine_measurement(made.campaign)
+        _ = found.answer
     print(found)
     hidden = ", ".join(f"{k} = {v:.4g}" for k, v in made.parameters.items() if k not in DEFAULT_COMPARE_MODEL.by_name)
     truth = f"{', '.join(made.model.effects)} ({hidden})"

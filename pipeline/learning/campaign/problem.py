@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from ...criticism.announce import announce_fit
 from ...criticism.problem import FitResult, LocalCandidate, Region, Signatures, Spectrum
 from ...criticism.regions import pooled_spectra
 from ...criticism.regression import STARTS
@@ -118,6 +119,7 @@ class CampaignProblem:
         """
         key = frozenset(terms)
         if key not in self._fits:
+            announce_fit(terms)
             model = self.model
             for term in terms:
                 model = model.with_effect(term)

@@ -19,6 +19,7 @@ import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ...axial import wrap
+from ...criticism.announce import announce_fit
 from ...criticism.problem import FitResult, Region, ResidualBlock, Signatures, Spectrum
 from ...criticism.regression import Regression, Term
 from ...device.model import Model
@@ -179,6 +180,7 @@ class ModalProblem:
         """
         key = frozenset(terms)
         if key not in self._fits:
+            announce_fit(terms)
             try:
                 self._fits[key] = self._completed(self._best(terms, start))
             except (GyroscreenError, np.linalg.LinAlgError) as error:

@@ -17,6 +17,7 @@ import numpy as np
 
 from ... import toml_files as toml
 from ...arrays import FloatArray
+from ...criticism.announce import announce
 from ...criticism.budget import CLEAR_SNR, DETECTABLE_SNR
 from ...criticism.separation import Prediction, Separation, known_of, separation
 from ...criticism.verdict import TermClass
@@ -172,6 +173,7 @@ def separating_record(problem: CampaignProblem, terms: Sequence[str], found: Ter
     terms : effects in the fit at which the class was found.
     found : the class.
     """
+    announce(f"looking for a record that separates {', '.join(found.members)}")
     members = [m for term in found.members if (m := _member(problem, terms, found.term, term)) is not None]
     if len(members) < 2:
         return None

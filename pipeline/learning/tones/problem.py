@@ -13,6 +13,7 @@ import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ...axial import wrap
+from ...criticism.announce import announce_fit
 from ...criticism.problem import FitResult, Region, Signatures, Spectrum
 from ...criticism.regression import Regression, Term
 from ...device.model import Model
@@ -154,6 +155,7 @@ class ToneProblem:
         """Least squares of the model with these terms, from ``start``; ``ok`` is false where no fit succeeded."""
         key = frozenset(terms)
         if key not in self._fits:
+            announce_fit(terms)
             try:
                 self._fits[key] = self._completed(self._problem.fit(terms, start))
             except (GyroscreenError, np.linalg.LinAlgError) as error:
