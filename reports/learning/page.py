@@ -6,6 +6,7 @@ answers, records --content--> LearningContent --figures, templates--> HTML
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,7 @@ from ..words import campaign as words
 from ..words import quantities
 from ..words.support import support_words
 from .content import LearningContent, learning_content
+from .figures.decays import decay_pictures
 from .figures.ladder import four_thetas_plot, ladder_plot, residue_plot
 from .figures.records import record_figures
 from .figures.tones import tone_pictures
@@ -74,6 +76,7 @@ def render_learning_page(
             after if len(content.ladder) > 1 else None,
             {key: value for key, value in fitted.items() if value is not None},
         ),
+        decays=decay_pictures(before, after if len(content.ladder) > 1 else None, modes_of(fitted)),
         tones=tone_pictures(tones, tones_after if len(content.ladder) > 1 else ()),
         stylesheet=stylesheet("learning.css"),
         sections=_sections(content, truth),
@@ -86,6 +89,11 @@ def _size(name: str, value: Measured, library: Mapping[str, Effect]) -> str:
     """ "k3 = value ± sd unit"."""
     unit = quantities.typeset(quantities.unit_of(name, library))
     return f"{quantities.typeset(quantities.symbol_words(name))} = {estimate(value)} {unit}".rstrip()
+
+
+def modes_of(fitted: Mapping[str, float | None]) -> list[float]:
+    """Frequencies [Hz] of the modes of the plant among the fitted parameters."""
+    return [value for name, value in fitted.items() if value is not None and re.fullmatch(r"f\d+_hz", name)]
 
 
 def _known(value: Any) -> Any:

@@ -9,6 +9,7 @@
 | clock | the time column |
 | rest | free motion at the first sample |
 | short | decay time of the modes |
+| decay | frequency and damping of the pieces of a free decay, without a model |
 | undecided | a test that could not be done, and why |
 
 A "fault" must be corrected or measured again, a "warning" costs accuracy, a "note" is for information.
@@ -25,6 +26,7 @@ from ..bad_samples import marked
 from ..record import Campaign, Record
 from .bad import bad_samples
 from .clock import clocks
+from .decays import decays
 from .drives import drive_offsets, is_driven, roles, unused_drives, without_bias
 from .finding import Correction, Finding, Severity
 from .hum import hum
@@ -143,7 +145,7 @@ def check(campaign: Campaign) -> CheckReport:
     """
     found = [level(record, k) for record in campaign.records for k in range(record.sense_v.shape[1])]
     by_record = {r.name: [row for row in found if row.record == r.name] for r in campaign.records}
-    findings: list[Finding] = [*drive_offsets(campaign), *roles(campaign)]
+    findings: list[Finding] = [*drive_offsets(campaign), *roles(campaign), *decays(campaign)]
     dead_channels: list[Finding] = []
     for record in campaign.records:
         rows = by_record[record.name]

@@ -85,11 +85,12 @@ def roles(campaign: Campaign) -> list[Finding]:
             rms = float(np.max(record.drive_v.std(axis=0)))
             text = f'The record has the role "noise", but a drive varies by {rms:.3g} V rms: {correction.advice}.'
             found.append(Finding("silence", "fault", text, record.name, correction=correction))
-        elif record.role != "noise" and not is_driven(record):
+        elif record.role != "noise" and record.drive_v.shape[1] and not is_driven(record):
             correction = Correction(record={file: {"role": "noise"}})
             text = (
                 f'No drive of the record varies, but its role is not "noise". If it was meant to be silent,'
-                f" {correction.advice}; otherwise check which columns the drives are read from."
+                f' {correction.advice}; if it is a free decay, write kind = "decay" there; otherwise check which columns the'
+                " drives are read from."
             )
             found.append(Finding("silence", "fault", text, record.name, correction=correction))
         elif record.role == "noise":

@@ -42,6 +42,39 @@ class Oscillation:
     found: bool
 
 
+def strongest_channel(sense_v: FloatArray) -> FloatArray:
+    """The channel (N,) of (N, S) that moves most, without its mean."""
+    y = sense_v[:, int(np.argmax(np.var(sense_v, axis=0)))]
+    return np.asarray(y - y.mean())
+
+
+def line_hz(sense_v: FloatArray, sample_rate_hz: float) -> float:
+    """The strongest line [Hz] of the channel of (N, S) that moves most; 0 where nothing moves."""
+    y = strongest_channel(sense_v)
+    power = np.abs(np.fft.rfft(y * np.hanning(y.size))) ** 2
+    power[:3] = 0.0
+    k = int(np.argmax(power))
+    if power[k] <= 0.0 or k + 1 >= power.size:
+        return 0.0
+    # Parabola through the logarithms: the window spreads a line over four bins.
+    left, mid, right = np.log(np.maximum(power[k - 1 : k + 2], 1e-300))
+    bend = left - 2.0 * mid + right
+    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
+    return float((k + np.clip(shift, -0.5, 0.5)) * sample_rate_hz / y.size)
+
+
+def backbone(sense_v: FloatArray, sample_rate_hz: float, modes_hz: Sequence[float] = ()) -> tuple[Oscillation, ...]:
+    """The modes of a piece (N, S), in the channel that moves most, the strongest first.
+
+    ``modes_hz`` : about where they are; the one nearest to the strongest line starts there.
+    """
+    line = line_hz(sense_v, sample_rate_hz)
+    if line <= 0.0:
+        return ()
+    others = sorted(modes_hz, key=lambda f: abs(f - line))[1:]
+    return oscillations(strongest_channel(sense_v), sample_rate_hz, [line, *others])
+
+
 def oscillations(y: FloatArray, sample_rate_hz: float, start_hz: Sequence[float]) -> tuple[Oscillation, ...]:
     """The modes of a piece y (N,), each from a start value of its frequency [Hz]; the first one has harmonics."""
     samples = y.size

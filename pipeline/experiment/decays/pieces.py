@@ -26,6 +26,7 @@ from scipy.fft import fft, ifft
 from ...arrays import ComplexArray, FloatArray
 from ...errors import MeasurementError
 from ..record import Record, Role
+from .backbone import line_hz, strongest_channel
 
 #: Largest bend of the phase over a piece [rad].  At 0.7 the first piece of a mode that stiffens by 2 % is off by 13 sd.
 _BEND = 0.25
@@ -41,39 +42,19 @@ _GONE = 1e-2
 _BLOCKS, _SEEN, _SILENCE = 48, 20.0, 256
 
 
-def line_hz(record: Record) -> float:
-    """The strongest line [Hz] of the channel that moves most; 0 where nothing moves."""
-    y = _strongest(record)
-    power = np.abs(np.fft.rfft(y * np.hanning(y.size))) ** 2
-    power[:3] = 0.0
-    k = int(np.argmax(power))
-    if power[k] <= 0.0 or k + 1 >= power.size:
-        return 0.0
-    # Parabola through the logarithms: the window spreads a line over four bins.
-    left, mid, right = np.log(np.maximum(power[k - 1 : k + 2], 1e-300))
-    bend = left - 2.0 * mid + right
-    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    return float((k + np.clip(shift, -0.5, 0.5)) * record.sample_rate_hz / y.size)
-
-
 def analytic(record: Record, f_hz: float) -> ComplexArray:
     """The analytic signal (N,) of the channel that moves most, in a band of +-40 % around ``f_hz``."""
-    y = _strongest(record)
+    y = strongest_channel(record.sense_v)
     f = np.abs(np.fft.fftfreq(y.size, 1.0 / record.sample_rate_hz))
     edge = np.clip((0.4 - np.abs(f / f_hz - 1.0)) / 0.1, 0.0, 1.0)
     positive = np.fft.fftfreq(y.size) > 0.0
     return np.asarray(ifft(2.0 * fft(y) * np.sin(0.5 * np.pi * edge) ** 2 * positive))
 
 
-def _strongest(record: Record) -> FloatArray:
-    y = record.sense_v[:, int(np.argmax(np.var(record.sense_v, axis=0)))]
-    return np.asarray(y - y.mean())
-
-
 def silence_from(record: Record, f_hz: float) -> int:
     """First sample of the silence behind a decay; N where the record ends before the motion is gone."""
     samples = record.sense_v.shape[0]
-    y, width = _strongest(record), samples // _BLOCKS
+    y, width = strongest_channel(record.sense_v), samples // _BLOCKS
     if width < max(_SAMPLES, 2.0 * record.sample_rate_hz / f_hz):
         return samples
     t = np.arange(width) / record.sample_rate_hz
@@ -153,7 +134,7 @@ def decay_pieces(record: Record, role: Role | None) -> tuple[Record, ...]:
     MeasurementError : the drive does not stop within the record, or nothing moves.
     """
     record = _after_drive(record)
-    f_hz = line_hz(record)
+    f_hz = line_hz(record.sense_v, record.sample_rate_hz)
     if f_hz <= 0.0:
         raise MeasurementError(
             f"{record.name}: nothing decays", allowed="a record that begins in motion", next_step="check [columns]"

@@ -30,6 +30,7 @@ from ...experiment.record import Record
 from ..screening.compressed import BandData, nuisance_basis
 from ..screening.fit import maximise, start_from_modes
 from ..screening.inband import features, make_band
+from .free_modes import free_poles
 
 _ROUNDS = 20
 #: Power of a line of a free decay over that of the strongest; a mode of a tenth of its amplitude counts.
@@ -225,6 +226,7 @@ def _free_values(model: Model, records: Sequence[Record], sigma_v: FloatArray) -
     if not isinstance(plant, ModalPlant):
         raise MeasurementError("no record to fit is driven", next_step='give a driven record role = "fit"')
     poles = modes_from_spectra(records, plant.modes, *excited_band(records), sigma_v)
+    poles = free_poles(records, plant.modes, sigma_v, poles)
     none = np.zeros((plant.modes, plant.senses, plant.drives), dtype=np.complex128)
     return _modal_values(plant, poles, none)
 

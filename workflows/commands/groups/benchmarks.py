@@ -75,6 +75,26 @@ def foreign_gyros(
     command(kind, devices, seed, workers, out, json)
 
 
+@app.command("decays")
+def decays(
+    kind: Annotated[str, typer.Option(help="none, an effect, two_modes, or all.")] = "all",
+    campaigns: Annotated[int, typer.Option(help="Decays per kind.")] = 100,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "decays"
+    ),
+    json: Json = False,
+) -> None:
+    """Name the effect of one free decay.
+
+    The decays come from an integrator that shares no code with the model.
+    """
+    from ..decays import decays as command
+
+    command(kind, campaigns, seed, workers, out, json)
+
+
 @app.command()
 def throughput(devices: Devices = 100, json: Json = False) -> None:
     """Devices per second on one core, and peak memory.
