@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.errors import IncompleteError
@@ -20,6 +21,7 @@ from .block import BlockTables
 from .cluster import cluster
 from .dispatch import guarded_in_parallel
 from .guard import Begin
+from .inputs import with_own_code
 from .outcome import RunResult, finish
 from .parts import (
     BLOCK_FAULTS,
@@ -76,6 +78,11 @@ def run_blocks(
             examine_run(planned, store, client, quiet)
 
 
+def _with_own_code(planned: RunPlan) -> RunPlan:
+    """The plan with copies of the user's code; workers on other machines would not find them."""
+    return replace(planned, config=with_own_code(planned.config, planned.inputs))
+
+
 def run_batch(
     planned: RunPlan,
     store: RunStore,
@@ -103,7 +110,7 @@ def run_batch(
     started = time.monotonic()
     with one_writer(store.folder):
         try:
-            run_blocks(planned, store, workers, scheduler, quiet)
+            run_blocks(planned if scheduler is not None else _with_own_code(planned), store, workers, scheduler, quiet)
         except (KeyboardInterrupt, IncompleteError):
             store.log({"event": "stopped"})
             if store.committed_blocks():

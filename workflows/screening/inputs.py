@@ -19,7 +19,7 @@ import msgspec
 from msgspec import Struct
 
 from pipeline.errors import ConfigError, GyroscreenError, IntegrityError
-from pipeline.store.files import file_sha256
+from pipeline.store.files import file_sha256, sha256
 from pipeline.toml_files import decode
 from populations.spec import spec_from_toml
 
@@ -30,6 +30,7 @@ from .settings import population, spec_path
 FILE = "inputs.json"
 _MOST_TEXT = 1 << 20
 _SHOWN = 5
+_CODE = ("effect", "irregularity")
 
 
 class InputFile(Struct, frozen=True):
@@ -88,7 +89,9 @@ def _file(what: str, path: Path, texts: dict[str, str]) -> InputFile:
     digest, size = file_sha256(path)
     if digest and what != "record" and size <= _MOST_TEXT:
         with suppress(OSError, UnicodeDecodeError):
-            texts[digest] = path.read_bytes().decode()
+            data = path.read_bytes()  # once: a file that changes in between would be stored under the hash of another
+            digest, size = sha256(data), len(data)
+            texts[digest] = data.decode()
     return InputFile(what, str(path.absolute()), digest, size)
 
 
@@ -157,7 +160,20 @@ def with_stored_code(config: RunConfig, inputs: Inputs) -> RunConfig:
 
     The copies are written to a temporary folder that lives as long as the process.
     """
-    moved = {folder: _unpacked(folder, inputs) for folder in _changed_folders(config, inputs)}
+    return _moved(config, inputs, _changed_folders(config, inputs))
+
+
+def with_own_code(config: RunConfig, inputs: Inputs) -> RunConfig:
+    """``config`` with copies of all of the user's effects and irregularities.
+
+    A worker that starts hours later would otherwise load what the user has changed since: half of a night would have had
+    another effect than the rest.
+    """
+    return _moved(config, inputs, dict.fromkeys(str(Path(one.path).parent) for one in inputs.of(*_CODE)))
+
+
+def _moved(config: RunConfig, inputs: Inputs, changed: Iterable[str]) -> RunConfig:
+    moved = {folder: _unpacked(folder, inputs) for folder in changed}
     if not moved:
         return config
     source = config.source
@@ -172,7 +188,7 @@ def with_stored_code(config: RunConfig, inputs: Inputs) -> RunConfig:
 
 def _changed_folders(config: RunConfig, inputs: Inputs) -> list[str]:
     """Folders with code whose files are not those that the run was started with."""
-    stored = inputs.of("effect", "irregularity")
+    stored = inputs.of(*_CODE)
     changed = []
     for folder in dict.fromkeys((*config.effect_folders, *(str(Path(file.path).parent) for file in stored))):
         before = {file.path: file.sha256 for file in stored if str(Path(file.path).parent) == folder}
@@ -184,7 +200,7 @@ def _changed_folders(config: RunConfig, inputs: Inputs) -> list[str]:
 def _unpacked(folder: str, inputs: Inputs) -> str:
     copy = Path(tempfile.mkdtemp(prefix="gyroscreen-inputs-"))
     atexit.register(shutil.rmtree, copy, ignore_errors=True)
-    for file in inputs.of("effect", "irregularity"):
+    for file in inputs.of(*_CODE):
         text = inputs.text(file)
         if str(Path(file.path).parent) == folder and text is not None:
             (copy / Path(file.path).name).write_bytes(text.encode())

@@ -22,6 +22,8 @@ from reports.yields import Yield, yield_of_verdicts
 
 from ..config import RunConfig, config_of_run
 from ..config_tables import TargetsTable
+from .inputs import FILE as INPUTS
+from .inputs import read_inputs, with_stored_code
 from .settings import mismatch_prior, population
 from .virtual_device import virtual_model
 
@@ -83,10 +85,13 @@ def rendered_report(results: Path, run_id: str) -> str:
     """The report of a run as HTML."""
     from reports.run.page import render_run_report  # it loads matplotlib
 
-    found = lot_effects(open_run(results, run_id))
+    store = open_run(results, run_id)
+    found, inputs = lot_effects(store), store.page(INPUTS)
 
     def rendered(tables: StoredRun) -> str:
         config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
+        if inputs is not None:  # the user's code may have changed since, or be gone
+            config = with_stored_code(config, read_inputs(inputs, f"{INPUTS} of {run_id}"))
         summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
         return render_run_report(
             tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)

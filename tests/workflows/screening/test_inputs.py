@@ -244,3 +244,32 @@ def test_every_input_is_listed_with_its_hash(fab, tmp_path, monkeypatch):
     digest = hashlib.sha256(text.encode()).hexdigest()
     assert stored["files"] == [{"what": "population", "path": str(fab), "sha256": digest, "bytes": len(text.encode())}]
     assert stored["texts"] == {digest: text}
+
+
+def test_code_that_changes_during_a_night_does_not_enter_it_nor_its_report(fab, tmp_path, monkeypatch):
+    for name, code in (("mine", IRREGULARITY), ("laws", EFFECT)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "own.py").write_text(code.format(factor=1.0), encoding="utf-8")
+    fab.write_text(
+        'irregularity_folders = ["mine"]\n' + fab.read_text(encoding="utf-8") + "\n[irregularity.own]\ndie_pct = 3.0\n",
+        encoding="utf-8",
+    )
+    arguments = config(tmp_path, '[source]\nspec = "fab.toml"\n[effects.own_damping]\nsize = { d = [1.0, 0.0] }\n')
+    night = tmp_path / "night.toml"
+    night.write_text('effect_folders = ["laws"]\n' + night.read_text(encoding="utf-8"), encoding="utf-8")
+    with monkeypatch.context() as patch:
+        stub_runs(patch, drawn_block)
+        assert call([*arguments[:-1], str(tmp_path / "whole")]) == 0
+
+    def changed_before_the_last(source: Any, at: DeviceBlock) -> BlockTables:
+        """The last block is computed by a worker that starts after the user has changed the code."""
+        if at.index == 2:
+            (tmp_path / "mine" / "own.py").write_text(IRREGULARITY.format(factor=3.0), encoding="utf-8")
+            shutil.rmtree(tmp_path / "laws")
+            find.cache_clear()
+        return drawn_block(source, at)
+
+    stub_runs(monkeypatch, changed_before_the_last, page=True)
+    assert call(arguments) == 0
+    assert digest(tmp_path / "results") == digest(tmp_path / "whole")
+    assert "own_damping" in next((tmp_path / "results").glob("run=*/report.html")).read_text(encoding="utf-8")
