@@ -27,6 +27,7 @@ from tests.stub_runs import CONFIG, stub_runs
 from workflows.cli import call
 from workflows.screening.block import BlockTables, DeviceBlock
 from workflows.screening.campaign_block import campaign_block
+from workflows.screening.virtual_device import _model
 
 Block = Callable[[Any, DeviceBlock], BlockTables]
 IRREGULARITY = """
@@ -267,6 +268,7 @@ def test_code_that_changes_during_a_night_does_not_enter_it_nor_its_report(fab, 
             (tmp_path / "mine" / "own.py").write_text(IRREGULARITY.format(factor=3.0), encoding="utf-8")
             shutil.rmtree(tmp_path / "laws")
             find.cache_clear()
+            _model.cache_clear()
         return drawn_block(source, at)
 
     stub_runs(monkeypatch, changed_before_the_last, page=True)
