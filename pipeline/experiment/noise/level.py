@@ -18,7 +18,7 @@ Shapes: N samples, S senses, D drives.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
 
@@ -77,6 +77,11 @@ class NoiseLevel:
     def independent(self) -> bool:
         """Whether the level was measured on other data than the driven records; else no error in units of it is given."""
         return self.source in ("silent", "repeats")
+
+    def beginning(self, samples: int) -> NoiseLevel:
+        """The noise of the first ``samples`` of every record."""
+        common = {name: signals[:, :samples] for name, signals in self.common_v.items()}
+        return replace(self, common_v=common, mixing={name: inverse[:samples] for name, inverse in self.mixing.items()})
 
 
 def _spectral_variance(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> tuple[FloatArray, int]:

@@ -101,7 +101,7 @@ def _error(model: Model, campaign: Campaign, fit: CampaignFit) -> float:
     """Relative error of ``model`` on the fit records, fitted from the values of ``fit``; infinite if the fit fails."""
     start = {name: value for name, value in fit.values.items() if name in model.by_name}
     try:
-        found = fit_campaign(model, campaign, fit.noise, start).relative_error["fit"]
+        found = fit_campaign(model, campaign, fit.noise.beginning(_SAMPLES), start).relative_error["fit"]
     except (GyroscreenError, np.linalg.LinAlgError):
         found = None
     return np.inf if found is None else found

@@ -68,6 +68,12 @@ def test_deviations_are_recovered_and_the_fit_reaches_the_noise(ppm, start_s, ga
         value, sd_ = found.fit.parameters[name]
         assert abs(value - values[name]) < 4.0 * sd_, name
     assert abs(before.theta_deg[0] - values["theta_deg"]) > abs(found.fit.theta_deg[0] - values["theta_deg"])
+    # The check of the hold fits the beginning of the records, with the beginning of their common signals.
+    short = tuple(replace(r, drive_v=r.drive_v[:4000], sense_v=r.sense_v[:4000]) for r in found.campaign.records)
+    part = fit_campaign(
+        found.fit.model, replace(campaign, records=short), found.noise.beginning(4000), found.fit.values
+    )
+    assert part.error["fit"] == pytest.approx(1.0, abs=0.03)
 
 
 def test_a_declared_temperature_replaces_the_frequency_shifts_that_the_records_would_need(tmp_path):
