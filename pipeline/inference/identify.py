@@ -9,11 +9,12 @@ Both paths apply the same gate and the same status rule.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..device.model import Model, PlantSpec, mains_effects
 from ..experiment.bad_samples import without_bad_samples
 from ..experiment.noise.level import noise_level
@@ -44,10 +45,12 @@ class Identification:
     columns : the columns of the devices table that apply, in their units.  ``effects_scored`` tells whether the effects of the
         library that the model lacks were scored: in-band only.
     reference : quantity -> comparison with the [reference] value of the campaign.
+    draws : quantity -> (n,) posterior draws; empty without a posterior.
     """
 
     columns: dict[str, Any]
     reference: dict[str, dict[str, float]]
+    draws: dict[str, FloatArray] = field(default_factory=dict)
 
 
 def identify(
@@ -77,11 +80,12 @@ def identify(
         campaign = replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
     campaign = without_bad_samples(campaign)
     settings = in_driven_band(settings, campaign)
+    draws: dict[str, FloatArray] = {}
     if model is None and is_inband(campaign) and noise_level(campaign).known:
         stream = np.random.SeedSequence(seed)
         try:
-            columns = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream).columns
-            columns = columns | _unknown(campaign, columns)
+            result = identify_campaign(campaign, settings, sampler or SamplerSettings(), gate, stream)
+            draws, columns = result.estimate.draws, result.columns | _unknown(campaign, result.columns)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             # Records that no device could have made; as for a device of a run.
             columns = failed_result(f"{type(error).__name__}: {error}").columns
@@ -98,7 +102,7 @@ def identify(
         "effects_scored": "effect_p_value" in columns,
         **({"bad_samples": bad} if bad else {}),
     }
-    return Identification(found, reference_comparison(campaign.reference, columns))
+    return Identification(found, reference_comparison(campaign.reference, columns), draws)
 
 
 def _unknown(campaign: Campaign, columns: Mapping[str, Any]) -> dict[str, Any]:

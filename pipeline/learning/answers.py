@@ -130,6 +130,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     bad_samples : of all records, left out of the fit.
     fit_ok : false where the fit failed; ``why`` gives the reason.
     status, status_reason : of a campaign, as ``identify`` gives them for this model: "ok", "misfit", "fit_failed"; and why.
+    device_verdict, device_verdict_reason : pass, fail or undecided by the user's limits, and why; only with limits.
     dof, theta_deg, split_hz, four_thetas_deg, theta_spread_deg : of a modal record.
     """
 
@@ -141,6 +142,8 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     why: str | UnsetType = UNSET
     status: str | UnsetType = UNSET
     status_reason: str | UnsetType = UNSET
+    device_verdict: str | UnsetType = UNSET
+    device_verdict_reason: str | UnsetType = UNSET
     misfit: ByRole | UnsetType = UNSET
     noise: Noise | UnsetType = UNSET
     where_by_kind: tuple[Place, ...] | UnsetType = UNSET
@@ -242,6 +245,8 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     wrong_form: Mapping[str, SizeDisagreement]
     why: str
     separating_record: str | None = None
+    device_verdict: str | UnsetType = UNSET
+    device_verdict_reason: str | UnsetType = UNSET
     noise_louder: float | UnsetType = UNSET
     hints: tuple[str, ...] | UnsetType = UNSET
     noise: Noise | UnsetType = UNSET
@@ -312,6 +317,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     refused : effect -> why it was not added although its score was significant.
     not_refitted : those of them that were never refitted, because their score expects too little of the misfit.
     noise_louder : as in ``DiagnosisAnswer``, for the last model.
+    limits : by which the rungs are judged: "own", "shipped", or "none" for a gyro outside the band that the shipped ones are for.
     regions, regions_by_kind : where the first model failed, with what the last one leaves there.
     relative_error, where, candidates_left, invisible, declared : of a modal record.
     """
@@ -327,6 +333,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     left: str
     why: str
     not_refitted: tuple[str, ...] = ()
+    limits: str | UnsetType = UNSET
     noise_louder: float | UnsetType = UNSET
     hints: tuple[str, ...] | UnsetType = UNSET
     separating_record: str | UnsetType | None = UNSET

@@ -1,4 +1,4 @@
-"""How strongly the held-out data support an effect of the ladder, in words."""
+"""What stands beside the ladder, in words: how strongly held-out data support an effect, and which limits judge."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from .numbers import number
 if TYPE_CHECKING:
     from pipeline.learning.answers import RungAnswer
 
+#: Where the shipped limits are those of another gyro.
+NO_LIMITS = (
+    "no verdict on the device: the shipped limits are for gyros of 400 to 700 Hz; give others with --limits FILE"
+)
 #: The held-out chi2 must fall by more than this many sds of the paired difference.
 CONFIRMS = 2.0
 

@@ -17,10 +17,18 @@ from pipeline.learning.answers import (
     Values,
 )
 
-from .campaign import UNCONVERGED, failure_sentence, missing_sentence, noise_sentence, notes, record_sentences
+from .campaign import (
+    UNCONVERGED,
+    failure_sentence,
+    missing_sentence,
+    noise_sentence,
+    notes,
+    reason_words,
+    record_sentences,
+)
 from .numbers import number, with_sd
 from .quantities import place_words
-from .support import support_words
+from .support import NO_LIMITS, support_words
 
 #: Lines of a list that are printed.
 _MOST = 8
@@ -52,6 +60,7 @@ def compare_lines(answer: ComparisonAnswer) -> list[str]:
             " held-out records",
         ]
         lines += [f"{answer.status}: {answer.status_reason}"] if answer.status_reason else []
+    lines += _device(answer)
     lines.append(noise_sentence(answer.noise or None))
     lines += record_sentences(answer)
     if not answer.fit_ok:
@@ -78,7 +87,7 @@ def diagnose_lines(answer: DiagnosisAnswer) -> list[str]:
     for pair in answer.pairs or ():
         share = _percent(pair.share_of_chi2)
         lines.append(f"  {' + '.join(pair.effects):44s} takes {share} of chi2, p {_p(pair.p_value)} among all pairs")
-    lines += notes(answer)
+    lines += [*notes(answer), *_device(answer)]
     if answer.declared:
         lines.append(f"not tested, because the record declares the condition: {', '.join(answer.declared)}")
     if answer.invisible:
@@ -106,7 +115,9 @@ def refine_lines(answer: RefinementAnswer) -> list[str]:
         lines.append(f"theta {ends[0]} before, {ends[1]} after")
     verdicts = [rung.verdict for rung in rungs if rung.verdict]
     if verdicts:
-        lines.append(f"device: {verdicts[0]} before, {verdicts[-1]} after (shipped limits)")
+        lines.append(f"device: {verdicts[0]} before, {verdicts[-1]} after ({answer.limits or 'shipped'} limits)")
+    elif answer.limits == "none":
+        lines.append(NO_LIMITS)
     if answer.noise and answer.noise.from_ != "silent":
         lines.append(noise_sentence(answer.noise))
     if modal and answer.parameters:
@@ -161,6 +172,14 @@ def _verdict(answer: DiagnosisAnswer | RefinementAnswer, noise_known: bool) -> s
         data="residues" if answer.declared is not UNSET else "records",
     )
     return f"{answer.verdict}: {verdict_text}"
+
+
+def _device(answer: ComparisonAnswer | DiagnosisAnswer) -> list[str]:
+    """The verdict on the device by the user's limits."""
+    if not answer.device_verdict:
+        return []
+    why = f" ({reason_words(answer.device_verdict_reason)})" if answer.device_verdict_reason else ""
+    return [f"device: {answer.device_verdict} by the given limits{why}"]
 
 
 def _place(place: Place) -> str:

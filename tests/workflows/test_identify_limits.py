@@ -32,6 +32,9 @@ def test_limits_narrower_than_what_an_effect_could_do_refuse_the_device(campaign
     assert "could bias split_hz" in narrow["status_reason"]
     assert narrow["split_hz"] == wide["split_hz"]
     assert wide["bandwidth_hz_sd"] > 0.0
+    # The split is at the lower limit; a misfit has no probability of conformity.
+    assert 0.0 < wide["p_pass"] < 1.0
+    assert (narrow["p_pass"], narrow["verdict"]) == (None, "undecided")
     assert "[operation] gap_um" in wide["figures_unknown"]["shock_limit_g"]
 
 

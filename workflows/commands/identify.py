@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json as json_
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from pipeline.device.model import load_model
 from pipeline.errors import NegativeError, UsageError, printable_lines
@@ -21,17 +24,19 @@ from pipeline.inference.identify import identify as identify_device
 from pipeline.inference.modal.fit import ModalFit, fit_modal
 from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
-from reports.limits import DEFAULT_LIMITS, load_limits
+from reports.decision import decide
+from reports.limits import Limits, Rule, load_limits
 from reports.words.noise import noise_words
 from reports.words.numbers import rounded, sd_text, with_sd
 
 from ..config import load_config
+from ..shipped import shipped_limits_of
 from .identify_tones import tone_columns, tone_text
 
 
 def identify(measurement: Path, model: Path | None, limits: Path | None, json: bool) -> None:
     """See ``gyroscreen identify --help``."""
-    judged_by = DEFAULT_LIMITS if limits is None else load_limits(limits)
+    own = None if limits is None else load_limits(limits)
     found = with_its_campaign(measurement)
     if isinstance(found, ToneCampaign):
         columns = tone_columns(found, None if model is None else load_model(model))
@@ -48,12 +53,33 @@ def identify(measurement: Path, model: Path | None, limits: Path | None, json: b
         columns = modal_columns(route, fit_modal(route, found.antialias))
         lines = _modal_text(found.name, columns)
     else:
+        # Without limits for this kind of device, the gate judges the fit alone.
+        judged_by = own or shipped_limits_of(found) or Limits(Rule(), ())
         gate = load_config(None).gate.gate(judged_by)
         result = identify_device(found, None if model is None else load_model(model), gate=gate)
         columns = {**result.columns, **({"reference": result.reference} if found.reference else {})}
-        lines = _text(result)
+        columns |= {} if own is None else _decision(own, result)
+        lines = _text(result) + ([] if own is None else [_verdict_text(columns)])
     print(json_.dumps(plain(columns)) if json else printable_lines("\n".join(lines)))
     require_identified(columns.get("status"), columns.get("status_reason"), measurement)
+
+
+def _decision(limits: Limits, result: Identification) -> dict[str, Any]:
+    """p_pass, verdict and failed_limits by the user's limits, as in a run."""
+    draws = {q: result.draws.get(q, np.full(1, np.nan))[None] for q in limits.quantities}
+    found = decide(limits, draws, [result.columns["status"]])
+    return {
+        "p_pass": float(found.p_pass[0]),
+        "verdict": found.verdict[0],
+        "failed_limits": found.failed_limits[0] or None,
+    }
+
+
+def _verdict_text(columns: dict[str, Any]) -> str:
+    known = math.isfinite(columns["p_pass"])
+    share = f", P(conform) {columns['p_pass']:.3f}" if known else ""
+    failed = f", outside: {columns['failed_limits']}" if columns["failed_limits"] else ""
+    return f"  verdict by the given limits: {columns['verdict']}{share}{failed}"
 
 
 def require_identified(status: str | None, reason: str | None, measurement: Path) -> None:

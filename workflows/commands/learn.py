@@ -21,6 +21,7 @@ from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
 from pipeline.learning.tones.answers import ToneAnswers
+from reports.limits import Limits, load_limits
 
 from ..learning import ComparisonResult, DiagnosisResult, Measured, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
@@ -36,35 +37,45 @@ PAGES: dict[type[Result], str] = {
 }
 
 
-def compare(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+def compare(
+    path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool, limits: Path | None
+) -> None:
     """See ``gyroscreen compare --help``."""
-    _answer(compare_measurement, path, model, out, folders, json)
+    _answer(compare_measurement, path, model, out, folders, json, limits)
 
 
-def diagnose(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+def diagnose(
+    path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool, limits: Path | None
+) -> None:
     """See ``gyroscreen diagnose --help``."""
-    _answer(diagnose_measurement, path, model, out, folders, json)
+    _answer(diagnose_measurement, path, model, out, folders, json, limits)
 
 
-def refine(path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool) -> None:
+def refine(
+    path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool, limits: Path | None
+) -> None:
     """See ``gyroscreen refine --help``."""
-    _answer(refine_measurement, path, model, out, folders, json)
+    _answer(refine_measurement, path, model, out, folders, json, limits)
 
 
 @threadpool_limits.wrap(limits=1)
 def _answer(
-    command: Callable[[Measured, Model], Result],
+    command: Callable[[Measured, Model, Limits | None], Result],
     path: Path,
     model: Path | None,
     out: Path | None,
     folders: Sequence[Path],
     json: bool,
+    limits_file: Path | None,
 ) -> None:
     """Read the measurement, run ``command`` on it, write drive files and the page where ``out`` is given, and print."""
+    limits = None if limits_file is None else load_limits(limits_file)
     measured = read_measurement(path)
     page = None
     with working(command.__name__, quiet=json):
-        found = command(_fitted(measured) if isinstance(measured, Campaign) else measured, _model(model, folders))
+        found = command(
+            _fitted(measured) if isinstance(measured, Campaign) else measured, _model(model, folders), limits
+        )
         if out is not None:
             if isinstance(found, SelectionResult):
                 found = found.with_drive_files(out)

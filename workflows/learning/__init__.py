@@ -34,10 +34,12 @@ from pipeline.learning.modal.problem import ModalProblem
 from pipeline.learning.next_experiment.separating import Proposal
 from pipeline.learning.tones.answers import ToneAnswers, tone_answers
 from pipeline.learning.tones.problem import ToneProblem
+from reports.limits import Limits
 from reports.words.terminal import lines_of
 
+from ..shipped import shipped_limits
 from . import tables
-from .device_verdict import with_verdict
+from .device_verdict import verdict_of, with_verdict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,7 +51,7 @@ Answers = CampaignAnswers | ModalAnswers | ToneAnswers
 
 
 @threadpool_limits.wrap(limits=1)
-def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL) -> ComparisonResult:
+def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Limits | None = None) -> ComparisonResult:
     """Fit ``model`` to the fit records and judge it on all records.
 
     Raises
@@ -58,23 +60,23 @@ def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL) -> Compari
     """
     answers = _answers(campaign, model)
     answers.problem.fit(())
-    return ComparisonResult(answers)
+    return ComparisonResult(answers, limits=limits)
 
 
 @threadpool_limits.wrap(limits=1)
-def diagnose(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL) -> DiagnosisResult:
+def diagnose(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Limits | None = None) -> DiagnosisResult:
     """Find what ``model`` lacks; raises as :func:`compare`."""
     answers = _answers(campaign, model)
     answers, selection = answers.selected(answers.rules)
-    return DiagnosisResult(answers, as_diagnosis(answers.problem, selection, answers.rules))
+    return DiagnosisResult(answers, as_diagnosis(answers.problem, selection, answers.rules), limits=limits)
 
 
 @threadpool_limits.wrap(limits=1)
-def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL) -> RefinementResult:
+def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Limits | None = None) -> RefinementResult:
     """Add effects to ``model`` until no further one is significant; raises as :func:`compare`."""
     answers = _answers(campaign, model)
     answers, selection = answers.selected(answers.rules)
-    return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules))
+    return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules), limits=limits)
 
 
 def _answers(measured: Measured, model: Model) -> Answers:
@@ -85,9 +87,10 @@ def _answers(measured: Measured, model: Model) -> Answers:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(ABC):
-    """The result of a command; ``answers`` keeps the fits."""
+    """The result of a command; ``answers`` keeps the fits, and ``limits`` judge the device if given."""
 
     answers: Answers
+    limits: Limits | None = field(default=None, kw_only=True)
 
     @property
     def problem(self) -> CampaignProblem | ModalProblem | ToneProblem:
@@ -102,6 +105,15 @@ class Result(ABC):
     @abstractmethod
     def shown(self) -> tuple[pd.DataFrame, ...]:
         """Tables below the text in a notebook."""
+
+    def _judged(self) -> dict[str, str]:
+        """The verdict on the device by the given model; empty without limits and for a plant that is no gyro."""
+        if self.limits is None or not isinstance(self.answers, CampaignAnswers) or not self.answers.problem.fit(()).ok:
+            return {}
+        found = verdict_of(self.answers.fitted(), self.answers.problem.campaign, self.limits)
+        if found is None:
+            return {}
+        return {"device_verdict": found.verdict, "device_verdict_reason": found.reason or found.failed_limits}
 
     def to_dict(self) -> dict[str, Any]:
         """What ``--json`` prints."""
@@ -124,7 +136,7 @@ class ComparisonResult(Result):
     @property
     def answer(self) -> ComparisonAnswer:
         """The result as data."""
-        return self.answers.comparison
+        return structs.replace(self.answers.comparison, **self._judged())
 
     @property
     def fit(self) -> CampaignFit | FitResult:
@@ -211,7 +223,8 @@ class DiagnosisResult(SelectionResult):
     @cached_property
     def answer(self) -> DiagnosisAnswer:
         """The result as data."""
-        return self.answers.diagnosis(self.diagnosis, self.separating, self.drive_files)
+        found = self.answers.diagnosis(self.diagnosis, self.separating, self.drive_files)
+        return structs.replace(found, **self._judged())
 
     @property
     def candidates(self) -> pd.DataFrame:
@@ -249,9 +262,14 @@ class RefinementResult(SelectionResult):
         found = self.answers.refinement(self.ladder, self.separating, self.drive_files)
         if not isinstance(self.answers, CampaignAnswers):
             return found
-        campaign = self.answers.problem.campaign
-        ladder = (with_verdict(rung, self.answers.fitted(rung.terms), campaign) for rung in found.ladder)
-        return structs.replace(found, ladder=tuple(ladder))
+        campaign, first = self.answers.problem.campaign, self.answers.problem.fit(())
+        if not first.ok or self.answers.problem.model.plant.kind != "gyro":
+            return found
+        limits = self.limits or shipped_limits(self.answers.fitted())
+        if limits is None:
+            return structs.replace(found, limits="none")
+        ladder = (with_verdict(rung, self.answers.fitted(rung.terms), campaign, limits) for rung in found.ladder)
+        return structs.replace(found, ladder=tuple(ladder), limits="own" if self.limits else "shipped")
 
     @cached_property
     def first_diagnosis(self) -> DiagnosisAnswer:

@@ -20,7 +20,7 @@ from pipeline.inference.general.goodness import fit_status, full_band_goodness
 from pipeline.inference.systematic import Identified, rate_settings
 from pipeline.learning.answers import RungAnswer
 from reports.decision import decide
-from reports.limits import DEFAULT_LIMITS, Limits
+from reports.limits import Limits
 
 _DRAWS, _SEED = 4000, 1
 
@@ -35,16 +35,14 @@ class ModelVerdict:
     reason: str = ""
 
 
-def verdict_of(
-    fit: CampaignFit, campaign: Campaign, limits: Limits = DEFAULT_LIMITS, gate: Gate | None = None
-) -> ModelVerdict | None:
+def verdict_of(fit: CampaignFit, campaign: Campaign, limits: Limits, gate: Gate | None = None) -> ModelVerdict | None:
     """The verdict by P(conform) over draws N(parameters, covariance); ``None`` for a plant that is no gyro.
 
     Parameters
     ----------
     fit : the model fitted to the campaign.
     campaign : its angular gain and demodulation, for the rate biases.
-    limits : those of the shipped configuration by default.
+    limits : by which the device is judged.
     gate : that of the shipped configuration by default; not applied where only a local fit shows the noise level.
     """
     if fit.model.plant.kind != "gyro":
@@ -67,9 +65,9 @@ def verdict_of(
     return ModelVerdict(verdict, ungated.verdict[0], ungated.failed_limits[0], reason or "")
 
 
-def with_verdict(rung: RungAnswer, fit: CampaignFit, campaign: Campaign) -> RungAnswer:
+def with_verdict(rung: RungAnswer, fit: CampaignFit, campaign: Campaign, limits: Limits) -> RungAnswer:
     """``rung`` with the verdict according to its model, ``fit``; unchanged if the plant is not a gyro."""
-    found = verdict_of(fit, campaign)
+    found = verdict_of(fit, campaign, limits)
     if found is None:
         return rung
     reason = found.reason or found.failed_limits

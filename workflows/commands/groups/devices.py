@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import CampaignFolder, EffectFolders, Json, Measurement, PageFolder, StartModel
+from .options import CampaignFolder, EffectFolders, Json, LimitsFile, Measurement, PageFolder, StartModel
 
 
 def identify(
@@ -77,12 +77,13 @@ def compare(
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
+    limits: LimitsFile = None,
     json: Json = False,
 ) -> None:
     """Fit a model to a campaign and show where it fails."""
     from ..learn import compare as command
 
-    command(campaign, model, out, effects or [], json)
+    command(campaign, model, out, effects or [], json, limits)
 
 
 def diagnose(
@@ -90,12 +91,13 @@ def diagnose(
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
+    limits: LimitsFile = None,
     json: Json = False,
 ) -> None:
     """Find the physical effect that the model lacks, if any."""
     from ..learn import diagnose as command
 
-    command(campaign, model, out, effects or [], json)
+    command(campaign, model, out, effects or [], json, limits)
 
 
 def refine(
@@ -103,12 +105,13 @@ def refine(
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
+    limits: LimitsFile = None,
     json: Json = False,
 ) -> None:
     """Diagnose, add the effect and refit, until none is missing."""
     from ..learn import refine as command
 
-    command(campaign, model, out, effects or [], json)
+    command(campaign, model, out, effects or [], json, limits)
 
 
 def demo(

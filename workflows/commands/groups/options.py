@@ -18,6 +18,9 @@ PageFolder = Annotated[Path | None, typer.Option("--out", help="Write the page a
 EffectFolders = Annotated[
     list[Path] | None, typer.Option("--effects", help="Folder with your own effects; can be repeated.")
 ]
+LimitsFile = Annotated[
+    Path | None, typer.Option("--limits", help="Limits (TOML) that judge the device; default: shipped.")
+]
 
 Seed = Annotated[int, typer.Option(help="Seed of all random streams.")]
 Workers = Annotated[int, typer.Option(help="Number of local worker processes; 0: one per core.")]
