@@ -63,6 +63,36 @@ def test_an_inverted_quadrature_is_named_and_the_advice_can_be_followed(tmp_path
     assert not [one for one in json.loads(out.out)["findings"] if one["kind"] == "polarity"]
 
 
+def test_a_gyro_is_identified_from_its_frequency_responses(tmp_path, capsys):
+    """theta and split of a gyro outside the paper's band, from four paths in one file with a declared noise."""
+    f = np.unique(np.concatenate([np.linspace(5290.0, 5313.0, 200), np.linspace(6050.0, 6150.0, 80)]))
+    theta = np.deg2rad(22.5)
+    axes = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+    sense, drive = np.array([[-1.0, -1.0], [1.0, -1.0]]), np.array([[-1.0, 1.0], [1.0, 1.0]])
+    modes = [(5300.0, 2e-4), (5302.5, 1.5e-4), (6100.0, 1e-3)]
+    lines = [ring(f, own, 2 * zeta * own, 1.0) for own, zeta in modes]
+    h = sum(7.0 * np.einsum("w,ij->wij", y, sense @ np.outer(u, u) @ drive) for y, u in zip(lines, axes))
+    h = h + 9.0 * lines[2][:, None, None]
+    sd = 1e-3 * np.abs(h).max()
+    random = np.random.default_rng(2)
+    h = h + sd * (random.standard_normal(h.shape) + 1j * random.standard_normal(h.shape))
+    columns = {"frequency_hz": f}
+    for j in (0, 1):
+        for k in (0, 1):
+            stem = f"H_s{j + 1}d{k + 1}"
+            columns |= {f"{stem}_re": h[:, j, k].real, f"{stem}_im": h[:, j, k].imag, f"{stem}_sd": np.full(f.size, sd)}
+    table = np.stack(list(columns.values()), axis=1)
+    np.savetxt(tmp_path / "h.csv", table, header=",".join(columns), delimiter=",", comments="", fmt="%.12g")
+    assert said(capsys, "init", tmp_path / "h.csv", "--out", tmp_path / "c")[0] == 0
+    assert said(capsys, "check", tmp_path / "c")[0] == 0
+    code, out = said(capsys, "identify", tmp_path / "c", "--json")
+    found = json.loads(out.out)
+    assert (code, found["status"]) == (0, "ok")
+    for name, true in (("theta_deg", 22.5), ("split_hz", 2.5), ("f3_hz", 6100.0)):
+        assert abs(found[name] - true) < 4.0 * found[f"{name}_sd"], (name, found[name])
+    assert found["theta_deg_sd"] < 0.02
+
+
 @pytest.mark.skipif(not MEASURED.exists(), reason="measured data are not shipped")
 def test_wire_1_is_linear_once_the_detector_settles(tmp_path, capsys):
     """f0 3966.7 Hz and width 66.7 Hz are those of a fit without settling, the given model."""

@@ -16,6 +16,8 @@ slow flow
 is integrated from there by linearly implicit steps that grow, to the solution that a slow sweep reaches.
 
 Shapes: N rows, n coordinates, D drives, m = n (2 H + 1).  Units: volts, seconds, rad/s.
+
+Long because the compiler needs the functions that call each other with one list of arguments in one place.
 """
 
 from __future__ import annotations

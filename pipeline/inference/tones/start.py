@@ -1,6 +1,9 @@
 """Start values of a fit to frequency-domain records: poles and residues by least squares with the residues projected out.
 
-    Y / |U| ~ sum_m (i w R1_m + R0_m) / (w_m^2 - w^2 + 2 i zeta_m w_m w) + B0          at fixed w_m, zeta_m linear in R1, R0, B0
+    Y / |U| ~ sum_m (w / w_m) w_m c_m / (w_m^2 - w^2 + 2 i zeta_m w_m w) + B0      (linear in c, B0)
+
+The factor w / w_m is that of a velocity; a displacement has none.  c is complex: R1 and R0 of a mode cannot be told apart near
+its resonance.
 
 Modes are added one by one where the residual is largest, and all poles are then refined together (variable projection, Golub
 and Pereyra 1973).  The result is a modal record, from which each plant takes its start values as from any other.
@@ -52,17 +55,16 @@ def linear_modes_of(campaign: ToneCampaign, modes: int, displacement: bool) -> L
         )
     poles: list[float] = []
     for _ in range(modes):
-        left = y if not poles else _left(np.array(poles), f, u, y)[0]
-        poles += _peak(f, left, poles)
-        poles = _refined(np.array(poles), f, u, y).tolist()
+        left = y if not poles else _left(np.array(poles), f, u, y, displacement)[0]
+        poles += _peak(f, left)
+        poles = _refined(np.array(poles), f, u, y, displacement).tolist()
     found = np.array(poles)
-    left, coefficients = _left(found, f, u, y)
+    left, coefficients = _left(found, f, u, y, displacement)
     senses, drives = y.shape[1], u.shape[1]
     order = np.argsort(found[::2])
     frequency, zeta = found[::2][order], np.exp(found[1::2][order])
-    parts = coefficients[: 2 * modes * drives].reshape(modes, 2, drives, senses)[order]
     # c = i R1 + R0 / w at resonance, (M, S, D) [1/s]
-    c = np.moveaxis(1.0j * parts[:, 0] + parts[:, 1], 1, 2)
+    c = np.moveaxis(coefficients[: modes * drives].reshape(modes, drives, senses)[order], 1, 2)
     behind = filter_response(campaign.instrument.antialias, 2.0j * np.pi * frequency)[:, None, None]
     real = c / behind * (1.0 if displacement else -1.0j)
     swept = any(one.kind == "sweep" for one in records)
@@ -94,25 +96,27 @@ def _rows(records: Sequence[ToneRecord]) -> tuple[FloatArray, ComplexArray, Comp
     return np.concatenate(f), np.concatenate(u), np.concatenate(y)
 
 
-def _columns(poles: FloatArray, f: FloatArray, u: ComplexArray) -> ComplexArray:
-    """(N, 2 M D + D) columns of the residues, mode by mode (R1, R0 / w_m), and of the background of each drive."""
+def _columns(poles: FloatArray, f: FloatArray, u: ComplexArray, displacement: bool) -> ComplexArray:
+    """(N, M D + D) columns of the residues, mode by mode, and of the background of each drive."""
     out = []
-    for own, log_zeta in zip(poles[::2], poles[1::2]):
+    for own, log_zeta in zip(poles[::2, None], poles[1::2]):
         over = 1.0 / (own**2 - f**2 + 2.0j * np.exp(log_zeta) * own * f) / (2.0 * np.pi)
-        out += [1.0j * f[:, None] * u * over[:, None], own * u * over[:, None]]
+        out.append((own if displacement else f)[..., None] * u * over[:, None])
     return np.concatenate([*out, u], axis=1)
 
 
-def _left(poles: FloatArray, f: FloatArray, u: ComplexArray, y: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _left(
+    poles: FloatArray, f: FloatArray, u: ComplexArray, y: ComplexArray, displacement: bool
+) -> tuple[ComplexArray, ComplexArray]:
     """Residual (N, S), and the coefficients of the columns (K, S)."""
-    columns = _columns(poles, f, u)
+    columns = _columns(poles, f, u, displacement)
     size = np.linalg.norm(columns, axis=0)
     size[size == 0.0] = 1.0
     found, *_ = np.linalg.lstsq(columns / size, y, rcond=1e-9)
     return np.asarray(y - (columns / size) @ found), np.asarray(found / size[:, None])
 
 
-def _peak(f: FloatArray, left: ComplexArray, poles: Sequence[float]) -> list[float]:
+def _peak(f: FloatArray, left: ComplexArray) -> list[float]:
     """(f, ln zeta) of the highest peak of the residual, its width between the points at 0.7 of it."""
     size = np.linalg.norm(left, axis=1)
     order = np.argsort(f)
@@ -129,7 +133,7 @@ def _peak(f: FloatArray, left: ComplexArray, poles: Sequence[float]) -> list[flo
     return [float(f[top]), float(np.log(min(max(width / (2.0 * f[top]), 1e-8), 0.5)))]
 
 
-def _refined(poles: FloatArray, f: FloatArray, u: ComplexArray, y: ComplexArray) -> FloatArray:
+def _refined(poles: FloatArray, f: FloatArray, u: ComplexArray, y: ComplexArray, displacement: bool) -> FloatArray:
     from scipy.optimize import least_squares
 
     span = float(np.ptp(f))
@@ -139,7 +143,7 @@ def _refined(poles: FloatArray, f: FloatArray, u: ComplexArray, y: ComplexArray)
     scale = np.stack([np.exp(poles[1::2]) * poles[::2], np.ones(poles.size // 2)], axis=1).reshape(-1)
 
     def rows(x: FloatArray) -> FloatArray:
-        left = _left(x, f, u, y)[0] / norm
+        left = _left(x, f, u, y, displacement)[0] / norm
         return np.concatenate([left.real.reshape(-1), left.imag.reshape(-1)])
 
     found = least_squares(rows, np.clip(poles, low, high), bounds=(low, high), x_scale=scale, max_nfev=60)

@@ -38,6 +38,9 @@ FORMATS: dict[str, str] = {
     ".npz": "npz",
     ".mat": "mat",
     ".tdms": "tdms",
+    ".uff": "uff",
+    ".unv": "uff",
+    **{f".s{ports}p": "touchstone" for ports in range(1, 5)},
 }
 #: Formats that ``write_columns`` can write, and their suffixes.
 WRITTEN: dict[str, str] = {
