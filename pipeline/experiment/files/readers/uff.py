@@ -123,8 +123,9 @@ def _function(head: bytes, body: bytes) -> UniversalFunction:
             [float(one.replace(b"D", b"E")) for one in _NUMBER.findall(lines[_HEADER])], dtype=np.float64
         )
     rows = numbers[: count * per].reshape(count, per)
-    abscissa = low + step * np.arange(count) if even else rows[:, 0]
-    values = rows[:, -2] + 1.0j * rows[:, -1] if is_complex else rows[:, -1] + 0.0j
+    abscissa = np.asarray(low + step * np.arange(count) if even else rows[:, 0], dtype=np.float64)
+    imaginary = rows[:, -1] if is_complex else np.zeros(count)
+    values = np.asarray(rows[:, -2 if is_complex else -1] + 1.0j * imaginary, dtype=np.complex128)
     unit = text[8][47:67].strip()
     return UniversalFunction(
         kind, response, reference, abscissa, values, int(text[8][:10]), "" if unit == "NONE" else unit
