@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..errors import UsageError
+from ..errors import IncompleteError, UsageError
 
 if sys.platform != "win32":
     import fcntl
@@ -30,6 +30,7 @@ def one_writer(folder: Path) -> Iterator[None]:
     Raises
     ------
     UsageError : another process holds it.
+    IncompleteError : the file system does not allow it.
     """
     if sys.platform == "win32":
         yield  # Without file locks the caller must ensure that each run has one writer.
@@ -47,7 +48,10 @@ def one_writer(folder: Path) -> Iterator[None]:
 def _acquired(path: Path) -> int:
     """Descriptor of the lock file, locked, with this process as its content."""
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            raise _without_lock(path, error) from None
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -58,15 +62,28 @@ def _acquired(path: Path) -> int:
                 allowed="one writer per run",
                 next_step="wait for it, or end it and then resume the run",
             ) from None
+        except OSError as error:  # a network file system that passes no locks on
+            os.close(handle)
+            raise _without_lock(path, error) from None
         # The former holder may have removed the file between the two calls; the lock would be on nothing.
         with suppress(OSError):
             if os.fstat(handle).st_ino == path.stat().st_ino:
                 break
         os.close(handle)
     me = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
-    os.ftruncate(handle, 0)
-    os.pwrite(handle, json.dumps(me).encode(), 0)
+    with suppress(OSError):  # no space: the lock holds, only its holder is not named
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, json.dumps(me).encode(), 0)
     return handle
+
+
+def _without_lock(path: Path, error: OSError) -> IncompleteError:
+    return IncompleteError(
+        f"the run cannot be locked ({error.strerror})",
+        value=str(path),
+        allowed="a folder that can be written, on a file system with locks (flock)",
+        next_step="free disk space, fix permissions, or copy the run to a local disk; then gyroscreen run --resume",
+    )
 
 
 def _holder(path: Path) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -10,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from pipeline.errors import UsageError
+from pipeline.store import lock
 from pipeline.store.read import list_runs, read_run
 from pipeline.store.run import create_run
 from tests.stub_runs import run_arguments, stub_block, stub_runs
@@ -72,3 +76,31 @@ def test_a_new_run_is_the_latest_although_the_clock_was_set_back(tmp_path, monke
     create_run(tmp_path, "a", "", {})
     assert [run.run_id for run in list_runs(tmp_path)] == ["first", "b", "a"]
     assert read_run(tmp_path).manifest.created == "3000-01-01T00:00:00.001+00:00"
+
+
+@pytest.mark.parametrize(("call_", "reason"), [("open", errno.ENOSPC), ("flock", errno.ENOLCK)])
+def test_a_run_that_cannot_be_locked_is_incomplete(call_, reason, tmp_path, monkeypatch, capfd):
+    """A full disk, and a network file system that passes no locks on."""
+    stub_runs(monkeypatch)
+    opened = os.open
+
+    def refused(path: Any, *arguments: Any) -> int:
+        if call_ == "flock" or str(path).endswith(lock.NAME):
+            raise OSError(reason, os.strerror(reason), str(path))
+        return opened(path, *arguments)
+
+    create_run(tmp_path, "stopped", "", {})
+    monkeypatch.setattr(lock.os if call_ == "open" else lock.fcntl, call_, refused)
+    assert call(["run", "--resume", "latest", "--out", str(tmp_path)]) == 3
+    message = capfd.readouterr().err
+    assert os.strerror(reason) in message
+    assert "--resume" in message
+
+
+def test_a_lock_whose_holder_cannot_be_written_holds(tmp_path, monkeypatch):
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(lock.os, "pwrite", full)
+    with lock.one_writer(tmp_path), pytest.raises(UsageError, match="another process"), lock.one_writer(tmp_path):
+        pass
