@@ -5,6 +5,7 @@
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
     [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file);
                      start_s, stop_s (the same in seconds from the first sample)
+                     period_samples (of the drive; found where it repeats exactly): steady periods measure the noise
                      kind = "decay": free motion from any initial state, without a drive (``decays.pieces``);
                      kind = "sweep" | "frf" (also at the top, for all records); quantity, reference_ohm, averages: see
                      ``files.tone_columns``
@@ -79,6 +80,7 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     at_rest: bool = True
     start: Annotated[int, Meta(ge=0)] = 0
     stop: Annotated[int, Meta(ge=1)] | None = None
+    period_samples: Annotated[int, Meta(ge=16)] | None = None
     start_s: Annotated[float, Meta(ge=0.0, le=1e9)] | None = None
     stop_s: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None
     kind: ToneKind | Literal["time", "decay"] | None = None
@@ -132,6 +134,7 @@ def _records_of(
             bias_v=entry.bias_v,
             temperature_c=entry.temperature_c,
             file=names[0],
+            period_samples=entry.period_samples,
         )
         for record in found
     ]

@@ -88,6 +88,7 @@ class Record:
     file : file of its [[record]] in campaign.toml; ``None`` where it was not read from a campaign.
     units : "drive<k>_V" or "sense<k>_V" -> the SI unit of its samples where that is not volts.
     bad : bad samples, which every fit leaves out; ``None`` where they were not sought (see ``experiment.bad_samples``).
+    period_samples : declared period of the drive; ``None`` means that of a drive that repeats exactly, if it does.
     elapsed_s : time from the start of the run to the first sample [s]; a piece of a run begins later than the run.
     """
 
@@ -106,6 +107,7 @@ class Record:
     units: Mapping[str, str] = field(default_factory=dict)
     bad: tuple[BadStretch, ...] | None = None
     elapsed_s: float = 0.0
+    period_samples: int | None = None
 
     @property
     def good(self) -> BoolArray | None:

@@ -6,7 +6,8 @@ It comes from the first of these sources that is available:
 
     "silent"    the rms of the silent records after offset, trend and lines are removed.  LSB^2/12 is added where the noise is
                 too small to exercise the ADC.  Repeats are pooled with it if both agree within 3 sd.
-    "repeats"   the rms of the difference of two records with the same drive and conditions, divided by sqrt 2
+    "repeats"   the rms of the difference of two records with the same drive and conditions, divided by sqrt 2; or that of the
+                periods of a periodic drive in steady state (``periods``)
     "local"     a local fit of the response over neighbouring frequencies (``local``)
     "residual"  nothing measures the noise: sigma is only an upper bound, from the same local fit; ``known`` is false
 
@@ -32,6 +33,7 @@ from ..instrument import Adc
 from ..record import Campaign, Record
 from .lines import fitted_lines, regressors, with_quantisation
 from .local import has_windows, local_noise
+from .periods import period_noise
 from .spectrum import NoiseSpectrum, noise_spectrum
 
 Source = Literal["silent", "repeats", "local", "residual"]
@@ -123,7 +125,7 @@ def _silent(records: tuple[Record, ...], line_hz: float | None, adc: Adc | None)
 
 def repeats_of(campaign: Campaign) -> list[tuple[Record, Record]]:
     """Pairs of driven records with the same drive samples and conditions that start at rest."""
-    driven = [r for r in campaign.records if r.role != "noise" and np.any(r.drive_v)]
+    driven = _driven(campaign)
     return [
         (a, b)
         for a, b in combinations(driven, 2)
@@ -133,6 +135,10 @@ def repeats_of(campaign: Campaign) -> list[tuple[Record, Record]]:
         and a.at_rest
         and b.at_rest
     ]
+
+
+def _driven(campaign: Campaign) -> list[Record]:
+    return [record for record in campaign.records if record.role != "noise" and np.any(record.drive_v)]
 
 
 def _from_repeats(repeats: list[tuple[Record, Record]], line_hz: float | None) -> NoiseLevel | None:
@@ -182,6 +188,11 @@ def noise_level(campaign: Campaign, line_hz: float | None = None) -> NoiseLevel:
             level = NoiseLevel(spectrum.sigma_v, "silent", spectrum.dof, spectrum=spectrum)
     elif repeats is not None:
         level = repeats
+    elif (periods := period_noise(_driven(campaign), line_hz, campaign.instrument.adc)) is not None:
+        if periods.spectrum.white:
+            level = NoiseLevel(np.sqrt(periods.variance), "repeats", periods.dof)
+        else:
+            level = NoiseLevel(periods.spectrum.sigma_v, "repeats", periods.dof, spectrum=periods.spectrum)
     else:
         found = [record for record in campaign.records if has_windows(record)]
         if not found:
