@@ -99,6 +99,12 @@ class MeasurementError(GyroscreenError):
     exit_code: ClassVar[int] = 5
 
 
+def unwritable(what: str, path: object, error: OSError, next_step: str = "choose another path") -> UsageError:
+    """``what`` cannot be written to ``path``, with the reason that the operating system gives."""
+    reason = (error.strerror or str(error)).lower()
+    return UsageError(f"{what} cannot be written: {reason}", value=str(path), next_step=next_step)
+
+
 def printable(text: str) -> str:
     """``text`` with control characters escaped: they would break lines of a table or be obeyed by a terminal."""
     return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)

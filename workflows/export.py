@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 from pipeline.device.gyro import PHYSICAL, gyro_mechanics, to_physical
 from pipeline.device.operation.state_space import state_space
-from pipeline.errors import MeasurementError, UsageError
+from pipeline.errors import MeasurementError, UsageError, unwritable
 from pipeline.experiment.record import Campaign
 from pipeline.inference.screening.device import DeviceResult
 
@@ -84,8 +84,4 @@ def write_model(model: dict[str, Any], path: Path) -> None:
                 {k: np.array(v, dtype=object) if k in cells else v for k, v in model.items() if v is not None},
             )
     except OSError as error:
-        raise UsageError(
-            f"the model cannot be written: {(error.strerror or str(error)).lower()}",
-            value=str(path),
-            next_step="choose another file with --out",
-        ) from None
+        raise unwritable("the model", path, error, "choose another file with --out") from None

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import toml_files as toml
 from ..arrays import FloatArray
-from ..errors import UsageError
+from ..errors import UsageError, unwritable
 from .files.readers import write_columns
 from .record import Campaign, Record
 from .systematic import EXACT
@@ -84,8 +84,4 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
         staged.write_text(text, encoding="utf-8")
         staged.replace(folder / "campaign.toml")
     except OSError as error:
-        raise UsageError(
-            "campaign.toml cannot be written",
-            value=f"{folder}: {error}",
-            next_step="choose another folder",
-        ) from error
+        raise unwritable("campaign.toml", folder, error) from error

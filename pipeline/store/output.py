@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, Literal, get_args
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from ..errors import UsageError, printable
+from ..errors import UsageError, printable, unwritable
 from .files import replacing
 from .parquet import encode_table
 
@@ -49,7 +49,7 @@ def write_table(table: pa.Table, format: str, out: BinaryIO | Path) -> None:
         with replacing(out.absolute().parent, out.name) as file:
             write(table, file)
     except OSError as error:
-        raise UsageError(f"cannot write the file ({error.strerror})", value=str(out)) from None
+        raise unwritable("the file", out, error) from None
 
 
 def _parts(table: pa.Table) -> Iterator[pa.Table]:

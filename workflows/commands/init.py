@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipeline.errors import GyroscreenError, UsageError, printable_lines
+from pipeline.errors import GyroscreenError, UsageError, printable_lines, unwritable
 from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.files.inspect import Inspection, inspect
 from pipeline.experiment.files.inspect_tones import ToneInspection, inspect_tones
@@ -16,6 +16,7 @@ from pipeline.experiment.files.template_tones import TONE_MODEL, tone_reason, to
 from pipeline.experiment.tones import ToneCampaign
 
 FILE, MODEL, PICTURE = "campaign.toml", "model.toml", "columns.png"
+_OTHER = "choose another folder with --out"
 
 
 def init(files: Sequence[Path], out: Path | None) -> None:
@@ -49,7 +50,7 @@ def init(files: Sequence[Path], out: Path | None) -> None:
     try:
         columns_png(campaign.records, folder / PICTURE)
     except OSError as error:
-        raise _unwritable(folder / PICTURE, error) from None
+        raise unwritable("the picture", folder / PICTURE, error, _OTHER) from None
     print(printable_lines(f"{target}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"))
     model = "" if gyro else f" --model {folder / MODEL}"
     print(printable_lines(f"next: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
@@ -77,7 +78,7 @@ def _init_tones(folder: Path, files: Sequence[Path], paths: Sequence[str], found
         try:
             tones_png(campaign.records, folder / PICTURE)
         except OSError as error:
-            raise _unwritable(folder / PICTURE, error) from None
+            raise unwritable("the picture", folder / PICTURE, error, _OTHER) from None
     print(
         printable_lines(
             f"{folder / FILE}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"
@@ -92,15 +93,7 @@ def _write(folder: Path, target: Path, text: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise _unwritable(target, error) from None
-
-
-def _unwritable(path: Path, error: OSError) -> UsageError:
-    return UsageError(
-        f"it cannot be written: {(error.strerror or str(error)).lower()}",
-        value=str(path),
-        next_step="choose another folder with --out",
-    )
+        raise unwritable(target.name, target, error, _OTHER) from None
 
 
 def _text(files: Sequence[Path], found: Inspection) -> list[str]:

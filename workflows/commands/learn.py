@@ -14,7 +14,7 @@ from pipeline.criticism.announce import announce
 from pipeline.criticism.problem import FitResult
 from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
-from pipeline.errors import NegativeError, UsageError, printable_lines
+from pipeline.errors import NegativeError, printable_lines, unwritable
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
@@ -143,7 +143,7 @@ def _write_page(
         out.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise UsageError(f"cannot write the page ({error.strerror})", value=str(out)) from None
+        raise unwritable("the page", out, error, "choose another folder with --out") from None
     return path
 
 

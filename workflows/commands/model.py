@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.device.effect import Effect, find_effects
 from pipeline.device.model import Model, load_model
-from pipeline.errors import ConfigError, UsageError
+from pipeline.errors import ConfigError, UsageError, unwritable
 from pipeline.experiment.campaign import read_measurement, write_campaign
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
@@ -38,13 +38,8 @@ def simulate(
     try:
         (out / "truth.json").write_text(json_.dumps(truth, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
-        raise _unwritable("truth.json", out, error) from None
+        raise unwritable("truth.json", out, error) from None
     print(f"{out}: {len(campaign.records)} records of {campaign.device_id}; the true parameters are in truth.json")
-
-
-def _unwritable(what: str, path: Path, error: OSError) -> UsageError:
-    reason = (error.strerror or str(error)).lower()
-    return UsageError(f"{what} cannot be written: {reason}", value=str(path), next_step="choose another path")
 
 
 def effects(name: str | None, folders: Sequence[Path]) -> None:
@@ -98,7 +93,7 @@ def change(effect: str, path: Path, add: bool, folders: Sequence[Path]) -> None:
     try:
         path.write_text(changed.to_toml(), encoding="utf-8")
     except OSError as error:
-        raise _unwritable("the model file", path, error) from None
+        raise unwritable("the model file", path, error) from None
     print(f"{path}: effects = {', '.join(changed.effects) or 'none'}")
 
 

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines
+from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines, unwritable
 from pipeline.store.manifest import Manifest
 from pipeline.store.query import LATEST, answer, write_table
 from pipeline.store.read import list_runs
@@ -99,11 +99,7 @@ def report(run: str | None, results: Path, out: Path | None) -> None:
             out.parent.mkdir(parents=True, exist_ok=True)
             out.write_text(page, encoding="utf-8")
         except OSError as error:
-            raise UsageError(
-                f"the page cannot be written: {(error.strerror or str(error)).lower()}",
-                value=str(out),
-                next_step="choose another file with --out",
-            ) from None
+            raise unwritable("the page", out, error, "choose another file with --out") from None
         path = out
     print(path)
 

@@ -182,12 +182,16 @@ def _row(config: RunConfig, drawn: Draw, i: int, gain: float, bad: float) -> Row
     return Row(split, result.estimate.status, z_theta, z_split, inside, c["ess"])
 
 
+def offsets(columns: Mapping[str, Any], name: str, truth: float) -> tuple[float, float, float]:
+    """Estimate, low and high end of its 90 % interval minus the ``truth``, in the unit of the quantity; axes modulo 180 deg."""
+    found = np.array([columns[name], columns[f"{name}_q05"], columns[f"{name}_q95"]])
+    error, low, high = (difference(found, truth) if name in AXES else found - truth).tolist()
+    return error, low, high
+
+
 def _inside(columns: Mapping[str, Any], name: str, truth: float) -> bool:
-    """Whether the 90 % interval of a quantity contains the ``truth``, in its unit."""
-    low, high = columns[f"{name}_q05"], columns[f"{name}_q95"]
-    if name in AXES:
-        return float(difference(low, truth)) <= 0.0 <= float(difference(high, truth))
-    return bool(low <= truth <= high)
+    _, low, high = offsets(columns, name, truth)
+    return low <= 0.0 <= high
 
 
 def run_study(devices: int, splits: str, seed: int, workers: int, noise: str = "white", bad: float = 0.0) -> list[Row]:

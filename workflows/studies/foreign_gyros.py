@@ -27,13 +27,12 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import ComplexArray, FloatArray
-from pipeline.axial import difference, wrap
 from pipeline.errors import GyroscreenError, UsageError
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.identify import identify
 
-from .coverage import Share
+from .coverage import Share, offsets
 from .hidden.study import make_folder, resumed, rows_in
 
 KINDS: dict[str, str] = {
@@ -193,16 +192,9 @@ def study_row(seed: int, item: tuple[str, int]) -> dict[str, Any]:
     }
     for name, truth in (("theta_deg", gyro.theta_deg), ("split_hz", gyro.split_hz)):
         if columns.get(f"{name}_sd"):
-            row[name] = _judged(columns, name, truth)
+            away, low, high = offsets(columns, name, truth)
+            row[name] = {"z": away / columns[f"{name}_sd"], "inside": low <= 0.0 <= high}
     return row
-
-
-def _judged(columns: Mapping[str, Any], name: str, truth: float) -> dict[str, float | bool]:
-    ends = np.array([columns[f"{name}_q05"], columns[f"{name}_q95"]]) - truth
-    error = columns[name] - truth
-    if name == "theta_deg":
-        ends, error = wrap(ends), float(difference(columns[name], truth))
-    return {"z": float(error / columns[f"{name}_sd"]), "inside": bool(ends[0] <= 0.0 <= ends[1])}
 
 
 def run_study(kinds: Sequence[str], devices: int, seed: int, folder: Path, workers: int) -> Iterator[tuple[int, int]]:

@@ -23,7 +23,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
-from pipeline.axial import difference, wrap
 from pipeline.device.gyro import PHYSICAL
 from pipeline.errors import GyroscreenError, UsageError
 from pipeline.experiment.noise.measure import measured
@@ -33,14 +32,13 @@ from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.device import FitRecord, identify_device
 from pipeline.inference.screening.mismatch import NIGHTLY_MODEL
 from pipeline.inference.screening.undetected.library import scored_effects
-from pipeline.quantities import AXES
 from populations.draw import Draw, draw
 
 from ..config import RunConfig, load_config
 from ..process import worker_count
 from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate_of, settings_of
 from ..screening.virtual_device import physical_of, shared_record, virtual_volts
-from .coverage import COVERED, Share
+from .coverage import COVERED, Share, offsets
 from .hidden.effects import draw_effect, peak_of
 from .hidden.study import make_folder, resumed, rows_in
 from .hidden.truth import clipped, hum, response
@@ -138,15 +136,12 @@ def examine(config: RunConfig, drawn: Draw, i: int, effect: str) -> dict[str, An
 def _judged(c: Mapping[str, Any], name: str, truth: float) -> dict[str, float | bool]:
     """Error and bound [sd], and whether the interval holds the truth, as it is and widened by the bound."""
     bound, sd = c[f"{name}_bias_bound"], c[f"{name}_sd"]
-    ends = np.array([c[f"{name}_q05"], c[f"{name}_q95"]]) - truth
-    error = c[name] - truth
-    if name in AXES:
-        ends, error = wrap(ends), float(difference(c[name], truth))
+    error, low, high = offsets(c, name, truth)
     return {
         "z": error / sd,
         "bound": bound / sd,
-        "inside": bool(ends[0] <= 0.0 <= ends[1]),
-        "widened": bool(ends[0] - bound <= 0.0 <= ends[1] + bound),
+        "inside": low <= 0.0 <= high,
+        "widened": low - bound <= 0.0 <= high + bound,
     }
 
 

@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from ... import toml_files as toml
 from ...arrays import FloatArray
-from ...errors import ConfigError, MeasurementError, UsageError
+from ...errors import ConfigError, MeasurementError, unwritable
 from ..instrument import AntiAlias
 from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, References, references
 from .readers import existing
@@ -207,6 +207,4 @@ def write_modal_record(record: ModalRecord, path: Path) -> None:
     try:
         path.write_text("\n".join(part for part in parts if part), encoding="utf-8")
     except OSError as error:
-        raise UsageError(
-            "the modal record cannot be written", value=f"{path}: {error}", next_step="choose another path"
-        ) from error
+        raise unwritable("the modal record", path, error) from error

@@ -27,7 +27,9 @@ UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("counts", "count", "LSB", "1"), ("counts", 1.0)),
     **{unit: ("s", factor) for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("min", 60.0))},
     **dict.fromkeys(("sec", "Sec", "second", "seconds", "Seconds"), ("s", 1.0)),
-    **{unit: ("Hz", factor) for unit, factor in (("Hz", 1.0), ("kHz", 1e3), ("MHz", 1e6), ("GHz", 1e9))},
+    **{unit: ("Hz", factor) for unit, factor in (("mHz", 1e-3), ("Hz", 1.0), ("kHz", 1e3), ("MHz", 1e6), ("GHz", 1e9))},
+    **{unit: ("Hz", factor) for unit, factor in (("S/s", 1.0), ("kS/s", 1e3), ("MS/s", 1e6), ("GS/s", 1e9))},
+    **dict.fromkeys(("Sa/s", "samples/s"), ("Hz", 1.0)),
 }
 _MICRO = str.maketrans({"µ": "u", "μ": "u"})
 _BRACKETS = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))\s*$")
@@ -38,6 +40,15 @@ def known_unit(text: str) -> str | None:
     """The key of :data:`UNITS` for a unit as people write it, or ``None``."""
     unit = text.strip().translate(_MICRO)
     return unit if unit in UNITS else None
+
+
+def of_any_case(text: str) -> tuple[str, float] | None:
+    """Unit in SI and factor of a unit that may be written in other letters; ``None`` where two units fit: MHZ is mHz or MHz."""
+    unit = text.strip().translate(_MICRO)
+    if unit in UNITS:
+        return UNITS[unit]
+    meant = {si for known, si in UNITS.items() if known.lower() == unit.lower()}
+    return meant.pop() if len(meant) == 1 else None
 
 
 def is_unit(text: str) -> bool:

@@ -21,7 +21,7 @@ from ...criticism.announce import announce
 from ...criticism.budget import CLEAR_SNR, DETECTABLE_SNR
 from ...criticism.separation import Prediction, Separation, known_of, separation
 from ...criticism.verdict import TermClass
-from ...errors import ConfigError, UsageError
+from ...errors import ConfigError, unwritable
 from ...experiment.files.readers import write_columns
 from ...experiment.forward.record import forward, jacobian
 from ...experiment.forward.sensitivity import tuned_steps
@@ -120,7 +120,7 @@ class Proposal:
         try:
             path.with_suffix(".toml").write_text(self.stanza(), encoding="utf-8")
         except OSError as error:
-            raise UsageError(f"cannot write beside the drive file ({error.strerror})", value=str(folder)) from None
+            raise unwritable("the lines for campaign.toml", folder, error) from None
         return path
 
 

@@ -195,7 +195,7 @@ def test_repeated_column_names_are_numbered(results: Path) -> None:
 
 
 def test_unwritable_files_and_unknown_formats_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot write the file"):
+    with pytest.raises(UsageError, match="the file cannot be written"):
         write_table(pa.table({"a": [1]}), "csv", tmp_path / "nowhere" / "a.csv")
     with pytest.raises(UsageError, match="unknown format: 'xlsx'; allowed: table, csv, json, parquet"):
         write_table(pa.table({"a": [1]}), "xlsx", tmp_path / "a.xlsx")

@@ -24,7 +24,7 @@ from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import Problem
 from pipeline.criticism.verdict import TermClass
-from pipeline.errors import GyroscreenError, UsageError
+from pipeline.errors import GyroscreenError, UsageError, unwritable
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.campaign.problem import CampaignProblem
@@ -213,12 +213,7 @@ def make_folder(folder: Path) -> None:
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(EACCES, os.strerror(EACCES))
     except OSError as error:
-        raise UsageError(
-            f"the folder for the rows cannot be written: {(error.strerror or str(error)).lower()}",
-            value=str(folder),
-            allowed="a folder with write permission, or a new one",
-            next_step="choose another --out",
-        ) from None
+        raise unwritable("the folder for the rows", folder, error, "choose another --out") from None
 
 
 def resumed(

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
 from pipeline.device.gyro import PHYSICAL
-from pipeline.errors import UsageError
+from pipeline.errors import unwritable
 from pipeline.experiment.antialias import filter_response
 from pipeline.identification.phase import correct_phase, correct_phase_hinf
 from pipeline.identification.reduction import Reduction, reduce_model
@@ -128,21 +128,12 @@ def write_paper(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _unwritable(out, error) from error
+        raise unwritable("the page", out, error, "choose another --out") from error
     with threadpool_limits(limits=1):
         content = paper_content(sizes or study.StudySizes(), say)
     path = out / PAGE
     try:
         path.write_text(render_paper(content), encoding="utf-8")
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise unwritable("the page", path, error, "choose another --out") from error
     return path, content, time.monotonic() - began
-
-
-def _unwritable(path: Path, error: OSError) -> UsageError:
-    return UsageError(
-        "the page cannot be written",
-        value=f"{path}: {error.strerror}",
-        allowed="a folder that can be written",
-        next_step="choose another --out",
-    )

@@ -16,7 +16,7 @@ from types import ModuleType
 
 import numpy as np
 
-from ....errors import ConfigError, MeasurementError, UsageError
+from ....errors import ConfigError, MeasurementError, UsageError, unwritable
 from ....input_limits import check_path
 from ...record import Record
 from ..columns import assemble, only
@@ -173,11 +173,7 @@ def write_columns(folder: Path, stem: str, columns: Columns, form: str) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         _module(form).write(path, columns)
     except OSError as error:
-        raise UsageError(
-            "the record cannot be written",
-            value=f"{path}: {error}",
-            next_step="choose a folder with write permission",
-        ) from error
+        raise unwritable("the record", path, error) from error
     except MeasurementError as error:  # an optional package is missing
         raise ConfigError(error.what, allowed=error.allowed, next_step=error.next_step) from error
     return path

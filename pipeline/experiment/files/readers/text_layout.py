@@ -18,29 +18,16 @@ from pathlib import Path
 
 from ....errors import MeasurementError
 from ....input_limits import CSV_HEADER_BYTES
-from ..units import is_unit, with_unit
+from ..units import is_unit, of_any_case, with_unit
 
 #: Lines that must look alike for a table to begin; fewer where the file ends before.
 _ALIKE = 5
 _COMMENT = "#%!;/*'\""
 _SAMPLE = re.compile(
     r"(?P<what>(sampl(e|ing)[ _-]*)(rate|frequency|interval|period|time)|delta[_ ]?[xt]|x[ _-]?increment)"
-    r"\W{1,12}?(?P<number>[-+]?[0-9.]+([eE][-+]?\d+)?)\s*(?P<unit>[a-zA-Zµ/]*)",
+    r"\W{1,12}?(?P<number>[-+]?[0-9.]+([eE][-+]?\d+)?) *(?P<field>[,;\t]?)\s*(?P<unit>[a-zA-Zµ/]*)",
     re.IGNORECASE,
 )
-_UNIT_FACTORS = {
-    "": 1.0,
-    "s": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "µs": 1e-6,
-    "ns": 1e-9,
-    "hz": 1.0,
-    "khz": 1e3,
-    "mhz": 1e6,
-    "s/s": 1.0,
-    "sa/s": 1.0,
-}
 
 
 @dataclass(frozen=True)
@@ -178,9 +165,12 @@ def _step(above: Sequence[str]) -> float | None:
     """Sample interval [s] from a line such as "Sample Rate: 1000 Hz" or "Delta_X 0.001"."""
     for line in above:
         if match := _SAMPLE.search(line):
-            factor = _UNIT_FACTORS.get(match["unit"].lower())
-            number = float(match["number"]) if is_number(match["number"], ".") else 0.0
-            if factor is not None and number > 0.0:
-                rate = "rate" in match["what"].lower() or "frequency" in match["what"].lower()
-                return 1.0 / (number * factor) if rate else number * factor
+            rate = "rate" in match["what"].lower() or "frequency" in match["what"].lower()
+            unit = of_any_case(match["unit"])
+            if not match["unit"] or (match["field"] and unit is None):
+                unit = ("Hz" if rate else "s"), 1.0
+            si, factor = unit or ("", 0.0)
+            value = factor * (float(match["number"]) if is_number(match["number"], ".") else 0.0)
+            if value > 0.0 and si in ("Hz", "s"):
+                return 1.0 / value if si == "Hz" else value
     return None

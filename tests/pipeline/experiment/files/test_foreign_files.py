@@ -13,6 +13,7 @@ from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.files.clock import clock_of, pieces
 from pipeline.experiment.files.readers import read_columns, read_record
+from pipeline.experiment.files.readers.text_layout import text_layout
 from pipeline.experiment.files.units import split_unit
 
 FS = 1000.0
@@ -49,6 +50,24 @@ def test_a_sample_rate_in_the_preamble_is_the_clock(tmp_path):
     rows = "\n".join(f"{u:.6f},{y:.6f}" for u, y in zip(U, Y))
     (tmp_path / "r.csv").write_text(f"Sampling interval,5e-4,s\ndrive1_V,sense1_V\n{rows}\n")
     assert read_record(tmp_path / "r.csv", None).sample_rate_hz == pytest.approx(2000.0)
+
+
+@pytest.mark.parametrize(
+    ("stated", "step_s"),
+    [
+        ("Sampling interval,0.5,ms", 5e-4),
+        ("Sampling interval;5e-4;channel 2", 5e-4),
+        ("Sample Rate: 2 KHZ", 5e-4),
+        ("Sample rate = 2.5 MS/s", 4e-7),
+        ("Sampling Frequency: 2 MHz", 5e-7),
+        ("Sampling Frequency: 2 mHz", 500.0),
+        ("Sampling Frequency: 2 MHZ", None),  # millihertz or megahertz: a factor of 1e9
+        ("Sample rate: 2 V", None),
+    ],
+)
+def test_the_unit_of_a_stated_rate_is_read_with_its_capitals(tmp_path, stated, step_s):
+    (tmp_path / "r.csv").write_text(stated + "\ndrive1_V,sense1_V\n" + "0.1,0.2\n" * 5)
+    assert text_layout(tmp_path / "r.csv").step_s == (None if step_s is None else pytest.approx(step_s))
 
 
 @pytest.mark.parametrize(
