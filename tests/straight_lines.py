@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -34,8 +35,18 @@ def line(x: FloatArray, frequency: float) -> FloatArray:
     return np.stack([np.cos(frequency * x), np.sin(frequency * x)], axis=1)
 
 
-def blocks_of(name: str) -> list[FloatArray]:
-    return [CURVES[name](scale * X)[:, None] for scale in SCALES]
+@cache
+def columns_of(term: str) -> tuple[FloatArray, ...]:
+    """Columns of a term by block; those of "line" are a grid of frequencies."""
+    if term == "line":
+        return tuple(np.concatenate([line(scale * X, f) for f in FREQUENCIES], axis=1) for scale in SCALES)
+    return tuple(CURVES[term](scale * X)[:, None] for scale in SCALES)
+
+
+@cache
+def bumps() -> tuple[FloatArray, ...]:
+    """Narrow bumps at 41 places, by fitted block."""
+    return tuple(np.exp(-800.0 * (scale * X[:, None] - np.linspace(-1.0, 1.0, 41)) ** 2) for scale in SCALES[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +63,10 @@ class Lines:
     def baseline(self) -> list[FloatArray]:
         return [np.stack([np.ones(ROWS), scale * X], axis=1) for scale in SCALES]
 
-    def columns(self, term: str) -> list[FloatArray]:
-        if term == "line":
-            return [np.concatenate([line(scale * X, f) for f in FREQUENCIES], axis=1) for scale in SCALES]
-        return blocks_of(term)
-
     def fit(self, terms: tuple[str, ...], start: FitResult | None = None) -> FitResult:
         design, names, columns, shifts = self.baseline(), ["a", "b"], {}, {}
         for term in terms:
-            new = self.columns(term)
+            new = columns_of(term)
             if term == "line":
                 new = self._best_line(design, new)
             width = new[0].shape[1]
@@ -92,7 +98,7 @@ class Lines:
             noise_known=self.noise_known,
         )
 
-    def _best_line(self, design: list[FloatArray], columns: list[FloatArray]) -> list[FloatArray]:
+    def _best_line(self, design: list[FloatArray], columns: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         y, chi2s = np.concatenate(self.data[:-1]), []
         for i in range(FREQUENCIES.size):
             trial = np.concatenate(
@@ -100,14 +106,14 @@ class Lines:
             )
             chi2s.append(float(np.sum((y - trial @ np.linalg.lstsq(trial, y, rcond=None)[0]) ** 2)))
         best = int(np.argmin(chi2s))
-        return [c[:, 2 * best : 2 * best + 2] for c in columns]
+        return tuple(c[:, 2 * best : 2 * best + 2] for c in columns)
 
     def signatures(self, fit: FitResult) -> Signatures:
         candidates, blocks, start = [], [np.zeros((ROWS, 0))] * (len(SCALES) - 1), 0
         for term in self.library:
             if term in fit.terms:
                 continue
-            new = self.columns(term)
+            new = columns_of(term)
             width = 2 if term == "line" else 1
             cells = tuple(slice(start + i, start + i + width) for i in range(0, new[0].shape[1], width))
             grid = tuple({"frequency": float(f)} for f in FREQUENCIES) if term == "line" else ({},)
@@ -119,10 +125,9 @@ class Lines:
         return Signatures(tuple(candidates), tuple(blocks))
 
     def probes(self, fit: FitResult) -> Signatures:
-        centres = np.linspace(-1.0, 1.0, 41)
-        blocks = tuple(np.exp(-800.0 * (scale * X[:, None] - centres) ** 2) + 0.0 for scale in SCALES[:-1])
-        parameters = tuple(TermParameter(f"at{i}") for i in range(centres.size))
-        return Signatures((Candidate("bumps", parameters, (slice(0, centres.size),)),), blocks)
+        width = bumps()[0].shape[1]
+        parameters = tuple(TermParameter(f"at{i}") for i in range(width))
+        return Signatures((Candidate("bumps", parameters, (slice(0, width),)),), bumps())
 
     def spectrum(self, fit: FitResult) -> Sequence[Spectrum]:
         return ()
@@ -159,7 +164,9 @@ class Toy:
         base = np.concatenate([np.stack([np.ones(ROWS), scale * X], axis=1) for scale in SCALES[:-1]])
         for term, snr in (hidden or {}).items():
             shape = (
-                [line(s * X, frequency)[:, 0] for s in SCALES] if term == "line" else [c[:, 0] for c in blocks_of(term)]
+                [line(s * X, frequency)[:, 0] for s in SCALES]
+                if term == "line"
+                else [c[:, 0] for c in columns_of(term)]
             )
             shape = [factor * z for factor, z in zip(factors, shape)]
             whole = np.concatenate(shape[:-1])

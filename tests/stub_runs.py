@@ -46,7 +46,12 @@ def stub_runs(patch: pytest.MonkeyPatch, block: Callable[..., BlockTables] | Non
     patch.setattr("workflows.screening.lot.run.guarded_in_parallel", in_turn)
     patch.setattr(batch, "block_task", lambda config, item, _: made((config, item.campaigns), item.block))
     if not page:
-        patch.setattr(outcome, "rendered_report", lambda *_, **__: "<!doctype html>")
+        empty_pages(patch)
+
+
+def empty_pages(patch: pytest.MonkeyPatch) -> None:
+    """Runs write an empty page: drawing the figures takes longer than the devices."""
+    patch.setattr(outcome, "rendered_report", lambda *_, **__: "<!doctype html>")
 
 
 def run_arguments(folder: Path, devices: int = 4, text: str = "") -> list[str]:

@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -59,11 +60,19 @@ def dotted(path: Path) -> str:
 KNOWN = {dotted(path): path for path in modules()}
 
 
-def imports(path: Path) -> set[str]:
-    """Absolute dotted names of what a module imports, at its top level or within functions."""
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """Imports and classes of a module, at its top level or within functions."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return tuple(n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom | ast.ClassDef))
+
+
+@cache
+def imports(path: Path) -> frozenset[str]:
+    """Absolute dotted names of what a module imports."""
     here = path.relative_to(ROOT).with_suffix("").parts
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -72,7 +81,7 @@ def imports(path: Path) -> set[str]:
             names = {f"{module}.{alias.name}" for alias in node.names}
             # A module that is imported from its package is no use of the package's own names.
             found |= names if names <= KNOWN.keys() else {module} | names
-    return found
+    return frozenset(found)
 
 
 @pytest.mark.parametrize("path", list(modules()), ids=lambda p: str(p.relative_to(ROOT)))
@@ -118,6 +127,7 @@ def test_no_file_imports_itself_by_way_of_others():
         visit(name, ())
 
 
+@cache
 def _module_of(name: str) -> str | None:
     """The module that an imported name lives in; an empty package file is no module."""
     while name not in KNOWN:
@@ -158,7 +168,7 @@ def test_every_folder_of_more_than_five_files_is_introduced_in_a_few_lines():
 def test_a_class_name_means_one_thing():
     where: dict[str, list[str]] = {}
     for path in modules():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.ClassDef):
                 where.setdefault(node.name.lstrip("_"), []).append(dotted(path))
     assert not {name: files for name, files in where.items() if len(files) > 1}

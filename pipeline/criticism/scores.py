@@ -265,6 +265,21 @@ def inverse_of(gram: FloatArray) -> tuple[FloatArray, int]:
     return np.asarray((vector[:, good] / size[good]) @ vector[:, good].T), int(good.sum())
 
 
+def largest_delta_chi2s(cell: Cell, scores: FloatArray) -> FloatArray:
+    """T (n,) of :func:`delta_chi2s` without theta: all that a simulated null needs."""
+    own = scores[cell.columns]
+    best = np.zeros(own.shape[1])
+    for face in cell.faces:
+        if face.free.size == 0:
+            continue
+        step = face.inverse @ own[face.free]
+        decrease = np.einsum("ij,ij->j", own[face.free], step)
+        if face.sides.any():
+            decrease = np.where(np.all(step * face.sides[:, None] >= 0.0, axis=0), decrease, 0.0)
+        best = np.fmax(best, decrease)
+    return best
+
+
 def delta_chi2s(cell: Cell, scores: FloatArray) -> tuple[FloatArray, FloatArray]:
     """T (n,) and theta (k, n) of a cell in scaled units, for n scores (K, n) of all columns."""
     own = scores[cell.columns]

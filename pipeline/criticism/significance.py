@@ -33,7 +33,7 @@ from scipy.special import betainc, betaln, erfcx, gamma, gammaincc, gammaln, log
 from ..arrays import FloatArray
 from .budget import ALPHA, COUNTED, DETECTABLE_SNR, DRAWS
 from .problem import Candidate, LocalCandidate
-from .scores import ABSORBED, Cell, Projected, Score, cells_of, delta_chi2s, inverse_of
+from .scores import ABSORBED, Cell, Projected, Score, cells_of, delta_chi2s, inverse_of, largest_delta_chi2s
 
 #: Draws at a time, so that intermediate results stay in the processor's cache.
 _CHUNK = 1000
@@ -188,7 +188,7 @@ def _log_single(
     rank = max((cell.rank for cell in cells), default=0)
     best = np.zeros(scores.shape[1])
     for cell in cells:
-        best = np.maximum(best, delta_chi2s(cell, scores)[0] / cell.inflation)
+        best = np.maximum(best, largest_delta_chi2s(cell, scores) / cell.inflation)
     if rank == 0:
         return np.zeros_like(best)
     if total is None:

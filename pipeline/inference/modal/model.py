@@ -93,17 +93,22 @@ def _merged(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray, 
     return poles[kept], np.stack([residues[first == k].sum(axis=0) for k in kept])
 
 
-def modelled_modes(
-    model: Model, points: Sequence[Mapping[str, float]], record: ModalRecord, poles: ComplexArray
-) -> tuple[ResonantModes, ...]:
-    """The modes of ``model`` at each of the complete ``points``, matched to the recorded ``poles`` (M,) [rad/s].
+def systems_of(model: Model, points: Sequence[Mapping[str, float]], record: ModalRecord) -> list[System]:
+    """The system of ``model`` at each of the complete ``points``, behind the filter of the record.
 
     Raises
     ------
     ConfigError : parameters that no device can have, at any of the points.
     """
     instrument, declared = Instrument(antialias=record.antialias), conditions(record)
-    systems = [assemble(model, values, instrument, declared) for values in points]
+    return [assemble(model, values, instrument, declared) for values in points]
+
+
+def modelled_modes(
+    model: Model, points: Sequence[Mapping[str, float]], record: ModalRecord, poles: ComplexArray
+) -> tuple[ResonantModes, ...]:
+    """The modes of the systems of ``model``, matched to the recorded ``poles`` (M,) [rad/s]; raises as :func:`systems_of`."""
+    systems = systems_of(model, points, record)
     alike: dict[tuple[int, int], list[int]] = {}
     for i, system in enumerate(systems):
         alike.setdefault((system.mechanics.stiffness.shape[1], system.readout.poles.size), []).append(i)

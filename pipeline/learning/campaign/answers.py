@@ -46,7 +46,7 @@ from ..where.regions import (
 )
 from .hold import hold_hint, hold_look_alikes
 from .problem import CampaignProblem
-from .records_differ import prepared, selected
+from .records_differ import every_candidate, prepared, selected
 from .variation_text import records_differ_answer
 
 
@@ -86,7 +86,7 @@ class CampaignAnswers:
         return Rules()
 
     def selected(
-        self, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = lambda problem: problem
+        self, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = every_candidate
     ) -> tuple[CampaignAnswers, ForwardSelection]:
         """The selection of effects, and the answers on whose problem it was made; arguments as in ``records_differ.selected``."""
         problem, selection = selected(self.problem, rules, restricted)

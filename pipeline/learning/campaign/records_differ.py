@@ -105,8 +105,13 @@ def _varied(problem: CampaignProblem, terms: tuple[str, ...]) -> CampaignProblem
     return problem if found.variation.spread.is_zero else varied_problem(problem, found)
 
 
+def every_candidate(problem: CampaignProblem) -> Problem:
+    """The problem with all of its candidates."""
+    return problem
+
+
 def selected(
-    problem: CampaignProblem, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = lambda p: p
+    problem: CampaignProblem, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = every_candidate
 ) -> tuple[CampaignProblem, ForwardSelection]:
     """The selection of effects, and the problem on which it was made.
 

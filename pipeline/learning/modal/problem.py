@@ -28,7 +28,7 @@ from ...errors import ConfigError, GyroscreenError
 from ...experiment.files.modal_record import ModalRecord
 from ...inference.general.gauss_newton import ITERATIONS
 from ...inference.modal.axes import FourThetas, four_thetas
-from ...inference.modal.model import ResonantModes, modelled_modes, starting_values
+from ...inference.modal.model import ResonantModes, modelled_modes, starting_values, systems_of
 from ..campaign.rows import USABLE
 from .rows import POLE_WEIGHT, ModalRows
 from .terms import GAUGES, declared_terms, modal_terms
@@ -145,7 +145,7 @@ class ModalProblem:
 
     def _exists(self, values: Mapping[str, float]) -> bool:
         try:
-            self.modes(values)
+            systems_of(self._full_model, [self._full_model.complete({**self._held, **values})], self.record)
         except ConfigError:
             return False
         return True

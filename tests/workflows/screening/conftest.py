@@ -6,7 +6,7 @@ import dask
 import pytest
 from distributed import LocalCluster
 
-from workflows.screening import outcome
+from tests.stub_runs import empty_pages
 
 
 @pytest.fixture(scope="module")
@@ -22,5 +22,5 @@ def scheduler() -> Iterator[str]:
 
 @pytest.fixture
 def without_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs whose tables are compared write an empty page: drawing the figures takes longer than the devices."""
-    monkeypatch.setattr(outcome, "rendered_report", lambda *_: "<!doctype html>")
+    """For runs whose tables are compared."""
+    empty_pages(monkeypatch)

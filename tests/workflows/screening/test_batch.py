@@ -14,6 +14,7 @@ from pipeline.experiment.campaign import write_campaign
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
 from pipeline.store.run import open_run
+from tests.stub_runs import empty_pages
 from workflows.cli import call
 from workflows.config import load_config
 from workflows.screening.block import DeviceBlock, virtual_block
@@ -47,8 +48,18 @@ def digest(results: Path) -> str:
 
 @pytest.fixture(scope="module")
 def on_cluster(tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Path:
-    """Results of eight devices on an existing cluster with one worker, in blocks of two."""
-    return run(tmp_path_factory.mktemp("batch"), "remote", "--scheduler", scheduler)
+    """Results of eight devices on an existing cluster with one worker, in blocks of two; ``report`` draws their page."""
+    with pytest.MonkeyPatch.context() as patch:
+        empty_pages(patch)
+        return run(tmp_path_factory.mktemp("batch"), "remote", "--scheduler", scheduler)
+
+
+# The first test: it compiles the kernels once, before several processes need them.
+def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> None:
+    config = load_config(None, {"seed": 7})
+    whole = virtual_block(config, DeviceBlock(0, 0, 3)).devices
+    alone = virtual_block(config, DeviceBlock(5, 2, 1)).devices
+    assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
 
 
 @pytest.mark.usefixtures("without_page")
@@ -98,14 +109,7 @@ def test_a_query_from_the_shell_prints_only_its_result(on_cluster: Path) -> None
     assert (done.returncode, json.loads(done.stdout), done.stderr) == (0, [{"n": 8}], "")
 
 
-def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> None:
-    config = load_config(None, {"seed": 7})
-    whole = virtual_block(config, DeviceBlock(0, 0, 3)).devices
-    alone = virtual_block(config, DeviceBlock(5, 2, 1)).devices
-    assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
-
-
-@pytest.mark.usefixtures("without_page")
+@pytest.mark.usefixtures("without_page", "brief_records")
 def test_measured_campaigns_are_identified_and_an_unreadable_one_is_a_row(scheduler: str, tmp_path: Path) -> None:
     for seed in (1, 2):
         simulated = simulate(campaign_config(None), {}, ["offdiagonal_damping:c12=0.5"], seed)

@@ -14,6 +14,7 @@ from pipeline.store.run import open_run
 from reports.devices import Devices
 from reports.run.lot_effects import LotEffects, needed_effects
 from reports.run.page import render_run_report
+from tests.stub_runs import stub_runs
 from workflows.cli import call
 from workflows.config import load_config
 from workflows.screening.block import DeviceBlock, virtual_block
@@ -130,8 +131,8 @@ def test_an_effect_too_weak_for_a_single_device_is_found_from_all_devices(tmp_pa
     assert sum(row["missing_effect"] is not None for row in rows) <= 5
 
 
-@pytest.mark.usefixtures("without_page")
-def test_a_run_stopped_before_its_examination_is_resumed_to_the_same_table(tmp_path, scheduler, all_affected):
+def test_a_run_stopped_before_its_examination_is_resumed_to_the_same_table(tmp_path, monkeypatch, all_affected):
+    stub_runs(monkeypatch)
     config, _, _ = all_affected
     config = msgspec.structs.replace(config, run=msgspec.structs.replace(config.run, devices=2, block=1))
     laid_out, results = plan(config), tmp_path / "results"
@@ -140,7 +141,7 @@ def test_a_run_stopped_before_its_examination_is_resumed_to_the_same_table(tmp_p
         tables = virtual_block(config, block)
         store.commit_block(tables.index, tables.devices, tables.posterior)
     # Both devices are misfits, so the night has no yield.
-    assert call(["run", "--resume", "latest", "--out", str(results), "--scheduler", scheduler, "--json"]) == 1
+    assert call(["run", "--resume", "latest", "--out", str(results), "--json"]) == 1
     table = virtual_block(config, DeviceBlock(0, 0, 2)).devices
     found, columns = examine(
         table, config.diagnosis, lambda requests: (examine_device((config, {}), r) for r in reversed(requests))
