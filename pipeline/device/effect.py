@@ -26,7 +26,7 @@ import pkgutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
@@ -195,8 +195,6 @@ class Effect:
 
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
         """Parameters of the effect on a plant of ``shape`` with families expanded, in the order of ``p``."""
-        if self._single:
-            return self.parameters
         return tuple(member for parameter in self.parameters for member in parameter.members(shape))
 
     def shows(self, shape: Shape) -> bool:
@@ -207,11 +205,6 @@ class Effect:
         if not self.members(shape):
             return False
         return shape.drives > 0 or (self.resonance is None and not set(self.stages) <= {"drive", "readout"})
-
-    @cached_property
-    def _single(self) -> bool:
-        """Whether no parameter is a family; a fit asks for the members of every effect at every point."""
-        return not any(parameter.per for parameter in self.parameters)
 
     def full_name(self, member: Parameter) -> str:
         """Name of a parameter in a model: "effect.parameter", or the name of the result quantity that it is."""
