@@ -1,7 +1,7 @@
 """Numbers as people write them, in plain text: 1.0684e11 +- 5.5e8, 534.5012 +- 0.0031, 3.167e-4.
 
-The sd has two significant digits, and the value as many decimals.  Powers of ten stand where zeros would: from 10^6, and where
-more than seven decimals would follow a number below 0.01.
+The sd has two significant digits, and the value as many decimals.  Powers of ten stand where zeros would: from 10^6, below 10^-3,
+and where more than seven decimals would follow a number below 0.01.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ def sd_text(sd: float | None) -> str:
 
 
 def _as_power(value: float, sd: float, decimals: int) -> bool:
-    return max(abs(value), sd) >= 1e6 or (decimals > 7 and abs(value) < 1e-2)
+    largest = max(abs(value), sd)
+    return largest >= 1e6 or largest < 1e-3 or (decimals > 7 and abs(value) < 1e-2)
 
 
 def _power(value: float, digits: int, strip: bool = False) -> str:

@@ -163,7 +163,7 @@ def _text(result: Identification) -> list[str]:
         span = "" if low is None or high is None else f"   90 %: {rounded(low, sd)} to {rounded(high, sd)}"
         bound = columns.get(f"{name}_bias_bound")
         bias = "" if bound is None else f"   undetected bias: at most {sd_text(bound)}"
-        lines.append(f"  {name:20s} {with_sd(columns[name], sd)}{unit}{span}{bias}")
+        lines.append(f"  {name:26s} {with_sd(columns[name], sd)}{unit}{span}{bias}")
     error = "unknown (no silent record and no repeats)" if columns.get("error") is None else f"{columns['error']:.4f}"
     if columns.get("relative_error") is not None:
         lines.append(f"  error {error}, relative error {columns['relative_error']:.3g}")
@@ -172,9 +172,8 @@ def _text(result: Identification) -> list[str]:
     if not columns.get("effects_scored", True) and columns["status"] != "fit_failed":
         lines.append("  effects of the library were not scored here: run gyroscreen diagnose")
     if unknown := columns.get("figures_unknown"):
-        keys = ", ".join(dict.fromkeys(key for keys in unknown.values() for key in keys))
         lines.append(
-            f"  {len(unknown)} performance figures are unknown without {keys} in campaign.toml (docs/performance.md)"
+            f"  {len(unknown)} performance figures are unknown without {_places(unknown)} (docs/performance.md)"
         )
     if bad := columns.get("bad_samples"):
         count = sum(one["samples"] for one in bad)
@@ -182,6 +181,15 @@ def _text(result: Identification) -> list[str]:
     for name, r in result.reference.items():
         lines.append(f"  reference {name}: {r['reference']:g} +- {r['reference_sd']:g}, z = {r['z']:+.2f}")
     return lines
+
+
+def _places(unknown: dict[str, list[str]]) -> str:
+    """The keys that would have to be declared, by table: "[operation] gap_um, mass_mg"."""
+    tables: dict[str, dict[str, None]] = {}
+    for place in (place for places in unknown.values() for place in places):
+        table, _, key = place.partition(" ")
+        tables.setdefault(table, {})[key] = None
+    return " and ".join(f"{table} {', '.join(keys)}" for table, keys in tables.items())
 
 
 def check(campaign: Path, json: bool) -> None:
