@@ -109,7 +109,8 @@ class Effect:
     source : citation or derivation.
     signature : how records show the effect, in words.
     parameters : parameters and families, in the order in which ``p`` holds them.
-    plants : plants to which it applies: "gyro", "modal" (any channels), "resonator" (modal, one drive and one sense).
+    plants : plants to which it applies: "gyro", "updown" (gyros with that mode), "modal" (any channels), "resonator" (modal, one
+        drive and one sense).
     condition : condition of a record that, if declared, fixes the only parameter: "rate", or none.
     depends_on_bias : the law contains the bias, so records at another bias help to identify the effect.
     mimics_hold : a wrongly declared hold of the drive samples looks like this effect.

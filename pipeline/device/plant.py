@@ -8,19 +8,20 @@ Shapes: n coordinates, S senses, D drives, P parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 
 from ..arrays import FloatArray
-from .gyro import M_D, M_S, PHYSICAL, gyro_mechanics, to_cartesian, to_physical
+from .gyro_plant import C12, GYRO_SHAPE, GyroPlant
 from .mechanics import Mechanics
 from .parameters import Parameter, Shape
 from .scale import PAPER, Scale
 
-C12 = "c12_per_s"
+__all__ = ["C12", "SENSES", "GyroPlant", "ModalPlant", "Plant", "PlantSpec", "Sense"]
+
 #: What a pick-off of a modal plant senses, by the order of the derivative of the motion.
 Sense = Literal["displacement", "velocity", "acceleration"]
 SENSES: tuple[Sense, ...] = ("displacement", "velocity", "acceleration")
@@ -67,82 +68,6 @@ class Plant(Protocol):
     def steps(self, internal: FloatArray) -> FloatArray:
         """Steps (P,) for central differences in the smooth coordinates, in their units."""
         ...
-
-
-_GYRO_PARAMETERS = (
-    Parameter("f1_hz", "Hz", 1.0, 1e6, "undamped frequency of the lower rocking axis"),
-    Parameter("f2_hz", "Hz", 1.0, 1e6, "undamped frequency of the upper rocking axis"),
-    Parameter("f3_hz", "Hz", 1.0, 1e6, "undamped frequency of the up-down mode"),
-    Parameter("zeta1", "1", 0.0, 0.5, "damping ratio c11 / (2 omega1)"),
-    Parameter("zeta2", "1", 0.0, 0.5, "damping ratio c22 / (2 omega2)"),
-    Parameter("zeta3", "1", 0.0, 0.5, "damping ratio of the up-down mode"),
-    Parameter("theta_deg", "deg", -90.0, 90.0, "angle of the lower-frequency stiffness axis from the x axis"),
-    Parameter("rocking_gain", "1/s", 0.0, 1e6, "drive volts to rocking motion in pick-off volts"),
-    Parameter("updown_gain", "1/s", 0.0, 1e6, "drive volts to up-down motion in pick-off volts"),
-    Parameter("sense_imbalance", "1", -0.99, 0.99, "(K_S2 - K_S1)/(K_S2 + K_S1)"),
-    Parameter("drive_imbalance", "1", -0.99, 0.99, "(K_D2 - K_D1)/(K_D2 + K_D1)"),
-)
-_GYRO_SHAPE = Shape(2, 2, ("x", "y"))
-_WITHOUT_C12 = tuple(i for i, name in enumerate(PHYSICAL) if name != C12)
-
-
-@lru_cache(maxsize=64)
-def _gyro_mechanics(physical: tuple[float, ...]) -> Mechanics:
-    """Kept, because finite differences of the parameters of effects ask for the same plant again."""
-    return gyro_mechanics(np.array([physical]))
-
-
-@dataclass(frozen=True)
-class GyroPlant:
-    """The gyro of the paper: eleven parameters, two drives, two senses; without c12 the damping axes are the stiffness axes.
-
-    Smooth coordinates (``pipeline.device.gyro``): omega0, eps_c, eps_s, c0, then d_c, d_s with c12 or delta = (c11 - c22)/2
-    without c12, then omega3, c33, ln G_r, ln G_z, s, d.
-    """
-
-    kinds: frozenset[str] = frozenset({"gyro"})
-    shape: Shape = _GYRO_SHAPE
-    parameters: tuple[Parameter, ...] = _GYRO_PARAMETERS
-
-    def mechanics(self, values: Mapping[str, float]) -> Mechanics:
-        """Mechanics in (psi_x, psi_y, z) with c12 = 0; the effect offdiagonal_damping adds c12."""
-        kept = _gyro_mechanics(tuple(0.0 if name == C12 else values[name] for name in PHYSICAL))
-        return Mechanics(*(getattr(kept, field.name).copy() for field in fields(kept)))
-
-    def sense_motion(self) -> FloatArray:
-        """(2, 3) [1]: x = M_S psi + z [V s], M_S of the paper, eq. (10)."""
-        return np.concatenate([M_S, np.ones((2, 1))], axis=1)
-
-    def drive_motion(self) -> FloatArray:
-        """(2, 3) [1]: x = M_D^T psi + z [V s], M_D of the paper, eq. (9)."""
-        return np.concatenate([M_D.T, np.ones((2, 1))], axis=1)
-
-    def to_internal(self, physical: FloatArray) -> FloatArray:
-        """Cartesian parameters (12,) with c12, or the smooth coordinates (11,) without c12 [rad/s, 1/s, 1]."""
-        full = np.zeros(12)
-        full[list(_WITHOUT_C12)] = physical[:11]
-        if physical.size == 12:
-            full[PHYSICAL.index(C12)] = physical[11]
-        x = to_cartesian(full[None])[0]
-        if physical.size == 12:
-            return np.asarray(x)
-        double = np.deg2rad(2.0 * full[PHYSICAL.index("theta_deg")])
-        delta = x[4] * np.cos(double) + x[5] * np.sin(double)
-        return np.concatenate([x[:4], [delta], x[6:]])
-
-    def to_external(self, internal: FloatArray) -> FloatArray:
-        """The inverse of :meth:`to_internal`: (12,) or (11,) values [declared units]."""
-        if internal.size == 12:
-            physical = to_physical(internal[None])[0]
-            return np.append(physical[list(_WITHOUT_C12)], physical[PHYSICAL.index(C12)])
-        split = np.hypot(internal[1], internal[2])
-        axis = -internal[1:3] / split if split > 0.0 else np.array([1.0, 0.0])
-        x = np.concatenate([internal[:4], internal[4] * axis, internal[5:]])
-        return np.asarray(to_physical(x[None])[0][list(_WITHOUT_C12)])
-
-    def steps(self, internal: FloatArray) -> FloatArray:
-        """(P,): 1e-4 [rad/s, 1/s], 1e-5 for gains and imbalances; a resonance is about 1 rad/s wide, a record 1 s long."""
-        return np.array([1e-4] * (internal.size - 4) + [1e-5] * 4)
 
 
 @dataclass(frozen=True)
@@ -239,6 +164,7 @@ class PlantSpec:
     """A choice of plant: "gyro", or "modal" with its number of modes, kind of pick-off and ``senses`` x ``drives`` channels.
 
     ``scale`` is what the ranges of effects are relative to; ``None``: not known yet, as for the gyro of the paper.
+    ``frame_deg`` and ``updown`` describe the electrodes of a gyro (:class:`GyroPlant`).
     """
 
     kind: Literal["gyro", "modal"] = "gyro"
@@ -247,9 +173,11 @@ class PlantSpec:
     senses: int = 1
     drives: int = 1
     scale: Scale | None = None
+    frame_deg: tuple[float, float] = (0.0, 0.0)
+    updown: bool = True
 
     def build(self) -> Plant:
         """The plant object."""
         if self.kind == "gyro":
-            return GyroPlant(shape=replace(_GYRO_SHAPE, scale=self.scale or PAPER))
+            return GyroPlant(replace(GYRO_SHAPE, scale=self.scale or PAPER), self.frame_deg, self.updown)
         return ModalPlant(self.modes, self.sense, self.senses, self.drives, self.scale or PAPER)

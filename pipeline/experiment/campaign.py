@@ -19,6 +19,9 @@
                      sense_polarity = [1, -1]     factor of each sense column; drive_polarity likewise
                      sense_order = [2, 1]         sense1 of the record is sense2 of the files; drive_order likewise
                      lag_samples = 3              sense is 3 samples late: drive[n] is paired with sense[n + 3]
+    [layout]         electrodes that are not the paper's, after [channels]: what each sense column measures, what each drive turns
+                     senses = [[1, 0], [0, 1]]    a pair per axis: rows (x, y), or (x, y, z) with its share of the up-down motion
+                     drives = [[1, 0], [0, 1]]    torque about (x, y), or (x, y, z) with its force along z
 
 Roles that are not stated: if no record validates, the last one does and the others fit; else all fit.  A single record fits.
 A wrong campaign.toml is a :class:`ConfigError`, a file that is not a record a :class:`MeasurementError`.
@@ -57,7 +60,8 @@ from .files.readers import existing, read_columns, read_records
 from .files.together import at_temperatures, check_same_shape, roles_of, with_all_drives
 from .files.tone_columns import Quantity
 from .instrument import Instrument
-from .record import Campaign, Channels, Record, Role
+from .layout import layout_of
+from .record import PAPER_FRAME, Campaign, Channels, Record, Role
 from .tone_campaign import tone_campaign, tone_records
 from .tones import ToneCampaign, ToneKind, ToneRecord
 from .write_campaign import write_campaign
@@ -100,6 +104,13 @@ class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lag_samples: int = 0
 
 
+class LayoutTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``[layout]``: a row (x, y) or (x, y, z) for each sense column and each drive column (:mod:`pipeline.experiment.layout`)."""
+
+    senses: Annotated[list[list[Value]], Meta(min_length=2, max_length=64)] | None = None
+    drives: Annotated[list[list[Value]], Meta(min_length=2, max_length=64)] | None = None
+
+
 class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A campaign.toml."""
 
@@ -113,6 +124,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reference: References = {}
     columns: dict[str, Source] = {}
     channels: ChannelsTable = ChannelsTable()
+    layout: LayoutTable | None = None
 
 
 def _records_of(
@@ -189,6 +201,10 @@ def _timed(file: Path, document: CampaignTable) -> Campaign:
     channels = Channels(**msgspec.structs.asdict(document.channels))
     free = any(entry.kind == "decay" for entry in document.record)
     records = [correct(record, channels) for record in with_all_drives(records, free)]
+    frame = PAPER_FRAME
+    if document.layout is not None:
+        layout = layout_of(document.layout.senses, document.layout.drives)
+        frame, records = layout.frame, [layout.applied(record) for record in records]
     check_same_shape(records)
     systematic = document.systematic.built()
     return Campaign(
@@ -201,6 +217,7 @@ def _timed(file: Path, document: CampaignTable) -> Campaign:
         reference=references(document.reference, file.name),
         channels=channels,
         systematic=systematic,
+        frame=frame,
         operation=document.operation.built(),
     )
 

@@ -125,6 +125,17 @@ class Record:
         return self.drive_v.shape[0] / self.sample_rate_hz
 
 
+@dataclass(frozen=True)
+class Frame:
+    """Angles [deg] of the paper's sense and drive electrodes in the frame of theta; whether they see an up-down mode."""
+
+    angles_deg: tuple[float, float] = (0.0, 0.0)
+    updown: bool = True
+
+
+PAPER_FRAME = Frame()
+
+
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """All records of one device.
@@ -140,6 +151,7 @@ class Campaign:
     reference : quantity -> (value, sd) from another instrument, in the units of the results columns.
     channels : corrections that were applied when the files were read.
     systematic : standard deviations of the errors of the tester, which its devices share.
+    frame : of the electrodes, which are those of the paper or were made from others (:mod:`pipeline.experiment.layout`).
     operation : how the gyro is operated, as far as declared.
     """
 
@@ -152,6 +164,7 @@ class Campaign:
     reference: dict[str, tuple[float, float]] = field(default_factory=dict)
     channels: Channels = field(default_factory=Channels)
     systematic: Systematic = EXACT
+    frame: Frame = PAPER_FRAME
     operation: DeclaredOperation = UNDECLARED
 
     def with_role(self, role: Role) -> tuple[Record, ...]:

@@ -11,7 +11,8 @@ from .. import toml_files as toml
 from ..arrays import FloatArray
 from ..errors import UsageError, unwritable
 from .files.readers import write_columns
-from .record import Campaign, Record
+from .layout import rows_of
+from .record import PAPER_FRAME, Campaign, Record
 from .systematic import EXACT
 
 
@@ -74,6 +75,7 @@ def write_campaign(campaign: Campaign, folder: Path, *, format: str = "parquet")
             ),
             "" if campaign.systematic == EXACT else toml.table("[systematic]", dataclasses.asdict(campaign.systematic)),
             toml.table("[operation]", dataclasses.asdict(campaign.operation)),
+            "" if campaign.frame == PAPER_FRAME else toml.table("[layout]", rows_of(campaign.frame)),
             *entries,
             toml.table("[reference]", {name: list(pair) for name, pair in campaign.reference.items()}),
         ]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..device.model import Model, PlantSpec, mains_effects
+from ..device.model import SCREENING_MODEL, Model, PlantSpec, mains_effects
 from ..experiment.bad_samples import without_bad_samples
 from ..experiment.noise.level import noise_level
 from ..experiment.noise.lines import hum_line
@@ -135,7 +135,8 @@ def default_models(campaign: Campaign) -> tuple[Model, ...]:
     silent = campaign.with_role("noise")
     hum = tuple(mains_effects()) if silent and hum_line(silent[0].sense_v, record.sample_rate_hz) else ()
     if record.drive_v.shape[1] == record.sense_v.shape[1] == 2:
-        return (replace(NIGHTLY_MODEL, effects=NIGHTLY_MODEL.effects + hum),)
+        gyro = NIGHTLY_MODEL if campaign.frame.updown else SCREENING_MODEL
+        return (replace(gyro, effects=gyro.effects + hum),)
     return (Model(PlantSpec("modal", 1, "velocity"), hum), Model(PlantSpec("modal", 1, "displacement"), hum))
 
 

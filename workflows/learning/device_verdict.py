@@ -13,6 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from pipeline.device.gyro import PHYSICAL
+from pipeline.device.plant import C12
 from pipeline.experiment.record import Campaign
 from pipeline.inference.gate import Gate
 from pipeline.inference.general.fit import CampaignFit
@@ -48,7 +49,8 @@ def verdict_of(fit: CampaignFit, campaign: Campaign, limits: Limits, gate: Gate 
     if fit.model.plant.kind != "gyro":
         return None
     random = np.random.default_rng(_SEED)
-    draws = {name: np.full(_DRAWS, fit.values.get(name, 0.0)) for name in PHYSICAL}
+    # c12 that is not in the model is zero; a mode that the layout does not show is unknown.
+    draws = {name: np.full(_DRAWS, fit.values.get(name, 0.0 if name == C12 else np.nan)) for name in PHYSICAL}
     free = [i for i, name in enumerate(fit.names) if name in draws]
     covariance = fit.covariance[np.ix_(free, free)]
     if not np.all(np.isfinite(covariance)):

@@ -35,7 +35,7 @@ EFFECT = Effect(
         Parameter("m_S", "1", -0.5, 0.5, "sense imbalance of rocking minus that of up-down", scale=0.01),
     ),
     mechanics=mechanics,
-    plants=("gyro",),
+    plants=("updown",),
     look_alikes=(
         LookAlike(("updown_tilt",), {"m_D": 2e-3, "m_S": 2e-3}),
         LookAlike(("updown_tilt", "pickoff_crosstalk", "electrode_misalignment"), {"m_D": 2e-3, "m_S": -1e-3}),

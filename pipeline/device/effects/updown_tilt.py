@@ -26,7 +26,7 @@ EFFECT = Effect(
     signature="the residue of the up-down mode is not along (1, 1); visible only at the up-down resonance",
     parameters=(Parameter("t_x", "1", -1.0, 1.0, "rotation about x in the up-down mode", scale=0.01),),
     mechanics=mechanics,
-    plants=("gyro",),
+    plants=("updown",),
     # A mismatch of the gains, with the imbalances and rocking gains adjusted, is the more general law.
     look_alikes=(LookAlike(("electrode_mismatch",), {"t_x": 3e-3}, always=True),),
     size=SizeRange(2e-3, 0.5),

@@ -127,6 +127,9 @@ def _response_findings(campaign: Campaign, driven: list[Record]) -> list[Finding
                 f" {_POOR:g}). Check that the drive and sense columns belong to the same run"
             )
         return [_untested("Polarity, channel order, lag and rest", why), *short_findings(driven, None)]
+    if not campaign.frame.updown:
+        why = "the layout senses no up-down mode, whose residues these tests need"
+        return [_untested("Polarity, channel order and lag", why), *short_findings(driven, response)]
     if ineffective := ineffective_drives(response):
         return ineffective
     found = wiring(response, campaign.instrument)

@@ -103,7 +103,7 @@ def campaign_status(
         goodness = None
     elif fit.model.plant.kind == "gyro":
         if band_hz is None or not all(
-            band_hz[0] < fit.values[name] < band_hz[1] for name in ("f1_hz", "f2_hz", "f3_hz")
+            band_hz[0] < fit.values[name] < band_hz[1] for name in ("f1_hz", "f2_hz", "f3_hz") if name in fit.values
         ):
             band_hz = driven_band(campaign.with_role("fit"))
         goodness = band_goodness(fit, campaign, *band_hz)

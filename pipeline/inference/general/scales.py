@@ -37,9 +37,12 @@ _HARMONICS = 3.0
 
 
 def scaled_to(model: Model, campaign: Campaign) -> Model:
-    """The model at the scale of the campaign, unless it has a scale already."""
+    """The model at the scale of the campaign, unless it has one already; a gyro has the electrodes of the campaign."""
     if model.plant.scale is not None:
         return model
+    if model.plant.kind == "gyro":
+        frame = campaign.frame
+        model = replace(model, plant=replace(model.plant, frame_deg=frame.angles_deg, updown=frame.updown))
     sense = "velocity" if model.plant.kind == "gyro" else model.plant.sense
     scale = scale_of(campaign.with_role("fit"), campaign.instrument, SENSES.index(sense))
     return replace(model, plant=replace(model.plant, scale=scale))

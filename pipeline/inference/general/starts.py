@@ -21,9 +21,10 @@ from numpy.polynomial import chebyshev
 from scipy.fft import rfft
 
 from ...arrays import ComplexArray, FloatArray
-from ...device.gyro import to_physical
+from ...axial import wrap
+from ...device.gyro import M_D, PHYSICAL, to_physical
 from ...device.model import Model
-from ...device.plant import C12, GyroPlant, ModalPlant
+from ...device.plant import GyroPlant, ModalPlant
 from ...errors import MeasurementError
 from ...experiment.instrument import Instrument
 from ...experiment.record import Record
@@ -206,18 +207,42 @@ def find_start(
         poles = modes_from_spectra(records, plant.modes, low, high, sigma_v)
         return _modal_values(plant, poles, residues_of(records, poles, held, low, high))
     assert isinstance(plant, GyroPlant)
+    if not plant.updown:
+        return _rocking_values(model, plant, start_of_rocking(plant, records, held, sigma_v, low, high))
     x = gyro_start(records, held, sigma_v, low, high)
     data = []
     for record in records:
         band = make_band(record.drive_v, replace(held, sample_rate_hz=record.sample_rate_hz), low, high)
         data.append(BandData(band, band.transform(record.sense_v), nuisance_basis(band, None)))
     fitted = maximise(data, sigma_v, x)
-    physical = to_physical((fitted.x if np.all(np.isfinite(fitted.x)) else x)[None])[0]
-    names = [*(p.name for p in plant.parameters[:7]), C12, *(p.name for p in plant.parameters[7:])]
-    values = dict(zip(names, physical.tolist()))
-    if C12 not in model.by_name:
-        values.pop(C12)
-    return values
+    return _rocking_values(model, plant, fitted.x if np.all(np.isfinite(fitted.x)) else x)
+
+
+def _rocking_values(model: Model, plant: GyroPlant, x: FloatArray) -> dict[str, float]:
+    """Values by name from cartesian parameters (12,) in the frame of the electrodes."""
+    values = dict(zip(PHYSICAL, to_physical(x[None])[0].tolist()))
+    if plant.frame_deg[0] != 0.0:
+        values["theta_deg"] = float(wrap(values["theta_deg"] + plant.frame_deg[0]))
+    return {name: values[name] for name in PHYSICAL if name in model.by_name}
+
+
+def start_of_rocking(
+    plant: GyroPlant,
+    records: Sequence[Record],
+    instrument: Instrument,
+    sigma_v: FloatArray,
+    low_hz: float,
+    high_hz: float,
+) -> FloatArray:
+    """Cartesian parameters (12,) of a ``plant`` without up-down mode; its imbalances start at zero.  As :func:`gyro_start`."""
+    poles = modes_from_spectra(records, 2, low_hz, high_hz, sigma_v)
+    residues = residues_of(records, poles, instrument, low_hz, high_hz)
+    # As if the drives had the frame of the senses.
+    senses_deg, drives_deg = np.deg2rad(plant.frame_deg)
+    c, s = np.cos(drives_deg - senses_deg), np.sin(drives_deg - senses_deg)
+    residues = residues @ np.linalg.solve(np.array([[c, -s], [s, c]]) @ M_D, M_D)
+    # Any third mode with equal gains.
+    return start_from_modes(np.concatenate([poles, 1.5 * poles[:1]]), np.concatenate([residues, np.ones((1, 2, 2))]))
 
 
 def _free_values(model: Model, records: Sequence[Record], sigma_v: FloatArray) -> dict[str, float]:

@@ -15,7 +15,7 @@ from ...experiment.bad_samples import without_bad_samples
 from ...experiment.noise.level import NoiseLevel, noise_level
 from ...experiment.noise.lines import hum_line
 from ...experiment.noise.spectrum import NoiseSpectrum, white_spectrum
-from ...experiment.record import Campaign
+from ...experiment.record import PAPER_FRAME, Campaign
 from ..gate import Gate
 from ..systematic import rate_settings
 from .device import DeviceResult, IdentificationSettings, identify_device, prepare
@@ -24,9 +24,13 @@ from .sample import SamplerSettings
 
 def is_inband(campaign: Campaign) -> bool:
     """Whether the in-band likelihood applies to this campaign."""
-    return campaign.instrument.hold in ("zoh", "foh") and all(
-        record.drive_v.shape[1] == 2 and record.sense_v.shape[1] == 2 and record.at_rest
-        for record in campaign.with_role("fit")
+    return (
+        campaign.frame == PAPER_FRAME
+        and campaign.instrument.hold in ("zoh", "foh")
+        and all(
+            record.drive_v.shape[1] == 2 and record.sense_v.shape[1] == 2 and record.at_rest
+            for record in campaign.with_role("fit")
+        )
     )
 
 
