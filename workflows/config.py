@@ -18,7 +18,7 @@ from pipeline.experiment.files.common_tables import OperationTable, SystematicTa
 from pipeline.experiment.noise.measure import Hum
 from pipeline.inference.gate import Gate
 from pipeline.input_limits import RECORD_VALUES
-from pipeline.performance.figure import find_figures
+from pipeline.performance.figure import by_table, find_figures
 from pipeline.performance.operating_point import OperatingPoint
 from pipeline.toml_files import converted, decode, load
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
@@ -211,7 +211,7 @@ def _check_figures(config: RunConfig, where: str) -> None:
                 f"{where}: [limits.{name}] limits a quantity that is unknown",
                 value={key: None for key in figure.needs if not point.declared(key)},
                 allowed="a figure whose inputs are declared",
-                next_step=f"declare {', '.join(figure.missing(point))} (docs/performance.md), or leave the limit out",
+                next_step=f"declare {by_table(figure.missing(point))} (docs/performance.md), or leave the limit out",
             )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -26,6 +26,15 @@ _TABLES = {"angular_gain": "[device]", "bias_v": "[instrument]"}
 
 def _place(key: str) -> str:
     return f"{_TABLES.get(key, '[operation]')} {key}"
+
+
+def by_table(places: Iterable[str]) -> str:
+    """Keys with their tables, each table once: "[operation] gap_um, mass_mg and [device] angular_gain"."""
+    tables: dict[str, dict[str, None]] = {}
+    for place in places:
+        table, _, key = place.partition(" ")
+        tables.setdefault(table, {})[key] = None
+    return " and ".join(f"{table} {', '.join(keys)}" for table, keys in tables.items())
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,7 +62,9 @@ class Figure:
     @property
     def condition(self) -> str:
         """What must be declared, as an addition to the meaning."""
-        return f"; null unless {', '.join(map(_place, self.needs))} is declared" if self.needs else ""
+        needed = by_table(map(_place, self.needs))
+        # The noise of the pick-offs is the only input that records can show.
+        return f"; null without {needed}".replace("pickoff_noise_v", "pickoff_noise_v or silence") if self.needs else ""
 
     def missing(self, point: OperatingPoint) -> tuple[str, ...]:
         """The keys that would have to be declared, with their tables: "[operation] gap_um"."""

@@ -22,6 +22,7 @@ from pipeline.identification.route import RouteResult, identify_modal
 from pipeline.inference.identify import Identification
 from pipeline.inference.identify import identify as identify_device
 from pipeline.inference.modal.fit import ModalFit, fit_modal
+from pipeline.performance.figure import by_table
 from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
 from reports.decision import decide
@@ -172,24 +173,14 @@ def _text(result: Identification) -> list[str]:
     if not columns.get("effects_scored", True) and columns["status"] != "fit_failed":
         lines.append("  effects of the library were not scored here: run gyroscreen diagnose")
     if unknown := columns.get("figures_unknown"):
-        lines.append(
-            f"  {len(unknown)} performance figures are unknown without {_places(unknown)} (docs/performance.md)"
-        )
+        needed = by_table(place for places in unknown.values() for place in places)
+        lines.append(f"  {len(unknown)} performance figures are unknown without {needed} (docs/performance.md)")
     if bad := columns.get("bad_samples"):
         count = sum(one["samples"] for one in bad)
         lines.append(f"  {count} bad samples in {len(bad)} stretches were left out (gyroscreen check lists them)")
     for name, r in result.reference.items():
         lines.append(f"  reference {name}: {r['reference']:g} +- {r['reference_sd']:g}, z = {r['z']:+.2f}")
     return lines
-
-
-def _places(unknown: dict[str, list[str]]) -> str:
-    """The keys that would have to be declared, by table: "[operation] gap_um, mass_mg"."""
-    tables: dict[str, dict[str, None]] = {}
-    for place in (place for places in unknown.values() for place in places):
-        table, _, key = place.partition(" ")
-        tables.setdefault(table, {})[key] = None
-    return " and ".join(f"{table} {', '.join(keys)}" for table, keys in tables.items())
 
 
 def check(campaign: Path, json: bool) -> None:
