@@ -57,11 +57,12 @@ _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbanc
 
 @dataclass(frozen=True)
 class Context:
-    """Conditions for all stages except force: biases [V], and the parameters of the plant by name."""
+    """Conditions for all stages except force: biases [V], the parameters of the plant by name, time before the record [s]."""
 
     bias_v: float
     operating_bias_v: float
     plant: Mapping[str, Any]
+    elapsed_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

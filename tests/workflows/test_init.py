@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 import pytest
 
@@ -68,3 +70,18 @@ def test_columns_without_rows_or_of_another_length_are_left_out(tmp_path, capsys
     assert "'none': not used (0 rows, another column has 600)" in printed
     np.savez(tmp_path / "empty.npz", force=np.zeros(0))
     assert call(["init", str(tmp_path / "empty.npz"), "--out", str(tmp_path / "d")]) == 5
+
+
+def test_a_file_that_rings_down_becomes_a_free_decay(tmp_path, capsys):
+    t, w = np.arange(6000) / 1000.0, 2.0 * np.pi * 40.0
+    free = np.maximum(t - 1.0, 0.0)
+    strain = 2e-4 * np.exp(-1.2 * free) * np.sin(w * t) + 1e-7 * np.random.default_rng(1).standard_normal(t.size)
+    rows = np.stack([t, 1.2 + 0.01 * np.sin(3.0 * t), strain], axis=1)
+    np.savetxt(tmp_path / "beam.csv", rows, delimiter=",", header="time [s],level [V],strain_0", comments="")
+    assert call(["init", str(tmp_path / "beam.csv"), "--out", str(tmp_path / "c")]) == 0
+    assert "a free decay from" in capsys.readouterr().out
+    records = read_campaign(tmp_path / "c").records
+    assert all(record.drive_v.shape[1] == 0 and record.elapsed_s >= 0.0 for record in records)
+    assert len(records) >= 6
+    # A start value of 1.05 s would lose 3 % of the motion, one before 1 s would include the drive.
+    assert 1.0 <= tomllib.loads((tmp_path / "c" / "campaign.toml").read_text())["record"][0]["start_s"] < 1.15

@@ -11,6 +11,7 @@ from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.files.inspect import Inspection, inspect
 from pipeline.experiment.files.inspect_tones import ToneInspection, inspect_tones
 from pipeline.experiment.files.readers import existing, read_columns
+from pipeline.experiment.files.ring_down import ring_down
 from pipeline.experiment.files.template import campaign_template, model_template, reason
 from pipeline.experiment.files.template_tones import TONE_MODEL, tone_reason, tone_template
 from pipeline.experiment.tones import ToneCampaign
@@ -35,11 +36,19 @@ def init(files: Sequence[Path], out: Path | None) -> None:
         _init_tones(folder, files, paths, tones)
         return
     found = inspect(columns)
+    decay = ring_down(columns[0][1], found) if len(files) == 1 else None
+    found = found if decay is None else decay.found
     gyro = len(found.of("drive")) == len(found.of("sense")) == 2
-    _write(folder, target, campaign_template(folder.resolve().name, paths, found, gyro))
+    _write(
+        folder,
+        target,
+        campaign_template(folder.resolve().name, paths, found, gyro, None if decay is None else decay.start_s),
+    )
     if not gyro:
         _write(folder, folder / MODEL, model_template(found))
     print(printable_lines("\n".join(_text(files, found))))
+    if decay is not None:
+        print(f"  a free decay from {decay.start_s:.6g} s on")
     try:
         campaign = read_campaign(folder)
     except GyroscreenError as error:

@@ -35,6 +35,8 @@ _SENSE = re.compile(
     r"(sense|output|out|y|acc\w*|a|response|resp|vel\w*|disp\w*|pos\w*|strain|pick\W?off|v_?out|signal|sig)[\W_]*\d*$",
     re.IGNORECASE,
 )
+#: Why a column was taken for a drive or a sense where its name says so.
+NAMED = "its name"
 _INDEX = re.compile(r"(n|index|sample|samples|row|#|no\.?|nr)\W*$", re.IGNORECASE)
 #: Share of the samples at the start that show whether the device was at rest, and its rms relative to the whole.
 _START, _QUIET = 0.005, 0.01
@@ -190,9 +192,9 @@ def _plain(name: str, number: int, values: NDArray[Any], rows: int) -> FileColum
     if unit is None and np.all(values == np.round(values)) and max(abs(low), abs(high)) > 1.5:
         unit = "counts"
     if _DRIVE.match(base):
-        return made("drive", "its name", unit)
+        return made("drive", NAMED, unit)
     if _SENSE.match(base):
-        return made("sense", "its name", unit)
+        return made("sense", NAMED, unit)
     return made("open", "", unit)
 
 

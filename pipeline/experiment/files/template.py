@@ -24,7 +24,9 @@ bias_v = {bias}                    # bias of the drive electrodes [V]
 """
 
 
-def campaign_template(name: str, paths: Sequence[str], found: Inspection, gyro: bool) -> str:
+def campaign_template(
+    name: str, paths: Sequence[str], found: Inspection, gyro: bool, decay_s: float | None = None
+) -> str:
     """The text of a campaign.toml.
 
     Parameters
@@ -33,6 +35,7 @@ def campaign_template(name: str, paths: Sequence[str], found: Inspection, gyro: 
     paths : of the files, relative to the folder of campaign.toml.
     found : what they seem to hold.
     gyro : whether the device has two drives and two senses, as the gyro of the paper.
+    decay_s : where the free decay that the file shows begins [s]; ``None``: it shows none.
     """
     rate = (
         f"sample_rate_hz = {found.sample_rate_hz:.12g}        # from the time column"
@@ -52,7 +55,7 @@ def campaign_template(name: str, paths: Sequence[str], found: Inspection, gyro: 
         "",
         _UNKNOWN.format(rate=rate, bias="5.0" if gyro else "0.0"),
         *_columns(found),
-        *_records(paths, found),
+        *(_records(paths, found) if decay_s is None else _decay(paths[0], decay_s)),
     ]
     return "\n".join(parts)
 
@@ -95,6 +98,16 @@ def reason(column: FileColumn) -> str:
         return column.why if isnan(column.low) else f"{column.why}; {column.low:.4g} to {column.high:.4g}"
     unit = f"in {column.unit}{si}" if column.unit is not None else "unit not stated, taken as V"
     return f"{column.why}; {unit}; {column.low:.4g} to {column.high:.4g}"
+
+
+def _decay(path: str, start_s: float) -> list[str]:
+    """The record of a free decay."""
+    return [
+        "# The motion falls to little, and no named drive stops then: a free decay.  Some of its pieces are held out; silence",
+        "# behind it measures the noise.  No force is known: gains and sizes of effects are in units of the sense signal.",
+        f'[[record]]\nfile = {encoded(path)}\nkind = "decay"',
+        f"start_s = {start_s:.6g}                  # here the motion begins to fall\n" if start_s else "",
+    ]
 
 
 def _records(paths: Sequence[str], found: Inspection) -> list[str]:

@@ -110,7 +110,7 @@ def deviation_from_linear(
             slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
         for sub in range(substeps):
             local = sub * h
-            t = sample * step_s + local
+            t = laws.elapsed_s + sample * step_s + local
             for i in range(size):
                 driven[i] = 0.0
             for k in range(drives):
@@ -256,7 +256,7 @@ def first_order_deviation(
             slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
         for sub in range(substeps):
             point = sample * substeps + sub
-            t = sample * step_s + sub * h
+            t = laws.elapsed_s + sample * step_s + sub * h
             for node in range(3):
                 # The forces at the end of the last substep are reused, unless a held drive has jumped since.
                 if node > 0 or sub == 0:

@@ -235,7 +235,7 @@ def _sense_effect_volts(
     if system.mechanics.senses_acceleration:
         u = between_samples(drive, substeps, clock.hold != "zoh")
         s = s + u @ system.mechanics.direct[0].T + _force_volts(system, state, u, step_s)
-    t = np.arange(state.shape[0], dtype=np.float64) * step_s
+    t = system.context.elapsed_s + np.arange(state.shape[0], dtype=np.float64) * step_s
     sensed = s
     for effect, p in system.senses:
         assert effect.sense is not None

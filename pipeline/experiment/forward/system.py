@@ -31,13 +31,15 @@ _NO_POLES: ComplexArray = np.zeros(0, dtype=np.complex128)
 class Conditions:
     """Declared conditions of a record.
 
-    Biases [V]; the angular rate Omega I_p/I_0p [rad/s], ``None`` where unknown; relative shift of all natural frequencies [1].
+    Biases [V]; the angular rate Omega I_p/I_0p [rad/s], ``None`` where unknown; relative shift of all natural frequencies [1];
+    time from the start of the run to the first sample [s].
     """
 
     bias_v: float
     operating_bias_v: float
     rate: float | None
     frequency_shift: float = 0.0
+    elapsed_s: float = 0.0
 
 
 def conditions_of(record: Record, instrument: Instrument, angular_gain: float | None) -> Conditions:
@@ -46,7 +48,7 @@ def conditions_of(record: Record, instrument: Instrument, angular_gain: float | 
     if record.rate_dps is not None and (record.rate_dps == 0.0 or angular_gain is not None):
         rate = float(np.deg2rad(record.rate_dps)) * (angular_gain or 0.0)
     bias = instrument.bias_v if record.bias_v is None else record.bias_v
-    return Conditions(bias, instrument.bias_v, rate, record.frequency_shift)
+    return Conditions(bias, instrument.bias_v, rate, record.frequency_shift, record.elapsed_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,7 @@ class System:
             float(self.context.bias_v),
             float(self.context.operating_bias_v),
             self.axes,
+            float(self.context.elapsed_s),
         )
 
 
@@ -110,7 +113,7 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
     ConfigError : the damping matrix is not positive semidefinite, or the stiffness matrix not positive definite.
     """
     plant = model.built
-    context = Context(conditions.bias_v, conditions.operating_bias_v, values)
+    context = Context(conditions.bias_v, conditions.operating_bias_v, values, conditions.elapsed_s)
     effects = acting(model, values, conditions)
     mechanics = plant.mechanics(values)
     if conditions.frequency_shift != 0.0:

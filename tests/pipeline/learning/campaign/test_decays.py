@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from pipeline.device.model import Model, PlantSpec
 from pipeline.errors import MeasurementError
 from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.decays.backbone import oscillations
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 from workflows.learning import refine
@@ -118,3 +120,19 @@ def test_frequency_and_damping_of_a_piece_are_covered_without_a_model() -> None:
         z.append([(one.f_hz - F_HZ) / one.f_sd_hz, (one.zeta - ZETA) / one.zeta_sd])
     assert np.all(np.abs(np.mean(z, axis=0)) < 3.5 / np.sqrt(40.0))
     assert np.all(np.abs(np.std(z, axis=0) - 1.0) < 0.4)
+
+
+def test_a_drift_goes_on_from_piece_to_piece() -> None:
+    t = np.arange(3000) / RATE_HZ
+    model = RESONATOR.with_channels(1, 0).with_effect("frequency_drift").with_effect("gain_drift")
+    values = {"f1_hz": F_HZ, "zeta1": ZETA, "frequency_drift.beta": -0.02, "gain_drift.gamma": 0.1}
+    whole = Record("run", RATE_HZ, np.zeros((t.size, 0)), np.zeros((t.size, 1)), "fit", at_rest=False)
+    y = forward(model, values, whole, Instrument(RATE_HZ), start=np.array([1.0, 0.0]))
+    # Without the laws of time, the state at a later sample continues the run: x = y / (1 + gamma t) there.
+    half = replace(whole, drive_v=whole.drive_v[1500:], sense_v=whole.sense_v[1500:], elapsed_s=t[1500])
+    x = y[:, 0] / (1.0 + 0.1 * t)
+    state = np.array([x[1500], (8.0 * (x[1501] - x[1499]) - (x[1502] - x[1498])) * RATE_HZ / 12.0])
+    again = forward(model, values, half, Instrument(RATE_HZ), start=state)
+    assert np.max(np.abs(again - y[1500:])) < 2e-3 * np.max(np.abs(y[1500:]))
+    restarted = forward(model, values, replace(half, elapsed_s=0.0), Instrument(RATE_HZ), start=state)
+    assert np.max(np.abs(restarted - y[1500:])) > 0.1 * np.max(np.abs(y[1500:]))
