@@ -8,8 +8,8 @@ A hidden effect and a variation between records can both explain that a model fi
    significant at the last model, the selection is repeated with the variation of the first model.  A single record does not
    differ from another: its start time would only take up a wrong hold of the DAC.
 3. After a selection with variation, the spreads are estimated again with the selected effects.  If they shrink to zero, the
-   effects alone explain the records; if they fall by much, or if a selected effect clips the records, which corrects them in
-   another way, the selection is repeated.
+   effects alone explain the records; if they fall by much, or if a selected or refused effect clips the records, which corrects
+   them in another way, the selection is repeated.
 
 Shapes: N samples, S senses, m deviations of a record.
 """
@@ -110,6 +110,21 @@ def every_candidate(problem: CampaignProblem) -> Problem:
     return problem
 
 
+def _aligning_terms(problem: CampaignProblem, selection: ForwardSelection) -> tuple[str, ...]:
+    """The terms beside which the records are aligned again: the selected ones, and one that clips them though it was refused.
+
+    Clipped records that were advanced as if they were band-limited refuse the clipping: the held-out chi2 rose by 132 +- 40 at an
+    SNR of 285.
+    """
+    if not selection.tests:
+        return ()
+    terms = selection.last.fit.terms if selection.added else ()
+    for name in selection.refused:
+        if "adc" in problem.model.library[name].stages and problem.fit((*terms, name)).ok:
+            return (*terms, name)
+    return terms
+
+
 def selected(
     problem: CampaignProblem, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = every_candidate
 ) -> tuple[CampaignProblem, ForwardSelection]:
@@ -140,9 +155,10 @@ def selected(
         plain = None
     clipped = clips(problem.model)
     for _ in range(_ROUNDS - 1):
-        if not selection.tests or not selection.added or problem.variation is None:
+        terms = _aligning_terms(problem, selection)
+        if not terms or problem.variation is None:
             break
-        fit = problem.campaign_fit(selection.last.fit.terms)
+        fit = problem.campaign_fit(terms)
         before = problem.variation.spread
         after = record_variation(fit, problem.campaign, threads=problem.threads).spread
         if after.is_zero:
