@@ -37,9 +37,8 @@ from pipeline.learning.tones.problem import ToneProblem
 from reports.limits import Limits
 from reports.words.terminal import lines_of
 
-from ..shipped import shipped_limits
 from . import tables
-from .device_verdict import verdict_of, with_verdict
+from .device_verdict import verdict_of, with_verdicts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -206,7 +205,8 @@ class SelectionResult(Result):
         UsageError : the folder cannot be written.
         """
         named = replace(self, drive_files=True)
-        self.answers.write_drive_files(named.separating, folder)
+        for proposal in named.separating:
+            proposal.write(folder)
         return named
 
 
@@ -260,16 +260,7 @@ class RefinementResult(SelectionResult):
     def answer(self) -> RefinementAnswer:
         """The result as data."""
         found = self.answers.refinement(self.ladder, self.separating, self.drive_files)
-        if not isinstance(self.answers, CampaignAnswers):
-            return found
-        campaign, first = self.answers.problem.campaign, self.answers.problem.fit(())
-        if not first.ok or self.answers.problem.model.plant.kind != "gyro":
-            return found
-        limits = self.limits or shipped_limits(self.answers.fitted())
-        if limits is None:
-            return structs.replace(found, limits="none")
-        ladder = (with_verdict(rung, self.answers.fitted(rung.terms), campaign, limits) for rung in found.ladder)
-        return structs.replace(found, ladder=tuple(ladder), limits="own" if self.limits else "shipped")
+        return with_verdicts(found, self.answers, self.limits) if isinstance(self.answers, CampaignAnswers) else found
 
     @cached_property
     def first_diagnosis(self) -> DiagnosisAnswer:

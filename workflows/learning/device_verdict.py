@@ -19,9 +19,12 @@ from pipeline.inference.gate import Gate
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.inference.general.goodness import fit_status, full_band_goodness
 from pipeline.inference.systematic import Identified, rate_settings
-from pipeline.learning.answers import RungAnswer
+from pipeline.learning.answers import RefinementAnswer, RungAnswer
+from pipeline.learning.campaign.answers import CampaignAnswers
 from reports.decision import decide
 from reports.limits import Limits
+
+from ..shipped import shipped_limits
 
 _DRAWS, _SEED = 4000, 1
 
@@ -67,7 +70,19 @@ def verdict_of(fit: CampaignFit, campaign: Campaign, limits: Limits, gate: Gate 
     return ModelVerdict(verdict, ungated.verdict[0], ungated.failed_limits[0], reason or "")
 
 
-def with_verdict(rung: RungAnswer, fit: CampaignFit, campaign: Campaign, limits: Limits) -> RungAnswer:
+def with_verdicts(found: RefinementAnswer, answers: CampaignAnswers, own: Limits | None) -> RefinementAnswer:
+    """The ladder with the verdict by each of its models, by ``own`` limits or the shipped ones; unchanged without a gyro."""
+    problem = answers.problem
+    if not problem.fit(()).ok or problem.model.plant.kind != "gyro":
+        return found
+    limits = own or shipped_limits(answers.fitted())
+    if limits is None:
+        return replace(found, limits="none")
+    ladder = (_judged(rung, answers.fitted(rung.terms), problem.campaign, limits) for rung in found.ladder)
+    return replace(found, ladder=tuple(ladder), limits="own" if own else "shipped")
+
+
+def _judged(rung: RungAnswer, fit: CampaignFit, campaign: Campaign, limits: Limits) -> RungAnswer:
     """``rung`` with the verdict according to its model, ``fit``; unchanged if the plant is not a gyro."""
     found = verdict_of(fit, campaign, limits)
     if found is None:

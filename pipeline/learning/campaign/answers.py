@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 from msgspec import UNSET, UnsetType, structs
 
@@ -101,16 +100,6 @@ class CampaignAnswers:
         """For every class of several effects the record that separates it best; ``terms`` are in the fit."""
         found = (separating_record(self.problem, terms, one) for one in classes if len(one.members) > 1)
         return tuple(one for one in found if one is not None)
-
-    def write_drive_files(self, proposals: Sequence[Proposal], folder: Path) -> None:
-        """Write the drive files of :meth:`proposals`: drive samples (N, D) [V].
-
-        Raises
-        ------
-        UsageError : the folder cannot be written.
-        """
-        for proposal in proposals:
-            proposal.write(folder)
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:

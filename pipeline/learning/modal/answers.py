@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,9 +67,6 @@ class ModalAnswers:
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
         """None: a modal record is not repeated with another drive."""
         return ()
-
-    def write_drive_files(self, proposals: Sequence[Proposal], folder: Path) -> None:
-        """Write nothing, because there are no proposals."""
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:

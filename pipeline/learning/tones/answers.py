@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from msgspec import structs
@@ -71,9 +70,6 @@ class ToneAnswers:
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
         """None: drive files are those of time records."""
         return ()
-
-    def write_drive_files(self, proposals: Sequence[Proposal], folder: Path) -> None:
-        """Write nothing, because there are no proposals."""
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
