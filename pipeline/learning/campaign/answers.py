@@ -48,6 +48,9 @@ from .problem import CampaignProblem
 from .records_differ import every_candidate, prepared, selected
 from .variation_text import records_differ_answer
 
+#: What records without a drive leave open.
+NO_FORCE = "the force: without a drive, modes, initial states and sizes of effects are in units of the sense signal"
+
 
 def campaign_answers(
     campaign: Campaign, model: Model = DEFAULT_COMPARE_MODEL, threads: int | None = None
@@ -134,7 +137,8 @@ class CampaignAnswers:
     def first_diagnosis(self, found: Diagnosis) -> DiagnosisAnswer:
         """A diagnosis without hints and without a separating record, which take long to compute."""
         answer = diagnosis_answer(found)
-        gauges = GAUGES if self.problem.model.plant.kind == "gyro" else ()
+        plant = self.problem.model.plant
+        gauges = GAUGES if plant.kind == "gyro" else () if plant.drives else (NO_FORCE,)
         return structs.replace(
             answer,
             invisible=(*answer.invisible, *gauges),

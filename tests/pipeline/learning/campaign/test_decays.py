@@ -17,7 +17,7 @@ from pipeline.experiment.decays.backbone import oscillations
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
-from workflows.learning import refine
+from workflows.learning import diagnose, refine
 
 RATE_HZ, F_HZ, ZETA = 2000.0, 100.0, 3e-3
 OMEGA = 2.0 * np.pi * F_HZ
@@ -136,3 +136,8 @@ def test_a_drift_goes_on_from_piece_to_piece() -> None:
     assert np.max(np.abs(again - y[1500:])) < 2e-3 * np.max(np.abs(y[1500:]))
     restarted = forward(model, values, replace(half, elapsed_s=0.0), Instrument(RATE_HZ), start=state)
     assert np.max(np.abs(restarted - y[1500:])) > 0.1 * np.max(np.abs(y[1500:]))
+
+
+def test_a_decay_says_that_nothing_states_the_force() -> None:
+    found = diagnose(campaign(decay(seconds=1.0), 4, 100.0), RESONATOR).answer
+    assert [text for text in found.invisible if "units of the sense signal" in text]
