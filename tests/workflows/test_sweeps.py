@@ -8,7 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.criticism.fit_tests import Rules
+from pipeline.criticism.ladder import as_ladder
+from pipeline.device.model import load_model
 from pipeline.experiment.campaign import read_measurement
+from pipeline.learning.tones.answers import tone_answers
 from workflows.cli import call
 
 MEASURED = Path("/tmp/shared/data/measured")
@@ -110,3 +114,18 @@ def test_wire_1_is_linear_once_the_detector_settles(tmp_path, capsys):
     assert first["derived"]["width1_hz"][0] == pytest.approx(66.7, abs=0.15)
     assert first["parameters"]["f1_hz"][0] == pytest.approx(3966.7, abs=0.1)
     assert "Response to single tones" in (tmp_path / "o" / "ladder.html").read_text()
+
+
+@pytest.mark.skipif(not MEASURED.exists(), reason="measured data are not shipped")
+def test_wire_3_softens_but_not_exactly_cubically(tmp_path, capsys):
+    """One rung: the hysteresis of two levels, up and down; a linear model leaves half of it."""
+    assert said(capsys, "init", MEASURED / "wire-3.txt", "--out", tmp_path / "c")[0] == 0
+    answers = tone_answers(read_measurement(tmp_path / "c"), load_model(tmp_path / "c/model.toml"))
+    rules = Rules(rungs=1)
+    ladder = as_ladder(answers.problem, answers.selected(rules)[1], rules)
+    assert (ladder.verdict, ladder.terms) == ("unknown", ("cubic_stiffness",))
+    assert "cubic_stiffness" in ladder.wrong_form
+    assert ladder.rungs[0].relative_error > 0.45
+    assert ladder.rungs[1].relative_error <= 0.13
+    value, sd = ladder.rungs[1].parameters["cubic_stiffness.k3"]
+    assert value < -10.0 * sd

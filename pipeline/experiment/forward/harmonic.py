@@ -27,6 +27,9 @@ from .kernels import MOST_FORCES
 from .system import System
 from .tones import linear_tones, read_out
 
+#: Newton steps to parameters close by: a quadratic force moves the tone by way of the mean and the second harmonic.
+_ITERATIONS = 2
+
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
 _CUBE = types.Array(types.float64, 3, "C")
@@ -109,8 +112,10 @@ def branch(motion: SteadyMotion) -> Callable[[System], ComplexArray]:
             return detected(system, motion.points, linear_state(system, motion.points))
         if not jacobian:
             jacobian.append(jacobian_of(motion.system, motion.points, motion.x))
-        left = residual_of(system, motion.points, motion.x)
-        moved = motion.x - np.linalg.solve(jacobian[0], left[:, :, None])[:, :, 0]
+        moved = motion.x
+        for _ in range(_ITERATIONS):
+            left = residual_of(system, motion.points, moved)
+            moved = moved - np.linalg.solve(jacobian[0], left[:, :, None])[:, :, 0]
         return detected(system, motion.points, moved)
 
     return at

@@ -11,6 +11,7 @@ Shapes: N rows, S senses, D drives, P parameters.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,10 +46,12 @@ class ToneModel:
     ----------
     model : plant and effects.
     campaign : conditions, drives and frequencies.
+    even : parameters whose sign a tone does not show; ``values`` hold their squares, to which the response is proportional.
     """
 
     model: Model
     campaign: ToneCampaign
+    even: frozenset[str] = frozenset()
 
     @property
     def swept(self) -> bool:
@@ -63,7 +66,11 @@ class ToneModel:
 
     def system(self, values: Mapping[str, float], conditions: Conditions) -> System:
         """The assembled system under ``conditions``; raises ConfigError for parameters no device can have."""
-        own = {name: value for name, value in values.items() if name in self.model.by_name}
+        own = {
+            name: math.sqrt(max(value, 0.0)) if name in self.even else value
+            for name, value in values.items()
+            if name in self.model.by_name
+        }
         return assemble(self.model, self.model.complete(own), self.campaign.instrument, conditions)
 
     def predict(self, values: Mapping[str, float]) -> tuple[ComplexArray, ...]:
@@ -169,6 +176,8 @@ def differences(
     found, near = [], model.nearby(values)
     for name in names:
         step = model.step(name, values, sizes.get(name, 1.0))
-        above, below = (near({**values, name: values[name] + side * step}) for side in (1.0, -1.0))
-        found.append(tuple((a - b) / (2.0 * step) for a, b in zip(above, below)))
+        # A square is not negative, so that its difference at the null has one side.
+        sides = (1.0, 0.0) if name in model.even and values[name] < step else (1.0, -1.0)
+        above, below = (near({**values, name: values[name] + side * step}) for side in sides)
+        found.append(tuple((a - b) / ((sides[0] - sides[1]) * step) for a, b in zip(above, below)))
     return found

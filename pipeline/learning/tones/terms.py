@@ -24,6 +24,8 @@ STAGES = frozenset({"drive", "mechanics", "force", "sense", "readout"})
 _LINEAR = frozenset({"mechanics", "readout"})
 #: Relative change of the response that gives the size of a parameter, and how near a size must come (factor) in how many tries.
 _CHANGE, _NEAR, _TRIES = 1e-3, 10.0, 12
+#: Odd part of a response, relative to the even one, below which a sign does not show.
+_EVEN = 1e-3
 #: Frequencies and widths of an additional mode: rows of a width, and points of the grid at most.
 _WIDTHS, _POINTS = (3.0,), 48
 
@@ -82,20 +84,42 @@ def _size(
         elif _CHANGE / _NEAR < change < _CHANGE * _NEAR:
             return size
         else:
-            size *= float(np.clip(_CHANGE / change, 1e-6, 1e6))
+            # The root, because a change may grow as the square of the size.
+            size *= float(np.clip(np.sqrt(_CHANGE / change), 1e-6, 1e6))
     return size if low == 0.0 else None
 
 
-def tone_terms(model: Model, campaign: ToneCampaign, sizes: Mapping[str, float], swept: bool) -> tuple[Term, ...]:
+def even_parameters(model: ToneModel, sizes: Mapping[str, float], values: Mapping[str, float]) -> frozenset[str]:
+    """Parameters with a size whose sign does not change the response at ``values``, such as a quadratic stiffness."""
+    near, found = model.nearby(values), set()
+    plain = near(values)
+    for name, size in sizes.items():
+        if name not in model.model.by_name or model.model.by_name[name].low >= 0.0:
+            continue
+        try:
+            above, below = (near({**values, name: side * size}) for side in (1.0, -1.0))
+        except GyroscreenError:
+            continue
+        changes = [np.concatenate([np.ravel(a - b) for a, b in zip(each, plain)]) for each in (above, below)]
+        if np.linalg.norm(changes[0] - changes[1]) < _EVEN * np.linalg.norm(changes[0] + changes[1]):
+            found.add(name)
+    return frozenset(found)
+
+
+def tone_terms(
+    model: Model, campaign: ToneCampaign, sizes: Mapping[str, float], swept: bool, even: frozenset[str]
+) -> tuple[Term, ...]:
     """The terms whose parameters have a size, with the detector's settling where there is a sweep."""
-    found = [_term(model.library[name], model, campaign, sizes) for name in term_names(model, swept)]
+    found = [_term(model.library[name], model, campaign, sizes, even) for name in term_names(model, swept)]
     terms = [term for term in found if term is not None]
     if swept:
         terms.append(Term(SETTLING, (TermParameter(SHARE, "1", 0.0, 1.0, 1),)))
     return tuple(terms)
 
 
-def _term(effect: Effect, model: Model, campaign: ToneCampaign, sizes: Mapping[str, float]) -> Term | None:
+def _term(
+    effect: Effect, model: Model, campaign: ToneCampaign, sizes: Mapping[str, float], even: frozenset[str]
+) -> Term | None:
     members = effect.members(model.built.shape)
     plain = [m for m in members if not m.grid]
     if not all(effect.full_name(m) in sizes for m in plain):
@@ -105,7 +129,7 @@ def _term(effect: Effect, model: Model, campaign: ToneCampaign, sizes: Mapping[s
         scanned |= dict(zip(effect.mode, _mode_grid(campaign)))
     parameters = []
     for m in plain:
-        side = 1 if m.low == m.null else -1 if m.high == m.null else 0
+        side = 1 if m.low == m.null or effect.full_name(m) in even else -1 if m.high == m.null else 0
         parameters.append(TermParameter(effect.full_name(m), m.unit, m.null, np.inf, side))
     return Term(effect.name, tuple(parameters), scanned or None)
 

@@ -75,6 +75,26 @@ def foreign_gyros(
     command(kind, devices, seed, workers, out, json)
 
 
+@app.command("sweeps")
+def sweeps(
+    kind: Annotated[str, typer.Option(help="none, the name of an effect, or all.")] = "all",
+    campaigns: Annotated[int, typer.Option(help="Campaigns per kind.")] = 15,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "sweeps"
+    ),
+    json: Json = False,
+) -> None:
+    """Name the effect of one set of stepped sweeps.
+
+    The sweeps come from an integrator that shares no code with the model.
+    """
+    from ..sweeps import sweeps as command
+
+    command(kind, campaigns, seed, workers, out, json)
+
+
 @app.command("decays")
 def decays(
     kind: Annotated[str, typer.Option(help="none, an effect, two_modes, or all.")] = "all",
