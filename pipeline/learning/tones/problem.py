@@ -1,6 +1,8 @@
 """Sweeps and frequency responses as a ``Problem`` of criticism: a regression of their rows on the parameters of a model.
 
 Shapes: N rows, S senses; blocks (n, 2 S) as in ``rows``; P free parameters.
+
+Long because fits, their starts and their derived quantities share the cached model of all terms.
 """
 
 from __future__ import annotations
