@@ -12,7 +12,7 @@ from pipeline.experiment.files.inspect import Inspection, inspect
 from pipeline.experiment.files.inspect_tones import ToneInspection, inspect_tones
 from pipeline.experiment.files.readers import existing, read_columns
 from pipeline.experiment.files.ring_down import ring_down
-from pipeline.experiment.files.template import campaign_template, model_template, reason
+from pipeline.experiment.files.template import campaign_template, model_template, reason, stated_senses
 from pipeline.experiment.files.template_tones import TONE_MODEL, tone_reason, tone_template
 from pipeline.experiment.tones import ToneCampaign
 
@@ -35,6 +35,8 @@ def init(files: Sequence[Path], out: Path | None) -> None:
     if (tones := inspect_tones(columns)) is not None:
         _init_tones(folder, files, paths, tones)
         return
+    from .first_model import first_model
+
     found = inspect(columns)
     decay = ring_down(columns[0][1], found) if len(files) == 1 else None
     found = found if decay is None else decay.found
@@ -51,6 +53,13 @@ def init(files: Sequence[Path], out: Path | None) -> None:
         print(f"  a free decay from {decay.start_s:.6g} s on")
     try:
         campaign = read_campaign(folder)
+        tried = None if gyro or decay is not None else first_model(campaign, stated_senses(found))
+        if tried is not None:
+            why = "" if tried.hold == "zoh" else "one mode fits better with it"
+            text = campaign_template(folder.resolve().name, paths, found, gyro, None, tried.hold, why)
+            _write(folder, target, text)
+            _write(folder, folder / MODEL, model_template(found, tried.sense, tried.reason))
+            print(f'  sense = "{tried.sense}", hold = "{tried.hold}": {tried.reason}')
     except GyroscreenError as error:
         print(f"{target} is written, but the records cannot be read with it yet: {error}")
         return

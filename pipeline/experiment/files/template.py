@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isnan
 
+from ...device.plant import SENSES, Sense
 from ...toml_files import encoded
+from ..instrument import Hold
 from .inspect import FileColumn, Inspection
 from .units import UNITS
 
@@ -17,7 +19,7 @@ _UNKNOWN = """\
 # What the files cannot tell; correct it here before you trust a fit:
 [instrument]
 {rate}
-hold = "zoh"                    # how drive samples become volts: "zoh" steps, "foh" ramps, "bandlimited" (drive was recorded)
+hold = "{hold}"                # {why}how drive samples become volts: "zoh" steps, "foh" ramps, "bandlimited" (drive was recorded)
 bias_v = {bias}                    # bias of the drive electrodes [V]
 # antialias = {{ kind = "butterworth", order = 8, corner_hz = 4800.0 }}      # filter before the converter; absent: none
 # adc = {{ bits = 16, full_scale_v = 10.0 }}                                # converter; absent: none
@@ -25,7 +27,13 @@ bias_v = {bias}                    # bias of the drive electrodes [V]
 
 
 def campaign_template(
-    name: str, paths: Sequence[str], found: Inspection, gyro: bool, decay_s: float | None = None
+    name: str,
+    paths: Sequence[str],
+    found: Inspection,
+    gyro: bool,
+    decay_s: float | None = None,
+    hold: Hold = "zoh",
+    why: str = "",
 ) -> str:
     """The text of a campaign.toml.
 
@@ -36,6 +44,7 @@ def campaign_template(
     found : what they seem to hold.
     gyro : whether the device has two drives and two senses, as the gyro of the paper.
     decay_s : where the free decay that the file shows begins [s]; ``None``: it shows none.
+    hold, why : of the drive samples, and what shows it.
     """
     rate = (
         f"sample_rate_hz = {found.sample_rate_hz:.12g}        # from the time column"
@@ -53,21 +62,29 @@ def campaign_template(
             else []
         ),
         "",
-        _UNKNOWN.format(rate=rate, bias="5.0" if gyro else "0.0"),
+        _UNKNOWN.format(rate=rate, bias="5.0" if gyro else "0.0", hold=hold, why=f"{why}; " if why else ""),
         *_columns(found),
         *(_records(paths, found) if decay_s is None else _decay(paths[0], decay_s)),
     ]
     return "\n".join(parts)
 
 
-def model_template(found: Inspection) -> str:
-    """The text of a model file for a device that is no gyro: one mode, sensed as the unit of the senses tells."""
+def stated_senses(found: Inspection) -> tuple[Sense, ...]:
+    """What the senses may sense by their units: one thing, or all where no unit tells."""
     units = {UNITS[column.unit][0] for column in found.of("sense") if column.unit is not None}
-    moved = units and units <= _DISPLACEMENTS
-    sense, why = ("displacement", "the unit of the senses") if moved else ("velocity", "a guess")
+    if units and units <= _DISPLACEMENTS:
+        return ("displacement",)
+    return ("acceleration",) if units == {"m/s^2"} else SENSES
+
+
+def model_template(found: Inspection, sense: Sense | None = None, why: str = "a guess") -> str:
+    """The text of a model file for a device that is no gyro: one mode, sensed as the units or ``sense`` tell."""
+    stated = stated_senses(found)
+    if len(stated) == 1:
+        sense, why = stated[0], "the unit of the senses"
     return (
-        f'plant = {{ kind = "modal", modes = 1, sense = "{sense}" }}    # "velocity" or "displacement": {why}; more modes where'
-        " the response has more peaks\n"
+        f'plant = {{ kind = "modal", modes = 1, sense = "{sense or "velocity"}" }}\n'
+        f"# sense is {', '.join(SENSES)}: {why}.  refine adds further modes.\n"
     )
 
 

@@ -1,0 +1,75 @@
+"""What pick-offs sense, and how drives are held, where files do not tell: the pair with which one mode leaves the least.
+
+relative error of the modal plant with one mode, for each sense and each hold; the smallest counts if it is clearly smaller
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.device.model import Model, PlantSpec
+from pipeline.device.plant import SENSES, Sense
+from pipeline.errors import GyroscreenError
+from pipeline.experiment.instrument import Hold
+from pipeline.experiment.noise.level import noise_level
+from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.general.fit import fit_campaign
+
+#: Steps or ramps; interpolation in a band is nearly the latter.
+_HOLDS: tuple[Hold, ...] = ("zoh", "foh")
+#: Samples of each record, and paths from drives to senses, up to which the fits take seconds.
+_SAMPLES, _PATHS = 4_000, 4
+#: Error of a better pair over that of the first one.
+_BETTER = 0.95
+
+
+@dataclass(frozen=True)
+class FirstModel:
+    """The chosen sense and hold, and the relative errors of all pairs."""
+
+    sense: Sense
+    hold: Hold
+    errors: Mapping[tuple[Sense, Hold], float]
+
+    @property
+    def reason(self) -> str:
+        """The errors, as a comment: those of each sense with its best hold, and of each hold with the chosen sense."""
+        senses = {s: min(e for (one, _), e in self.errors.items() if one == s) for s, _ in self.errors}
+        holds = {h: e for (s, h), e in self.errors.items() if s == self.sense}
+        found = [f"{name} {100.0 * e:.3g} %" for name, e in (*senses.items(), *holds.items())]
+        return f"what one mode leaves: {', '.join(found)}"
+
+
+def first_model(campaign: Campaign, senses: Sequence[Sense] = SENSES) -> FirstModel | None:
+    """The pair of the fit records; ``None`` where they are not driven, have many channels, or no fit succeeds.
+
+    ``senses`` are those to try, where units tell; velocity and a held drive are kept unless another pair is clearly better.
+    """
+    records = tuple(_beginning(record) for record in campaign.with_role("fit"))
+    if not records or records[0].drive_v.shape[1] * records[0].sense_v.shape[1] > _PATHS:
+        return None
+    errors: dict[tuple[Sense, Hold], float] = {}
+    noise = noise_level(campaign)
+    for hold in _HOLDS:
+        held = replace(campaign, records=records, instrument=replace(campaign.instrument, hold=hold))
+        for sense in senses:
+            try:
+                found = fit_campaign(Model(PlantSpec("modal", 1, sense)), held, noise)
+            except (GyroscreenError, ArithmeticError, ValueError, np.linalg.LinAlgError):
+                continue
+            if (error := found.relative_error["fit"]) is not None and np.isfinite(error):
+                errors[sense, hold] = error
+    if not errors:
+        return None
+    best = min(errors, key=lambda pair: errors[pair])
+    usual: tuple[Sense, Hold] = ("velocity", campaign.instrument.hold) if "velocity" in senses else (best[0], "zoh")
+    if errors[best] >= _BETTER * errors.get(usual, np.inf):
+        best = usual
+    return FirstModel(*best, errors)
+
+
+def _beginning(record: Record) -> Record:
+    return replace(record, drive_v=record.drive_v[:_SAMPLES].copy(), sense_v=record.sense_v[:_SAMPLES].copy())
