@@ -2,7 +2,7 @@
 
 a name            P(a term is named | none is present)      = ALPHA,        over all candidates of one step
 a region; repeats that are called different                 = ALPHA,        over all regions; over all pairs
-a structure left  P(noise is called structured: "unknown")  = ALPHA_LEFT,   a milder fault than a wrong name
+a structure left  P(noise is called structured: "unknown")  = ALPHA,        over all tests of the residual
 detectable        z(ALPHA / 2 / 20 terms) + z(0.1) = 3.8 + 1.3 = 5 sigma: found nine times in ten
 clear             8 sigma: no other support is needed, because a size that is wrong by 3 sd still is significant
 draws             so many that ``COUNTED`` of a simulated null fall below ALPHA: p is known to 1 / sqrt(COUNTED) of itself there
@@ -11,7 +11,6 @@ draws             so many that ``COUNTED`` of a simulated null fall below ALPHA:
 from __future__ import annotations
 
 ALPHA = 0.003
-ALPHA_LEFT = 0.01
 DETECTABLE_SNR = 5.0
 CLEAR_SNR = 8.0
 COUNTED = 60

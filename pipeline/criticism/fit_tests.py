@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 
 from .announce import announce
-from .budget import ALPHA, ALPHA_LEFT, CLEAR_SNR, DRAWS
+from .budget import ALPHA, CLEAR_SNR, DRAWS
 from .goodness import WINDOW, ResidualTests, excess, goodness
 from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
 from .scores import Baseline, Projected, Score, baseline, project
@@ -46,7 +46,7 @@ class Rules:
     Parameters
     ----------
     alpha : family-wise probability of naming a term where none is present.
-    alpha_left : probability of calling noise structured ("unknown", a milder fault than a wrong name).
+    alpha_left : probability of calling noise structured ("unknown").
     rungs : largest number of terms that may be added.
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
@@ -57,7 +57,7 @@ class Rules:
     """
 
     alpha: float = ALPHA
-    alpha_left: float = ALPHA_LEFT
+    alpha_left: float = ALPHA
     rungs: int = 6
     least_share: float = 0.15
     least_expected: float = 0.01

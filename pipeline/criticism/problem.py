@@ -237,6 +237,7 @@ class Region:
     labels : where the region lies.
     chi2, dof : energy (sum of squared whitened residuals) and degrees of freedom.
     robust : the same energy with single outliers clipped, for tests that must not respond to heavy-tailed noise.
+    noise_sd : relative sd of the noise level there, beyond that of the whole data.
     """
 
     family: str
@@ -244,6 +245,7 @@ class Region:
     chi2: float
     dof: float
     robust: float | None = None
+    noise_sd: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from ...arrays import FloatArray, IntArray
 from ...criticism.budget import ALPHA
 from ...criticism.problem import Region
 from ...criticism.regions import RegionShare, explained_share, region_shares
+from ...experiment.noise.level import NoiseLevel
 from ...experiment.noise.time_frequency import lapped
 from ...inference.general.fit import CampaignFit
 from ...inference.general.record_fit import RecordFit
@@ -48,15 +49,28 @@ Labels = Mapping[str, object]
 def structure_regions(fit: CampaignFit, partitions: Mapping[str, RecordPartition]) -> list[Region]:
     """Resonances, harmonics, fine bands and time windows of each fitted record and channel.
 
-    They have far fewer degrees of freedom than the silent record, so the uncertainty of the noise level does not matter.
+    They have far fewer degrees of freedom than the silent record, so the uncertainty of a white noise level does not matter.  A
+    density is known less well in a narrow band.
     """
     out: list[Region] = []
     for mine in fit.of_role("fit"):
         partition, density = partitions[mine.name], _dof_per_sample(fit, mine)
         clipped = np.clip(mine.residual, -_CLIP, _CLIP)
         whole, robust = (_structure(mine, y, partition, density) for y in (mine.residual, clipped))
-        out += [replace(region, robust=other.chi2) for region, other in zip(whole, robust)]
+        out += [
+            replace(region, robust=other.chi2, noise_sd=_density_sd(fit.noise, region))
+            for region, other in zip(whole, robust)
+        ]
     return out
+
+
+def _density_sd(noise: NoiseLevel, region: Region) -> float:
+    """Relative sd of the noise density at the middle of the band of a region; 0 for white noise and for wide bands."""
+    band, channel = region.labels.get("band_hz"), region.labels.get("channel")
+    if region.family != "band" or noise.spectrum is None or noise.spectrum.white or not isinstance(band, list):
+        return 0.0
+    at = noise.spectrum.relative_sd(np.array([0.5 * (band[0] + band[1])]))
+    return float(at[0, int(str(channel).removeprefix("sense")) - 1])
 
 
 def _structure(mine: RecordFit, residual: FloatArray, partition: RecordPartition, density: float) -> list[Region]:
