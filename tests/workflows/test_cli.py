@@ -168,7 +168,7 @@ def test_the_version_is_that_of_the_distribution(capfd):
         (["model"], "show add drop export"),
         (
             ["benchmark"],
-            "coverage undetected foreign-gyros decays throughput faults sequential lattice silverbox hidden-effects",
+            "coverage undetected foreign-gyros sweeps decays throughput faults sequential lattice silverbox hidden-effects",
         ),
     ],
 )
