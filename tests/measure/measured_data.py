@@ -108,6 +108,8 @@ def _section(row: dict) -> str:
     lines[-1] += "; changed by hand: " + "; ".join(f"`{new}`" for _, new in case.changed) if case.changed else ""
     kept = [line for line in row["campaign"].splitlines() if line.strip() and not line.lstrip().startswith("#")]
     lines += ["", "```toml", *kept, "```", ""]
+    plant = [line for line in row["model"].splitlines() if line.startswith("plant")]
+    lines += [f"and the model `{plant[0]}`.", ""] if plant else []
     wrong = list(answer.get("wrong_form") or ())
     effects = ", ".join(answer["effects"]) or "none"
     lines += [f"`gyroscreen refine .` ends with {row['exit']}: **{answer['verdict']}**, effects: {effects}."]
@@ -120,7 +122,8 @@ def _section(row: dict) -> str:
         error, held, left, held_left = (rung.get(key) for key in _RUNG)
         cells = [rung["effect"] or "first model", rung["status"] or "", _number(error), _number(held)]
         lines.append("| " + " | ".join([*cells, _percent(left), _percent(held_left)]) + " |")
-    found = {k: v for k, v in answer["parameters"].items() if k[0] in "fz" and v and v[1] is not None}
+    modes = {k: v for k, v in answer["parameters"].items() if k.split(".")[-1].rstrip("_hz123456789") in ("f", "zeta")}
+    found = {k: v for k, v in modes.items() if v[1] is not None}
     stated = ", ".join(f"{k} = {v[0]:.6g} +- {v[1]:.2g}" for k, v in found.items())
     lines += ["", f"Parameters of the last rung: {stated}."]
     notes = [line.strip() for line in row["check"].splitlines() if "clip" in line.lower()]
