@@ -178,11 +178,20 @@ class RunStore:
             before = next((entry for entry in manifest.files if entry.name == name), None)
             if before is not None:
                 # Readers find the old page or the new one until the manifest lists the new one alone.
-                either = replace(before, next_sha256=files.sha256(data))
+                either = replace(self._page_on_disk(before), next_sha256=files.sha256(data))
                 put_manifest(self.folder, replace(manifest, files=(*others, either)))
             files.replace_file(self.folder, name, data)
             entry = FileEntry(name, "page", len(data), files.sha256(data))
             put_manifest(self.folder, replace(manifest, files=(*others, entry)))
+
+    def _page_on_disk(self, entry: FileEntry) -> FileEntry:
+        """The entry of a page whose replacement was interrupted: that of the new page where it had already taken its place."""
+        path = self.folder / entry.name
+        if not entry.next_sha256 or not path.is_file():
+            return entry
+        data = path.read_bytes()
+        found = files.sha256(data)
+        return FileEntry(entry.name, "page", len(data), found) if found == entry.next_sha256 else entry
 
     def finish(self, status: Literal["complete", "stopped"], summary: Mapping[str, Any]) -> None:
         """Close the run: store the digest of the whole ``devices`` table, the summary and the time.

@@ -15,6 +15,7 @@ from store_runs import CONFIG, PROVENANCE, ROWS, block_tables, make_run
 
 from pipeline.errors import ConfigError, IncompleteError, IntegrityError, UsageError
 from pipeline.store import RunStore, create_run, files, list_runs, open_run, read_run, table_digest
+from pipeline.store import run as run_module
 from pipeline.store.verify import verify
 
 HERE = Path(__file__).parent
@@ -47,6 +48,34 @@ def test_tables_come_back_in_block_order_with_units(tmp_path: Path) -> None:
 
 def test_order_of_commits_leaves_the_same_table(tmp_path: Path) -> None:
     assert_same_tables(make_run(tmp_path, "ordered"), make_run(tmp_path, "shuffled", blocks=(1, 2, 0)))
+
+
+def test_a_page_whose_replacement_is_interrupted_twice_stays_valid(tmp_path: Path, monkeypatch) -> None:
+    """The second interruption may leave the page of the first, which had not been listed alone."""
+    store = create_run(tmp_path, "r", CONFIG, PROVENANCE)
+    store.write_file("report.html", b"first")
+
+    def interrupted(*_args):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as once:
+        written: list[int] = []
+        put = run_module.put_manifest
+        once.setattr(run_module, "put_manifest", lambda *a: put(*a) if not written else interrupted())
+        replace_file = run_module.files.replace_file
+        once.setattr(run_module.files, "replace_file", lambda *a: (replace_file(*a), written.append(1)))
+        with pytest.raises(KeyboardInterrupt):
+            store.write_file("report.html", b"second")
+    assert verify(tmp_path).ok
+    with monkeypatch.context() as again:
+        replace_file = run_module.files.replace_file
+        again.setattr(
+            run_module.files, "replace_file", lambda *a: interrupted() if a[1] == "report.html" else replace_file(*a)
+        )
+        with pytest.raises(KeyboardInterrupt):
+            open_run(tmp_path, "r").write_file("report.html", b"third")
+    assert (tmp_path / "run=r" / "report.html").read_bytes() == b"second"
+    assert verify(tmp_path).ok
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs fork and SIGKILL")
