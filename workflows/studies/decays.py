@@ -28,14 +28,14 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
 from pipeline.device.model import Model, PlantSpec
-from pipeline.errors import GyroscreenError, UsageError
+from pipeline.errors import GyroscreenError
 from pipeline.experiment.decays.pieces import decay_pieces
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 
 from ..learning import refine
 from .coverage import Share
-from .hidden.study import make_folder, resumed, rows_in
+from .rows_by_kind import add_rows, processor_times
 
 KINDS: dict[str, str] = {
     "none": "one linear mode",
@@ -223,13 +223,7 @@ def run_study(kinds: Sequence[str], decays: int, seed: int, folder: Path, worker
     ------
     UsageError : an unknown kind, or the folder cannot be written.
     """
-    for kind in kinds:
-        if kind not in KINDS:
-            raise UsageError("no such kind", value=kind, allowed=f"all, {', '.join(KINDS)}", next_step="correct --kind")
-    make_folder(folder)
-    wanted = [(kind, number) for number in range(decays) for kind in kinds]
-    before = {(row["kind"], row["number"]) for row in rows_in(folder, kinds, seed)}
-    yield from resumed(study_row, seed, wanted, before, folder, workers)
+    return add_rows(study_row, KINDS, kinds, decays, seed, folder, workers)
 
 
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
@@ -241,7 +235,4 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
             right = sum(row["outcome"] in ("correct", "class") for row in own)
             found[f"{kind}: correct, or a class of at most {_CLASS}"] = Share(right, len(own))
             found[f"{kind}: wrong"] = Share(sum(row["outcome"] == "wrong" for row in own), len(own))
-    times = sorted(row["cpu_seconds"] for row in rows)
-    if times:
-        found["processor time, median and largest"] = f"{times[len(times) // 2]:.1f}, {times[-1]:.1f} s"
-    return found
+    return found | processor_times(rows)

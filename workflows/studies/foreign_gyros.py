@@ -27,13 +27,13 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import ComplexArray, FloatArray
-from pipeline.errors import GyroscreenError, UsageError
+from pipeline.errors import GyroscreenError
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.identify import identify
 
 from .coverage import Share, offsets
-from .hidden.study import make_folder, resumed, rows_in
+from .rows_by_kind import add_rows, processor_times
 
 KINDS: dict[str, str] = {
     "both": "both drives sweep at once, in opposite directions; swapped in the second record",
@@ -204,13 +204,7 @@ def run_study(kinds: Sequence[str], devices: int, seed: int, folder: Path, worke
     ------
     UsageError : an unknown kind, or the folder cannot be written.
     """
-    for kind in kinds:
-        if kind not in KINDS:
-            raise UsageError("no such kind", value=kind, allowed=f"all, {', '.join(KINDS)}", next_step="correct --kind")
-    make_folder(folder)
-    wanted = [(kind, number) for number in range(devices) for kind in kinds]
-    before = {(row["kind"], row["number"]) for row in rows_in(folder, kinds, seed)}
-    yield from resumed(study_row, seed, wanted, before, folder, workers)
+    return add_rows(study_row, KINDS, kinds, devices, seed, folder, workers)
 
 
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
@@ -223,7 +217,4 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
     ):
         judged = [row[name]["inside"] for row in ok if name in row]
         found[label] = Share(sum(judged), len(judged))
-    times = sorted(row["cpu_seconds"] for row in rows)
-    if times:
-        found["processor time, median and largest"] = f"{times[len(times) // 2]:.1f}, {times[-1]:.1f} s"
-    return found
+    return found | processor_times(rows)

@@ -25,12 +25,12 @@ from threadpoolctl import threadpool_limits
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.device.model import Model
 from pipeline.device.plant import PlantSpec
-from pipeline.errors import GyroscreenError, UsageError
+from pipeline.errors import GyroscreenError
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.tones import ToneCampaign, ToneRecord
 
 from .coverage import Share
-from .hidden.study import make_folder, resumed, rows_in
+from .rows_by_kind import add_rows, processor_times
 
 KINDS = (
     "none",
@@ -183,13 +183,7 @@ def run_study(kinds: Sequence[str], campaigns: int, seed: int, folder: Path, wor
     ------
     UsageError : an unknown kind, or the folder cannot be written.
     """
-    for kind in kinds:
-        if kind not in KINDS:
-            raise UsageError("no such kind", value=kind, allowed=f"all, {', '.join(KINDS)}", next_step="correct --kind")
-    make_folder(folder)
-    wanted = [(kind, number) for number in range(campaigns) for kind in kinds]
-    before = {(row["kind"], row["number"]) for row in rows_in(folder, kinds, seed)}
-    yield from resumed(study_row, seed, wanted, before, folder, workers)
+    return add_rows(study_row, KINDS, kinds, campaigns, seed, folder, workers)
 
 
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
@@ -201,7 +195,4 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
     ):
         for what in ("right", "wrong"):
             found[f"{label}: {what}"] = Share(sum(row["outcome"] == what for row in own), len(own))
-    times = sorted(row["cpu_seconds"] for row in rows)
-    if times:
-        found["processor time, median and largest"] = f"{times[len(times) // 2]:.1f}, {times[-1]:.1f} s"
-    return found
+    return found | processor_times(rows)
