@@ -3,17 +3,60 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, Self, TypeVar
 
 from msgspec import UNSET
 from msgspec.structs import replace
 
+from ..criticism.fit_tests import Rules
 from ..criticism.goodness import Agreement
 from ..criticism.ladder import Diagnosis, Ladder, Rung
+from ..criticism.problem import FitResult, Problem
 from ..criticism.scores import Score
+from ..criticism.selection import ForwardSelection, forward_selection
 from ..criticism.verdict import TermClass
 from ..experiment.record import Record
 from .answers import BadSamples, CandidateAnswer, DiagnosisAnswer, RefinementAnswer, RungAnswer, SizeDisagreement
+from .next_experiment.separating import Proposal
+
+P = TypeVar("P", bound=Problem)
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionAnswers(ABC, Generic[P]):
+    """What answers share whose measurement is not repeated with another drive; the fits are kept by ``problem``."""
+
+    problem: P
+
+    @property
+    @abstractmethod
+    def rules(self) -> Rules:
+        """Those of the selection."""
+
+    def selected(self, rules: Rules) -> tuple[Self, ForwardSelection]:
+        """The selection of effects, and these answers."""
+        return self, forward_selection(self.problem, (), rules)
+
+    def fitted(self, terms: Sequence[str] = ()) -> FitResult:
+        """The fit of the given model with ``terms``."""
+        return self.problem.fit(tuple(terms))
+
+    def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
+        """None: drive files are those of time records."""
+        return ()
+
+    def first_diagnosis(self, found: Diagnosis) -> DiagnosisAnswer:
+        """What the given model lacks."""
+        return self.diagnosis(found)
+
+    @abstractmethod
+    def diagnosis(
+        self, found: Diagnosis, proposals: Sequence[Proposal] = (), drive_files: bool = False
+    ) -> DiagnosisAnswer:
+        """What the given model lacks; ``proposals`` are none."""
 
 
 def diagnosis_answer(found: Diagnosis) -> DiagnosisAnswer:

@@ -35,7 +35,7 @@ from pipeline.experiment.record import Campaign, Record
 
 from ..learning import refine
 from .coverage import Share
-from .rows_by_kind import add_rows, processor_times
+from .rows_by_kind import LARGEST_CLASS, add_rows, is_right, is_wrong, outcome, processor_times
 
 KINDS: dict[str, str] = {
     "none": "one linear mode",
@@ -51,8 +51,6 @@ _MOST_CYCLES, _MOST_SAMPLES = 1200, 40_000
 _FREQUENCY_HZ, _QUALITY, _SNR = (5.0, 20_000.0), (50.0, 2000.0), (20.0, 1000.0)
 #: Relative change of frequency at the first amplitude; k2 A / w^2; added damping over zeta.
 _CUBIC, _QUADRATIC, _DRAG = (1e-5, 3e-2), (3e-3, 0.15), (0.03, 2.0)
-#: Largest class that counts as an answer.
-_CLASS = 3
 _STREAM = 121
 
 
@@ -194,26 +192,17 @@ def study_row(seed: int, item: tuple[str, int]) -> dict[str, Any]:
             return row | {"outcome": "failed", "failed": str(error), "cpu_seconds": time.process_time() - started}
     found = {"verdict": answer.verdict, "effects": answer.effects, "classes": answer.classes}
     names = [(rung.effect, rung.status) for rung in answer.ladder]
-    truth = kind if kind not in ("none", "two_modes") else None
     row |= {
-        "outcome": outcome(truth, answer.verdict, answer.effects, answer.classes),
+        "outcome": outcome(_truth(kind), answer.verdict, answer.effects, answer.classes),
         "ladder": names,
         "parameters": answer.parameters,
     }
     return row | found | {"cpu_seconds": time.process_time() - started}
 
 
-def outcome(truth: str | None, verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]]) -> str:
-    """ "correct", "class" (of at most three with the truth), "wrong" (another effect is named), or "open"."""
-    named = set(effects)
-    if named == ({truth} if truth else set()):
-        return "correct" if verdict in ("adequate", "class") else "open"
-    if verdict not in ("adequate", "class"):
-        return "open"
-    alike = [set(one) for one in classes if truth in one]
-    if truth and len(named) == 1 and any(named <= one and len(one) <= _CLASS for one in alike):
-        return "class"
-    return "wrong" if named - {truth} else "open"
+def _truth(kind: str) -> str | None:
+    """The effect of a kind, if it has one."""
+    return kind if kind not in ("none", "two_modes") else None
 
 
 def run_study(kinds: Sequence[str], decays: int, seed: int, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
@@ -232,7 +221,7 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
     groups = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS} | {"all": list(rows)}
     for kind, own in groups.items():
         if own:
-            right = sum(row["outcome"] in ("correct", "class") for row in own)
-            found[f"{kind}: correct, or a class of at most {_CLASS}"] = Share(right, len(own))
-            found[f"{kind}: wrong"] = Share(sum(row["outcome"] == "wrong" for row in own), len(own))
+            right, wrong = (sum(one(row, _truth(row["kind"])) for row in own) for one in (is_right, is_wrong))
+            found[f"{kind}: correct, or a class of at most {LARGEST_CLASS}"] = Share(right, len(own))
+            found[f"{kind}: wrong"] = Share(wrong, len(own))
     return found | processor_times(rows)

@@ -12,6 +12,9 @@ from .hidden.study import make_folder, resumed, rows_in
 
 Row = dict[str, Any]
 
+#: Largest class that counts as an answer.
+LARGEST_CLASS = 3
+
 
 def add_rows(
     task: Callable[[int, tuple[str, int]], Row],
@@ -43,3 +46,31 @@ def processor_times(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     if not times:
         return {}
     return {"processor time, median and largest": f"{times[len(times) // 2]:.1f}, {times[-1]:.1f} s"}
+
+
+def outcome(truth: str | None, verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]]) -> str:
+    """ "correct", "class" (of at most three with the truth), "wrong" (another effect is named), or "open"."""
+    named = set(effects)
+    if named == ({truth} if truth else set()):
+        return "correct" if verdict in ("adequate", "class") else "open"
+    if verdict not in ("adequate", "class"):
+        return "open"
+    alike = [set(one) for one in classes if truth in one]
+    if truth and len(named) == 1 and any(named <= one and len(one) <= LARGEST_CLASS for one in alike):
+        return "class"
+    return "wrong" if named - {truth} else "open"
+
+
+def is_right(row: Mapping[str, Any], truth: str | None) -> bool:
+    """Whether a stored row names its truth, alone or in a class of at most three."""
+    return _judged(row, truth) in ("correct", "class")
+
+
+def is_wrong(row: Mapping[str, Any], truth: str | None) -> bool:
+    """Whether a stored row names something else."""
+    return _judged(row, truth) == "wrong"
+
+
+def _judged(row: Mapping[str, Any], truth: str | None) -> str:
+    # From the answer and not from the stored outcome, so that rows of older versions count as new ones do.
+    return outcome(truth, row["verdict"], row["effects"], row["classes"]) if "verdict" in row else "failed"

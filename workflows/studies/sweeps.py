@@ -30,7 +30,7 @@ from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.tones import ToneCampaign, ToneRecord
 
 from .coverage import Share
-from .rows_by_kind import add_rows, processor_times
+from .rows_by_kind import add_rows, is_right, is_wrong, outcome, processor_times
 
 KINDS = (
     "none",
@@ -43,8 +43,6 @@ KINDS = (
 )
 #: Steps of a period; periods that are averaged; decay times before the average; rows of a pass; relative noise.
 _STEPS, _AVERAGED, _DECAYS, _ROWS, _NOISE = 64, 4, 12.0, 30, 1e-3
-#: A class of more members names nothing.
-_LARGEST_CLASS = 3
 _STREAM = 121
 
 
@@ -149,31 +147,21 @@ def study_row(seed: int, item: tuple[str, int]) -> dict[str, Any]:
         try:
             answer = refine(campaign, Model(PlantSpec(kind="modal"))).answer
         except GyroscreenError as error:
-            return row | {"outcome": "unnamed", "failed": str(error), "cpu_seconds": time.process_time() - started}
+            return row | {"outcome": "failed", "failed": str(error), "cpu_seconds": time.process_time() - started}
     classes = [list(members) for members in answer.classes]
     return row | {
         "verdict": answer.verdict,
         "effects": list(answer.effects),
         "classes": classes,
         "error": answer.ladder[-1].error_validate if answer.ladder else None,
-        "outcome": outcome(kind, answer.verdict, answer.effects, classes),
+        "outcome": outcome(_truth(kind), answer.verdict, answer.effects, classes),
         "cpu_seconds": time.process_time() - started,
     }
 
 
-def outcome(kind: str, verdict: str, effects: Sequence[str], classes: Sequence[Sequence[str]]) -> str:
-    """ "right": named alone or in a class of at most three; "wrong": another named; "unnamed": unknown, or nothing named."""
-    if verdict not in ("adequate", "class"):
-        return "unnamed"
-    if kind == "none":
-        return "wrong" if effects else "right"
-    if not effects:
-        return "unnamed"
-    named = set(effects)
-    for members in classes:
-        if named & set(members) and len(members) <= _LARGEST_CLASS:
-            named |= set(members)
-    return "right" if kind in named and len(effects) == 1 else "wrong"
+def _truth(kind: str) -> str | None:
+    """The effect of a kind, if it has one."""
+    return None if kind == "none" else kind
 
 
 def run_study(kinds: Sequence[str], campaigns: int, seed: int, folder: Path, workers: int) -> Iterator[tuple[int, int]]:
@@ -193,6 +181,6 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Share | str]:
         ("one effect", [row for row in rows if row["kind"] != "none"]),
         ("no effect", [row for row in rows if row["kind"] == "none"]),
     ):
-        for what in ("right", "wrong"):
-            found[f"{label}: {what}"] = Share(sum(row["outcome"] == what for row in own), len(own))
+        for what, holds in (("right", is_right), ("wrong", is_wrong)):
+            found[f"{label}: {what}"] = Share(sum(holds(row, _truth(row["kind"])) for row in own), len(own))
     return found | processor_times(rows)

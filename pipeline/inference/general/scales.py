@@ -21,7 +21,7 @@ from scipy.fft import rfft
 from ...device.model import Model
 from ...device.plant import SENSES
 from ...device.scale import Scale
-from ...errors import MeasurementError
+from ...errors import ConfigError, MeasurementError
 from ...experiment.instrument import Instrument
 from ...experiment.record import Campaign, Record
 from .starts import excited_band
@@ -36,8 +36,25 @@ _ABOVE = 10.0
 _HARMONICS = 3.0
 
 
+def check_pickoff(model: Model, instrument: Instrument) -> None:
+    """Raise ConfigError where both the plant and the instrument integrate: a displacement would be integrated again."""
+    if model.plant.kind == "modal" and model.plant.sense != "velocity" and instrument.pickoff == "displacement":
+        raise ConfigError(
+            "the model and the campaign both state what the pick-offs sense",
+            value=f'sense = "{model.plant.sense}" in the model, pickoff = "displacement" under [device]',
+            allowed='pickoff = "displacement" beside sense = "velocity", the quantity before the charge amplifier',
+            next_step="remove pickoff from [device] of campaign.toml",
+        )
+
+
 def scaled_to(model: Model, campaign: Campaign) -> Model:
-    """The model at the scale of the campaign, unless it has one already; a gyro has the electrodes of the campaign."""
+    """The model at the scale of the campaign, unless it has one already; a gyro has the electrodes of the campaign.
+
+    Raises
+    ------
+    ConfigError : as of ``check_pickoff``.
+    """
+    check_pickoff(model, campaign.instrument)
     if model.plant.scale is not None:
         return model
     if model.plant.kind == "gyro":

@@ -20,13 +20,11 @@ from ...criticism.ladder import Diagnosis, Ladder
 from ...criticism.pairs import best_pairs
 from ...criticism.problem import FitResult
 from ...criticism.scores import Score
-from ...criticism.selection import ForwardSelection, forward_selection
-from ...criticism.verdict import TermClass
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...experiment.files.modal_record import ModalRecord
 from ...inference.modal.axes import NAMES
 from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, PairAnswer, RefinementAnswer, TermTest
-from ..common import diagnosis_answer, misfit, refinement_answer
+from ..common import RegressionAnswers, diagnosis_answer, misfit, refinement_answer
 from ..next_experiment.separating import Proposal
 from ..where.modal import entries_by_misfit, explained_entries
 from ..where.regions import LISTED
@@ -46,27 +44,13 @@ def modal_answers(record: ModalRecord, model: Model = DEFAULT_COMPARE_MODEL) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class ModalAnswers:
+class ModalAnswers(RegressionAnswers[ModalProblem]):
     """Answers about one modal record; the fits are kept by ``problem``."""
-
-    problem: ModalProblem
 
     @property
     def rules(self) -> Rules:
         """With an unknown noise level the few rows of a modal record can reach no smaller probability."""
         return Rules() if self.problem.noise_known else Rules(alpha=ALPHA_UNKNOWN_NOISE)
-
-    def selected(self, rules: Rules) -> tuple[ModalAnswers, ForwardSelection]:
-        """The selection of effects, and these answers."""
-        return self, forward_selection(self.problem, (), rules)
-
-    def fitted(self, terms: Sequence[str] = ()) -> FitResult:
-        """The fit of the given model with ``terms``."""
-        return self.problem.fit(tuple(terms))
-
-    def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
-        """None: a modal record is not repeated with another drive."""
-        return ()
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
@@ -90,10 +74,6 @@ class ModalAnswers:
             dof=fit.dof,
             **self._axes(fit),
         )
-
-    def first_diagnosis(self, found: Diagnosis) -> DiagnosisAnswer:
-        """What the given model lacks."""
-        return self.diagnosis(found)
 
     def diagnosis(
         self, found: Diagnosis, proposals: Sequence[Proposal] = (), drive_files: bool = False

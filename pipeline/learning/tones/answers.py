@@ -15,14 +15,12 @@ from msgspec import structs
 from ...criticism.fit_tests import Rules
 from ...criticism.ladder import Diagnosis, Ladder
 from ...criticism.problem import FitResult
-from ...criticism.selection import ForwardSelection, forward_selection
-from ...criticism.verdict import TermClass
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...errors import MeasurementError
 from ...experiment.noise.tones import tone_noise
 from ...experiment.tones import ToneCampaign
 from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RefinementAnswer
-from ..common import diagnosis_answer, misfit, refinement_answer
+from ..common import RegressionAnswers, diagnosis_answer, misfit, refinement_answer
 from ..modal.terms import GAUGES
 from ..next_experiment.separating import Proposal
 from ..where.regions import FAMILIES, FREQUENCY_KINDS, by_kind, explained_by_kind, remaining_shares, significant_places
@@ -49,27 +47,13 @@ def tone_answers(campaign: ToneCampaign, model: Model = DEFAULT_COMPARE_MODEL) -
 
 
 @dataclass(frozen=True, eq=False)
-class ToneAnswers:
+class ToneAnswers(RegressionAnswers[ToneProblem]):
     """Answers about one campaign; the fits are kept by ``problem``."""
-
-    problem: ToneProblem
 
     @property
     def rules(self) -> Rules:
         """Those of a campaign."""
         return Rules()
-
-    def selected(self, rules: Rules) -> tuple[ToneAnswers, ForwardSelection]:
-        """The selection of effects, and these answers."""
-        return self, forward_selection(self.problem, (), rules)
-
-    def fitted(self, terms: Sequence[str] = ()) -> FitResult:
-        """The fit of the given model with ``terms``."""
-        return self.problem.fit(tuple(terms))
-
-    def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
-        """None: drive files are those of time records."""
-        return ()
 
     @cached_property
     def comparison(self) -> ComparisonAnswer:
@@ -94,10 +78,6 @@ class ToneAnswers:
             parameters={**fit.parameters, **fit.derived},
             fit_ok=True,
         )
-
-    def first_diagnosis(self, found: Diagnosis) -> DiagnosisAnswer:
-        """What the given model lacks."""
-        return self.diagnosis(found)
 
     def diagnosis(
         self, found: Diagnosis, proposals: Sequence[Proposal] = (), drive_files: bool = False

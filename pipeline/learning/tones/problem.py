@@ -22,6 +22,7 @@ from ...device.model import Model
 from ...errors import GyroscreenError
 from ...experiment.noise.tones import ToneNoise
 from ...experiment.tones import ToneCampaign
+from ...inference.general.scales import check_pickoff
 from ...inference.modal.model import starting_values
 from ...inference.tones.model import PHASE, ToneModel, differences, offset_names
 from ...inference.tones.start import LinearModes, linear_modes_of
@@ -49,6 +50,7 @@ class ToneProblem:
     """
 
     def __init__(self, campaign: ToneCampaign, model: Model, noise: ToneNoise) -> None:
+        check_pickoff(model, campaign.instrument)
         first = campaign.records[0]
         self.campaign, self.noise = campaign, noise
         self.model = model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1])

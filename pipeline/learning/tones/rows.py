@@ -20,7 +20,7 @@ from ...experiment.noise.tones import ToneNoise
 from ...experiment.tones import SweepPass, ToneCampaign, passes_of
 from ...inference.general.resonances import resonances_of
 
-#: Bands of a pass in which its residual is tested and listed.
+#: Bands of the rows in which the residual of each pass is tested and listed.
 _BANDS = 8
 #: Highest order of the polynomials of the generic shapes.
 _SHAPES = 3
@@ -107,23 +107,33 @@ class ToneRows:
         blocks = (np.stack([column[b].reshape(-1) for column in columns], axis=1) for b in range(len(self.fitted)))
         return Signatures(tuple(candidates), tuple(blocks))
 
+    @cached_property
+    def bands_hz(self) -> FloatArray:
+        """Edges (B + 1,) [Hz] of the bands of the fitted rows; the same for all passes, whose residuals add up by band."""
+        f = np.concatenate([self.campaign.records[one.record].frequency_hz[one.rows] for one in self.fitted])
+        edges = np.unique(np.quantile(f, np.linspace(0.0, 1.0, _BANDS + 1)))
+        edges[-1] = np.nextafter(edges[-1], np.inf)
+        return np.asarray(edges)
+
     def regions(self, fit: FitResult) -> list[Region]:
-        """The residual of each fitted pass and channel in bands of its rows: those of a resonance and those beside."""
+        """The residual of each fitted pass and channel in bands of the rows: those of a resonance and those beside."""
         per_row = fit.dof / max(fit.rows, 1)
         modes = resonances_of({name: value for name, (value, _) in fit.parameters.items()})
+        edges = self.bands_hz
         found: list[Region] = []
         for one, block in zip(self.fitted, fit.blocks):
             f = self.campaign.records[one.record].frequency_hz[one.rows]
-            order = np.argsort(f)
-            for part in np.array_split(order, min(_BANDS, f.size)):
-                centre = float(f[part].mean())
-                near = any(abs(centre - mode) < 2.0 * max(width, float(np.ptp(f[part]))) for mode, width in modes)
+            band = np.searchsorted(edges, f, side="right") - 1
+            for k in np.unique(band).tolist():
+                part, low, high = np.flatnonzero(band == k), float(edges[k]), float(edges[k + 1])
+                centre, wide = 0.5 * (low + high), high - low
+                near = any(abs(centre - mode) < 2.0 * max(width, wide) for mode, width in modes)
                 for channel in range(block.residual.shape[1] // 2):
                     own = block.residual[part][:, [channel, channel + block.residual.shape[1] // 2]]
                     labels = {
                         "record": block.name,
                         "channel": f"sense{channel + 1}",
-                        "band_hz": [float(f[part].min()), float(f[part].max())],
+                        "band_hz": [low, high],
                         "kind": "resonance" if near else "broadband",
                     }
                     found.append(Region("frequency", labels, float(np.sum(own**2)), own.size * per_row))

@@ -12,13 +12,14 @@ from plants import PAPER_LIKE as PLANT
 from scipy.io import loadmat
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, SCREENING_MODEL, Model, PlantSpec
-from pipeline.errors import MeasurementError
+from pipeline.errors import ConfigError, MeasurementError
 from pipeline.experiment.excitation import Chirp, Multisine, drive_samples
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.general.fit import fit_campaign
+from pipeline.inference.general.scales import scaled_to
 
 C12 = {"c12_per_s": 0.3}
 PARASITIC = {
@@ -180,3 +181,14 @@ def test_cubic_and_quadratic_springs_predict_the_silverbox_to_a_millivolt() -> N
     )
     assert linear_mv > 5.0
     assert duffing_mv < 1.0
+
+
+def test_a_displacement_is_not_integrated_twice():
+    """The charge amplifier and the plant each integrate; both together would model the integral of a displacement."""
+    instrument = Instrument(1000.0).with_pickoff("displacement")
+    record = Record("r", 1000.0, np.ones((64, 1)), np.ones((64, 1)), role="fit")
+    campaign = Campaign("d", (record,), instrument)
+    for plant in ("displacement", "acceleration"):
+        with pytest.raises(ConfigError, match="both state what the pick-offs sense"):
+            scaled_to(Model(PlantSpec("modal", 1, plant)), campaign)
+    scaled_to(Model(PlantSpec("modal", 1, "velocity")), campaign)
