@@ -199,6 +199,18 @@ def test_saturation_only_clips_the_samples() -> None:
     assert np.array_equal(found, np.clip(plain, -1.0 / (1.0 / level), 1.0 / (1.0 / level)))
 
 
+def test_the_column_of_the_clip_level_is_exact_for_every_sample() -> None:
+    # dy/d(1/L) = -L^2 sign(y) where |y| > L, else 0: a sample just below the level does not follow it.
+    record = _record(1000)
+    plain = forward(DEFAULT_COMPARE_MODEL, PLANT, record, INSTRUMENT)
+    model = DEFAULT_COMPARE_MODEL.with_effect("adc_saturation")
+    level = 0.7 * float(np.max(np.abs(plain)))
+    values = {**PLANT, "adc_saturation.1/level": 1.0 / level}
+    column = jacobian(model, values, record, INSTRUMENT)[..., model.free.index("adc_saturation.1/level")]
+    expected = np.where(np.abs(plain) > level, -(level**2) * np.sign(plain), 0.0)
+    assert np.max(np.abs(column - expected)) < 1e-6 * level**2
+
+
 def test_a_declared_rate_acts_without_the_effect_and_overrides_it() -> None:
     declared, unknown = _record(1000, rate_dps=200.0), _record(1000)
     kappa = 0.7
