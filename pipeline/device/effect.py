@@ -40,16 +40,7 @@ from .mechanics import Mechanics
 from .parameters import Parameter, Shape
 from .readout import Readout
 
-__all__ = [
-    "Context",
-    "Effect",
-    "Laws",
-    "LookAlike",
-    "SizeRange",
-    "find_effects",
-    "load_effect",
-    "numbered",
-]
+__all__ = ["Context", "Effect", "Laws", "LookAlike", "SizeRange", "find_effects", "load_effect", "numbered"]
 
 
 _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbance")
@@ -57,12 +48,16 @@ _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbanc
 
 @dataclass(frozen=True)
 class Context:
-    """Conditions for all stages except force: biases [V], the parameters of the plant by name, time before the record [s]."""
+    """Conditions for all stages except force: biases [V], parameters of the plant by name, time before the record [s].
+
+    ``derivative``: order of the derivative of the motion that the pick-offs sense.
+    """
 
     bias_v: float
     operating_bias_v: float
     plant: Mapping[str, Any]
     elapsed_s: float = 0.0
+    derivative: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +108,7 @@ class Effect:
     plants : plants to which it applies: "gyro", "updown" (gyros with that mode), "modal" (any channels), "resonator" (modal, one
         drive and one sense).
     condition : condition of a record that, if declared, fixes the only parameter: "rate", or none.
+    needs_drive : the parameters of the plant absorb it in a free decay.
     depends_on_bias : the law contains the bias, so records at another bias help to identify the effect.
     mimics_hold : a wrongly declared hold of the drive samples looks like this effect.
     look_alikes : other effects that reproduce its records.
@@ -143,6 +139,7 @@ class Effect:
     disturbance: Callable[[FloatArray, FloatArray, Context], FloatArray] | None = None
     plants: tuple[str, ...] = ("gyro", "modal")
     condition: str = ""
+    needs_drive: bool = False
     depends_on_bias: bool = False
     mimics_hold: bool = False
     look_alikes: tuple[LookAlike, ...] = ()
@@ -206,7 +203,7 @@ class Effect:
         """
         if not self.members(shape):
             return False
-        return shape.drives > 0 or (self.resonance is None and not set(self.stages) <= {"drive", "readout"})
+        return shape.drives > 0 or not (self.needs_drive or self.resonance or set(self.stages) <= {"drive", "readout"})
 
     def full_name(self, member: Parameter) -> str:
         """Name of a parameter in a model: "effect.parameter", or the name of the result quantity that it is."""
@@ -228,6 +225,10 @@ class Effect:
         members = self.members(shape)
         gridded = all(member.grid for member in members)
         return all(value == member.null for value, member in zip(p.tolist(), members) if gridded or not member.grid)
+
+    def clips(self, stage: str) -> bool:
+        """Whether its only parameter is a clip level of a ``stage``, scanned relative to the samples there."""
+        return self.stages == (stage,) and len(self.parameters) == 1 and bool(self.parameters[0].grid)
 
 
 @lru_cache(maxsize=256)

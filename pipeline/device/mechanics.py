@@ -58,6 +58,11 @@ class Mechanics:
         return bool(np.any(self.acceleration_sense))
 
     @property
+    def derivative(self) -> int:
+        """Order of the derivative of the motion that the pick-offs sense."""
+        return 2 if self.senses_acceleration else 0 if np.any(self.position_sense) else 1
+
+    @property
     def reads(self) -> FloatArray:
         """[D - A K, V - A (C + G)] (B, S, 2n): pick-off volts from a state (q, q'), without drive and forces."""
         position, velocity = self.position_sense, self.velocity_sense

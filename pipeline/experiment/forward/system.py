@@ -113,9 +113,11 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
     ConfigError : the damping matrix is not positive semidefinite, or the stiffness matrix not positive definite.
     """
     plant = model.built
-    context = Context(conditions.bias_v, conditions.operating_bias_v, values, conditions.elapsed_s)
     effects = acting(model, values, conditions)
     mechanics = plant.mechanics(values)
+    context = Context(
+        conditions.bias_v, conditions.operating_bias_v, values, conditions.elapsed_s, mechanics.derivative
+    )
     if conditions.frequency_shift != 0.0:
         mechanics = replace(mechanics, stiffness=mechanics.stiffness * (1.0 + conditions.frequency_shift) ** 2)
     poles, residues = (_NO_POLES, _NO_POLES) if instrument.antialias is None else filter_poles(instrument.antialias)

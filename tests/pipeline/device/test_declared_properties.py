@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, values_at
+from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, is_scanned, values_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants import PAPER_LIKE as PLANT
@@ -116,7 +116,7 @@ def _residual(rows: FloatArray, basis: FloatArray) -> FloatArray:
 def test_a_wrong_hold_looks_like_the_effect_if_it_says_so(effect: Effect, user_folder: Path) -> None:
     """On a resonator in a wide band: alone, or after a delay, it explains more than half of what a wrong hold leaves."""
     base = Model(PlantSpec("modal", 1, "displacement"), effect_folders=(str(user_folder),))
-    if effect.name not in base.candidates() or effect.disturbance or effect.adc or effect.resonance:
+    if effect.name not in base.candidates() or is_scanned(effect) or effect.resonance:
         assert not effect.mimics_hold
         return
     rate = 610.35

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, values_at
+from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, is_scanned, values_at
 from plants import PAPER_LIKE as PLANT
 
 from pipeline.device import effects as library
@@ -27,7 +27,7 @@ drive_nonlinearity sense_nonlinearity capacitive_feedthrough resistive_feedthrou
 loop_delay gain_drift adc_saturation mains_hum
 """.split()  # noqa: SIM905 -- as the contract lists them
 LINEAR = [name for name in LIBRARY if find_effects()[name].mechanics is not None]
-SLOPED = [n for n in LIBRARY if find_effects()[n].disturbance is None and find_effects()[n].adc is None]
+SLOPED = [n for n in LIBRARY if find_effects()[n].disturbance is None and not is_scanned(find_effects()[n])]
 
 
 def only(names: list[str]) -> pytest.MarkDecorator:

@@ -113,8 +113,10 @@ def test_laws_are_told_apart_by_their_parity():
     assert {name for name, kind in kinds.items() if kind.order == 2} == {
         "quadratic_stiffness",
         "electrostatic_softening",
+        "levitation_force",
     }
-    assert {name for name, kind in kinds.items() if kind.phases.size == 2} == {"damping_drift", "frequency_drift"}
+    linear = {name for name, kind in kinds.items() if kind.phases.size == 2}
+    assert linear == {"damping_drift", "frequency_drift", "charge_drift"}
     assert kinds["quadratic_stiffness"].even
 
 

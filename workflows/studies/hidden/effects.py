@@ -31,19 +31,21 @@ LIBRARY: tuple[str, ...] = DEFAULT_COMPARE_MODEL.candidates()
 
 @dataclass(frozen=True)
 class Peak:
-    """Largest absolute samples [V]: of the outputs, and a lower bound of the rocking velocity |psi'|."""
+    """Largest absolute samples [V]: of the outputs, a lower bound of the rocking velocity |psi'|, and of the drives."""
 
     output_v: float
     rocking_v: float
+    drive_v: float = 2.0
 
 
-def peak_of(records: Sequence[FloatArray]) -> Peak:
-    """Peaks of records (N, 2) [V].
+def peak_of(records: Sequence[FloatArray], drives: Sequence[FloatArray]) -> Peak:
+    """Peaks of records (N, 2) [V] and of their drives (N, 2) [V].
 
     y_2 - y_1 = 2 psi_x', because the up-down motion is equal in both outputs; and |psi'| >= |psi_x'|.
     """
     output = max(float(np.abs(y).max()) for y in records)
-    return Peak(output, 0.5 * max(float(np.abs(y[:, 1] - y[:, 0]).max()) for y in records))
+    rocking = 0.5 * max(float(np.abs(y[:, 1] - y[:, 0]).max()) for y in records)
+    return Peak(output, rocking, max(float(np.abs(v).max()) for v in drives))
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,10 @@ class Drawn:
 
 
 def _clip_level(effect: Effect, peak: Peak, random: np.random.Generator) -> Drawn:
+    if effect.clips("drive"):
+        # The drives have one amplitude each, so that the SNR rises steeply from size 0, where the level is the peak.
+        level = {effect.full_name(m): 1.0 / peak.drive_v for m in effect.members(_SHAPE)}
+        return Drawn(level, most=_LARGEST_CLIP - 1.0, null=level)
     # At size 1 the level is the peak, so nothing is clipped.  Noise enters behind the clipping stage or in front of it.
     clips_noise = float(random.integers(2))
     direction = {effect.full_name(m): 1.0 / peak.output_v for m in effect.members(_SHAPE)}
@@ -185,6 +191,6 @@ def draw_effect(
     effect = model.effect(name)
     if effect.disturbance is not None:
         return _disturbance(effect, random)
-    if effect.stages == ("adc",):
+    if effect.stages == ("adc",) or effect.clips("drive"):
         return _clip_level(effect, peak, random)
     return _sizes(effect, values, peak, random)

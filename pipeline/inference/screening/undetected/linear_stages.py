@@ -28,7 +28,7 @@ from .linear import LinearDevice, Moved, frequency_axis
 def mechanics_moves(with_mismatch: bool) -> tuple[tuple[Probe, float], ...]:
     """Effects of linear mechanics that add no coordinate, and the step of a parameter: ahead and behind, one after the other."""
     found = probes_of(with_mismatch, "mechanics")
-    grids = {probe.effect.name for probe in found if probe.member.grid}
+    grids = {probe.effect.name for probe in found if probe.scanned}
     return tuple(
         (probe, sign * 1e-4 * probe.member.scale)
         for probe in found

@@ -8,7 +8,7 @@ Shapes: S = 2 senses, W bins, n points of the grid.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -27,6 +27,8 @@ from .parity import kind_of
 _SHARE = 1e-4
 #: Every so many points a law is tried to find the size of its probe.
 _SPARSE = 16
+#: Phases of a drive that clips: its harmonics fall slowly.
+_CLIP_PHASES = 32
 #: First harmonic of an even law relative to its other harmonics: rounding.
 _EVEN = 1e-9
 _MOTION_S: FloatArray = np.concatenate([M_S, np.ones((2, 1))], axis=1)
@@ -130,15 +132,20 @@ def _returns(probe: Probe) -> bool:
     return float(np.linalg.norm(plus - minus)) > _EVEN * float(np.linalg.norm(plus))
 
 
-def drive_forces(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForce]:
-    """The force of each parameter of the drive laws."""
+def drive_forces(
+    device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool
+) -> Iterator[BandForce]:
+    """The force of each parameter of the drive laws; ``sizes`` are those of clipping."""
     for probe in probes_of(with_mismatch, "drive"):
-        if not _returns(probe):
+        clips = probe.effect.clips("drive")
+        if (probe.effect.name not in sizes) if clips else not _returns(probe):
             continue
         assert probe.effect.drive is not None
-        v = at_phases(signals.drives, phases := whole_turn()).T
-        (change,) = harmonics((probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, phases, 1)
-        yield BandForce(probe, signals.kept, device.mechanics.drive[0] @ change, probe.member.scale, 1)
+        value = sizes.get(probe.effect.name, probe.member.scale)
+        phases = np.linspace(0.0, 2.0 * np.pi, _CLIP_PHASES, endpoint=False) if clips else whole_turn()
+        v = at_phases(signals.drives, phases).T
+        (change,) = harmonics((probe.effect.drive(v, probe.at(value), device.context) - v).T, phases, 1)
+        yield BandForce(probe, signals.kept, device.mechanics.drive[0] @ change, value, 1)
 
 
 def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandSignature]:
