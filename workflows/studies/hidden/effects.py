@@ -123,13 +123,20 @@ def _sizes(effect: Effect, values: Mapping[str, float], peak: Peak, random: np.r
     return Drawn(direction, fixed, largest / reach, null)
 
 
-def _friction(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    return Drawn({"coulomb_friction.F": 0.01}, {"coulomb_friction.s": peak.output_v * 0.005 * 4.0 ** random.uniform()})
-
-
 def _motion(values: Mapping[str, float], peak_v: float) -> float:
     """Amplitude of the motion [V s] of a velocity ``peak_v`` [V] at the lower rocking frequency."""
     return peak_v / (2.0 * np.pi * values["f1_hz"])
+
+
+def _preload(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    reach = _motion(values, peak.output_v) * 0.02 * 5.0 ** random.uniform()
+    return Drawn({"preload.P": 0.003 * float(random.choice([-1.0, 1.0]))}, {"preload.r": float(reach)})
+
+
+def _step(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    # Records last 3 s; the sweep passes the rocking modes after about 1 s.
+    fixed = {"stiffness_step.t": random.uniform(0.6, 1.8), "stiffness_step.w": 0.005}
+    return Drawn({"stiffness_step.b": 1e-6 * float(random.choice([-1.0, 1.0]))}, fixed)
 
 
 def _hysteresis(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
@@ -156,7 +163,8 @@ def _heating(values: Mapping[str, float], peak: Peak, random: np.random.Generato
 
 
 _OUTSIDE: dict[str, Callable[[Mapping[str, float], Peak, np.random.Generator], Drawn]] = {
-    "coulomb_friction": _friction,
+    "preload": _preload,
+    "stiffness_step": _step,
     "hysteresis": _hysteresis,
     "stop": _stop,
     "mode_coupling": _coupling,
