@@ -231,7 +231,7 @@ def test_an_instrument_without_antialias_filter_is_refused() -> None:
     [
         ("none", 0, "adequate"),
         ("one", LIBRARY.index("pickoff_pole"), "right"),
-        ("outside", list(OUTSIDE).index("preload"), "unknown"),
+        ("outside", list(OUTSIDE).index("self_heating"), "unknown"),
         ("left-out", LIBRARY.index("sense_nonlinearity"), "unknown"),
     ],
 )

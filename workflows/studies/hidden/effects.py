@@ -134,8 +134,8 @@ def _preload(values: Mapping[str, float], peak: Peak, random: np.random.Generato
 
 
 def _step(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    # Records last 3 s; the sweep passes the rocking modes after about 1 s.
-    fixed = {"stiffness_step.t": random.uniform(0.6, 1.8), "stiffness_step.w": 0.005}
+    # Records last 3 s; sweeps pass the rocking modes near the middle.
+    fixed = {"stiffness_step.t": random.uniform(1.0, 1.8), "stiffness_step.w": 0.005}
     return Drawn({"stiffness_step.b": 1e-6 * float(random.choice([-1.0, 1.0]))}, fixed)
 
 
