@@ -12,7 +12,7 @@ Shapes: N rows, D drives, S senses.  Units: volts (amplitudes), seconds, hertz.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -81,6 +81,12 @@ class ToneCampaign:
     def with_role(self, role: Role) -> tuple[ToneRecord, ...]:
         """The records with this role, in order."""
         return tuple(record for record in self.records if record.role == role)
+
+    def with_fit_records(self) -> ToneCampaign:
+        """The campaign; where no record has the role "fit", all have."""
+        if self.with_role("fit") or (self.timed is not None and self.timed.with_role("fit")):
+            return self
+        return replace(self, records=tuple(replace(record, role="fit") for record in self.records))
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
 
     coloured : whether the silence showed a spectrum that is not white.
     jitter_s, gain_noise : rms timing jitter [s] and relative gain noise [1], where the residual above the signal band shows it.
+    parts : domain -> noise level [V] by channel, where a campaign has records of several domains.
     local_fit : whether a smooth local fit of the response to the driven records measures it; else "residual" is a bound.
     """
 
@@ -44,6 +45,7 @@ class Noise(Answer, frozen=True, eq=False, rename={"from_": "from"}):
     jitter_s: float | UnsetType = UNSET
     gain_noise: float | UnsetType = UNSET
     local_fit: bool | UnsetType = UNSET
+    parts: Mapping[str, tuple[float, ...]] | UnsetType = UNSET
 
 
 class Deviation(Answer, frozen=True, eq=False):

@@ -12,7 +12,7 @@ from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.ladder import as_ladder
 from pipeline.device.model import load_model
 from pipeline.experiment.campaign import read_measurement
-from pipeline.learning.tones.answers import tone_answers
+from pipeline.learning.joint.answers import joint_answers
 from workflows.cli import call
 
 MEASURED = Path("/tmp/shared/data/measured")
@@ -120,7 +120,7 @@ def test_wire_1_is_linear_once_the_detector_settles(tmp_path, capsys):
 def test_wire_3_softens_but_not_exactly_cubically(tmp_path, capsys):
     """One rung: the hysteresis of two levels, up and down; a linear model leaves half of it."""
     assert said(capsys, "init", MEASURED / "wire-3.txt", "--out", tmp_path / "c")[0] == 0
-    answers = tone_answers(read_measurement(tmp_path / "c"), load_model(tmp_path / "c/model.toml"))
+    answers = joint_answers(read_measurement(tmp_path / "c"), load_model(tmp_path / "c/model.toml"))
     rules = Rules(rungs=1)
     ladder = as_ladder(answers.problem, answers.selected(rules)[1], rules)
     assert (ladder.verdict, ladder.terms) == ("unknown", ("cubic_stiffness",))

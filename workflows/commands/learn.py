@@ -20,7 +20,7 @@ from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
-from pipeline.learning.tones.answers import ToneAnswers
+from pipeline.learning.joint.answers import JointAnswers
 from reports.limits import Limits, load_limits
 
 from ..learning import ComparisonResult, DiagnosisResult, Measured, RefinementResult, Result, SelectionResult
@@ -166,7 +166,7 @@ def _page(measured: Measured, found: Result, folders: Sequence[Path], truth: str
 
     def tones(fit: CampaignFit | FitResult) -> list[ToneView]:
         """Each pass of a sweep and each frequency response, with the model's prediction."""
-        if not isinstance(fit, FitResult) or not isinstance(found.answers, ToneAnswers):
+        if not isinstance(fit, FitResult) or not isinstance(found.answers, JointAnswers):
             return []
         return tone_views(found.answers.problem, fit)
 

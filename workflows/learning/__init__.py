@@ -29,11 +29,11 @@ from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, 
 from pipeline.learning.campaign.answers import CampaignAnswers, campaign_answers
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.common import classes_of
+from pipeline.learning.joint.answers import JointAnswers, joint_answers
+from pipeline.learning.joint.problem import JointProblem
 from pipeline.learning.modal.answers import ModalAnswers, modal_answers
 from pipeline.learning.modal.problem import ModalProblem
 from pipeline.learning.next_experiment.separating import Proposal
-from pipeline.learning.tones.answers import ToneAnswers, tone_answers
-from pipeline.learning.tones.problem import ToneProblem
 from reports.limits import Limits
 from reports.words.terminal import lines_of
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 __all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
 
 Measured = Campaign | ModalRecord | ToneCampaign
-Answers = CampaignAnswers | ModalAnswers | ToneAnswers
+Answers = CampaignAnswers | ModalAnswers | JointAnswers
 
 
 @threadpool_limits.wrap(limits=1)
@@ -80,7 +80,7 @@ def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Lim
 
 def _answers(measured: Measured, model: Model) -> Answers:
     if isinstance(measured, ToneCampaign):
-        return tone_answers(measured, model)
+        return joint_answers(measured, model)
     return modal_answers(measured, model) if isinstance(measured, ModalRecord) else campaign_answers(measured, model)
 
 
@@ -92,7 +92,7 @@ class Result(ABC):
     limits: Limits | None = field(default=None, kw_only=True)
 
     @property
-    def problem(self) -> CampaignProblem | ModalProblem | ToneProblem:
+    def problem(self) -> CampaignProblem | ModalProblem | JointProblem:
         """The measurement as a problem of criticism, with its fits."""
         return self.answers.problem
 

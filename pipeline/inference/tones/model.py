@@ -89,6 +89,13 @@ class ToneModel:
             found.append(self._detected(values, record, y))
         return tuple(found)
 
+    def linear(self, values: Mapping[str, float]) -> tuple[ComplexArray, ...]:
+        """Y (N, S) [V] of every record without nonlinear effects and without a detector."""
+        return tuple(
+            linear_tones(system, record.frequency_hz, record.drive_v)
+            for system, record in zip(self._systems(values), self.campaign.records)
+        )
+
     def nearby(self, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], tuple[ComplexArray, ...]]:
         """``predict`` at values close to ``values``: the motion of a nonlinear device stays on its branch, to first order."""
         at: dict[int, Callable[[System], ComplexArray]] = {}

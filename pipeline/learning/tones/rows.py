@@ -8,14 +8,14 @@ Shapes: N rows of a record, n rows of a pass, S senses; a block is (n, 2 S): rea
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ...arrays import ComplexArray, FloatArray, IntArray
-from ...criticism.problem import Candidate, FitResult, Region, ResidualBlock, Signatures, TermParameter
+from ...criticism.problem import Candidate, Region, ResidualBlock, Signatures, TermParameter
 from ...experiment.noise.tones import ToneNoise
 from ...experiment.tones import SweepPass, ToneCampaign, passes_of
 from ...inference.general.resonances import resonances_of
@@ -115,13 +115,12 @@ class ToneRows:
         edges[-1] = np.nextafter(edges[-1], np.inf)
         return np.asarray(edges)
 
-    def regions(self, fit: FitResult) -> list[Region]:
-        """The residual of each fitted pass and channel in bands of the rows: those of a resonance and those beside."""
-        per_row = fit.dof / max(fit.rows, 1)
-        modes = resonances_of({name: value for name, (value, _) in fit.parameters.items()})
+    def regions(self, blocks: Sequence[ResidualBlock], values: Mapping[str, float], per_row: float) -> list[Region]:
+        """The residual ``blocks`` of the fitted passes, by channel in bands of the rows: of a resonance and beside."""
+        modes = resonances_of(values)
         edges = self.bands_hz
         found: list[Region] = []
-        for one, block in zip(self.fitted, fit.blocks):
+        for one, block in zip(self.fitted, blocks):
             f = self.campaign.records[one.record].frequency_hz[one.rows]
             band = np.searchsorted(edges, f, side="right") - 1
             for k in np.unique(band).tolist():
@@ -139,12 +138,13 @@ class ToneRows:
                     found.append(Region("frequency", labels, float(np.sum(own**2)), own.size * per_row))
         return found
 
-    def misfit_regions(self, fit: FitResult) -> list[Region]:
+    def misfit_regions(
+        self, blocks: Sequence[ResidualBlock], values: Mapping[str, float], per_row: float
+    ) -> list[Region]:
         """``regions``, and the same residual by level, direction, channel and record."""
-        found = self.regions(fit)
-        per_row = fit.dof / max(fit.rows, 1)
+        found = self.regions(blocks, values, per_row)
         sums: dict[tuple[str, str], list[float]] = {}
-        for one, block in zip(self.fitted, fit.blocks):
+        for one, block in zip(self.fitted, blocks):
             senses = block.residual.shape[1] // 2
             record = self.campaign.records[one.record]
             labels = {"record": record.name}

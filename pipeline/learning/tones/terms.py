@@ -7,17 +7,14 @@ an additional mode is sought at the frequencies and widths that the records reso
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
 from ...arrays import ComplexArray
-from ...criticism.problem import TermParameter
-from ...criticism.regression import Term
-from ...device.effect import Effect
 from ...device.model import Model
 from ...errors import GyroscreenError
 from ...experiment.tones import ToneCampaign
-from ...inference.tones.model import SETTLING, SHARE, ToneModel
 
 #: Stages that a steady response can show, and those of a linear one.
 STAGES = frozenset({"drive", "mechanics", "force", "sense", "readout"})
@@ -36,7 +33,20 @@ def term_names(model: Model, swept: bool) -> tuple[str, ...]:
     return tuple(name for name in model.candidates() if set(model.library[name].stages) & stages)
 
 
-def sizes_of(model: ToneModel, names: Sequence[str], values: Mapping[str, float]) -> dict[str, float]:
+class Nearby(Protocol):
+    """Records as a function of parameters."""
+
+    @property
+    def model(self) -> Model:
+        """Plant and effects."""
+        ...
+
+    def nearby(self, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], Sequence[Any]]:
+        """Values close to ``values`` -> arrays of volts, one for each record."""
+        ...
+
+
+def sizes_of(model: Nearby, names: Sequence[str], values: Mapping[str, float]) -> dict[str, float]:
     """Full parameter name -> size that changes the response at ``values`` by about 1e-3.
 
     Parameters that do not change it are left out.
@@ -89,7 +99,7 @@ def _size(
     return size if low == 0.0 else None
 
 
-def even_parameters(model: ToneModel, sizes: Mapping[str, float], values: Mapping[str, float]) -> frozenset[str]:
+def even_parameters(model: Nearby, sizes: Mapping[str, float], values: Mapping[str, float]) -> frozenset[str]:
     """Parameters with a size whose sign does not change the response at ``values``, such as a quadratic stiffness."""
     near, found = model.nearby(values), set()
     plain = near(values)
@@ -106,35 +116,7 @@ def even_parameters(model: ToneModel, sizes: Mapping[str, float], values: Mappin
     return frozenset(found)
 
 
-def tone_terms(
-    model: Model, campaign: ToneCampaign, sizes: Mapping[str, float], swept: bool, even: frozenset[str]
-) -> tuple[Term, ...]:
-    """The terms whose parameters have a size, with the detector's settling where there is a sweep."""
-    found = [_term(model.library[name], model, campaign, sizes, even) for name in term_names(model, swept)]
-    terms = [term for term in found if term is not None]
-    if swept:
-        terms.append(Term(SETTLING, (TermParameter(SHARE, "1", 0.0, 1.0, 1),)))
-    return tuple(terms)
-
-
-def _term(
-    effect: Effect, model: Model, campaign: ToneCampaign, sizes: Mapping[str, float], even: frozenset[str]
-) -> Term | None:
-    members = effect.members(model.built.shape)
-    plain = [m for m in members if not m.grid]
-    if not all(effect.full_name(m) in sizes for m in plain):
-        return None
-    scanned = {effect.full_name(m): m.grid for m in members if m.grid}
-    if effect.mode is not None:
-        scanned |= dict(zip(effect.mode, _mode_grid(campaign)))
-    parameters = []
-    for m in plain:
-        side = 1 if m.low == m.null or effect.full_name(m) in even else -1 if m.high == m.null else 0
-        parameters.append(TermParameter(effect.full_name(m), m.unit, m.null, np.inf, side))
-    return Term(effect.name, tuple(parameters), scanned or None)
-
-
-def _mode_grid(campaign: ToneCampaign) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def mode_grid(campaign: ToneCampaign) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Frequencies [Hz] within the rows, and damping ratios that a few rows resolve."""
     f = np.unique(np.concatenate([record.frequency_hz for record in campaign.records]))
     step = float(np.median(np.diff(f))) if f.size > 1 else 1e-3 * float(f[0])

@@ -1,0 +1,40 @@
+"""Candidate terms of a campaign: the absent effects that change the records of any part, and those of its instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from ...criticism.problem import TermParameter
+from ...criticism.regression import Term
+from ...device.effect import Effect
+from ...device.model import Model
+from .part import Part
+
+
+def terms_of(model: Model, parts: Sequence[Part], sized: Collection[str], even: frozenset[str]) -> tuple[Term, ...]:
+    """The terms of ``parts`` whose parameters are ``sized``: some records change with them.  Those of ``even`` are squares."""
+    names = dict.fromkeys(name for part in parts for name in part.effects)
+    grids = [part.mode_grid() for part in parts]
+    grid: tuple[tuple[float, ...], ...] = tuple(tuple(sorted({v for own in grids for v in own[k]})) for k in (0, 1))
+    found = [_term(model.library[name], model, grid, sized, even) for name in names]
+    own = [term for part in parts for term in part.own_terms]
+    return (*(term for term in found if term is not None), *own)
+
+
+def _term(
+    effect: Effect, model: Model, grid: tuple[tuple[float, ...], ...], sized: Collection[str], even: frozenset[str]
+) -> Term | None:
+    members = effect.members(model.built.shape)
+    plain = [m for m in members if not m.grid]
+    if not all(effect.full_name(m) in sized for m in plain):
+        return None
+    scanned = {effect.full_name(m): m.grid for m in members if m.grid}
+    if effect.mode is not None:
+        scanned |= dict(zip(effect.mode, grid))
+    parameters = []
+    for m in plain:
+        side = 1 if m.low == m.null or effect.full_name(m) in even else -1 if m.high == m.null else 0
+        parameters.append(TermParameter(effect.full_name(m), m.unit, m.null, np.inf, side))
+    return Term(effect.name, tuple(parameters), scanned or None)
