@@ -9,7 +9,7 @@ polynomial.  Shapes: block b is (n_b, m_b); its jacobian is (n_b m_b, P).  Block
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -172,14 +172,12 @@ class Regression:
         size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(gram / size / size[:, None], hermitian=True)), 0.0)) / size
         (predicted,) = self.predict([self._at_null(values)])
-        blocks = tuple(
-            ResidualBlock(old.name, old.residual - new, old.labels, old.repeat)
-            for old, new in zip(self.measured, predicted)
-        )
+        blocks = tuple(replace(old, residual=old.residual - new) for old, new in zip(self.measured, predicted))
         rows = sum(block.residual.size for block in blocks[: self.fitted])
         chi2 = sum(block.chi2 for block in blocks[: self.fitted])
         if not self.noise_known:
-            sd = sd * np.sqrt(chi2 / max(rows - len(names), 1))
+            free = sum(block.nuisances for block in blocks[: self.fitted])
+            sd = sd * np.sqrt(chi2 / max(rows - free - len(names), 1))
         columns = {term.name: tuple(names.index(name) for name in _all_names(term)) for term in chosen}
         nulls = {p.name: p.null for term in chosen for p in term.parameters}
         shifts = {
@@ -200,6 +198,7 @@ class Regression:
             shifts,
             self.strata,
             self.noise_known,
+            nuisances=sum(block.nuisances for block in blocks[: self.fitted]),
             relative_error={"fit": float(np.sqrt(chi2) / max(level, 1e-300))},
         )
 

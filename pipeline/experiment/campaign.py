@@ -6,6 +6,7 @@
     [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file);
                      start_s, stop_s (the same in seconds from the first sample)
                      period_samples (of the drive; found where it repeats exactly): steady periods measure the noise
+                     columns = {..}: as [columns] and in its place, where the files of records differ
                      kind = "decay": free motion from any initial state, without a drive (``decays.pieces``);
                      kind = "sweep" | "frf" (also at the top, for all records); quantity, reference_ohm, averages: see
                      ``files.tone_columns``
@@ -62,7 +63,7 @@ from .files.tone_columns import Quantity
 from .instrument import Instrument
 from .layout import layout_of
 from .record import PAPER_FRAME, Campaign, Channels, Record, Role
-from .tone_campaign import tone_campaign, tone_records
+from .tone_campaign import tone_campaign, tone_records, with_drives
 from .tones import ToneCampaign, ToneKind, ToneRecord
 from .write_campaign import write_campaign
 
@@ -91,6 +92,7 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quantity: Quantity = "response"
     reference_ohm: Positive = 50.0
     averages: Annotated[int, Meta(ge=1)] = 1
+    columns: dict[str, Source] | None = None
 
 
 class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -133,7 +135,7 @@ def _records_of(
     """The record of an entry; more than one where samples are missing."""
     names = [entry.file] if isinstance(entry.file, str) else entry.file
     files = [read_columns(existing(folder / name)) for name in names]
-    found = assemble(names[0], files, rate, document.columns, entry.start, entry.stop)
+    found = assemble(names[0], files, rate, _columns(entry, document), entry.start, entry.stop)
     found = between(found, entry.start_s, entry.stop_s)
     name = entry.name if entry.name is not None else names[0]
     records = [
@@ -153,6 +155,11 @@ def _records_of(
     if entry.kind == "decay":
         return [piece for record in records for piece in decay_pieces(record, entry.role)]
     return records
+
+
+def _columns(entry: RecordTable, document: CampaignTable) -> dict[str, Source]:
+    """The mapping of an entry: its own, else [columns]."""
+    return document.columns if entry.columns is None else entry.columns
 
 
 def read_campaign(path: Path, text: bytes | None = None) -> Campaign:
@@ -229,8 +236,10 @@ def _toned(file: Path, document: CampaignTable) -> ToneCampaign:
     records: list[ToneRecord] = []
     for entry, role in zip(own, roles_of([entry.role for entry in own])):
         kind: ToneKind = "frf" if _kind(entry, document) == "frf" else "sweep"
-        records += tone_records(file.parent, entry, role, kind, {} if timed else document.columns)
+        records += tone_records(file.parent, entry, role, kind, _columns(entry, document))
     whole = _timed(file, msgspec.structs.replace(document, record=timed, kind="campaign")) if timed else None
+    if whole is not None:
+        whole = with_drives(whole, max(record.drive_v.shape[1] for record in records))
     device, name = document.device, document.device.id or file.absolute().parent.name
     instrument = document.instrument.built(1.0).with_pickoff(device.pickoff)
     return tone_campaign(

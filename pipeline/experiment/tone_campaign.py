@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from ..errors import MeasurementError
 from .files.common_tables import DemodulationTable, DeviceTable
 from .files.mapping import Source
@@ -88,6 +90,16 @@ def tone_records(
         dataclasses.replace(record, role=role, rate_dps=entry.rate_dps, bias_v=entry.bias_v, file=names[0])
         for record in found
     )
+
+
+def with_drives(timed: Campaign, drives: int) -> Campaign:
+    """Free decays without drive columns as records of a device with ``drives`` drives, which are at rest."""
+    if any(record.drive_v.shape[1] for record in timed.records):
+        return timed
+    silent = (
+        dataclasses.replace(record, drive_v=np.zeros((record.sense_v.shape[0], drives))) for record in timed.records
+    )
+    return dataclasses.replace(timed, records=tuple(silent))
 
 
 def tone_campaign(

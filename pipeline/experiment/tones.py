@@ -82,6 +82,12 @@ class ToneCampaign:
         """The records with this role, in order."""
         return tuple(record for record in self.records if record.role == role)
 
+    @property
+    def channels(self) -> tuple[int, int]:
+        """Numbers of senses and drives of the device."""
+        first = self.records[0]
+        return first.sense_v.shape[1], first.drive_v.shape[1]
+
     def with_fit_records(self) -> ToneCampaign:
         """The campaign; where no record has the role "fit", all have."""
         if self.with_role("fit") or (self.timed is not None and self.timed.with_role("fit")):

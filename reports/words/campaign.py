@@ -263,6 +263,9 @@ def reason_words(text: str) -> str:
 
 def noise_sentence(noise: Noise | None) -> str:
     """The noise level sigma by channel (by mode for a modal record), and how it was determined."""
+    if noise is not None and noise.parts:
+        each = (f"{name} {', '.join(f'{1e3 * one:#.3g}' for one in own)} mV" for name, own in noise.parts.items())
+        return f"Each part of the campaign has a noise level of its own: {'; '.join(each)}."
     if noise is None or not any(math.isfinite(one) and one > 0.0 for one in noise.sigma):
         return "The noise level is not known, so only relative errors can be given."
     if noise.unit:

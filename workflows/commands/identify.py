@@ -186,12 +186,12 @@ def _text(result: Identification) -> list[str]:
 def check(campaign: Path, json: bool) -> None:
     """See ``gyroscreen check --help``."""
     from pipeline.experiment.checks.check import check as check_measurement
-    from pipeline.experiment.checks.tones import check_tones
+    from pipeline.experiment.checks.tones import check_all
 
     found = read_measurement(campaign)
     if isinstance(found, ModalRecord):
         raise UsageError("a modal record has no samples to check", value=str(campaign), allowed="a campaign or record")
-    report = check_tones(found) if isinstance(found, ToneCampaign) else check_measurement(found)
+    report = check_all(found) if isinstance(found, ToneCampaign) else check_measurement(found)
     if json:
         print(json_.dumps(report.to_dict()))
         return

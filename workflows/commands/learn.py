@@ -28,7 +28,7 @@ from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
 from ..learning.progress import working
-from ..learning.views import tone_views
+from ..learning.views import joint_record_views, record_views, tone_views
 
 PAGES: dict[type[Result], str] = {
     ComparisonResult: "compare.html",
@@ -151,24 +151,17 @@ def _page(measured: Measured, found: Result, folders: Sequence[Path], truth: str
     # Drawing takes a second to load; a command without a page does not wait for it.
     from reports.learning.page import RecordView, ToneView, render_learning_page
 
+    joint = found.answers.problem if isinstance(found.answers, JointAnswers) else None
+
     def views(fit: CampaignFit | FitResult) -> list[RecordView]:
-        """Each driven record with the model's prediction; none for modal records, sweeps and frequency responses."""
-        if isinstance(fit, FitResult) or not isinstance(measured, Campaign):
-            return []
-        records = {record.name: record for record in measured.records}
-        return [
-            RecordView(
-                r.name, str(r.role), records[r.name].sample_rate_hz, records[r.name].drive_v, records[r.name].sense_v,
-                r.predicted_v, r.residual, r.error,
-            )
-            for r in fit.records
-        ]  # fmt: skip
+        """Each driven record in the time domain with the model's prediction; none for modal records."""
+        if isinstance(fit, FitResult):
+            return [] if joint is None else joint_record_views(joint, fit)
+        return record_views(measured, fit) if isinstance(measured, Campaign) else []
 
     def tones(fit: CampaignFit | FitResult) -> list[ToneView]:
         """Each pass of a sweep and each frequency response, with the model's prediction."""
-        if not isinstance(fit, FitResult) or not isinstance(found.answers, JointAnswers):
-            return []
-        return tone_views(found.answers.problem, fit)
+        return [] if joint is None or not isinstance(fit, FitResult) else tone_views(joint, fit)
 
     first = ComparisonResult(found.answers)
     diagnosis = refinement = after = None

@@ -1,4 +1,4 @@
-"""Sweeps and frequency responses beside a fitted model, as the pages take them."""
+"""Records beside a fitted model, as the pages take them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,36 @@ from collections.abc import Mapping
 import numpy as np
 
 from pipeline.criticism.problem import FitResult
+from pipeline.experiment.record import Campaign
+from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.joint.problem import JointProblem
+from pipeline.learning.timed.part import TimePart
 from pipeline.learning.tones.part import TonePart
+from reports.learning.record_view import RecordView
 from reports.learning.tone_view import ToneView
+
+
+def record_views(campaign: Campaign, fit: CampaignFit) -> list[RecordView]:
+    """Each driven record in the time domain with the prediction of a fit."""
+    records = {record.name: record for record in campaign.records}
+    return [
+        RecordView(
+            r.name, str(r.role), records[r.name].sample_rate_hz, records[r.name].drive_v, records[r.name].sense_v,
+            r.predicted_v, r.residual, r.error,
+        )
+        for r in fit.records
+    ]  # fmt: skip
+
+
+def joint_record_views(problem: JointProblem, fit: FitResult) -> list[RecordView]:
+    """The same for a campaign that has other records as well."""
+    values = problem.values(fit)
+    return [
+        view
+        for part in problem.parts
+        if isinstance(part, TimePart)
+        for view in record_views(part.campaign, part.fit_at(values))
+    ]
 
 
 def tone_views(problem: JointProblem, fit: FitResult) -> list[ToneView]:

@@ -17,6 +17,7 @@ A "fault" must be corrected or measured again, a "warning" costs accuracy, a "no
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,5 +172,10 @@ def check(campaign: Campaign) -> CheckReport:
         # The matrices are small: more BLAS threads would only wait for each other.
         with threadpool_limits(limits=1, user_api="blas"):
             findings += _response_findings(campaign, [without_bias(r, campaign.instrument) for r in driven])
+    return CheckReport(worst_first(findings), tuple(found))
+
+
+def worst_first(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Faults, then warnings, then notes."""
     rank: dict[Severity, int] = {"fault": 0, "warning": 1, "note": 2}
-    return CheckReport(tuple(sorted(findings, key=lambda finding: rank[finding.severity])), tuple(found))
+    return tuple(sorted(findings, key=lambda finding: rank[finding.severity]))

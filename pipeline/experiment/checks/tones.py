@@ -21,14 +21,22 @@ from ...arrays import ComplexArray, FloatArray
 from ...errors import GyroscreenError
 from ..noise.tones import tone_noise
 from ..tones import SweepPass, ToneCampaign, ToneRecord, passes_of
-from .check import CheckReport
-from .finding import Finding, Severity
+from .check import CheckReport, check, worst_first
+from .finding import Finding
 from .levels import Level
 
 #: Fewest rows above half of the highest power that show the shape of a resonance, and longest run of equal rows by chance.
 _FEWEST_ROWS, _STUCK = 4, 3
 #: Share of the response, and multiple of the noise, above which sweeps up and down differ.
 _DIFFERS, _SD = 0.02, 6.0
+
+
+def check_all(campaign: ToneCampaign) -> CheckReport:
+    """The tests of every domain in which the campaign has records."""
+    reports = [] if campaign.timed is None else [check(campaign.timed)]
+    reports += [check_tones(campaign)] if campaign.records else []
+    findings = tuple(finding for report in reports for finding in report.findings)
+    return CheckReport(worst_first(findings), tuple(level for report in reports for level in report.levels))
 
 
 def check_tones(campaign: ToneCampaign) -> CheckReport:
@@ -63,8 +71,7 @@ def check_tones(campaign: ToneCampaign) -> CheckReport:
             findings += _short(record, own, k)
             findings += _stuck(record, y, channel)
             findings += [] if sigma is None else _lag(record, own, k, sigma)
-    rank: dict[Severity, int] = {"fault": 0, "warning": 1, "note": 2}
-    return CheckReport(tuple(sorted(findings, key=lambda one: rank[one.severity])), tuple(levels))
+    return CheckReport(worst_first(findings), tuple(levels))
 
 
 def _rising(record: ToneRecord, one: SweepPass, channel: int) -> tuple[FloatArray, ComplexArray]:

@@ -144,7 +144,7 @@ def fit_with_columns(
     result = minimise(problem, at, tasks, dof)
     result = continued(problem, at, result, tasks, dof, noise.known)
     result = restarted(problem, result, tasks, dof)
-    return _campaign_fit(problem, campaign, noise, tasks, result), result.sensitivities
+    return campaign_fit(problem, campaign, noise, tasks, result), result.sensitivities
 
 
 def _first_point(problem: CampaignResiduals, tasks: Tasks, known: Mapping[str, float]) -> FitPoint:
@@ -163,9 +163,10 @@ def _first_point(problem: CampaignResiduals, tasks: Tasks, known: Mapping[str, f
     return at
 
 
-def _campaign_fit(
+def campaign_fit(
     problem: CampaignResiduals, campaign: Campaign, noise: NoiseLevel, tasks: Tasks, result: GaussNewtonResult
 ) -> CampaignFit:
+    """The end ``result`` of a fit of ``tasks`` as parameters, errors and all driven records beside the model."""
     model, at = problem.model, result.at
     x_covariance, determined = covariance_of(result.normal)
     if not noise.known:

@@ -43,9 +43,9 @@ def free_start(problem: CampaignResiduals, values: Mapping[str, float], task: Ta
         return problem.linear_start(values, task)
     while n < samples:
         short = problem.task(beginning(task.record, n), values)
-        state = _settled(problem, values, short, state, PATIENCE)
+        state = settled(problem, values, short, state, PATIENCE)
         n *= 2
-    return _settled(problem, values, task, state, ITERATIONS)
+    return settled(problem, values, task, state, ITERATIONS)
 
 
 def _strength(problem: CampaignResiduals, values: Mapping[str, float], task: Task, start: FloatArray) -> float:
@@ -56,10 +56,10 @@ def _strength(problem: CampaignResiduals, values: Mapping[str, float], task: Tas
         return np.inf
 
 
-def _settled(
+def settled(
     problem: CampaignResiduals, values: Mapping[str, float], task: Task, start: FloatArray, iterations: int
 ) -> FloatArray:
-    """Gauss-Newton on the state; a step that raises chi2 is halved."""
+    """Gauss-Newton on the state (2n,) of a record; a step that raises chi2 is halved."""
     alone = Tasks((task,), (((0,), task.group),))
 
     def residual(at: FloatArray) -> FloatArray | None:

@@ -12,8 +12,8 @@ Shapes: N rows, S senses, D drives, P parameters.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,8 @@ SETTLING = "lockin_settling"
 SHARE = f"{SETTLING}.share"
 #: Steps of central differences: of a frequency and a damping ratio in half-widths, of other parameters relative to themselves.
 _STEP, _RELATIVE = 1e-3, 1e-5
+#: Most motions that are kept.
+_KEPT = 4
 
 
 def offset_names(senses: int) -> tuple[str, ...]:
@@ -52,6 +54,7 @@ class ToneModel:
     model: Model
     campaign: ToneCampaign
     even: frozenset[str] = frozenset()
+    _branches: dict[Hashable, dict[int, Callable[[System], ComplexArray]]] = field(default_factory=dict)
 
     @property
     def swept(self) -> bool:
@@ -98,8 +101,11 @@ class ToneModel:
 
     def nearby(self, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], tuple[ComplexArray, ...]]:
         """``predict`` at values close to ``values``: the motion of a nonlinear device stays on its branch, to first order."""
-        at: dict[int, Callable[[System], ComplexArray]] = {}
         systems = self._systems(values)
+        # Absent effects are asked one after the other at the same motion.
+        if len(self._branches) > _KEPT:
+            self._branches.clear()
+        at = self._branches.setdefault(self._acting(values), {})
 
         def predicted(moved: Mapping[str, float]) -> tuple[ComplexArray, ...]:
             found = []
@@ -111,6 +117,16 @@ class ToneModel:
             return tuple(found)
 
         return predicted
+
+    def _acting(self, values: Mapping[str, float]) -> Hashable:
+        """What determines the systems at ``values``: parameters of the plant and of the effects that act."""
+        complete = {name: values.get(name, p.null) for name, p in self.model.by_name.items()}
+        shape, idle = self.model.built.shape, set[str]()
+        for effect in self.model.ordered_effects():
+            own = [effect.full_name(member) for member in effect.members(shape)]
+            if effect.is_null(np.array([complete[name] for name in own]), shape):
+                idle.update(own)
+        return tuple((name, value) for name, value in complete.items() if name not in idle)
 
     def _systems(self, values: Mapping[str, float]) -> list[System]:
         """The system of each record; records under the same conditions share one."""

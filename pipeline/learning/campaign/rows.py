@@ -17,6 +17,7 @@ from scipy.fft import rfft
 
 from ...arrays import FloatArray, IntArray
 from ...criticism.problem import FitResult, ResidualBlock
+from ...device.model import Model
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
 from ...inference.general.goodness import structured_misfit
@@ -142,7 +143,7 @@ def _jacobians(
     free: Sequence[FloatArray],
 ) -> tuple[FloatArray, ...]:
     """For each fit record (2 F S, P + all initial states + k): columns of the parameters, the initial states, and ``free``."""
-    to_coordinates, senses = _coordinate_jacobian(fitted), fitted.records[0].residual.shape[1]
+    to_coordinates, senses = coordinate_jacobian(fitted.model, fitted.values), fitted.records[0].residual.shape[1]
     jacobians, starts = [], []
     for transform, (j, f) in zip(spectra, sensitivities):
         jacobians.append(transform.columns(j, senses) @ to_coordinates)
@@ -155,9 +156,8 @@ def _jacobians(
     return tuple(jacobians)
 
 
-def _coordinate_jacobian(fitted: CampaignFit) -> FloatArray:
-    """d smooth coordinates / d parameters (P, P) at the fit."""
-    model, values = fitted.model, fitted.values
+def coordinate_jacobian(model: Model, values: Mapping[str, float]) -> FloatArray:
+    """d smooth coordinates / d free parameters (P, P) at complete ``values``."""
     out = np.zeros((len(model.free), len(model.free)))
     for i, name in enumerate(model.free):
         size = max(abs(values[name]), model.by_name[name].scale) * 1e-6
@@ -179,14 +179,14 @@ def _block_diagonal(parts: Sequence[FloatArray]) -> list[FloatArray]:
 
 def _block(record: Record, fitted: CampaignFit, campaign: Campaign, top_hz: float) -> ResidualBlock:
     mine = next(r for r in fitted.records if r.name == record.name)
+    return block_of(record, campaign, spectra_of(record, top_hz)(mine.residual), _free_amplitudes(mine))
+
+
+def block_of(record: Record, campaign: Campaign, rows: FloatArray, nuisances: int) -> ResidualBlock:
+    """The block of a record with its conditions; ``rows`` (2 F, S) and the number of free amplitudes."""
     repeats = [r.name for r in campaign.records if r.role == record.role and _same_drive(r, record)]
-    return ResidualBlock(
-        record.name,
-        spectra_of(record, top_hz)(mine.residual),
-        _labels(record, campaign),
-        repeat=repeats[0] if len(repeats) > 1 else None,
-        nuisances=_free_amplitudes(mine),
-    )
+    labels = _labels(record, campaign)
+    return ResidualBlock(record.name, rows, labels, repeats[0] if len(repeats) > 1 else None, nuisances)
 
 
 def _free_amplitudes(mine: RecordFit) -> int:

@@ -94,8 +94,18 @@ class Part(Protocol):
         ...
 
     @property
+    def ranged(self) -> tuple[str, ...]:
+        """Parameters that must stay in their ranges, which are at the scale of these records."""
+        ...
+
+    @property
     def own_terms(self) -> tuple[Term, ...]:
         """Terms of the instrument."""
+        ...
+
+    @property
+    def shows_gains(self) -> int:
+        """How well the records show the plant and its gains; the start values are those of the part that shows them best."""
         ...
 
     def plant_start(self) -> dict[str, float]:
@@ -116,6 +126,10 @@ class Part(Protocol):
 
     def even_parameters(self, sizes: Values, values: Values) -> frozenset[str]:
         """Of the parameters with a size those whose sign does not show."""
+        ...
+
+    def with_full(self, full: Model) -> Self:
+        """The part for the model ``full`` with every term."""
         ...
 
     def with_even(self, even: frozenset[str]) -> Self:

@@ -70,11 +70,8 @@ class JointProblem:
     @cached_property
     def start(self) -> dict[str, float]:
         """Start values of all free parameters of the given model and of the instruments."""
-        return self._start_from(0)
-
-    def _start_from(self, place: int) -> dict[str, float]:
-        """Start values, those of the plant from the part at ``place``."""
-        found = {**self._plain[place].plant_start(), **self._fixed}
+        best = max(self._plain, key=lambda part: part.shows_gains)
+        found = {**best.plant_start(), **self._fixed}
         known = {**{name: p.null for name, p in self.model.parameters() if name not in found}, **found}
         return reduce(lambda values, part: {**values, **part.own_start(values)}, self._plain, known)
 
@@ -113,6 +110,7 @@ class JointProblem:
         limits = {n: (0.0, np.inf) for n in self.start if n.endswith("_hz")}
         limits |= {n: (1e-9, 0.95) for n in self.start if n.startswith("zeta") and n in plant}
         limits |= {n: (0.0, np.inf) for n in self.start if n.startswith("floor_")}
+        limits |= {name: self._plain[0].full.bounds(name) for part in self._plain for name in part.ranged}
         return Regression(
             self._predict,
             self._in_order([part.measured for part in self._plain]),

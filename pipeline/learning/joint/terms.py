@@ -17,14 +17,19 @@ def terms_of(model: Model, parts: Sequence[Part], sized: Collection[str], even: 
     """The terms of ``parts`` whose parameters are ``sized``: some records change with them.  Those of ``even`` are squares."""
     names = dict.fromkeys(name for part in parts for name in part.effects)
     grids = [part.mode_grid() for part in parts]
-    grid: tuple[tuple[float, ...], ...] = tuple(tuple(sorted({v for own in grids for v in own[k]})) for k in (0, 1))
+    # Each point of the grid costs a slope: the widths are those of the part that resolves most of them.
+    grid = tuple(sorted({f for own, _ in grids for f in own})), max((own for _, own in grids), key=len)
     found = [_term(model.library[name], model, grid, sized, even) for name in names]
     own = [term for part in parts for term in part.own_terms]
     return (*(term for term in found if term is not None), *own)
 
 
 def _term(
-    effect: Effect, model: Model, grid: tuple[tuple[float, ...], ...], sized: Collection[str], even: frozenset[str]
+    effect: Effect,
+    model: Model,
+    grid: tuple[tuple[float, ...], tuple[float, ...]],
+    sized: Collection[str],
+    even: frozenset[str],
 ) -> Term | None:
     members = effect.members(model.built.shape)
     plain = [m for m in members if not m.grid]

@@ -81,6 +81,11 @@ class TonePart:
         return term_names(self.model, self.tone.swept)
 
     @property
+    def ranged(self) -> tuple[str, ...]:
+        """None: a size may be any."""
+        return ()
+
+    @property
     def own_terms(self) -> tuple[Term, ...]:
         """The settling of a detector."""
         return (Term(SETTLING, (TermParameter(SHARE, "1", 0.0, 1.0, 1),)),) if self.tone.swept else ()
@@ -91,6 +96,11 @@ class TonePart:
         plant = self.model.plant
         modes = 3 if plant.kind == "gyro" else plant.modes
         return linear_modes_of(self.campaign, modes, plant.kind == "modal" and plant.sense == "displacement")
+
+    @property
+    def shows_gains(self) -> int:
+        """1: the lowest level of a sweep is nearly linear, but its phase is free."""
+        return 1
 
     def plant_start(self) -> dict[str, float]:
         """From the modes of a linear fit."""
@@ -121,6 +131,10 @@ class TonePart:
     def even_parameters(self, sizes: Values, values: Values) -> frozenset[str]:
         """By trial."""
         return even_parameters(self.tone, sizes, values)
+
+    def with_full(self, full: Model) -> TonePart:
+        """The part for the model with every term."""
+        return replace(self, full=full)
 
     def with_even(self, even: frozenset[str]) -> TonePart:
         """The part for squares of the parameters ``even``."""
