@@ -102,15 +102,21 @@ class TonePart:
         """1: the lowest level of a sweep is nearly linear, but its phase is free."""
         return 1
 
-    def plant_start(self) -> dict[str, float]:
-        """From the modes of a linear fit."""
+    @cached_property
+    def _plant(self) -> dict[str, float]:
         return starting_values(self.model, self.linear.record)
 
+    def plant_start(self) -> dict[str, float]:
+        """From the modes of a linear fit."""
+        return dict(self._plant)
+
     def own_start(self, values: Values) -> dict[str, float]:
-        """No offset, and the phase in which the model is most like the rows of the lowest level."""
+        """No offset; the phase of the linear fit, or for another start that in which the lowest level is most like the model."""
         plain = ToneModel(self.full, self.campaign)
         found = dict.fromkeys(plain.detector, 0.0)
-        if PHASE in found:
+        if PHASE in found and self._is_own(values):
+            found[PHASE] = float(np.rad2deg(self.linear.phase))
+        elif PHASE in found:
             at = {**{n: p.null for n, p in self.full.by_name.items()}, **values, **found}
             total = 0.0j
             for record, y in zip(self.campaign.records, plain.linear(at)):
@@ -119,6 +125,10 @@ class TonePart:
                     total += np.vdot(y[lowest], record.sense_v[lowest])
             found[PHASE] = float(np.rad2deg(np.angle(total)))
         return found
+
+    def _is_own(self, values: Values) -> bool:
+        """Whether the plant of ``values`` is that of these records."""
+        return "_plant" in self.__dict__ and all(values.get(name) == value for name, value in self._plant.items())
 
     def fixed(self) -> dict[str, float]:
         """None: a response shows every parameter."""
