@@ -108,7 +108,7 @@ class Effect:
     plants : plants to which it applies: "gyro", "updown" (gyros with that mode), "modal" (any channels), "resonator" (modal, one
         drive and one sense).
     condition : condition of a record that, if declared, fixes the only parameter: "rate", or none.
-    needs_drive : the parameters of the plant absorb it in a free decay.
+    demodulated : only demodulated records, sweeps of a lock-in amplifier, show it.
     depends_on_bias : the law contains the bias, so records at another bias help to identify the effect.
     mimics_hold : a wrongly declared hold of the drive samples looks like this effect.
     look_alikes : other effects that reproduce its records.
@@ -139,7 +139,7 @@ class Effect:
     disturbance: Callable[[FloatArray, FloatArray, Context], FloatArray] | None = None
     plants: tuple[str, ...] = ("gyro", "modal")
     condition: str = ""
-    needs_drive: bool = False
+    demodulated: bool = False
     depends_on_bias: bool = False
     mimics_hold: bool = False
     look_alikes: tuple[LookAlike, ...] = ()
@@ -203,7 +203,7 @@ class Effect:
         """
         if not self.members(shape):
             return False
-        return shape.drives > 0 or not (self.needs_drive or self.resonance or set(self.stages) <= {"drive", "readout"})
+        return shape.drives > 0 or not (self.resonance or set(self.stages) <= {"drive", "readout"})
 
     def full_name(self, member: Parameter) -> str:
         """Name of a parameter in a model: "effect.parameter", or the name of the result quantity that it is."""

@@ -91,11 +91,11 @@ class Model:
             )
         return effect
 
-    def candidates(self) -> tuple[str, ...]:
-        """Names of the effects that the plant's records can show and that are not in the model; of several modes, the next."""
+    def candidates(self, demodulated: bool = False) -> tuple[str, ...]:
+        """Absent effects that the plant's records, or ``demodulated`` ones of a lock-in, can show; of several modes, the next."""
         kinds, shape = self.built.kinds, self.built.shape
         apply = [e for e in self.library.values() if kinds & set(e.plants) and e.shows(shape)]
-        absent = [e for e in apply if e.name not in self.effects]
+        absent = [e for e in apply if e.name not in self.effects and (demodulated or not e.demodulated)]
         next_mode = {e.origin: e.number for e in sorted(absent, key=lambda e: -e.number) if e.mode is not None}
         return tuple(e.name for e in absent if e.number == next_mode.get(e.origin, e.number))
 

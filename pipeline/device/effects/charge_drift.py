@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...arrays import FloatArray
-from ..effect import Context, Effect, Laws, SizeRange
+from ..effect import Context, Effect, Laws, LookAlike, SizeRange
 from ..parameters import Parameter
 
 
@@ -18,7 +18,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 
 
 def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
-    """s (1 + gamma t) (M, S) [V] at times t (M,) [s]; p[0] = gamma [1/s]."""
+    """s (1 + gamma t) (M, S) [V] at times t (M,) [s]; p[0] = gamma."""
     return s * (1.0 + p[0] * t[:, None])
 
 
@@ -29,12 +29,12 @@ EFFECT = Effect(
     signature="drive and sense gains drift together, with a detuning of fixed proportion; reverses with the sweep direction",
     parameters=(
         Parameter("gamma", "1/s", -0.3, 1.0, "relative drift rate of the bias", scale=1e-3, relative_to="record"),
-        Parameter(
-            "kappa", "1", 0.0, 0.02, "electrostatic softening over stiffness", 0.0, 3e-3, grid=(0.0, 1e-3, 3e-3, 1e-2)
-        ),
+        # Without softening it equals a gain drift, because an exponential drift of the drive only shifts the damping.
+        Parameter("kappa", "1", 5e-4, 0.01, "electrostatic part of the stiffness", 3e-3, 3e-3, grid=(5e-4, 2e-3, 8e-3)),
     ),
     force=force,
     sense=sense,
     plants=("gyro",),
+    look_alikes=(LookAlike(("gain_drift", "frequency_drift"), {"gamma": 1e-4, "kappa": 3e-3}, always=True),),
     size=SizeRange(2e-4, 0.1),
 )

@@ -1,4 +1,4 @@
-"""Linear drift of the phase of the read-out during a record."""
+"""Linear drift of the phase of a demodulator during a record."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ EFFECT = Effect(
         Parameter("rate", "rad/s", -100.0, 100.0, "phi', rate of the phase lag", 0.0, 1e-3, relative_to="record"),
     ),
     sense=sense,
-    needs_drive=True,
-    mimics_hold=True,
+    demodulated=True,
     size=SizeRange(1e-3, 0.2),
 )

@@ -50,7 +50,8 @@ def device():
 
     def change(effect, parameter, value):
         larger = model.with_effect(effect)
-        return band.transform(forward(larger, {**values, f"{effect}.{parameter}": value}, record, INSTRUMENT) - y)
+        moved = {**values, f"{effect}.{parameter}": value}
+        return band.transform(forward(larger, moved, record, INSTRUMENT) - y)
 
     by_effect = {}
     for one in found:
@@ -78,6 +79,9 @@ def test_the_linear_device_has_the_spectrum_of_its_record(device):
         ("damping_drift", "gamma", 1e-3, 0),
         ("frequency_drift", "beta", 1e-7, 0),
         ("gain_drift", "gamma", 1e-5, 0),
+        ("channel_delay", "tau", 1e-9, 0),
+        ("drive_delay", "tau", 1e-9, 0),
+        ("drive_pole", "T", 1e-9, 0),
     ],
 )
 def test_a_signature_is_the_change_of_the_simulated_record(device, effect, parameter, size, place):

@@ -43,7 +43,7 @@ def signatures(
     found += adc_signatures(device, loud, sizes, with_mismatch)
     found += sense_signatures(device, signals, with_mismatch)
     found += mechanics_signatures(device, moved, with_mismatch)
-    found += readout_signatures(device, with_mismatch)
+    found += readout_signatures(device, grid, with_mismatch)
     forces = [*forces_of(device, signals, with_mismatch), *drive_forces(device, signals, sizes, with_mismatch)]
     if forces:
         envelopes = np.zeros((len(forces), 3, grid.points), dtype=np.complex128)
