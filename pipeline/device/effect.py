@@ -8,7 +8,7 @@ kept anywhere else.
 |---|---|---|
 | drive       | (v, p, context) -> u                            | samples (N, D) [V] to force; memoryless |
 | mechanics   | (mechanics, p, context) -> Mechanics            | linear and time-invariant; may append coordinates |
-| force       | (t, q, qd, u, p, laws, out) -> None             | compiled force law, see ``force_law`` |
+| force       | (t, q, qd, u, p, laws, out) -> None             | compiled force law, see ``force_law``; may have memories |
 | sense       | (x, xd, s, t, p, context) -> s                  | pick-off volts (M, S) from motion x (M, S) [V s] |
 | readout     | (readout, p, context) -> Readout                | linear and time-invariant |
 | adc         | (y, p, context) -> y                            | acts on the samples (N, S) [V] |
@@ -16,6 +16,10 @@ kept anywhere else.
 
 p (k,) are the parameters in the order of declaration, with families expanded.  At the null value no stage is called, so the
 result is bit-identical to the model without the effect.
+
+A force law with coordinates of its own, which its mechanics stage appends or which are memories, gets the place of the first
+of them as one more number p[k].  A memory is an internal state h of first order: the velocity qd of its coordinate is h, what the
+law adds to ``out`` there is h', and h is zero at the first sample.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ from typing import Any
 from ..arrays import FloatArray
 from ..errors import ConfigError
 from . import effects as library
+from .declared import LookAlike, SizeRange
 from .force_law import Laws
 from .mechanics import Mechanics
 from .parameters import Parameter, Shape
@@ -60,40 +65,6 @@ class Context:
     derivative: int = 1
 
 
-@dataclass(frozen=True, eq=False)
-class LookAlike:
-    """Other effects that together reproduce the records of an effect.
-
-    Parameters
-    ----------
-    effects : names of the other effects.
-    example : parameter -> value of the imitated effect; there the others explain all but 1e-4 of its delta_chi2 (tested).
-    always : the others imitate the effect at every value of its parameters, not only near the example.
-    start : full parameter name -> value at which a fit of the others starts, if not at their null.
-    """
-
-    effects: tuple[str, ...]
-    example: Mapping[str, float]
-    always: bool = False
-    start: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class SizeRange:
-    """Plausible sizes of an effect, for studies that draw them.
-
-    Parameters
-    ----------
-    typical : norm of the parameters without a grid; about SNR 100 on the standard campaign (a factor of 10 does not matter).
-    largest : largest plausible magnitude of a parameter; may be a function of the plant's parameters by name.
-    signed : both signs are plausible.
-    """
-
-    typical: float
-    largest: float | Callable[[Mapping[str, float]], float]
-    signed: bool = True
-
-
 @dataclass(frozen=True, repr=False)
 class Effect:
     """One effect.  The stages are described at the head of the module.
@@ -116,6 +87,7 @@ class Effect:
         sense, and the learning loop scans the two on a fine grid.
     mains_frequency : name of the parameter that is the mains frequency [Hz]; the effect is added if silence shows a mains line.
     potential : (q (M, n), p, axes) -> (M,), potential energy of ``force``, if the force has one; checked by a test.
+    memories : number of internal states of ``force`` for each axis that nonlinear laws act on.
     size : plausible sizes; by default a tenth of the parameters' scales, up to their range.
     number : k of the k-th mode that one file adds (:func:`numbered`).
 
@@ -146,6 +118,7 @@ class Effect:
     resonance: tuple[str, str] | None = None
     mains_frequency: str = ""
     potential: Callable[[FloatArray, FloatArray, int], FloatArray] | None = None
+    memories: int = 0
     size: SizeRange | None = None
     number: int = 1
 
@@ -170,6 +143,8 @@ class Effect:
                 raise ConfigError(f"effect {self.name!r} has no such parameter", value=name, allowed=", ".join(names))
         if self.potential is not None and self.force is None:
             raise ConfigError(f"effect {self.name!r} declares a potential without a force", next_step="add the force")
+        if self.memories < 0 or (self.memories and self.force is None):
+            raise ConfigError(f"effect {self.name!r} declares memories without a force", next_step="add the force")
 
     def __repr__(self) -> str:
         return f"load_effect({self.origin!r})"
@@ -191,6 +166,11 @@ class Effect:
         function: Any = getattr(self, self.stages[0])
         module = str(function.__module__)
         return module.rpartition(".")[2] if module.startswith(library.__name__) else str(function.__code__.co_filename)
+
+    @property
+    def has_coordinates(self) -> bool:
+        """Whether the force law acts on coordinates of its own, which the linear motion does not move."""
+        return self.force is not None and (self.mechanics is not None or self.memories > 0)
 
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
         """Parameters of the effect on a plant of ``shape`` with families expanded, in the order of ``p``."""

@@ -104,6 +104,18 @@ def state_matrix(mechanics: Mechanics) -> FloatArray:
     return a
 
 
+def widened(mechanics: Mechanics, n: int) -> Mechanics:
+    """``mechanics`` with free coordinates without damping, stiffness, drive and sense appended, ``n`` in all."""
+    more = n - mechanics.stiffness.shape[1]
+    square, rows, columns = ((0, 0), (0, more), (0, more)), ((0, 0), (0, more), (0, 0)), ((0, 0), (0, 0), (0, more))
+    senses = (mechanics.velocity_sense, mechanics.position_sense, mechanics.acceleration_sense)
+    return Mechanics(
+        *(np.pad(one, square) for one in (mechanics.damping, mechanics.gyroscopic, mechanics.stiffness)),
+        np.pad(mechanics.drive, rows),
+        *(np.pad(one, columns) for one in senses),
+    )
+
+
 def modes_of(mechanics: Mechanics) -> Modes:
     """R_k = (A p_k^2 + V p_k + D) x_k (y_k F): poles and residues of ``mechanics`` by the eigenvectors of its state matrix.
 

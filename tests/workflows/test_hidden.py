@@ -59,8 +59,8 @@ def _all_at_once() -> dict[str, float]:
     """Every stated effect except converter stages and disturbances, which act on the samples."""
     strong = {"damping_drift": 30.0, "drive_nonlinearity": 2.0, "electrostatic_softening": 1.0}
     drawn = {name: value for effect in CONTINUOUS for name, value in _drawn(effect, strong.get(effect, 10.0)).items()}
-    # Two steps per sample resolve the corner of a narrower friction to 1e-7 only.
-    return {**drawn, "coulomb_friction.s": 0.3}
+    # Two steps per sample resolve the corner of a narrower friction, and those of a hysteresis, to 1e-7 only.
+    return {**drawn, "coulomb_friction.s": 0.3, "hysteresis.k": 10.0}
 
 
 def test_the_study_hides_every_library_effect_and_states_library_laws_only() -> None:
@@ -75,7 +75,7 @@ def test_smaller_integration_steps_change_the_response_by_less_than_1e_8() -> No
     assert _rms(response(values, _SWEEP, INSTRUMENT) - fine) < 1e-8 * _rms(fine)
 
 
-@pytest.mark.parametrize("effect", ["library", *OUTSIDE])
+@pytest.mark.parametrize("effect", ["library", "hysteresis", *OUTSIDE])
 def test_the_simulator_agrees_with_an_adaptive_solver(effect: str) -> None:
     """DOP853 at rtol 1e-11 hold by hold; a hysteresis has corners that no fixed step resolves."""
     sizes = _all_at_once() if effect == "library" else _drawn(effect, 20.0)

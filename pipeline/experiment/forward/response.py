@@ -125,6 +125,7 @@ def nonlinear_responses(
     if not (system.forces or system.senses):
         samples, senses = group.drives[0].shape[0], system.sense_motion.shape[0]
         return np.zeros((len(delays_s), len(group.drives), samples, senses))
+    system = system.integrated
     start_states = starts or (None,) * len(group.drives)
     steps = _substeps(group.clock, substeps)
 

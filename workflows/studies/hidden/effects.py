@@ -139,11 +139,6 @@ def _step(values: Mapping[str, float], peak: Peak, random: np.random.Generator) 
     return Drawn({"stiffness_step.b": 1e-6 * float(random.choice([-1.0, 1.0]))}, fixed)
 
 
-def _hysteresis(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    reach = _motion(values, peak.output_v) * 0.05 * 6.0 ** random.uniform()
-    return Drawn({"hysteresis.k": 10.0}, {"hysteresis.r": float(reach)})
-
-
 def _stop(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
     return Drawn({"stop.k": 100.0}, {"stop.g": float(_motion(values, peak.rocking_v) * random.uniform(0.4, 0.8))})
 
@@ -165,7 +160,6 @@ def _heating(values: Mapping[str, float], peak: Peak, random: np.random.Generato
 _OUTSIDE: dict[str, Callable[[Mapping[str, float], Peak, np.random.Generator], Drawn]] = {
     "preload": _preload,
     "stiffness_step": _step,
-    "hysteresis": _hysteresis,
     "stop": _stop,
     "mode_coupling": _coupling,
     "parametric_pumping": _pumping,

@@ -32,8 +32,8 @@ HARMONICS = 5
 
 _STATED = """
 adc_saturation angular_rate capacitive_feedthrough coulomb_friction cubic_damping cubic_stiffness damping_drift
-drive_nonlinearity electrode_misalignment electrode_mismatch electrostatic_softening frequency_drift gain_drift loop_delay
-mains_hum nonlinear_damping offdiagonal_damping parasitic_mode pickoff_crosstalk pickoff_pole quadratic_stiffness
+drive_nonlinearity electrode_misalignment electrode_mismatch electrostatic_softening frequency_drift gain_drift hysteresis
+loop_delay mains_hum nonlinear_damping offdiagonal_damping parasitic_mode pickoff_crosstalk pickoff_pole quadratic_stiffness
 resistive_feedthrough sense_nonlinearity squeeze_film_damping updown_tilt weakening_damping
 """
 #: Library effects whose law is stated here.
@@ -43,7 +43,6 @@ STATED: frozenset[str] = frozenset(_STATED.split())
 OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
     "stiffness_step": ("K (1 + b (1 + tanh((t - t0)/w))/2): K steps within a record", ("frequency_drift",)),
     "preload": ("psi'' -= P psi / sqrt(|psi|^2 + r^2)", ()),
-    "hysteresis": ("psi_i'' -= k h_i,  h' = psi' - (|psi'| h + psi' |h|)/(2 r): Bouc-Wen", ()),
     "stop": ("psi'' -= k (1 - g/|psi|) psi where |psi| > g", ("cubic_stiffness",)),
     "mode_coupling": ("potential c psi_x^2 psi_y", ("quadratic_stiffness",)),
     "parametric_pumping": ("K (1 + h cos(2 pi f t))", ()),

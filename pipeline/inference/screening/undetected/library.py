@@ -85,8 +85,11 @@ class Probe:
 
 @lru_cache(maxsize=32)
 def probes_of(with_mismatch: bool, stage: str) -> tuple[Probe, ...]:
-    """All parameters of the scored effects that act on a ``stage`` of the signal path."""
-    effects = [effect for effect in scored_effects(with_mismatch) if getattr(effect, stage) is not None]
+    """All parameters of the scored effects that act on a ``stage`` of the signal path.
+
+    A force with coordinates of its own is not scored: the linear motion of the device does not move them.
+    """
+    effects = [e for e in scored_effects(with_mismatch) if getattr(e, stage) is not None and not e.has_coordinates]
     return tuple(probe for effect in effects for probe in _probes(effect))
 
 
