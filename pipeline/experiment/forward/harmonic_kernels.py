@@ -11,7 +11,7 @@ A row starts from the motion of the row before, in steps that are halved where N
 ends on an unstable solution (det J < 0, a saddle).  Where no step is left the solution ends in a fold, and the motion jumps: the
 slow flow
 
-    D dx/dt = -R,   D: (a_h, b_h)' -> (C a_h' + 2 h w b_h', C b_h' - 2 h w a_h'),   C a_0' for the mean (a_0' for that of a memory)
+    D dx/dt = -R,   D: (a_h, b_h)' -> (C a_h' + 2 h w b_h', C b_h' - 2 h w a_h'),   C a_0' for the mean; a_0' for a memory
 
 is integrated from there by linearly implicit steps that grow, to the solution that a slow sweep reaches.
 
