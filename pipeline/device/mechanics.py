@@ -22,7 +22,7 @@ As modes:   H(s) = sum_k R_k / (s - p_k) + conj + A F,   Im p_k > 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -106,14 +106,13 @@ def state_matrix(mechanics: Mechanics) -> FloatArray:
 
 def widened(mechanics: Mechanics, n: int) -> Mechanics:
     """``mechanics`` with free coordinates without damping, stiffness, drive and sense appended, ``n`` in all."""
-    more = n - mechanics.stiffness.shape[1]
-    square, rows, columns = ((0, 0), (0, more), (0, more)), ((0, 0), (0, more), (0, 0)), ((0, 0), (0, 0), (0, more))
-    senses = (mechanics.velocity_sense, mechanics.position_sense, mechanics.acceleration_sense)
-    return Mechanics(
-        *(np.pad(one, square) for one in (mechanics.damping, mechanics.gyroscopic, mechanics.stiffness)),
-        np.pad(mechanics.drive, rows),
-        *(np.pad(one, columns) for one in senses),
-    )
+    more = (0, n - mechanics.stiffness.shape[1])
+
+    def wider(name: str) -> FloatArray:
+        rows, columns = (0, 0) if name.endswith("_sense") else more, (0, 0) if name == "drive" else more
+        return np.pad(getattr(mechanics, name), ((0, 0), rows, columns))
+
+    return Mechanics(*(wider(f.name) for f in fields(Mechanics)))
 
 
 def modes_of(mechanics: Mechanics) -> Modes:
