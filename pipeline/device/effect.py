@@ -55,7 +55,8 @@ _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbanc
 class Context:
     """Conditions for all stages except force: biases [V], parameters of the plant by name, time before the record [s].
 
-    ``derivative``: order of the derivative of the motion that the pick-offs sense.
+    ``derivative``: order of the derivative of the motion that the pick-offs sense; ``axes``: number of coordinates that
+    nonlinear laws act on.
     """
 
     bias_v: float
@@ -63,6 +64,7 @@ class Context:
     plant: Mapping[str, Any]
     elapsed_s: float = 0.0
     derivative: int = 1
+    axes: int = 1
 
 
 @dataclass(frozen=True, repr=False)

@@ -34,5 +34,5 @@ EFFECT = Effect(
     ),
     force=force,
     plants=("gyro", "resonator"),
-    size=SizeRange(0.01, 10.0, signed=False),
+    size=SizeRange(3e-3, 10.0, signed=False),
 )

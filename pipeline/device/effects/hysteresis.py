@@ -30,5 +30,5 @@ EFFECT = Effect(
     force=force,
     memories=1,
     plants=("gyro", "resonator"),
-    size=SizeRange(100.0, 1e5, signed=False),
+    size=SizeRange(30.0, 1e5, signed=False),
 )

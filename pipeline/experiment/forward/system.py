@@ -139,8 +139,9 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
     plant = model.built
     effects = acting(model, values, conditions)
     mechanics = plant.mechanics(values)
+    axes, declared = len(plant.shape.axes), conditions
     context = Context(
-        conditions.bias_v, conditions.operating_bias_v, values, conditions.elapsed_s, mechanics.derivative
+        declared.bias_v, declared.operating_bias_v, values, declared.elapsed_s, mechanics.derivative, axes
     )
     if conditions.frequency_shift != 0.0:
         mechanics = replace(mechanics, stiffness=mechanics.stiffness * (1.0 + conditions.frequency_shift) ** 2)
@@ -163,8 +164,7 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
                 next_step="check the parameters of the model",
             )
 
-    n, axes = mechanics.stiffness.shape[1], len(plant.shape.axes)
-    memories = 0
+    n, memories = mechanics.stiffness.shape[1], 0
     for effect, _ in effects:
         if effect.memories:
             first[effect.name] = n + memories
