@@ -60,7 +60,7 @@ def _all_at_once() -> dict[str, float]:
     strong = {"damping_drift": 30.0, "drive_nonlinearity": 2.0, "electrostatic_softening": 1.0}
     drawn = {name: value for effect in CONTINUOUS for name, value in _drawn(effect, strong.get(effect, 10.0)).items()}
     # Two steps per sample resolve the corner of a narrower friction, and those of a hysteresis, to 1e-7 only.
-    return {**drawn, "coulomb_friction.s": 0.3, "hysteresis.k": 10.0}
+    return {**drawn, "coulomb_friction.s": 0.3, "hysteresis.k": 3.0}
 
 
 def test_the_study_hides_every_library_effect_and_states_library_laws_only() -> None:
