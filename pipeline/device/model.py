@@ -17,6 +17,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import ConfigError
 from .effect import Effect, find_effects
+from .exact_null import with_exact_nulls
 from .model_toml import ModelFields, model_toml, read_model
 from .parameters import Parameter, read_prior
 from .plant import C12, Plant, PlantSpec
@@ -66,7 +67,7 @@ class Model:
     @cached_property
     def library(self) -> dict[str, Effect]:
         """All available effects by name: those of the package and of ``effect_folders``; modes, several times."""
-        return with_more_modes(find_effects(tuple(Path(folder) for folder in self.effect_folders)))
+        return with_more_modes(with_exact_nulls(find_effects(tuple(Path(folder) for folder in self.effect_folders))))
 
     @cached_property
     def built(self) -> Plant:
