@@ -26,8 +26,17 @@ from .readout import plain_readout
 #: Change at the null, relative to what it changes or to the change at one scale of the parameters, that counts as rounding.
 _ROUNDING = 1e-12
 _GYRO = {
-    **{"f1_hz": 534.5, "f2_hz": 536.4, "f3_hz": 590.3, "zeta1": 3.2e-4, "zeta2": 1.6e-4, "zeta3": 1.2e-3},
-    **{"theta_deg": -33.2, "rocking_gain": 13.0, "updown_gain": 29.0, "sense_imbalance": 0.04, "drive_imbalance": 0.001},
+    "f1_hz": 534.5,
+    "f2_hz": 536.4,
+    "f3_hz": 590.3,
+    "zeta1": 3.2e-4,
+    "zeta2": 1.6e-4,
+    "zeta3": 1.2e-3,
+    "theta_deg": -33.2,
+    "rocking_gain": 13.0,
+    "updown_gain": 29.0,
+    "sense_imbalance": 0.04,
+    "drive_imbalance": 0.001,
 }
 _MODAL = {"f1_hz": 534.5, "zeta1": 3.2e-4, "gain1_s1d1": 13.0}
 _POINTS = 6
