@@ -147,7 +147,7 @@ def _of_force(
 def _of_sense(effect: Effect, p: FloatArray, context: Context, senses: int) -> float:
     assert effect.sense is not None
     x, s = 1e-4 * _random(_POINTS, senses), _random(_POINTS, senses)
-    return _apart(effect.sense(x, s.copy(), s.copy(), np.arange(_POINTS) * 0.1, p, context), s)
+    return _apart(effect.sense(x, s.copy(), s.copy(), np.linspace(0.0, 0.5, _POINTS), p, context), s)
 
 
 def _of_readout(effect: Effect, p: FloatArray, context: Context, senses: int, drives: int) -> float:
