@@ -28,6 +28,6 @@ EFFECT = Effect(
     ),
     readout=readout,
     plants=("gyro",),
-    look_alikes=(LookAlike(("drive_delay", "loop_delay"), {"T": 2e-7, "drive": 2.0}),),
+    look_alikes=(LookAlike(("drive_delay", "loop_delay"), {"T": 2e-7, "drive": 2.0}, always=True),),
     size=SizeRange(5e-7, 1e-4, signed=False),
 )

@@ -81,7 +81,6 @@ def test_the_linear_device_has_the_spectrum_of_its_record(device):
         ("gain_drift", "gamma", 1e-5, 0),
         ("channel_delay", "tau", 1e-9, 0),
         ("drive_delay", "tau", 1e-9, 0),
-        ("drive_pole", "T", 1e-9, 0),
     ],
 )
 def test_a_signature_is_the_change_of_the_simulated_record(device, effect, parameter, size, place):
@@ -120,7 +119,7 @@ def test_laws_are_told_apart_by_their_parity():
         "levitation_force",
     }
     linear = {name for name, kind in kinds.items() if kind.phases.size == 2}
-    assert linear == {"damping_drift", "frequency_drift", "charge_drift"}
+    assert linear == {"damping_drift", "frequency_drift"}
     assert kinds["quadratic_stiffness"].even
 
 

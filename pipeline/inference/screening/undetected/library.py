@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from ....arrays import ComplexArray, FloatArray
-from ....device.effect import Effect
+from ....device.effect import Effect, LookAlike
 from ....device.model import Model
 from ....device.parameters import Parameter, Shape
 from ..mismatch import NIGHTLY_MODEL
@@ -35,11 +35,19 @@ class BandSignature:
 
 @lru_cache(maxsize=4)
 def scored_effects(with_mismatch: bool) -> tuple[Effect, ...]:
-    """The effects of the library that a fit lacks: neither in its model nor inside an effect of its model."""
+    """The effects of the library that a fit lacks: neither in its model nor inside an effect of its model.
+
+    An effect that is always the sum of others has no score of its own: theirs show it.
+    """
     model = NIGHTLY_MODEL if with_mismatch else Model(effects=NIGHTLY_MODEL.effects[:-1])
-    found = (model.effect(name) for name in model.candidates())
+    found = [model.effect(name) for name in model.candidates()]
     own = set(model.effects)
-    return tuple(e for e in found if not any(other.always and set(other.effects) <= own for other in e.look_alikes))
+    known = own | {effect.name for effect in found}
+
+    def shown(like: LookAlike) -> bool:
+        return like.always and set(like.effects) <= (known if len(like.effects) > 1 else own)
+
+    return tuple(effect for effect in found if not any(shown(like) for like in effect.look_alikes))
 
 
 @lru_cache(maxsize=256)
