@@ -102,6 +102,15 @@ class FitTests:
         """
         return tuple(score for score in self.scores if score.p_value < alpha and score.detectable)
 
+    @property
+    def curved(self) -> tuple[Score, ...]:
+        """Candidates that these data may show by their second order only."""
+        return tuple(score for score in self.scores if score.name in self.signatures.curved)
+
+    def is_structured(self, alpha: float) -> bool:
+        """Whether structure is left in the residual, at ``alpha``."""
+        return self.goodness.p_value < alpha
+
     def is_significant(self, delta_chi2: float, parameters: int, alpha: float) -> bool:
         """Whether a refit lowers chi2 as significantly as the score of its term had to, at ``alpha``."""
         critical = max(self.null.critical(alpha), np.log(alpha))

@@ -202,12 +202,15 @@ class Signatures:
     blocks : for each fitted block Z_b (n m, K) [sigma per unit of the parameter].
     local : candidates with free amplitudes in every block.
     grams : ``stratum_grams`` of the blocks (strata, K, K), where the problem stores them.
+    curved : names of candidates of which the baseline may absorb the column but not the second order; a refit from a size that
+        is not null shows them.
     """
 
     candidates: tuple[Candidate, ...]
     blocks: tuple[FloatArray, ...]
     local: tuple[LocalCandidate, ...] = ()
     grams: FloatArray | None = None
+    curved: frozenset[str] = frozenset()
 
 
 def stratum_grams(columns: Sequence[FloatArray], strata: Sequence[IntArray]) -> FloatArray:

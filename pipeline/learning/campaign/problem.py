@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 
@@ -48,6 +48,7 @@ class CampaignProblem:
     threads : signatures that are computed, and records that are integrated, in parallel.
     corrected : where the records differ: the measured campaign and the variation for which ``campaign`` was corrected.
     dependent : noise that depends on the signal and is contained in ``noise``, if any.
+    curved_starts : full name -> start value of parameters of curved terms, beside which the records were corrected.
     """
 
     def __init__(
@@ -58,8 +59,10 @@ class CampaignProblem:
         threads: int = 1,
         corrected: tuple[Campaign, RecordVariation] | None = None,
         dependent: DependentNoise | None = None,
+        curved_starts: Mapping[str, float] | None = None,
     ) -> None:
         self.dependent = dependent
+        self.curved_starts = dict(curved_starts or {})
         self.campaign = campaign
         self.measured = campaign if corrected is None else corrected[0]
         self.variation = None if corrected is None else corrected[1]
@@ -124,6 +127,8 @@ class CampaignProblem:
             for term in terms:
                 model = model.with_effect(term)
             values = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
+            if values is not None:
+                values = {**self._spread_starts(terms), **self.curved_starts, **values}
             likely = {mode[0]: self._mode_starts.get((name, key - {name}), ()) for name, mode in self._modes.items()}
             try:
                 fitted, columns = fit_with_columns(model, self.campaign, self.noise, values, likely, self.threads)
@@ -154,7 +159,7 @@ class CampaignProblem:
         candidates = tuple(c for c in known.candidates if c.name in names)
         found = [job.result() for job in disturbances]
         local = [*(one for one in found if one is not None), *(mode for job in scanned for mode in job.result())]
-        return Signatures(candidates, known.blocks, tuple(local), known.grams)
+        return Signatures(candidates, known.blocks, tuple(local), known.grams, self.curved)
 
     def _mode(self, name: str, fit: FitResult) -> tuple[LocalCandidate, ...]:
         """The mode of an effect as a candidate, if its grid is not empty; its best frequencies are kept as starts of a fit."""
@@ -199,6 +204,25 @@ class CampaignProblem:
                 for r in self.records
             )
         return self._offset
+
+    @cached_property
+    def curved(self) -> frozenset[str]:
+        """Linear effects of the read-out with one parameter that starts which differ absorb to first order: a delay, a pole."""
+        if self.variation is None or self.variation.spread.start_s == 0.0:
+            return frozenset()
+        library, shape = self.model.library, self.model.built.shape
+        absent = (library[name] for name in self.model.candidates())
+        return frozenset(
+            e.name for e in absent if e.stages == ("readout",) and [m.unit for m in e.members(shape)] == ["s"]
+        )
+
+    def _spread_starts(self, terms: Sequence[str]) -> dict[str, float]:
+        """Start values of curved terms [s]: the spread of the starts.  At the null chi2 does not change to first order."""
+        if self.variation is None:
+            return {}
+        library, shape = self.model.library, self.model.built.shape
+        curved = [library[term] for term in terms if term in self.curved]
+        return {e.full_name(m): m.null + self.variation.spread.start_s for e in curved for m in e.members(shape)}
 
     def _residuals(self, fitted: CampaignFit) -> CampaignResiduals:
         return CampaignResiduals(fitted.model, self.campaign, self.noise, self.threads)

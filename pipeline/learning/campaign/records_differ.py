@@ -8,8 +8,8 @@ A hidden effect and a variation between records can both explain that a model fi
    significant at the last model, the selection is repeated with the variation of the first model.  A single record does not
    differ from another: its start time would only take up a wrong hold of the DAC.
 3. After a selection with variation, the spreads are estimated again with the selected effects.  If they shrink to zero, the
-   effects alone explain the records; if they fall by much, or if a selected or refused effect clips the records, which corrects
-   them in another way, the selection is repeated.
+   effects alone explain the records; if they fall by much, or if an effect changes how the records are aligned (it clips them, or
+   delays them), the selection is repeated.
 
 Shapes: N samples, S senses, m deviations of a record.
 """
@@ -80,8 +80,14 @@ def varied_problem(problem: CampaignProblem, found: VariedFit) -> CampaignProble
     noise = found.noise
     if dependent is not None:
         noise = with_dependent_noise(noise, dependent, found.fit, found.campaign, starts_s)
-    variation = (problem.measured, found.variation)
-    return CampaignProblem(found.campaign, problem.model, noise, problem.threads, variation, dependent)
+    variation, fit = (problem.measured, found.variation), found.fit
+    beside = {
+        name: fit.values[name]
+        for term in problem.curved
+        for name in fit.model.parameters_of(term)
+        if name in fit.values
+    }
+    return CampaignProblem(found.campaign, problem.model, noise, problem.threads, variation, dependent, beside)
 
 
 def prepared(problem: CampaignProblem) -> CampaignProblem:
@@ -153,7 +159,7 @@ def selected(
         selection = forward_selection(restricted(problem), (), rules)
     else:
         plain = None
-    clipped = clips(problem.model)
+    clipped, curved = clips(problem.model), frozenset[str]()
     for _ in range(_ROUNDS - 1):
         terms = _aligning_terms(problem, selection)
         if not terms or problem.variation is None:
@@ -170,9 +176,10 @@ def selected(
             )
             return equal, forward_selection(restricted(equal), (), rules)
         pairs = zip(before.of_deviations(1), after.of_deviations(1))
-        if not any(new < _SMALLER * old for old, new in pairs) and clips(fit.model) == clipped:
+        aligned = clips(fit.model) == clipped and problem.curved & set(terms) == curved
+        if aligned and not any(new < _SMALLER * old for old, new in pairs):
             break
-        clipped = clips(fit.model)
+        clipped, curved = clips(fit.model), problem.curved & set(terms)
         problem = varied_problem(problem, fit_with_variation(fit.model, problem.measured, fit, problem.threads))
         selection = forward_selection(restricted(problem), (), rules)
     return problem, selection
