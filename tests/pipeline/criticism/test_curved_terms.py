@@ -1,6 +1,6 @@
 """Terms whose first order the baseline absorbs: only a refit from a size that is not null shows them.
 
-    y = a x + T x + T^2 x^2 + noise      a: baseline;  T: a term whose column at T = 0 is x, the same as that of a
+y = a x + T x + T^2 x^2 + noise      a: baseline;  T: a term whose column at T = 0 is x, the same as that of a
 """
 
 from __future__ import annotations
