@@ -8,6 +8,8 @@
                      period_samples (of the drive; found where it repeats exactly): steady periods measure the noise
                      columns = {..}: as [columns] and in its place, where the files of records differ
                      kind = "decay": free motion from any initial state, without a drive (``decays.pieces``);
+                     kind = "decay_amplitude": amplitude or power of a free decay against time (``files.envelope_columns``);
+                     frequency_hz, amplitude = "peak" | "rms", time_constant_s, filter_poles, resolution_bandwidth_hz
                      kind = "sweep" | "frf" (also at the top, for all records); quantity, reference_ohm, averages: see
                      ``files.tone_columns``
     [systematic]     sds of errors that the devices of a tester share: phase_error_sd_deg, angular_gain_sd, gain_sd (relative),
@@ -40,6 +42,7 @@ from msgspec import Meta
 from .. import toml_files as toml
 from ..errors import UsageError
 from .decays.pieces import decay_pieces
+from .envelope_campaign import envelope_of
 from .files.channels import correct
 from .files.columns import assemble
 from .files.common_tables import (
@@ -88,10 +91,15 @@ class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     period_samples: Annotated[int, Meta(ge=16)] | None = None
     start_s: Annotated[float, Meta(ge=0.0, le=1e9)] | None = None
     stop_s: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None
-    kind: ToneKind | Literal["time", "decay"] | None = None
+    kind: ToneKind | Literal["time", "decay", "decay_amplitude"] | None = None
     quantity: Quantity = "response"
     reference_ohm: Positive = 50.0
     averages: Annotated[int, Meta(ge=1)] = 1
+    frequency_hz: Positive | None = None
+    amplitude: Literal["peak", "rms"] = "peak"
+    time_constant_s: Positive | None = None
+    filter_poles: Annotated[int, Meta(ge=1, le=8)] | None = None
+    resolution_bandwidth_hz: Positive | None = None
     columns: dict[str, Source] | None = None
 
 
@@ -117,7 +125,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A campaign.toml."""
 
     record: Annotated[list[RecordTable], Meta(min_length=1)]
-    kind: ToneKind | Literal["campaign"] = "campaign"
+    kind: ToneKind | Literal["campaign", "decay_amplitude"] = "campaign"
     device: DeviceTable = DeviceTable()
     demodulation: DemodulationTable = DemodulationTable()
     instrument: InstrumentTable = InstrumentTable()
@@ -191,7 +199,7 @@ def _document(file: Path, text: bytes | None = None) -> CampaignTable:
     return document
 
 
-def _kind(entry: RecordTable, document: CampaignTable) -> ToneKind | Literal["time"]:
+def _kind(entry: RecordTable, document: CampaignTable) -> ToneKind | Literal["time", "decay_amplitude"]:
     """The domain of a record: that of its own kind, else of the campaign."""
     if entry.kind == "decay":
         return "time"
@@ -231,19 +239,29 @@ def _timed(file: Path, document: CampaignTable) -> Campaign:
 
 def _toned(file: Path, document: CampaignTable) -> ToneCampaign:
     """The sweeps and frequency responses of ``document``, with its time records beside them."""
-    own = [entry for entry in document.record if _kind(entry, document) != "time"]
-    timed = [entry for entry in document.record if entry not in own]
+    timed, envelopes, own = (
+        [entry for entry in document.record if of(_kind(entry, document))]
+        for of in (lambda k: k == "time", lambda k: k == "decay_amplitude", lambda k: k in ("sweep", "frf"))
+    )
     records: list[ToneRecord] = []
     for entry, role in zip(own, roles_of([entry.role for entry in own])):
         kind: ToneKind = "frf" if _kind(entry, document) == "frf" else "sweep"
         records += tone_records(file.parent, entry, role, kind, _columns(entry, document))
     whole = _timed(file, msgspec.structs.replace(document, record=timed, kind="campaign")) if timed else None
     if whole is not None:
-        whole = with_drives(whole, max(record.drive_v.shape[1] for record in records))
+        whole = with_drives(whole, max((record.drive_v.shape[1] for record in records), default=0))
+    decays = tuple(envelope_of(file.parent, entry, entry.role, _columns(entry, document)) for entry in envelopes)
     device, name = document.device, document.device.id or file.absolute().parent.name
     instrument = document.instrument.built(1.0).with_pickoff(device.pickoff)
     return tone_campaign(
-        name, records, instrument, device, document.demodulation, references(document.reference, file.name), whole
+        name,
+        records,
+        instrument,
+        device,
+        document.demodulation,
+        references(document.reference, file.name),
+        whole,
+        decays,
     )
 
 

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from ..errors import MeasurementError
+from .envelopes import EnvelopeRecord
 from .files.common_tables import DemodulationTable, DeviceTable
 from .files.mapping import Source
 from .files.readers import existing, read_columns
@@ -110,8 +111,9 @@ def tone_campaign(
     demodulation: DemodulationTable,
     reference: dict[str, tuple[float, float]],
     timed: Campaign | None,
+    envelopes: tuple[EnvelopeRecord, ...] = (),
 ) -> ToneCampaign:
-    """The campaign of ``records``; ``timed`` are its records in the time domain.
+    """The campaign of ``records``; ``timed`` are its records in the time domain, ``envelopes`` amplitudes of free decays.
 
     Raises
     ------
@@ -120,10 +122,14 @@ def tone_campaign(
     shapes = {(record.sense_v.shape[1], record.drive_v.shape[1]) for record in records}
     if timed is not None:
         shapes |= {(record.sense_v.shape[1], record.drive_v.shape[1]) for record in timed.records}
-    if len(shapes) != 1:
+    senses_seen = {senses for senses, _ in shapes} | {one.amplitude_v.shape[1] for one in envelopes}
+    if len(shapes) > 1 or len(senses_seen) != 1:
         raise MeasurementError(
             "the records of a campaign have different channels",
-            value=[f"{senses} senses, {drives} drives" for senses, drives in sorted(shapes)],
+            value=[
+                *(f"{senses} senses, {drives} drives" for senses, drives in sorted(shapes)),
+                *(f"{one.name}: {one.amplitude_v.shape[1]} senses" for one in envelopes),
+            ],
             allowed="the same senses and drives in every record",
             next_step="put them into campaigns of their own",
         )
@@ -136,4 +142,5 @@ def tone_campaign(
         drive=demodulation.drive,
         reference=reference,
         timed=timed,
+        envelopes=envelopes,
     )

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import ComplexArray, FloatArray
+from .envelopes import EnvelopeRecord
 from .instrument import Instrument
 from .record import Campaign, Role
 
@@ -64,7 +65,7 @@ class ToneRecord:
 
 @dataclass(frozen=True, eq=False)
 class ToneCampaign:
-    """All frequency-domain records of one device; ``timed`` holds its records in the time domain, if there are any.
+    """All frequency-domain records of one device, with its records in the time domain and its amplitudes of free decays, if any.
 
     The other fields are those of :class:`pipeline.experiment.record.Campaign`.
     """
@@ -77,6 +78,7 @@ class ToneCampaign:
     drive: Literal["f1", "f2"] = "f1"
     reference: dict[str, tuple[float, float]] = field(default_factory=dict)
     timed: Campaign | None = None
+    envelopes: tuple[EnvelopeRecord, ...] = ()
 
     def with_role(self, role: Role) -> tuple[ToneRecord, ...]:
         """The records with this role, in order."""
@@ -85,14 +87,19 @@ class ToneCampaign:
     @property
     def channels(self) -> tuple[int, int]:
         """Numbers of senses and drives of the device."""
-        first = self.records[0]
-        return first.sense_v.shape[1], first.drive_v.shape[1]
+        if self.records:
+            return self.records[0].sense_v.shape[1], self.records[0].drive_v.shape[1]
+        if self.timed is not None:
+            return self.timed.records[0].sense_v.shape[1], self.timed.records[0].drive_v.shape[1]
+        return self.envelopes[0].amplitude_v.shape[1], 0
 
     def with_fit_records(self) -> ToneCampaign:
         """The campaign; where no record has the role "fit", all have."""
-        if self.with_role("fit") or (self.timed is not None and self.timed.with_role("fit")):
+        timed = () if self.timed is None else self.timed.with_role("fit")
+        if self.with_role("fit") or timed or any(record.role != "validate" for record in self.envelopes):
             return self
-        return replace(self, records=tuple(replace(record, role="fit") for record in self.records))
+        records = tuple(replace(record, role="fit") for record in self.records)
+        return replace(self, records=records, envelopes=tuple(replace(one, role="fit") for one in self.envelopes))
 
 
 @dataclass(frozen=True)

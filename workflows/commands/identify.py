@@ -186,7 +186,7 @@ def _text(result: Identification) -> list[str]:
 def check(campaign: Path, json: bool) -> None:
     """See ``gyroscreen check --help``."""
     from pipeline.experiment.checks.check import check as check_measurement
-    from pipeline.experiment.checks.tones import check_all
+    from pipeline.experiment.checks.domains import check_all
 
     found = read_measurement(campaign)
     if isinstance(found, ModalRecord):

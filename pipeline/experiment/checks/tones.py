@@ -21,7 +21,7 @@ from ...arrays import ComplexArray, FloatArray
 from ...errors import GyroscreenError
 from ..noise.tones import tone_noise
 from ..tones import SweepPass, ToneCampaign, ToneRecord, passes_of
-from .check import CheckReport, check, worst_first
+from .check import CheckReport, worst_first
 from .finding import Finding
 from .levels import Level
 
@@ -29,14 +29,6 @@ from .levels import Level
 _FEWEST_ROWS, _STUCK = 4, 3
 #: Share of the response, and multiple of the noise, above which sweeps up and down differ.
 _DIFFERS, _SD = 0.02, 6.0
-
-
-def check_all(campaign: ToneCampaign) -> CheckReport:
-    """The tests of every domain in which the campaign has records."""
-    reports = [] if campaign.timed is None else [check(campaign.timed)]
-    reports += [check_tones(campaign)] if campaign.records else []
-    findings = tuple(finding for report in reports for finding in report.findings)
-    return CheckReport(worst_first(findings), tuple(level for report in reports for level in report.levels))
 
 
 def check_tones(campaign: ToneCampaign) -> CheckReport:

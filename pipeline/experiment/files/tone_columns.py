@@ -22,7 +22,7 @@ Shapes: N rows, D drives, S senses.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -39,6 +39,7 @@ _SENSE = re.compile(r"sense([1-9][0-9]*)_(X_V|Y_V|R_V|phase_deg|sd_V)")
 _PATH = re.compile(r"H_s([1-9][0-9]*)d([1-9][0-9]*)_(re|im|abs|dB|phase_deg|sd|coherence)")
 _DRIVE = re.compile(r"drive([1-9][0-9]*)_V")
 _FEWEST = 8
+_ALLOWED = "frequency_hz, time_s, drive<k>_V, sense<k>_X_V, _Y_V, _R_V, _phase_deg, _sd_V, H_s<j>d<k>_re, _im, .."
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -69,9 +70,9 @@ def tone_record(
     MeasurementError : a column is missing, not finite or of another length; too few rows.
     ConfigError : ``mapping`` has a wrong entry.
     """
-    values = {key: column[start:stop] for key, column in _columns(name, files, mapping).items()}
+    values = {key: column[start:stop] for key, column in values_of(name, files, mapping, _is_key, _ALLOWED).items()}
     if "frequency_hz" not in values:
-        raise _missing(name, "frequency_hz", files)
+        raise missing(name, "frequency_hz", files)
     counts = {key: column.size for key, column in values.items()}
     if len(set(counts.values())) != 1 or min(counts.values()) < _FEWEST:
         raise MeasurementError(
@@ -92,15 +93,20 @@ def tone_record(
     return _responses(name, values, files, quantity, reference_ohm, averages)
 
 
-def _columns(name: str, files: Sequence[Columns], mapping: Mapping[str, Source]) -> dict[str, FloatArray]:
-    """Key -> values (N,) in SI units (degrees for a phase)."""
+def values_of(
+    name: str, files: Sequence[Columns], mapping: Mapping[str, Source], is_key: Callable[[str], bool], allowed: str
+) -> dict[str, FloatArray]:
+    """Key -> values (N,) in SI units (degrees for a phase) of the columns that are mapped or named by a key.
+
+    ``allowed`` lists the keys for which ``is_key`` holds; raises as ``tone_record``.
+    """
     found: dict[str, FloatArray] = {}
     for key, source in mapping.items():
-        if not _is_key(key):
+        if not is_key(key):
             raise ConfigError(
-                "[columns] has a key that is not a column of a sweep or a frequency response",
+                "[columns] has a key that is not a column of such a record",
                 value=key,
-                allowed="frequency_hz, time_s, drive<k>_V, sense<k>_X_V, _Y_V, _R_V, _phase_deg, _sd_V, H_s<j>d<k>_re, _im, ..",
+                allowed=allowed,
                 next_step='write, for example, sense1_X_V = "X" (the name in the file on the right)',
             )
         table = as_table(key, source)
@@ -110,7 +116,7 @@ def _columns(name: str, files: Sequence[Columns], mapping: Mapping[str, Source])
         found[key] = factor * table.gain * _numbers(name, key, files[file][column]) - table.offset
     for columns in files:
         for column, numbers in columns.items():
-            if _is_key(column) and column not in found:
+            if is_key(column) and column not in found:
                 found[column] = _numbers(name, column, numbers)
     return found
 
@@ -141,7 +147,8 @@ def _numbers(name: str, key: str, values: NDArray[Any]) -> FloatArray:
     return numbers
 
 
-def _missing(name: str, key: str, files: Sequence[Columns]) -> MeasurementError:
+def missing(name: str, key: str, files: Sequence[Columns]) -> MeasurementError:
+    """The error of a column that no file has."""
     return MeasurementError(
         f"{name}: no column {key}",
         value=[column for columns in files for column in columns][:12],
@@ -160,7 +167,7 @@ def _complex(name: str, values: Mapping[str, FloatArray], stem: str, files: Sequ
     if stem + "_dB" in values:
         size = 10.0 ** (values[stem + "_dB"] / 20.0)
     if size is None or stem + "_phase_deg" not in values:
-        raise _missing(
+        raise missing(
             name, f"{stem}_X_V and {stem}_Y_V" if stem.startswith("sense") else f"{stem}_re and {stem}_im", files
         )
     return np.asarray(size * np.exp(1.0j * np.deg2rad(values[stem + "_phase_deg"])))
@@ -170,9 +177,9 @@ def _sweep(name: str, values: Mapping[str, FloatArray], files: Sequence[Columns]
     senses = sorted({int(m[1]) for key in values if (m := _SENSE.fullmatch(key))})
     drives = sorted({int(m[1]) for key in values if (m := _DRIVE.fullmatch(key))})
     if senses != list(range(1, len(senses) + 1)) or not senses:
-        raise _missing(name, "sense1_X_V", files)
+        raise missing(name, "sense1_X_V", files)
     if drives != list(range(1, len(drives) + 1)):
-        raise _missing(name, "drive1_V", files)
+        raise missing(name, "drive1_V", files)
     rows = values["frequency_hz"].size
     drive = [values[f"drive{k}_V"] for k in drives] or [np.ones(rows)]
     sd = [values.get(f"sense{k}_sd_V") for k in senses]
@@ -199,7 +206,7 @@ def _responses(
     paths = sorted({(int(m[1]), int(m[2])) for key in values if (m := _PATH.fullmatch(key))})
     senses, drives = (max((path[k] for path in paths), default=0) for k in (0, 1))
     if paths != [(s, d) for s in range(1, senses + 1) for d in range(1, drives + 1)] or not paths:
-        raise _missing(name, "H_s1d1_re", files)
+        raise missing(name, "H_s1d1_re", files)
     f = values["frequency_hz"]
     found = []
     for d in range(1, drives + 1):

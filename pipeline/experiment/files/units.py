@@ -18,6 +18,7 @@ UNITS: dict[str, tuple[str, float]] = {
     **{unit: ("m/s", factor) for unit, factor in (("m/s", 1.0), ("mm/s", 1e-3), ("um/s", 1e-6))},
     **{unit: ("m", factor) for unit, factor in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9))},
     **{unit: ("N", factor) for unit, factor in (("N", 1.0), ("mN", 1e-3), ("uN", 1e-6), ("kN", 1e3))},
+    **{unit: ("W", factor) for unit, factor in (("W", 1.0), ("mW", 1e-3), ("uW", 1e-6), ("nW", 1e-9), ("pW", 1e-12))},
     "lbf": ("N", 4.4482216152605),
     **{unit: ("N m", factor) for unit, factor in (("N m", 1.0), ("Nm", 1.0), ("mNm", 1e-3))},
     **{unit: ("Pa", factor) for unit, factor in (("Pa", 1.0), ("kPa", 1e3), ("MPa", 1e6), ("bar", 1e5))},

@@ -25,12 +25,11 @@ from ...experiment.forward.harmonic_terms import TonePoints
 from ...experiment.forward.system import Conditions, System, assemble
 from ...experiment.forward.tones import linear_tones
 from ...experiment.tones import ToneCampaign, ToneRecord
+from .steps import damping_names, difference_step
 
 PHASE = "phase_deg"
 SETTLING = "lockin_settling"
 SHARE = f"{SETTLING}.share"
-#: Steps of central differences: of a frequency and a damping ratio in half-widths, of other parameters relative to themselves.
-_STEP, _RELATIVE = 1e-3, 1e-5
 #: Most motions that are kept.
 _KEPT = 4
 
@@ -154,23 +153,11 @@ class ToneModel:
 
     @cached_property
     def _zetas(self) -> dict[str, str]:
-        """Name of the frequency of each mode -> that of its damping ratio."""
-        plant = {
-            n: f"zeta{n[1:-3]}"
-            for n in self.model.by_name
-            if n.endswith("_hz") and f"zeta{n[1:-3]}" in self.model.by_name
-        }
-        added = (effect.mode for effect in self.model.ordered_effects())
-        return plant | {mode[0]: mode[1] for mode in added if mode is not None}
+        return damping_names(self.model)
 
     def step(self, name: str, values: Mapping[str, float], size: float) -> float:
         """Step of a central difference at ``values``; ``size`` is a typical value of the parameter."""
-        at, zetas = abs(values.get(name, 0.0)), self._zetas
-        if name in zetas:
-            return _STEP * max(values.get(zetas[name], 1.0), 1e-9) * at
-        if name in zetas.values():
-            return _STEP * max(at, 1e-9)
-        return max(_RELATIVE * at, 0.1 * size)
+        return difference_step(self._zetas, name, values, size)
 
 
 def _points(record: ToneRecord) -> TonePoints:

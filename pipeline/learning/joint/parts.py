@@ -9,6 +9,7 @@ from ...experiment.tones import ToneCampaign
 from ...inference.general.effect_starts import with_effect_starts
 from ...inference.general.scales import check_pickoff, scaled_to
 from ...inference.general.starts import find_start
+from ..envelopes.part import EnvelopePart
 from ..timed.part import TimePart
 from ..tones.part import TonePart
 from .part import Part, model_with
@@ -36,5 +37,7 @@ def parts_of(campaign: ToneCampaign, model: Model) -> tuple[Part, ...]:
         found.append(TimePart(model, model, timed, level))
     if campaign.records:
         found.append(TonePart(model, model, campaign))
+    if campaign.envelopes:
+        found.append(EnvelopePart(model, model, campaign))
     full = model_with(model, tuple(dict.fromkeys(name for part in found for name in part.effects)))
     return tuple(part.with_full(full) for part in found)

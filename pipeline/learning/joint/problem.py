@@ -231,7 +231,7 @@ class JointProblem:
 
     def _derived(self, fit: FitResult) -> dict[str, tuple[float, float]]:
         """Full width at half power 2 zeta f [Hz] of each mode; theta and split of a gyro."""
-        names, values = list(fit.parameters), _values(fit)
+        names, values = list(fit.parameters), {**self._fixed, **_values(fit)}
         covariance = _covariance(fit)
 
         def sd(gradient: Mapping[str, float]) -> float:
@@ -242,9 +242,9 @@ class JointProblem:
         if {"f1_hz", "f2_hz", "theta_deg"} <= set(names):
             split = values["f2_hz"] - values["f1_hz"]
             found |= {"theta_deg": fit.parameters["theta_deg"], "split_hz": (split, sd({"f2_hz": 1.0, "f1_hz": -1.0}))}
-        for name in names:
+        for name in values:
             zeta = f"zeta{name[1:-3]}"
-            if name.endswith("_hz") and zeta in values:
+            if name.endswith("_hz") and zeta in fit.parameters:
                 f, z = values[name], values[zeta]
                 found[f"width{name[1:-3]}_hz"] = (2.0 * z * f, sd({name: 2.0 * z, zeta: 2.0 * f}))
         return found

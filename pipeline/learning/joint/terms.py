@@ -37,6 +37,8 @@ def _term(
     if not plain or not all(effect.full_name(m) in sized for m in plain):
         return None
     scanned = {effect.full_name(m): m.grid for m in members if m.grid}
+    if effect.mode is not None and not grid[0]:
+        return None
     if effect.mode is not None:
         scanned |= dict(zip(effect.mode, grid))
     parameters = []

@@ -5,7 +5,7 @@ Shapes: N rows, S senses; blocks (n, 2 S) as in ``rows``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -136,11 +136,11 @@ class TonePart:
 
     def sizes(self, names: Sequence[str], values: Values) -> dict[str, float]:
         """By trial."""
-        return sizes_of(self.tone, [name for name in names if name in self.effects], values)
+        return sizes_of(self, [name for name in names if name in self.effects], values)
 
     def even_parameters(self, sizes: Values, values: Values) -> frozenset[str]:
         """By trial."""
-        return even_parameters(self.tone, sizes, values)
+        return even_parameters(self, sizes, values)
 
     def with_full(self, full: Model) -> TonePart:
         """The part for the model with every term."""
@@ -153,6 +153,10 @@ class TonePart:
     def mode_grid(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Within the rows."""
         return mode_grid(self.campaign)
+
+    def nearby(self, values: Values) -> Callable[[Values], tuple[ComplexArray, ...]]:
+        """Y (N, S) [V] of every record at values close to these."""
+        return self.tone.nearby(values)
 
     def predict(self, values: Values) -> tuple[FloatArray, ...]:
         """The passes of a device."""

@@ -37,8 +37,8 @@ class Nearby(Protocol):
     """Records as a function of parameters."""
 
     @property
-    def model(self) -> Model:
-        """Plant and effects."""
+    def full(self) -> Model:
+        """Plant and every effect."""
         ...
 
     def nearby(self, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], Sequence[Any]]:
@@ -54,9 +54,9 @@ def sizes_of(model: Nearby, names: Sequence[str], values: Mapping[str, float]) -
     near = model.nearby(values)
     plain = near(values)
     norm = float(np.sqrt(sum(np.vdot(y, y).real for y in plain)))
-    shape, found = model.model.built.shape, {}
+    shape, found = model.full.built.shape, {}
     for name in names:
-        effect = model.model.library[name]
+        effect = model.full.library[name]
         members = effect.members(shape)
         grid = {effect.full_name(m): m.grid[len(m.grid) // 2] for m in members if m.grid}
         for member in members:
@@ -104,7 +104,7 @@ def even_parameters(model: Nearby, sizes: Mapping[str, float], values: Mapping[s
     near, found = model.nearby(values), set()
     plain = near(values)
     for name, size in sizes.items():
-        if name not in model.model.by_name or model.model.by_name[name].low >= 0.0:
+        if name not in model.full.by_name or model.full.by_name[name].low >= 0.0:
             continue
         try:
             above, below = (near({**values, name: side * size}) for side in (1.0, -1.0))
