@@ -92,7 +92,8 @@ class EnvelopePart:
     def effects(self) -> tuple[str, ...]:
         """Those of the motion and of the pick-off."""
         library = self.model.library
-        return tuple(name for name in self.model.candidates() if set(library[name].stages) & _STAGES)
+        found = (name for name in self.model.candidates() if set(library[name].stages) & _STAGES)
+        return tuple(name for name in found if not library[name].memories)
 
     @property
     def ranged(self) -> tuple[str, ...]:
