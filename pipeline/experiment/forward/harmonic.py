@@ -74,7 +74,6 @@ def steady_motion(system: System, points: TonePoints) -> SteadyMotion:
     """
     if not system.forces:
         return SteadyMotion(system, points, linear_state(system, points))
-    system = system.integrated
     x = np.zeros((points.omega.size, system.mechanics.stiffness.shape[1] * SHAPES.shape[0]))
     missed = int(
         _compiled(follow)(
@@ -108,10 +107,7 @@ def branch(motion: SteadyMotion) -> Callable[[System], ComplexArray]:
     def at(system: System) -> ComplexArray:
         if not (system.forces or system.senses or system.drives or motion.system.forces):
             return linear_tones(system, motion.points.frequency_hz, motion.points.drive_v)
-        system = system.integrated
         if system.mechanics.stiffness.shape[1] * SHAPES.shape[0] != m:
-            if any(effect.has_coordinates for effect, _ in system.forces):
-                return steady_motion(system, motion.points).y
             # An effect appended a coordinate; it is linear here, so its motion starts from the linear one.
             return detected(system, motion.points, linear_state(system, motion.points))
         if not jacobian:

@@ -11,11 +11,9 @@ A row starts from the motion of the row before, in steps that are halved where N
 ends on an unstable solution (det J < 0, a saddle).  Where no step is left the solution ends in a fold, and the motion jumps: the
 slow flow
 
-    D dx/dt = -R,   D: (a_h, b_h)' -> (C a_h' + 2 h w b_h', C b_h' - 2 h w a_h'),   C a_0' for the mean; a_0' for a memory
+    D dx/dt = -R,   D: (a_h, b_h)' -> (C a_h' + 2 h w b_h', C b_h' - 2 h w a_h'),   C a_0' for the mean
 
 is integrated from there by linearly implicit steps that grow, to the solution that a slow sweep reaches.
-
-The place of a memory has no meaning, so its unknown a_0 is the mean of the memory instead, that of its velocity.
 
 Shapes: N rows, n coordinates, D drives, m = n (2 H + 1).  Units: volts, seconds, rad/s.
 
@@ -93,7 +91,6 @@ def _balance(
     n = laws.stiffness.shape[0]
     terms, times = shapes.shape
     harmonics = terms // 2
-    moving = n - laws.memories
     residual[:] = 0.0
     jacobian[:] = 0.0
     for i in range(n):
@@ -120,7 +117,7 @@ def _balance(
     step = 1e-6 * largest
     for s in range(times):
         for i in range(n):
-            value, rate = x[i * terms], x[i * terms] if i >= moving else 0.0
+            value, rate = x[i * terms], 0.0
             for h in range(1, harmonics + 1):
                 a, b = x[i * terms + 2 * h - 1], x[i * terms + 2 * h]
                 value += a * shapes[2 * h - 1, s] + b * shapes[2 * h, s]
@@ -163,8 +160,6 @@ def _balance(
                             for c in range(terms):
                                 jacobian[i * terms + r, j * terms + c] -= weight * shapes[c, s]
                         else:
-                            if j >= moving:
-                                jacobian[i * terms + r, j * terms] -= weight
                             for h in range(1, harmonics + 1):
                                 # q' holds -h w a sin + h w b cos.
                                 jacobian[i * terms + r, j * terms + 2 * h - 1] += weight * h * w * shapes[2 * h, s]
@@ -230,7 +225,7 @@ def _settle(
     n = laws.stiffness.shape[0]
     terms = shapes.shape[0]
     damping = np.inf
-    for i in range(n - laws.memories):
+    for i in range(n):
         damping = min(damping, max(laws.damping[i, i], 1e-9 * w))
     step = SLOW_LENGTH * 2.0 / damping
     for k in range(SLOW_STEPS + GROWING_STEPS):
@@ -246,8 +241,6 @@ def _settle(
                 a, b = i * terms + 2 * h - 1, i * terms + 2 * h
                 jacobian[a, b] += 2.0 * h * w / step
                 jacobian[b, a] -= 2.0 * h * w / step
-            if i >= n - laws.memories:
-                jacobian[i * terms, i * terms] += 1.0 / step
         if _solve(jacobian, residual) == 0.0:
             return 0.0
         change, size = _size(residual), _size(x)

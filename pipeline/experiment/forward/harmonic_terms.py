@@ -16,7 +16,6 @@ from ...arrays import ComplexArray, FloatArray
 from ...device.force_law import Points, force_along
 from .response import force_volts
 from .system import System
-from .tones import acting_drive
 
 #: Harmonics H and times T of a period: a cubic force of harmonics up to 3 has harmonics up to 9, which do not alias with 32.
 HARMONICS, TIMES = 3, 32
@@ -47,8 +46,7 @@ class TonePoints:
 
 def force_samples(system: System, points: TonePoints) -> FloatArray:
     """u (N, T, D) [V]: the drives at the times of a period, after the drive stage."""
-    acting = acting_drive(system, points.frequency_hz, points.drive_v)
-    volts = np.real(acting[:, None, :] * np.exp(1.0j * _THETA)[None, :, None])
+    volts = np.real(points.drive_v[:, None, :] * np.exp(1.0j * _THETA)[None, :, None])
     count, _, drives = volts.shape
     return np.ascontiguousarray(force_volts(system, volts.reshape(-1, drives)).reshape(count, TIMES, drives))
 
@@ -62,7 +60,7 @@ def _dynamic(system: System, points: TonePoints, h: int) -> ComplexArray:
 
 
 def linear_state(system: System, points: TonePoints) -> FloatArray:
-    """x (N, m) without nonlinear forces; a nonlinear drive stage drives harmonics.  ``system`` has no memories."""
+    """x (N, m) without nonlinear forces; a nonlinear drive stage drives harmonics."""
     volts = force_samples(system, points) @ system.mechanics.drive[0].T
     n = volts.shape[2]
     x = np.zeros((points.omega.size, n, SHAPES.shape[0]))
@@ -78,15 +76,14 @@ def linear_state(system: System, points: TonePoints) -> FloatArray:
     return x.reshape(points.omega.size, -1)
 
 
-def _in_time(points: TonePoints, x: FloatArray, memories: int) -> tuple[FloatArray, FloatArray]:
-    """q and q' (n, N T) at the times of a period; the means of the last coordinates, ``memories``, are those of q'."""
+def _in_time(points: TonePoints, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """q and q' (n, N T) at the times of a period."""
     count, terms = points.omega.size, SHAPES.shape[0]
     each = x.reshape(count, -1, terms)
     rates = np.zeros_like(each)
     for h in range(1, HARMONICS + 1):
         rates[:, :, 2 * h - 1] = h * points.omega[:, None] * each[:, :, 2 * h]
         rates[:, :, 2 * h] = -h * points.omega[:, None] * each[:, :, 2 * h - 1]
-    rates[:, each.shape[1] - memories :, 0] = each[:, each.shape[1] - memories :, 0]
     q, qd = (np.moveaxis(one @ SHAPES, 1, 0).reshape(each.shape[1], -1) for one in (each, rates))
     return np.ascontiguousarray(q), np.ascontiguousarray(qd)
 
@@ -101,7 +98,7 @@ def _forces(system: System, at: Points) -> FloatArray:
 
 
 def _at(system: System, points: TonePoints, x: FloatArray) -> Points:
-    q, qd = _in_time(points, x, system.remembered)
+    q, qd = _in_time(points, x)
     u = force_samples(system, points).reshape(-1, points.drive_v.shape[1]).T
     return Points(np.repeat(points.time_s, TIMES), q, qd, np.ascontiguousarray(u))
 
@@ -155,8 +152,6 @@ def jacobian_of(system: System, points: TonePoints, x: FloatArray) -> FloatArray
                 shapes = slopes_of_rate if rate else SHAPES
                 part = np.einsum("rt,int,ct->nirc", _WEIGHTS, slope, shapes, optimize=True)
                 out[:, :, :, j, :] -= part * points.omega[:, None, None, None] if rate else part
-                if rate and j >= n - system.remembered:
-                    out[:, :, :, j, 0] -= np.einsum("rt,int->nir", _WEIGHTS, slope)
     return out.reshape(count, n * terms, n * terms)
 
 
@@ -167,7 +162,7 @@ def pickoff_tones(system: System, points: TonePoints, x: FloatArray) -> ComplexA
         q = each[:, :, 1] - 1.0j * each[:, :, 2]
         velocity = 1.0j * points.omega[:, None] * q
         return np.asarray(velocity @ m.velocity_sense[0].T + q @ m.position_sense[0].T)
-    q_t, v_t = (one.T for one in _in_time(points, x, system.remembered))
+    q_t, v_t = (one.T for one in _in_time(points, x))
     s = v_t @ m.velocity_sense[0].T + q_t @ m.position_sense[0].T
     t = np.repeat(points.time_s, TIMES)
     for effect, p in system.senses:

@@ -22,7 +22,7 @@ from ...arrays import FloatArray
 from ...device.force_law import Laws
 
 #: Most force effects that can act at once.
-MOST_FORCES = 16
+MOST_FORCES = 8
 
 
 @njit(inline="always")

@@ -37,8 +37,7 @@ def with_effect_starts(
     """
     values = dict(start)
     for effect in model.ordered_effects():
-        # The shape of a disturbance is chosen below; other parameters that are not fitted (which channel) are scanned.
-        members = [m for m in effect.members(model.built.shape) if m.fitted or effect.disturbance is None]
+        members = [m for m in effect.members(model.built.shape) if m.fitted]
         if any(m.grid for m in members) and not any(effect.full_name(m) in values for m in members):
             values |= _scanned(model, effect.name, campaign, noise, values, likely, threads)
     for effect in model.ordered_effects():

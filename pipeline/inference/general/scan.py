@@ -21,7 +21,6 @@ from scipy.ndimage import uniform_filter1d
 
 from ...arrays import FloatArray
 from ...device.model import Model
-from ...experiment.forward.clip_levels import clip_levels
 from ...experiment.forward.signatures import Signature, base_of, signatures
 from ...experiment.instrument import Instrument
 from .gauss_newton import PATIENCE
@@ -85,9 +84,6 @@ def scan(
         if member.grid and member.unit == "Hz":
             top = min(member.high, rate / 2.0)
             grid[member.name] = likely.get(member.name) or peaks_hz(residuals, rate, member.low, top)
-    if found.clips("drive"):
-        # Its declared grid holds all drives that may occur; each point of it takes a response.
-        grid |= clip_levels(found, model.built.shape, [task.record for task in tasks.each])
     normal = sum(j.T @ j for j in columns)
     scale = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)

@@ -30,7 +30,7 @@ _WIDTHS, _POINTS = (3.0,), 48
 def term_names(model: Model, swept: bool) -> tuple[str, ...]:
     """Absent effects that act on a steady response; a frequency response has no level, so it shows linear effects only."""
     stages = STAGES if swept else _LINEAR
-    return tuple(name for name in model.candidates(swept) if set(model.library[name].stages) & stages)
+    return tuple(name for name in model.candidates() if set(model.library[name].stages) & stages)
 
 
 class Nearby(Protocol):

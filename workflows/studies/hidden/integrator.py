@@ -65,13 +65,10 @@ class Physics(NamedTuple):
     quadratic_x: float
     quadratic_y: float
     drag: float
-    cubic_drag: float
-    film: float
-    weakening: float
-    friction: float
-    friction_speed: float
     pickoff_time_s: float
     delay_s: float
+    friction: float
+    friction_speed: float
     hysteresis: float
     hysteresis_reach: float
     stop: float
@@ -81,11 +78,6 @@ class Physics(NamedTuple):
     pump_omega: float
     heating: float
     cooling_per_s: float
-    preload: float
-    preload_reach: float
-    step: float
-    step_s: float
-    step_width_s: float
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
@@ -95,8 +87,6 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
     warm = 1.0 + g.stiffness_drift * t
     if g.pump != 0.0:
         warm += g.pump * np.cos(g.pump_omega * t)
-    if g.step != 0.0:
-        warm += 0.5 * g.step * (1.0 + np.tanh((t - g.step_s) / g.step_width_s))
     loss = 1.0 + g.damping_drift * t
     for i in range(n):
         a = 0.0
@@ -121,20 +111,6 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
     dy[n] -= g.cubic * radius2 * x + g.quadratic_x * x * x + g.drag * speed * xd
     dy[n + 1] -= g.cubic * radius2 * z + g.quadratic_y * z * z + g.drag * speed * zd
     dy[_MEMORY] = dy[_MEMORY + 1] = 0.0
-    if g.cubic_drag != 0.0:
-        dy[n] -= g.cubic_drag * speed * speed * xd
-        dy[n + 1] -= g.cubic_drag * speed * speed * zd
-    if g.film != 0.0 or g.weakening != 0.0:
-        # Films on both sides, whose gaps are 1 - x and 1 + x; both laws without what is in the linear damping.
-        x_g = np.sqrt(g.film * radius2)
-        change = 0.5 / (1.0 - x_g) ** 3 + 0.5 / (1.0 + x_g) ** 3 - 1.0
-        change += 1.0 / (1.0 + g.weakening * speed) - 1.0
-        dy[n] -= change * (g.damping[0, 0] * xd + g.damping[0, 1] * zd)
-        dy[n + 1] -= change * (g.damping[1, 0] * xd + g.damping[1, 1] * zd)
-    if g.preload != 0.0:
-        push = g.preload / np.sqrt(radius2 + g.preload_reach * g.preload_reach)
-        dy[n] -= push * x
-        dy[n + 1] -= push * z
     if g.friction != 0.0:
         rub = g.friction / np.sqrt(speed * speed + g.friction_speed * g.friction_speed)
         dy[n] -= rub * xd

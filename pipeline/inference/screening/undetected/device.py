@@ -24,7 +24,7 @@ from ..fit import Fit
 from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
 from .bounds import Candidates, Projection, judged, summary
-from .clipping import adc_sizes, drive_sizes, loud_samples
+from .clipping import adc_sizes, loud_samples
 from .library import BandSignature
 from .linear import linear_devices
 from .linear_stages import moved_mechanics
@@ -64,7 +64,6 @@ def scored_device(
     with_mismatch = prior is not None
     louds = [loud_samples(model_v) for model_v in models_v]
     sizes = adc_sizes(louds, noise.sigma_v, instrument.bias_v, with_mismatch)
-    sizes |= drive_sizes([item.band.drive_v for item in data], with_mismatch)
     first = data[0].band.frequency_hz
     devices, moved = linear_devices(
         fit, [item.band for item in data], instrument, partial(moved_mechanics, with_mismatch)

@@ -8,7 +8,7 @@ Shapes: S = 2 senses, W bins, n points of the grid.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -27,8 +27,6 @@ from .parity import kind_of
 _SHARE = 1e-4
 #: Every so many points a law is tried to find the size of its probe.
 _SPARSE = 16
-#: Phases of half a turn of a drive that clips, an odd law: its 15th harmonic is folded into the first.
-_CLIP_PHASES = 8
 #: First harmonic of an even law relative to its other harmonics: rounding.
 _EVEN = 1e-9
 _MOTION_S: FloatArray = np.concatenate([M_S, np.ones((2, 1))], axis=1)
@@ -70,9 +68,6 @@ def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> It
     even: list[_EvenLaw] = []
     for probe in probes_of(with_mismatch, "force"):
         kind, p = kind_of(probe), probe.at(probe.member.scale)
-        if kind.even and kind.still:
-            # What the drive alone makes at other harmonics does not mix with the motion.
-            continue
         used, key = signals if kind.linear else loud, (kind.linear, kind.phases.size)
         if key not in motions:
             motions[key] = used.at(kind.phases)
@@ -135,20 +130,15 @@ def _returns(probe: Probe) -> bool:
     return float(np.linalg.norm(plus - minus)) > _EVEN * float(np.linalg.norm(plus))
 
 
-def drive_forces(
-    device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool
-) -> Iterator[BandForce]:
-    """The force of each parameter of the drive laws; ``sizes`` are those of clipping."""
+def drive_forces(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForce]:
+    """The force of each parameter of the drive laws."""
     for probe in probes_of(with_mismatch, "drive"):
-        clips = probe.effect.clips("drive")
-        if (probe.effect.name not in sizes) if clips else not _returns(probe):
+        if not _returns(probe):
             continue
         assert probe.effect.drive is not None
-        value = sizes.get(probe.effect.name, probe.member.scale)
-        phases = np.linspace(0.0, np.pi, _CLIP_PHASES, endpoint=False) if clips else whole_turn()
-        v = at_phases(signals.drives, phases).T
-        (change,) = harmonics((probe.effect.drive(v, probe.at(value), device.context) - v).T, phases, 1)
-        yield BandForce(probe, signals.kept, device.mechanics.drive[0] @ change, value, 1)
+        v = at_phases(signals.drives, phases := whole_turn()).T
+        (change,) = harmonics((probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, phases, 1)
+        yield BandForce(probe, signals.kept, device.mechanics.drive[0] @ change, probe.member.scale, 1)
 
 
 def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandSignature]:

@@ -37,14 +37,12 @@ class LawKind:
     phases : (M,) [rad] at which the law is taken.
     linear, even : whether it is linear or even; neither if it is odd or mixed.
     order : of what returns into the band in the parameter, 1 or 2.
-    still : whether it does not depend on the motion.
     """
 
     phases: FloatArray
     linear: bool
     even: bool
     order: int
-    still: bool = False
 
 
 @lru_cache(maxsize=256)
@@ -70,9 +68,7 @@ def kind_of(probe: Probe) -> LawKind:
         # |x| x is right to 1 %: its seventh harmonic is folded into the first.
         return LawKind(np.linspace(0.0, np.pi, 4, endpoint=False), False, False, 1)
     if np.linalg.norm(plus - minus) <= size:
-        rest = force_along(force, Points(np.ones(_POINTS), 0.0 * q, 0.0 * qd, u), p, laws)
-        still = bool(np.linalg.norm(rest - plus) <= size)
-        return LawKind(np.linspace(0.0, np.pi, 3, endpoint=False), False, True, 2, still)
+        return LawKind(np.linspace(0.0, np.pi, 3, endpoint=False), False, True, 2)
     odd, half = (at(1.0, strength) - at(-1.0, strength) for strength in (1.0, 0.5))
     order = 2 if float(np.linalg.norm(odd)) > 3.0 * float(np.linalg.norm(half)) else 1
     return LawKind(whole_turn(), False, False, order)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from pipeline.device.model import Model
 from pipeline.device.plant import PlantSpec
 from pipeline.experiment.forward.harmonic import branch, steady_motion
-from pipeline.experiment.forward.harmonic_terms import TonePoints, residual_of
+from pipeline.experiment.forward.harmonic_terms import TonePoints
 from pipeline.experiment.forward.system import Conditions, assemble
 from pipeline.experiment.forward.tones import linear_tones
 from pipeline.experiment.instrument import Instrument
@@ -58,32 +58,6 @@ def test_a_duffing_sweep_jumps_as_time_integration_does():
     assert np.abs(y - other).max() < 1e-4 * np.abs(other).max()
     # The upper branch on the way up, the lower one on the way down.
     assert abs(y[2]) > 3.0 * abs(y[4])
-
-
-def test_a_sweep_with_a_memory_is_that_of_time_integration():
-    k, r = 2e4, 3e-5
-
-    def slope(t, z, w):
-        x, v, h = z
-        pull = GAIN * DRIVE * math.cos(w * t) - 2.0 * ZETA * W0 * v - W0**2 * x - k * h
-        return v, pull, v - 0.5 * (abs(v) * h + v * abs(h)) / r
-
-    f, expected = np.array([99.0, 101.0]), []
-    for own in f:
-        w, t = 2.0 * math.pi * own, (np.arange(64) / 64 + 90.0) / own
-        run = solve_ivp(slope, (0.0, t[-1]), [0.0, 0.0, 0.0], "RK45", rtol=1e-6, atol=1e-12, t_eval=t, args=(w,))
-        expected.append(np.mean(2.0 * run.y[1] * np.exp(-1j * w * t)))
-    own = system(effects=("hysteresis",), **{"hysteresis.k": k, "hysteresis.r": r})
-    linear = linear_tones(system(effects=()), f, points(f).drive_v)[:, 0]
-    followed = steady_motion(own, points(f))
-    assert np.abs(linear - expected).max() > 0.05 * np.abs(expected).max()
-    # Its corners have harmonics above the third, which cost 0.3 % of the peak.
-    assert np.abs(followed.y[:, 0] - expected).max() < 5e-3 * np.abs(expected).max()
-    assert np.abs(residual_of(followed.system, points(f), followed.x)).max() < 1e-9 * GAIN * DRIVE
-    # Its signature starts from a motion without memories.
-    weak = system(effects=("hysteresis",), **{"hysteresis.k": 1e-3 * k, "hysteresis.r": r})
-    change = branch(steady_motion(system(effects=()), points(f)))(weak)[:, 0] - linear
-    assert 1e-5 < np.abs(change).max() / np.abs(linear).max() < 1e-2
 
 
 def test_without_forces_the_motion_is_that_of_the_linear_path():
