@@ -14,7 +14,7 @@ Source of the mean: Rice, Bell Syst. Tech. J. 24 (1945) 46, section 3.10.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -115,7 +115,6 @@ def settled_rows(record: EnvelopeRecord) -> EnvelopeRecord:
 
 def rows_of(record: EnvelopeRecord, rows: np.ndarray | slice) -> EnvelopeRecord:
     """The record with some of its rows."""
-    from dataclasses import replace
 
     def cut(values: FloatArray | None) -> FloatArray | None:
         return None if values is None else values[rows]

@@ -22,7 +22,7 @@ from ...experiment.tones import ToneCampaign
 from ...inference.envelopes.model import EnvelopeModel, Predicted, floor_name
 from ...inference.envelopes.start import modes_of_decays
 from ...inference.tones.steps import damping_names, difference_step
-from ..joint.part import PartNoise, RecordLeft, Values
+from ..joint.part import PartNoise, RecordLeft, Values, stacked_columns
 from ..tones.terms import even_parameters, sizes_of
 from .rows import EnvelopeRows
 
@@ -200,12 +200,7 @@ class EnvelopePart:
             sides = (1.0, 0.0) if name in self.even and values[name] < step else (1.0, -1.0)
             above, below = (self.predict({**values, name: values[name] + side * step}) for side in sides)
             columns.append(tuple((a - b) / ((sides[0] - sides[1]) * step) for a, b in zip(above, below)))
-        return [
-            np.stack([column[b].reshape(-1) for column in columns], axis=1)
-            if columns
-            else np.zeros((block.residual.size, 0))
-            for b, block in enumerate(self.measured)
-        ]
+        return stacked_columns(columns, self.measured)
 
     @cached_property
     def _unseen(self) -> frozenset[str]:

@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
+import numpy as np
+
 from ...arrays import FloatArray, IntArray
 from ...criticism.problem import Region, ResidualBlock, Signatures
 from ...criticism.regression import Term
@@ -170,3 +172,13 @@ def model_with(model: Model, names: Sequence[str]) -> Model:
     for name in names:
         model = model.with_effect(name)
     return model
+
+
+def stacked_columns(columns: Sequence[Sequence[FloatArray]], measured: Sequence[ResidualBlock]) -> list[FloatArray]:
+    """For each block its columns (n m, K), from K derivatives that each hold one array (n, m) for every block."""
+    return [
+        np.stack([column[b].reshape(-1) for column in columns], axis=1)
+        if columns
+        else np.zeros((block.residual.size, 0))
+        for b, block in enumerate(measured)
+    ]

@@ -20,7 +20,7 @@ from ...experiment.tones import ToneCampaign
 from ...inference.modal.model import starting_values
 from ...inference.tones.model import PHASE, SETTLING, SHARE, ToneModel, differences, offset_names
 from ...inference.tones.start import LinearModes, linear_modes_of
-from ..joint.part import PartNoise, RecordLeft, Values
+from ..joint.part import PartNoise, RecordLeft, Values, stacked_columns
 from .rows import ToneRows
 from .terms import even_parameters, mode_grid, sizes_of, term_names
 
@@ -172,12 +172,7 @@ class TonePart:
         columns = [
             self.rows.whitened(one) for one in differences(self.tone, values, names, {**sizes, **own, PHASE: 1.0})
         ]
-        return [
-            np.stack([column[b].reshape(-1) for column in columns], axis=1)
-            if columns
-            else np.zeros((block.residual.size, 0))
-            for b, block in enumerate(self.measured)
-        ]
+        return stacked_columns(columns, self.measured)
 
     @property
     def _largest(self) -> float:
