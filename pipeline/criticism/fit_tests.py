@@ -102,10 +102,11 @@ class FitTests:
         """
         return tuple(score for score in self.scores if score.p_value < alpha and score.detectable)
 
-    @property
-    def curved(self) -> tuple[Score, ...]:
-        """Candidates that these data may show by their second order only."""
-        return tuple(score for score in self.scores if score.name in self.signatures.curved)
+    def curved(self, alpha: float) -> tuple[Score, ...]:
+        """Candidates that these data may show by their second order only, where structure at ``alpha`` asks for one."""
+        signatures = self.signatures
+        names = signatures.curved if self.is_structured(alpha) else signatures.beside
+        return tuple(score for score in self.scores if score.name in names)
 
     def is_structured(self, alpha: float) -> bool:
         """Whether structure is left in the residual, at ``alpha``."""

@@ -204,6 +204,7 @@ class Signatures:
     grams : ``stratum_grams`` of the blocks (strata, K, K), where the problem stores them.
     curved : names of candidates of which the baseline may absorb the column but not the second order; a refit from a size that
         is not null shows them.
+    beside : those of ``curved`` beside which the records were corrected; they are refitted even where no structure is left.
     """
 
     candidates: tuple[Candidate, ...]
@@ -211,6 +212,7 @@ class Signatures:
     local: tuple[LocalCandidate, ...] = ()
     grams: FloatArray | None = None
     curved: frozenset[str] = frozenset()
+    beside: frozenset[str] = frozenset()
 
 
 def stratum_grams(columns: Sequence[FloatArray], strata: Sequence[IntArray]) -> FloatArray:

@@ -163,8 +163,7 @@ def _next(cache: FitCache, tests: FitTests, at_limit: Mapping[str, Score], rules
     """
     significant = tests.significant(rules.alpha)
     # A score knows the first order alone, so it promises nothing for a candidate whose second order is all that is left.
-    structured = tests.is_structured(rules.alpha_left)
-    curved = tuple(score for score in tests.curved if score not in significant) if structured else ()
+    curved = tuple(score for score in tests.curved(rules.alpha_left) if score not in significant)
     if not significant and not curved:
         return _Pass(_pair(cache, tests, rules))
     reasons: dict[str, str] = {}

@@ -53,6 +53,21 @@ def channels_checked(model: Model, record: Record) -> None:
         )
 
 
+def _plant_slope(f: Callable[[float], FloatArray], at: float, step: float) -> FloatArray:
+    """df/dx of a plant parameter, from the sides on which the damping matrix stays positive.
+
+    Raises
+    ------
+    ConfigError : it is positive on no side.
+    """
+    for low, high in ((-np.inf, np.inf), (at, np.inf)):
+        try:
+            return _slope(f, at, step, low, high)
+        except ConfigError:
+            continue
+    return _slope(f, at, step, -np.inf, at)
+
+
 def _slope(f: Callable[[float], FloatArray], at: float, step: float, low: float, high: float) -> FloatArray:
     """df/dx at ``at`` to second order in ``step``, from points inside [low, high]."""
     if at - step >= low and at + step <= high:
@@ -244,7 +259,8 @@ def group_jacobian(
             columns[i] = _slope(partial(after_adc, i), x0[i], 1e-6 * max(abs(x0[i]), step), *limits)
             return
         if not is_integrated(model, name):
-            columns[i] = _slope(partial(linear, i), x0[i], step, *(limits if "." in name else (-np.inf, np.inf)))
+            own = partial(linear, i)
+            columns[i] = _slope(own, x0[i], step, *limits) if "." in name else _plant_slope(own, x0[i], step)
         if i in known:
             columns[i] += known[i]
 

@@ -42,6 +42,10 @@ class Grams:
     cr: FloatArray
     rr: float
 
+    def without_parameters(self) -> Grams:
+        """The products of the deviations alone, for parameters that stay where they are."""
+        return replace(self, jj=self.jj[:0, :0], jr=self.jr[:0], cj=self.cj[:, :, :0])
+
 
 def grams_of(columns: Sequence[FloatArray], jacobians: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> Grams:
     return Grams(
@@ -87,7 +91,7 @@ def solved(g: Grams, sd: FloatArray) -> Solved:
     right = g.jr - flat.T @ pull.reshape(-1)
     scale = np.sqrt(np.maximum(np.diagonal(left), 1e-300))
     size, vectors = np.linalg.eigh(left / np.outer(scale, scale))
-    kept = size > 1e-12 * size[-1]
+    kept = size > 1e-12 * np.max(size, initial=0.0)
     along = vectors.T @ (right / scale)
     dx = vectors[:, kept] @ (along[kept] / size[kept]) / scale
     quadratic = g.rr - float(np.vdot(g.cr, pull)) - float(right @ dx)

@@ -122,17 +122,22 @@ def spread_at(linear: Linearized, g: Grams, most: int) -> RecordSpread:
 
 
 def estimated(
-    linear: Linearized, g: Grams, residuals: Sequence[FloatArray], spread: RecordSpread
+    linear: Linearized,
+    g: Grams,
+    residuals: Sequence[FloatArray],
+    spread: RecordSpread,
+    held: bool = False,
 ) -> tuple[RecordVariation, FloatArray]:
-    """The deviations of the records at given spreads, and the step (P,) of the parameters that goes with them."""
+    """The deviations of the records at given spreads, and the step (P,) of the parameters that goes with them; 0 if ``held``."""
     tasks, count = linear.tasks.each, len(linear.products.cc)
     sd = spread.of_deviations(tasks[0].record.sense_v.shape[1])
-    best = solved(g, sd)
+    best = solved(g.without_parameters() if held else g, sd)
     out = [
         Deviations(t.record.name, d, np.sqrt(np.diagonal(v)))
         for t, d, v in zip(tasks, best.deviations, best.covariances)
     ]
-    dx = best.dx[: len(linear.fit.names)]
+    width = len(linear.fit.names)
+    dx = np.zeros(width) if held else best.dx[:width]
     for t, c, j, r in zip(tasks[count:], linear.columns[count:], linear.jacobians[count:], residuals[count:]):
         # The parameters come from the fit records only.
         alone = solved(grams_of([c], [np.zeros((r.size, 1))], [r - j @ dx]), sd)

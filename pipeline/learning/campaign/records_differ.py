@@ -180,6 +180,7 @@ def selected(
         if aligned and not any(new < _SMALLER * old for old, new in pairs):
             break
         clipped, curved = clips(fit.model), problem.curved & set(terms)
-        problem = varied_problem(problem, fit_with_variation(fit.model, problem.measured, fit, problem.threads))
+        known = problem.variation
+        problem = varied_problem(problem, fit_with_variation(fit.model, problem.measured, fit, problem.threads, known))
         selection = forward_selection(restricted(problem), (), rules)
     return problem, selection

@@ -12,6 +12,7 @@ from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign, Record
 from pipeline.experiment.systematic import Systematic
 from pipeline.inference.general.fit import fit_campaign
+from pipeline.inference.general.variance_components import grams_of, solved
 from pipeline.inference.general.variation import record_variation
 from pipeline.inference.general.varied_fit import fit_with_variation
 from workflows.simulate import standard_excitations
@@ -93,3 +94,17 @@ def test_a_declared_temperature_replaces_the_frequency_shifts_that_the_records_w
     assert plain.error["fit"] > 1.2
     assert told.error["fit"] == pytest.approx(1.0, abs=0.01)
     assert record_variation(told, known).spread.is_zero
+
+
+def test_deviations_beside_parameters_that_stay_do_not_absorb_the_step_that_is_not_taken():
+    # The column of the deviation is nearly that of the parameter, and only a step of the parameter explains the residual.
+    random = np.random.default_rng(3)
+    j, c = random.standard_normal((2, 400, 1))
+    c = j + 0.1 * c
+    g = grams_of([c], [j], [(5.0 * j + c)[:, 0]])
+    sd = np.array([1e3])
+    assert solved(g, sd).deviations == pytest.approx(np.array([[1.0]]), rel=1e-4)
+    alone = solved(g.without_parameters(), sd)
+    assert alone.dx.size == 0
+    expected = float((c.T @ (5.0 * j + c)).item() / ((c.T @ c).item() + 1e-6))
+    assert alone.deviations == pytest.approx(np.array([[expected]]), rel=1e-9)
