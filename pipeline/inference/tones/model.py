@@ -25,7 +25,7 @@ from ...experiment.forward.harmonic_terms import TonePoints
 from ...experiment.forward.system import Conditions, System, assemble
 from ...experiment.forward.tones import linear_tones
 from ...experiment.tones import ToneCampaign, ToneRecord
-from .steps import damping_names, difference_step
+from .steps import damping_names, difference_step, lower_bound, slope
 
 PHASE = "phase_deg"
 SETTLING = "lockin_settling"
@@ -156,7 +156,7 @@ class ToneModel:
         return damping_names(self.model)
 
     def step(self, name: str, values: Mapping[str, float], size: float) -> float:
-        """Step of a central difference at ``values``; ``size`` is a typical value of the parameter."""
+        """Step of a difference at ``values``; ``size`` is a typical value of the parameter."""
         return difference_step(self._zetas, name, values, size)
 
 
@@ -182,12 +182,9 @@ def settled(y: ComplexArray, time_s: FloatArray | None, share: float) -> Complex
 def differences(
     model: ToneModel, values: Mapping[str, float], names: Sequence[str], sizes: Mapping[str, float]
 ) -> list[tuple[ComplexArray, ...]]:
-    """For each of ``names`` d Y / d parameter (N, S) of every record, by central differences at ``values``."""
+    """For each of ``names`` d Y / d parameter (N, S) of every record, by differences at ``values``."""
     found, near = [], model.nearby(values)
     for name in names:
         step = model.step(name, values, sizes.get(name, 1.0))
-        # A square is not negative, so that its difference at the null has one side.
-        sides = (1.0, 0.0) if name in model.even and values[name] < step else (1.0, -1.0)
-        above, below = (near({**values, name: values[name] + side * step}) for side in sides)
-        found.append(tuple((a - b) / ((sides[0] - sides[1]) * step) for a, b in zip(above, below)))
+        found.append(slope(near, values, name, step, lower_bound(model.model, model.even, name)))
     return found

@@ -1,8 +1,10 @@
-"""Steps of central differences by the parameters of a model."""
+"""Differences by the parameters of a model, and their steps."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from math import inf
+from typing import Any
 
 from ...device.model import Model
 
@@ -26,3 +28,27 @@ def difference_step(zetas: Mapping[str, str], name: str, values: Mapping[str, fl
     if name in zetas.values():
         return _STEP * max(at, 1e-9)
     return max(_RELATIVE * at, 0.1 * size)
+
+
+def slope(
+    predict: Callable[[Mapping[str, float]], Sequence[Any]],
+    values: Mapping[str, float],
+    name: str,
+    step: float,
+    low: float,
+) -> tuple[Any, ...]:
+    """d Y / d parameter of every array of ``predict``, by a difference at ``values``.
+
+    The difference is central, or one-sided where the step below would leave the range of the parameter, which starts at ``low``:
+    the motion may have no steady state there.
+    """
+    side = 0.0 if values[name] - step < low <= values[name] else -1.0
+    above, below = (predict({**values, name: values[name] + s * step}) for s in (1.0, side))
+    return tuple((a - b) / ((1.0 - side) * step) for a, b in zip(above, below))
+
+
+def lower_bound(model: Model, even: Collection[str], name: str) -> float:
+    """Lower end of the range of a parameter; 0 for the squares ``even``, none for parameters that are not of the ``model``."""
+    if name in even:
+        return 0.0
+    return model.by_name[name].low if name in model.by_name else -inf

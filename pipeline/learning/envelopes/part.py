@@ -21,7 +21,7 @@ from ...experiment.noise.envelopes import EnvelopeNoise, envelope_noise
 from ...experiment.tones import ToneCampaign
 from ...inference.envelopes.model import EnvelopeModel, Predicted, floor_name
 from ...inference.envelopes.start import modes_of_decays
-from ...inference.tones.steps import damping_names, difference_step
+from ...inference.tones.steps import damping_names, difference_step, lower_bound, slope
 from ..joint.part import PartNoise, RecordLeft, Values, stacked_columns
 from ..tones.terms import even_parameters, sizes_of
 from .rows import EnvelopeRows
@@ -189,7 +189,7 @@ class EnvelopePart:
         return self._cache[key]
 
     def slopes(self, values: Values, names: Sequence[str], sizes: Values) -> list[FloatArray]:
-        """By central differences, in which the free states follow."""
+        """By differences, in which the free states follow."""
         own = {**sizes, **self.own_start(values)}
         zetas, columns = damping_names(self.full), []
         for name in names:
@@ -197,9 +197,7 @@ class EnvelopePart:
                 columns.append(tuple(np.zeros(block.residual.shape) for block in self.measured))
                 continue
             step = difference_step(zetas, name, values, own.get(name, 1.0))
-            sides = (1.0, 0.0) if name in self.even and values[name] < step else (1.0, -1.0)
-            above, below = (self.predict({**values, name: values[name] + side * step}) for side in sides)
-            columns.append(tuple((a - b) / ((sides[0] - sides[1]) * step) for a, b in zip(above, below)))
+            columns.append(slope(self.predict, values, name, step, lower_bound(self.full, self.even, name)))
         return stacked_columns(columns, self.measured)
 
     @cached_property
