@@ -16,6 +16,7 @@ from ...arrays import ComplexArray, FloatArray
 from ...device.force_law import Points, force_along
 from .response import force_volts
 from .system import System
+from .tones import linear_pickoff
 
 #: Harmonics H and times T of a period: a cubic force of harmonics up to 3 has harmonics up to 9, which do not alias with 32.
 HARMONICS, TIMES = 3, 32
@@ -80,12 +81,17 @@ def _in_time(points: TonePoints, x: FloatArray) -> tuple[FloatArray, FloatArray]
     """q and q' (n, N T) at the times of a period."""
     count, terms = points.omega.size, SHAPES.shape[0]
     each = x.reshape(count, -1, terms)
+    q, qd = (np.moveaxis(one @ SHAPES, 1, 0).reshape(each.shape[1], -1) for one in (each, _rates(points, each)))
+    return np.ascontiguousarray(q), np.ascontiguousarray(qd)
+
+
+def _rates(points: TonePoints, each: FloatArray) -> FloatArray:
+    """Coefficients (N, n, 2 H + 1) of the time derivative of a motion with the coefficients ``each``."""
     rates = np.zeros_like(each)
     for h in range(1, HARMONICS + 1):
         rates[:, :, 2 * h - 1] = h * points.omega[:, None] * each[:, :, 2 * h]
         rates[:, :, 2 * h] = -h * points.omega[:, None] * each[:, :, 2 * h - 1]
-    q, qd = (np.moveaxis(one @ SHAPES, 1, 0).reshape(each.shape[1], -1) for one in (each, rates))
-    return np.ascontiguousarray(q), np.ascontiguousarray(qd)
+    return rates
 
 
 def _forces(system: System, at: Points) -> FloatArray:
@@ -159,11 +165,12 @@ def pickoff_tones(system: System, points: TonePoints, x: FloatArray) -> ComplexA
     """S (N, S) [V]: the tone in the pick-off volts of a motion x (N, m), with the sense effects."""
     m, each = system.mechanics, x.reshape(points.omega.size, -1, SHAPES.shape[0])
     if not system.senses:
-        q = each[:, :, 1] - 1.0j * each[:, :, 2]
-        velocity = 1.0j * points.omega[:, None] * q
-        return np.asarray(velocity @ m.velocity_sense[0].T + q @ m.position_sense[0].T)
+        return linear_pickoff(system, points.omega / (2.0 * np.pi), each[:, :, 1] - 1.0j * each[:, :, 2])
     q_t, v_t = (one.T for one in _in_time(points, x))
     s = v_t @ m.velocity_sense[0].T + q_t @ m.position_sense[0].T
+    if m.senses_acceleration:
+        _, a_t = _in_time(points, _rates(points, each))
+        s = s + a_t.T @ m.acceleration_sense[0].T
     t = np.repeat(points.time_s, TIMES)
     for effect, p in system.senses:
         assert effect.sense is not None

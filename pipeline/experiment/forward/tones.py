@@ -1,7 +1,7 @@
 """Steady response of an assembled system to single tones.
 
     (K + i w (C + G) - w^2) q = F u                        motion of a linear device under u(t) = Re(U e^{i w t})
-    S = (i w V + D) q + (R + i w C_f) U,   Y = G(i w) e^{-i w tau} S
+    S = (i w V + D - w^2 A) q + (R + i w C_f) U,   Y = G(i w) e^{-i w tau} S
 
 A device with nonlinear forces or pick-offs is solved by harmonic balance (``harmonic``).
 
@@ -31,7 +31,8 @@ def linear_motion_of(system: System, frequency_hz: FloatArray, force_v: ComplexA
 def linear_pickoff(system: System, frequency_hz: FloatArray, q: ComplexArray) -> ComplexArray:
     """S (N, S) [V] of a motion q (N, n) [V s], without feedthrough."""
     m, s = system.mechanics, 2.0j * np.pi * frequency_hz[:, None]
-    return np.asarray(s * (q @ m.velocity_sense[0].T) + q @ m.position_sense[0].T)
+    still, moving, fast = (q @ sense[0].T for sense in (m.position_sense, m.velocity_sense, m.acceleration_sense))
+    return np.asarray(still + s * moving + s**2 * fast)
 
 
 def read_out(system: System, frequency_hz: FloatArray, pickoff_v: ComplexArray, drive_v: ComplexArray) -> ComplexArray:

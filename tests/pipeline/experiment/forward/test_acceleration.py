@@ -7,11 +7,16 @@ import pytest
 
 from pipeline.device.model import Model, PlantSpec
 from pipeline.device.operation.state_space import state_space
+from pipeline.experiment.forward.harmonic import steady_motion
+from pipeline.experiment.forward.harmonic_terms import TonePoints
 from pipeline.experiment.forward.record import forward
+from pipeline.experiment.forward.system import Conditions, assemble
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
 
 RATE = 20_000.0
+SIZES = {"cubic_stiffness.k3": 1e13, "gain_drift.gamma": 1e-3}
+NO_RATE = Conditions(0.0, 0.0, None)
 VALUES = {"f1_hz": 300.0, "zeta1": 5e-3, "gain1_s1d1": 2.0}
 MODE = {"parasitic_mode.f": 410.0, "parasitic_mode.zeta": 4e-3, "parasitic_mode.b_d1": 0.7}
 
@@ -72,3 +77,16 @@ def test_state_space_of_accelerations_has_a_direct_part() -> None:
     response = found.C @ np.linalg.solve(s * np.eye(2) - found.A, found.B) + found.D
     w = 2.0 * np.pi * 300.0
     assert response[0, 0] == pytest.approx(2.0 * s**2 / (s**2 + 2.0 * 5e-3 * w * s + w**2), rel=1e-12)
+
+
+@pytest.mark.parametrize("effects", [(), ("cubic_stiffness",), ("cubic_stiffness", "gain_drift")])
+def test_a_sweep_of_acceleration_is_i_omega_times_that_of_velocity(effects) -> None:
+    f = np.array([290.0, 299.0, 301.0, 310.0])
+    points = TonePoints(f, np.full((f.size, 1), 0.05 + 0.0j), np.arange(f.size) * 1.0)
+    tones = []
+    for sense in ("velocity", "acceleration"):
+        model = Model(PlantSpec("modal", 1, sense), effects)
+        values = {**VALUES, **({name: size for name, size in SIZES.items() if name.partition(".")[0] in effects})}
+        tones.append(steady_motion(assemble(model, model.complete(values), Instrument(RATE), NO_RATE), points).y[:, 0])
+    velocity, acceleration = tones
+    assert np.allclose(acceleration, 2.0j * np.pi * f * velocity, rtol=1e-9)
