@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 
 import numpy as np
 import pytest
 
 from pipeline.device.model import load_model
-from pipeline.experiment.campaign import read_campaign
+from pipeline.experiment.campaign import read_campaign, read_measurement
 from workflows.cli import call
 
 FS = 500.0
@@ -85,3 +86,65 @@ def test_a_file_that_rings_down_becomes_a_free_decay(tmp_path, capsys):
     assert len(records) >= 6
     # A start value of 1.05 s would lose 3 % of the motion, one before 1 s would include the drive.
     assert 1.0 <= tomllib.loads((tmp_path / "c" / "campaign.toml").read_text())["record"][0]["start_s"] < 1.15
+
+
+def ring_down_table(path, header, columns):
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="")
+
+
+def test_a_power_in_dbm_becomes_the_amplitude_of_a_decay_once_its_frequency_is_stated(tmp_path, capsys):
+    t = np.linspace(0.0, 3.0, 300)
+    amplitude = 2e-3 * np.exp(-4.0 * t) + 2e-7 * np.random.default_rng(2).random(t.size)
+    ring_down_table(tmp_path / "decay.csv", "time (s),P (dBm)", [t, 10.0 * np.log10(amplitude**2 / 100.0 / 1e-3)])
+    folder = tmp_path / "c"
+    assert call(["init", str(tmp_path / "decay.csv"), "--out", str(folder)]) == 0
+    # The file does not state which mode it shows, and the message says what to write.
+    assert "frequency_hz" in capsys.readouterr().out
+    text = (folder / "campaign.toml").read_text()
+    (folder / "campaign.toml").write_text(text.replace("# frequency_hz = ..  ", "frequency_hz = 1000.0"))
+    (record,) = read_measurement(folder).envelopes
+    assert np.allclose(record.amplitude_v[:, 0], amplitude, rtol=1e-6)
+    assert record.tuned_hz == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("header", "key"), [("t [s],R [mV],f [Hz]", "sense1_R_V"), ("t [s],X [mV],Y [mV],f [Hz]", "sense1_X_V")]
+)
+def test_the_amplitude_of_a_lock_in_that_falls_is_a_decay_and_one_that_is_swept_is_not(header, key, tmp_path, capsys):
+    t = np.linspace(0.0, 3.0, 300)
+    amplitude, f = 5.0 * np.exp(-2.0 * t), 1000.0 + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
+    parts = [amplitude] if key.endswith("R_V") else [0.6 * amplitude, -0.8 * amplitude]
+    ring_down_table(tmp_path / "decay.csv", header, [t, *parts, f])
+    assert call(["init", str(tmp_path / "decay.csv"), "--out", str(tmp_path / "c")]) == 0
+    text = (tmp_path / "c" / "campaign.toml").read_text()
+    assert tomllib.loads(text)["kind"] == "decay_amplitude"
+    assert set(tomllib.loads(text)["columns"]) >= {"time_s", "frequency_hz", key}
+    (record,) = read_measurement(tmp_path / "c").envelopes
+    assert np.allclose(record.amplitude_v[:, 0], 1e-3 * amplitude, rtol=1e-6)
+    assert (tmp_path / "c" / "columns.png").stat().st_size > 5_000
+    # The same columns with a frequency that is stepped through a resonance are a sweep.
+    capsys.readouterr()
+    f = np.linspace(995.0, 1005.0, t.size)
+    y = 1.0 / (1000.0**2 - f**2 + 1.0j * 1000.0)
+    parts = [np.abs(y)] if key.endswith("R_V") else [y.real, y.imag]
+    ring_down_table(tmp_path / "sweep.csv", header, [t, *parts, f])
+    assert call(["init", str(tmp_path / "sweep.csv"), "--out", str(tmp_path / "s")]) == 0
+    assert tomllib.loads((tmp_path / "s" / "campaign.toml").read_text()).get("kind") != "decay_amplitude"
+
+
+def test_a_constant_column_of_frequency_is_the_reference_and_not_a_measured_frequency(tmp_path, capsys):
+    t = np.linspace(0.0, 3.0, 300)
+    noise = 1e-3 * np.random.default_rng(4).standard_normal((2, t.size))
+    amplitude = np.hypot(2.0 * np.exp(-4.0 * t) + noise[0], noise[1])
+    ring_down_table(tmp_path / "decay.csv", "t [s],R [mV],f [Hz]", [t, amplitude, 1000.0 + 0.0 * t])
+    folder = tmp_path / "c"
+    assert call(["init", str(tmp_path / "decay.csv"), "--out", str(folder)]) == 0
+    (record,) = read_measurement(folder).envelopes
+    assert record.frequency_hz is None
+    assert record.tuned_hz == 1000.0
+    capsys.readouterr()
+    assert call(["refine", str(folder), "--model", str(folder / "model.toml"), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["verdict"] == "adequate"
+    value, sd = answer["ladder"][-1]["parameters"]["zeta1"]
+    assert abs(value - 4.0 / (2.0 * np.pi * 1000.0)) < 4.0 * sd

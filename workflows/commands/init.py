@@ -9,10 +9,12 @@ from pathlib import Path
 from pipeline.errors import GyroscreenError, UsageError, printable_lines, unwritable
 from pipeline.experiment.campaign import read_campaign, read_measurement
 from pipeline.experiment.files.inspect import Inspection, inspect
+from pipeline.experiment.files.inspect_amplitudes import AmplitudeInspection, inspect_amplitudes
 from pipeline.experiment.files.inspect_tones import ToneInspection, inspect_tones
 from pipeline.experiment.files.readers import existing, read_columns
 from pipeline.experiment.files.ring_down import ring_down
 from pipeline.experiment.files.template import campaign_template, model_template, reason, stated_senses
+from pipeline.experiment.files.template_amplitudes import AMPLITUDE_MODEL, amplitude_reason, amplitude_template
 from pipeline.experiment.files.template_tones import TONE_MODEL, tone_reason, tone_template
 from pipeline.experiment.tones import ToneCampaign
 
@@ -32,6 +34,9 @@ def init(files: Sequence[Path], out: Path | None) -> None:
         )
     paths = [Path(os.path.relpath(file, folder)).as_posix() for file in files]
     columns = [(file.name, read_columns(file)) for file in files]
+    if (amplitudes := inspect_amplitudes(columns)) is not None:
+        _init_amplitudes(folder, files, paths, amplitudes)
+        return
     if (tones := inspect_tones(columns)) is not None:
         _init_tones(folder, files, paths, tones)
         return
@@ -85,16 +90,36 @@ def _init_tones(folder: Path, files: Sequence[Path], paths: Sequence[str], found
         lines.append(f"  {file.name}: {rows} rows, {len(passes)} passes")
     lines += [f"  column {one.number} {one.name!r}: {one.key} ({tone_reason(one)})" for one in found.columns]
     print(printable_lines("\n".join(lines)))
+    _read_again(folder, "" if gyro else f" --model {folder / MODEL}")
+
+
+def _init_amplitudes(folder: Path, files: Sequence[Path], paths: Sequence[str], found: AmplitudeInspection) -> None:
+    """The campaign of amplitudes of free decays."""
+    _write(folder, folder / FILE, amplitude_template(folder.resolve().name, paths, found))
+    _write(folder, folder / MODEL, AMPLITUDE_MODEL)
+    lines = [f"{len(files)} files, kind decay_amplitude"]
+    lines += [f"  {file.name}: {rows} rows" for file, rows in zip(files, found.rows)]
+    lines += [f"  column {one.number} {one.name!r}: {one.key} ({amplitude_reason(one)})" for one in found.columns]
+    print(printable_lines("\n".join(lines)))
+    _read_again(folder, f" --model {folder / MODEL}")
+
+
+def _read_again(folder: Path, model: str) -> None:
+    """Read the campaign as it was written, plot what was read, and say what comes next."""
     try:
         campaign = read_measurement(folder)
     except GyroscreenError as error:
-        print(f"{folder / FILE} is written, but the records cannot be read with it yet: {error}")
+        print(printable_lines(f"{folder / FILE} is written, but the records cannot be read with it yet: {error}"))
         return
+    from reports.learning.figures.amplitudes import amplitudes_png
     from reports.learning.figures.tones import tones_png
 
     if isinstance(campaign, ToneCampaign):
         try:
-            tones_png(campaign.records, folder / PICTURE)
+            if campaign.records:
+                tones_png(campaign.records, folder / PICTURE)
+            else:
+                amplitudes_png(campaign.envelopes, folder / PICTURE)
         except OSError as error:
             raise unwritable("the picture", folder / PICTURE, error, _OTHER) from None
     print(
@@ -102,7 +127,6 @@ def _init_tones(folder: Path, files: Sequence[Path], paths: Sequence[str], found
             f"{folder / FILE}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"
         )
     )
-    model = "" if gyro else f" --model {folder / MODEL}"
     print(printable_lines(f"next: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
 
 

@@ -5,7 +5,7 @@
     sense<k>_X_V, sense<k>_Y_V                in phase and in quadrature, likewise
     sense<k>_dBV, sense<k>_W, sense<k>_dBm    level in dB above 1 V rms; power at the reference impedance Z0, in W or dBm
     sense<k>_phase_deg                        phase relative to the reference; optional
-    frequency_hz                              frequency that a counter or a phase-locked loop shows; optional
+    frequency_hz                              of a counter or phase-locked loop; the reference, where all rows are equal; optional
     sense<k>_sd_V                             sd of the amplitude; optional
 
     A = sqrt(2 Z0 P)      peak amplitude of a power P
@@ -78,13 +78,17 @@ def envelope_record(
         raise missing(name, "sense1_R_V", files)
     amplitudes = [_amplitude(name, values, f"sense{k}", rms, reference_ohm, files) for k in senses]
     phases = [phase for _, phase in amplitudes if phase is not None]
+    frequency = values.get("frequency_hz")
+    if frequency is not None and np.ptp(frequency) == 0.0:
+        # A lock-in amplifier lists its reference in every row.
+        tuned_hz, frequency = tuned_hz or float(frequency[0]), None
     sd = [values[f"sense{k}_sd_V"] for k in senses if f"sense{k}_sd_V" in values]
     record = EnvelopeRecord(
         name,
         values["time_s"],
         np.stack([a for a, _ in amplitudes], axis=1),
         np.stack(phases, axis=1) if len(phases) == len(senses) and tuned_hz is not None else None,
-        values.get("frequency_hz"),
+        frequency,
         tuned_hz,
         np.stack(sd, axis=1) * (np.sqrt(2.0) if rms else 1.0) if len(sd) == len(senses) else None,
     )

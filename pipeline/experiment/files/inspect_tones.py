@@ -25,14 +25,14 @@ from .units import UNITS, split_unit
 Columns = Mapping[str, NDArray[Any]]
 
 _FREQUENCY = re.compile(r"(f|freq\w*|frequency\w*|drive_?freq\w*|oscillator|hz)\W*$", re.IGNORECASE)
-_PARTS: tuple[tuple[str, re.Pattern[str]], ...] = (
+PARTS: tuple[tuple[str, re.Pattern[str]], ...] = (
     ("X_V", re.compile(r"(.*[._ ])?(x|in_?phase|re|real)\W*\d*$", re.IGNORECASE)),
     ("Y_V", re.compile(r"(.*[._ ])?(y|quadrature|quad|im|imag\w*)\W*\d*$", re.IGNORECASE)),
     ("R_V", re.compile(r"(.*[._ ])?(r|mag\w*|ampl\w*|abs\w*)\W*\d*$", re.IGNORECASE)),
     ("phase_deg", re.compile(r"(.*[._ ])?(phase|phi|theta|arg)\W*\d*$", re.IGNORECASE)),
 )
 _DRIVE = re.compile(r"(drive|level|excit\w*|osc\w*|u|v_?in|input|amplitude_?in|source)[\W_]*\d*(_V)?$", re.IGNORECASE)
-_TIME = re.compile(r"(time\w*|t|timestamp|seconds|sec)\W*$", re.IGNORECASE)
+TIME = re.compile(r"(time\w*|t|timestamp|seconds|sec)\W*$", re.IGNORECASE)
 _RESPONSE = re.compile(r"H_s[1-9][0-9]*d[1-9][0-9]*_(re|im|abs|dB|phase_deg)")
 #: Spread of the steps of a frequency column around their median, and the share of the steps that must lie within.
 _EVEN, _MOST = 0.25, 0.85
@@ -83,12 +83,7 @@ def inspect_tones(files: Sequence[tuple[str, Columns]]) -> ToneInspection | None
 
 
 def _columns(columns: Columns) -> tuple[ToneKind, tuple[ToneColumn, ...]] | None:
-    rows = max((values.size for values in columns.values()), default=0)
-    numbers = {
-        name: np.asarray(values, dtype=np.float64)
-        for name, values in columns.items()
-        if values.shape == (rows,) and values.dtype.kind in "fiu" and rows >= _FEWEST and np.all(np.isfinite(values))
-    }
+    numbers = numbers_of(columns)
     place = {name: k for k, name in enumerate(columns, 1)}
 
     def made(key: str, name: str, why: str) -> ToneColumn:
@@ -97,11 +92,11 @@ def _columns(columns: Columns) -> tuple[ToneKind, tuple[ToneColumn, ...]] | None
         unit = split_unit(name)[1]
         return ToneColumn(key, name, place[name], unit, why, float(values.min()), float(values.max()), named)
 
-    frequency = next((n for n in numbers if _is_frequency(n)), None)
+    frequency = next((n for n in numbers if is_frequency(n)), None)
     if frequency is not None and any(_RESPONSE.fullmatch(n) for n in numbers):
         own = [made(n, n, "its name") for n in numbers if n.startswith("H_s")]
         return "frf", (made("frequency_hz", frequency, "its name"), *own)
-    time = next((n for n in numbers if n != frequency and _TIME.match(split_unit(n)[0])), None)
+    time = next((n for n in numbers if n != frequency and TIME.match(split_unit(n)[0])), None)
     if frequency is None:
         time = time or next((n for n in numbers if np.all(np.diff(numbers[n]) > 0.0)), None)
         frequency = next((n for n in numbers if n != time and _steps_back_and_forth(numbers[n])), None)
@@ -111,7 +106,7 @@ def _columns(columns: Columns) -> tuple[ToneKind, tuple[ToneColumn, ...]] | None
     parts = {
         key: n
         for n in numbers
-        for key, pattern in _PARTS
+        for key, pattern in PARTS
         if n not in (time, frequency) and pattern.match(split_unit(n)[0])
     }
     pair = next((p for p in (("X_V", "Y_V"), ("R_V", "phase_deg")) if set(p) <= set(parts)), None)
@@ -134,6 +129,16 @@ def _columns(columns: Columns) -> tuple[ToneKind, tuple[ToneColumn, ...]] | None
     return kind, (*head, *senses)
 
 
+def numbers_of(columns: Columns) -> dict[str, FloatArray]:
+    """The columns (N,) of numbers of full length, all finite."""
+    rows = max((values.size for values in columns.values()), default=0)
+    return {
+        name: np.asarray(values, dtype=np.float64)
+        for name, values in columns.items()
+        if values.shape == (rows,) and values.dtype.kind in "fiu" and rows >= _FEWEST and np.all(np.isfinite(values))
+    }
+
+
 def _by_values(
     numbers: Mapping[str, FloatArray], time: str | None, frequency: str, made: Any
 ) -> tuple[ToneKind, tuple[ToneColumn, ...]] | None:
@@ -150,7 +155,8 @@ def _by_values(
     return "sweep", (*head, *senses)
 
 
-def _is_frequency(name: str) -> bool:
+def is_frequency(name: str) -> bool:
+    """Whether the name or the unit of a column says that it is a frequency."""
     base, unit = split_unit(name)
     return bool(_FREQUENCY.match(base)) or (unit is not None and UNITS[unit][0] == "Hz")
 

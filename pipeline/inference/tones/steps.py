@@ -7,6 +7,7 @@ from math import inf
 from typing import Any
 
 from ...device.model import Model
+from ...errors import ConfigError
 
 #: Steps: of a frequency and a damping ratio in half-widths, of other parameters relative to themselves.
 _STEP, _RELATIVE = 1e-3, 1e-5
@@ -39,12 +40,27 @@ def slope(
 ) -> tuple[Any, ...]:
     """d Y / d parameter of every array of ``predict``, by a difference at ``values``.
 
-    The difference is central, or one-sided where the step below would leave the range of the parameter, which starts at ``low``:
-    the motion may have no steady state there.
+    The difference is central, or one-sided where a step leaves the range of the parameter, which starts at ``low``, or has no
+    solution: the motion grows, or has no steady state.
+
+    Raises
+    ------
+    ConfigError : neither side has a solution.
     """
-    side = 0.0 if values[name] - step < low <= values[name] else -1.0
-    above, below = (predict({**values, name: values[name] + s * step}) for s in (1.0, side))
-    return tuple((a - b) / ((1.0 - side) * step) for a, b in zip(above, below))
+
+    def at(side: float) -> Sequence[Any]:
+        return predict({**values, name: values[name] + side * step})
+
+    if not values[name] - step < low <= values[name]:
+        try:
+            return tuple((a - b) / (2.0 * step) for a, b in zip(at(1.0), at(-1.0)))
+        except ConfigError:
+            pass
+    here = at(0.0)
+    try:
+        return tuple((a - b) / step for a, b in zip(at(1.0), here))
+    except ConfigError:
+        return tuple((b - a) / step for a, b in zip(at(-1.0), here))
 
 
 def lower_bound(model: Model, even: Collection[str], name: str) -> float:

@@ -63,7 +63,7 @@ def _figure(pairs: Sequence[Pair], channel: int, name: str) -> str:
         for axes in (size, phase):
             axes.tick_params(labelbottom=False)
         largest = max(float(np.abs(view.measured_v[:, channel]).max()) for view, _ in pairs)
-        unit, factor = _unit(largest)
+        unit, factor = fitting_unit(largest)
         for first, last in pairs:
             _pass(size, phase, nyquist, residual, first, last, channel, factor)
         span = [float(np.abs(view.measured_v[:, channel]).min()) for view, _ in pairs]
@@ -95,7 +95,7 @@ def tones_png(records: Sequence[ToneRecord], path: Path) -> None:
         grid = figure.subplots(len(rows), 2, squeeze=False)
         for (left, right), (record, k) in zip(grid, rows):
             y = record.sense_v[:, k]
-            unit, factor = _unit(float(np.abs(y).max(initial=0.0)))
+            unit, factor = fitting_unit(float(np.abs(y).max(initial=0.0)))
             for own in passes_of((record,)):
                 f = record.frequency_hz[own.rows]
                 look: dict[str, Any] = {"lw": 0.8, "ls": "--" if own.direction == "down" else "-", "color": AFTER}
@@ -109,7 +109,7 @@ def tones_png(records: Sequence[ToneRecord], path: Path) -> None:
         figure.savefig(path, format="png", dpi=110)
 
 
-def _unit(largest: float) -> tuple[str, float]:
+def fitting_unit(largest: float) -> tuple[str, float]:
     """A unit in which numbers are short, and the factor to it."""
     for unit, factor in (("V", 1.0), ("mV", 1e3), ("µV", 1e6), ("nV", 1e9)):
         if largest * factor >= 0.5:
