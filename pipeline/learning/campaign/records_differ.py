@@ -27,11 +27,13 @@ from ...criticism.fit_tests import Rules
 from ...criticism.problem import Problem
 from ...criticism.selection import ForwardSelection, forward_selection
 from ...criticism.verdict import verdict_of
+from ...errors import GyroscreenError
 from ...experiment.noise.level import noise_level, repeats_of
 from ...inference.general.dependent_noise import campaign_dependent_noise, with_dependent_noise
 from ...inference.general.deviation_columns import deviation_columns
+from ...inference.general.fit import CampaignFit
 from ...inference.general.residuals import CampaignResiduals
-from ...inference.general.variation import record_variation
+from ...inference.general.variation import RecordVariation, record_variation
 from ...inference.general.varied_fit import VariedFit, clips, fit_with_variation
 from .problem import CampaignProblem
 
@@ -106,9 +108,18 @@ def _varied(problem: CampaignProblem, terms: tuple[str, ...]) -> CampaignProblem
     """The problem with the variation that the records need beside the model with ``terms``; itself where they need none."""
     if not problem.fit(terms).ok:
         return problem
-    fit = problem.campaign_fit(terms)
-    found = fit_with_variation(fit.model, problem.measured, fit, problem.threads)
-    return problem if found.variation.spread.is_zero else varied_problem(problem, found)
+    found = _fit_with_variation(problem, problem.campaign_fit(terms))
+    return problem if found is None or found.variation.spread.is_zero else varied_problem(problem, found)
+
+
+def _fit_with_variation(
+    problem: CampaignProblem, fit: CampaignFit, known: RecordVariation | None = None
+) -> VariedFit | None:
+    """The fit with the variation of the measured records; ``None`` where there is none, as beside a model that is wrong."""
+    try:
+        return fit_with_variation(fit.model, problem.measured, fit, problem.threads, known)
+    except (GyroscreenError, np.linalg.LinAlgError):
+        return None
 
 
 def every_candidate(problem: CampaignProblem) -> Problem:
@@ -180,7 +191,9 @@ def selected(
         if aligned and not any(new < _SMALLER * old for old, new in pairs):
             break
         clipped, curved = clips(fit.model), problem.curved & set(terms)
-        known = problem.variation
-        problem = varied_problem(problem, fit_with_variation(fit.model, problem.measured, fit, problem.threads, known))
+        found = _fit_with_variation(problem, fit, problem.variation)
+        if found is None:
+            break
+        problem = varied_problem(problem, found)
         selection = forward_selection(restricted(problem), (), rules)
     return problem, selection

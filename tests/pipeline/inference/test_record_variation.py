@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL
+from pipeline.errors import ConfigError
 from pipeline.experiment.campaign import read_campaign, write_campaign
 from pipeline.experiment.excitation import drive_samples
 from pipeline.experiment.noise.level import noise_level
@@ -15,6 +16,9 @@ from pipeline.inference.general.fit import fit_campaign
 from pipeline.inference.general.variance_components import grams_of, solved
 from pipeline.inference.general.variation import record_variation
 from pipeline.inference.general.varied_fit import fit_with_variation
+from pipeline.learning.campaign import records_differ
+from pipeline.learning.campaign.problem import CampaignProblem
+from pipeline.learning.campaign.records_differ import prepared, repeats_differ
 from workflows.simulate import standard_excitations
 from workflows.studies.hidden.draw import INSTRUMENT, draw_device
 from workflows.studies.hidden.truth import response
@@ -108,3 +112,17 @@ def test_deviations_beside_parameters_that_stay_do_not_absorb_the_step_that_is_n
     assert alone.dx.size == 0
     expected = float((c.T @ (5.0 * j + c)).item() / ((c.T @ c).item() + 1e-6))
     assert alone.deviations == pytest.approx(np.array([[expected]]), rel=1e-9)
+
+
+def test_records_that_cannot_be_corrected_beside_a_wrong_model_stay_as_they_are(monkeypatch):
+    campaign, _, _ = campaign_of(5.0, 5e-5, 1e-3)
+    problem = CampaignProblem(campaign, DEFAULT_COMPARE_MODEL, noise_level(campaign), 1)
+    assert repeats_differ(problem)
+
+    def refused(*args: object) -> None:
+        raise ConfigError("parameter f1_hz is not finite", value=float("nan"))
+
+    monkeypatch.setattr(records_differ, "fit_with_variation", refused)
+    after = prepared(problem)
+    assert after.variation is None
+    assert after.fit(()).ok
