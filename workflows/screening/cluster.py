@@ -45,8 +45,10 @@ def _quiet() -> Iterator[None]:
 
 
 @contextmanager
-def cluster(workers: int, scheduler: Scheduler | None) -> Iterator[Client]:
+def cluster(workers: int, scheduler: Scheduler | None, memory_bytes: int | None = None) -> Iterator[Client]:
     """A client of ``scheduler``, or of ``workers`` local processes with one thread each.
+
+    A local process that takes more than ``memory_bytes`` is replaced; the default is that of a night.
 
     Raises
     ------
@@ -59,7 +61,7 @@ def cluster(workers: int, scheduler: Scheduler | None) -> Iterator[Client]:
     with _quiet(), dask.config.set(_LOCAL):
         with deaf_children():
             local = LocalCluster(n_workers=0, processes=True, dashboard_address="127.0.0.1:0", silence_logs=50)
-            processes = LocalWorkers(local.scheduler_address, workers, WORKER_BYTES)
+            processes = LocalWorkers(local.scheduler_address, workers, memory_bytes or WORKER_BYTES)
         try:
             with local, Client(local, set_as_default=False) as client:
                 client.local_workers = processes

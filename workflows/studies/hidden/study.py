@@ -41,6 +41,9 @@ from .restricted import RestrictedProblem
 #: Kinds of campaigns that are also refined.
 _REFINED = ("one", "two", "outside", "left-out", "bench-one", "bench-foreign", "lone-one", "lone-foreign")
 _CANDIDATES = 5
+#: Memory of a worker.  One campaign takes 1.1 GB (bench-one 13, seed 2039); at the 2 GiB of a night, workers were replaced within
+#: their second campaign, and some campaigns began again until they were given up.
+_WORKER_BYTES = 4 * 2**30
 _Found = TypeVar("_Found")
 #: A campaign with the signatures of all candidates is larger than a screening block; dask must not kill a worker for that.
 _MEMORY = {f"distributed.worker.memory.{what}": False for what in ("target", "spill", "pause", "terminate")}
@@ -233,7 +236,7 @@ def resumed(
     yield done, len(wanted)
     if not missing:
         return
-    with cluster(min(worker_count(workers), len(missing)), None) as client:
+    with cluster(min(worker_count(workers), len(missing)), None, _WORKER_BYTES) as client:
         for row in in_parallel(client, task, seed, missing):
             append(folder, row)
             done += 1
