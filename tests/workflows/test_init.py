@@ -148,3 +148,16 @@ def test_a_constant_column_of_frequency_is_the_reference_and_not_a_measured_freq
     assert answer["verdict"] == "adequate"
     value, sd = answer["ladder"][-1]["parameters"]["zeta1"]
     assert abs(value - 4.0 / (2.0 * np.pi * 1000.0)) < 4.0 * sd
+
+
+def test_a_computed_decay_without_noise_is_fitted_and_a_frequency_of_0_hz_is_refused(tmp_path, capsys):
+    t = np.linspace(0.0, 3.0, 300)
+    for name, f in (("exact", 1000.0), ("still", 0.0)):
+        ring_down_table(tmp_path / f"{name}.csv", "t [s],P [W],f [Hz]", [t, 1e-3 * np.exp(-4.0 * t), f + 0.0 * t])
+        assert call(["init", str(tmp_path / f"{name}.csv"), "--out", str(tmp_path / name)]) == 0
+    capsys.readouterr()
+    assert call(["refine", str(tmp_path / "exact"), "--model", str(tmp_path / "exact" / "model.toml"), "--json"]) == 0
+    value, _ = json.loads(capsys.readouterr().out)["ladder"][-1]["parameters"]["zeta1"]
+    assert value == pytest.approx(2.0 / (2.0 * np.pi * 1000.0), rel=1e-4)
+    assert call(["check", str(tmp_path / "still")]) == 5
+    assert "not positive" in capsys.readouterr().err

@@ -172,4 +172,12 @@ def _checked(record: EnvelopeRecord) -> EnvelopeRecord:
             allowed="frequency_hz in the [[record]] (reference of the lock-in, centre of the analyzer), or as a column",
             next_step="write frequency_hz = .. in this [[record]]",
         )
+    known = record.tuned_hz if record.frequency_hz is None else float(record.frequency_hz.min())
+    if not (known is not None and known > 0.0):
+        raise MeasurementError(
+            f"{record.name}: the frequency of the mode is not positive",
+            value=known,
+            allowed="a frequency above 0 Hz",
+            next_step="correct frequency_hz in this [[record]], or map another column to frequency_hz",
+        )
     return record if record.phase_rad is None else replace(record, phase_rad=record.phase_rad - record.phase_rad[:1])

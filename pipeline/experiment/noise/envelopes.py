@@ -25,6 +25,8 @@ _WIDTH, _ORDER = 8, 3
 _FEWEST, _ROUNDS, _TAIL = 5, 8, 1e-3
 #: a/s below which a phase is lost.
 _CLEAR = 5.0
+#: Smallest noise of an amplitude, relative to the largest: six digits of a file.
+_ROUNDED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +130,14 @@ def _two(v: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, float]:
 def _amplitude(record: EnvelopeRecord, a: FloatArray) -> tuple[FloatArray, float]:
     """sd (N,) [V] of amplitudes a (N,), and the floor [V] divided by the root of the averages."""
     v, level = _windows(record.time_s, a), _mean(a)
-    floor, n = float(np.sqrt(np.median(v))), record.averages
-    s2 = r2 = 0.0
+    # A computed decay has no floor; its noise is the rounding of its amplitudes.
+    least = _ROUNDED * float(a.max())
+    floor, n = max(float(np.sqrt(np.median(v))), least), record.averages
+    r2 = 0.0
     for _ in range(3):
-        own = np.sqrt(n) * max(floor, 1e-300)
-        shape = amplitude_sd(_true(level, own), own, n) ** 2 / max(floor, 1e-300) ** 2
-        s2, r2 = _two(v, shape, level**2)
-        floor = float(np.sqrt(s2))
+        own = np.sqrt(n) * floor
+        s2, r2 = _two(v, amplitude_sd(_true(level, own), own, n) ** 2 / floor**2, level**2)
+        floor = max(float(np.sqrt(s2)), least)
     own = np.sqrt(n) * floor
     smooth = _true(_smoothed(a), own)
     return np.sqrt(amplitude_sd(smooth, own, n) ** 2 + r2 * smooth**2), floor
