@@ -74,9 +74,7 @@ def init(files: Sequence[Path], out: Path | None) -> None:
         columns_png(campaign.records, folder / PICTURE)
     except OSError as error:
         raise unwritable("the picture", folder / PICTURE, error, _OTHER) from None
-    print(printable_lines(f"{target}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"))
-    model = "" if gyro else f" --model {folder / MODEL}"
-    print(printable_lines(f"next: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
+    _print_next_steps(folder, "" if gyro else f" --model {folder / MODEL}")
 
 
 def _init_tones(folder: Path, files: Sequence[Path], paths: Sequence[str], found: ToneInspection) -> None:
@@ -122,12 +120,12 @@ def _read_again(folder: Path, model: str) -> None:
                 amplitudes_png(campaign.envelopes, folder / PICTURE)
         except OSError as error:
             raise unwritable("the picture", folder / PICTURE, error, _OTHER) from None
-    print(
-        printable_lines(
-            f"{folder / FILE}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"
-        )
-    )
-    print(printable_lines(f"next: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
+    _print_next_steps(folder, model)
+
+
+def _print_next_steps(folder: Path, model: str) -> None:
+    written = f"{folder / FILE}: correct its lines where they are wrong; {folder / PICTURE} shows what was read"
+    print(printable_lines(f"{written}\nnext: gyroscreen check {folder}, then gyroscreen refine {folder}{model}"))
 
 
 def _write(folder: Path, target: Path, text: str) -> None:
