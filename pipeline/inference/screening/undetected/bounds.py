@@ -21,11 +21,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import cholesky
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.special import fdtrc
 
-from ....arrays import FloatArray, IntArray
+from ....arrays import BoolArray, FloatArray, IntArray
 from ...gate import Undetected
 
 #: 95 % of the noise.
@@ -68,8 +67,10 @@ class Projection:
     @classmethod
     def of(cls, products: FloatArray, slopes: FloatArray) -> Projection:
         """From J' J (P, P).  In units of the norms of the columns it loses eight of sixteen digits at most."""
-        scale = np.sqrt(np.maximum(np.diag(products), 1e-300))
-        factor = cholesky(products / np.outer(scale, scale), lower=True)
+        scale = np.sqrt(np.maximum(products.diagonal(), 1e-300))
+        factor, failed = dpotrf(products / (scale[:, None] * scale), lower=True, clean=True)
+        if failed:
+            raise np.linalg.LinAlgError("the Jacobian has no full rank")
         whiten = dtrtri(factor, lower=True)[0] / scale
         return cls(whiten, slopes @ whiten.T)
 
@@ -85,37 +86,56 @@ class Projection:
 def judged(products: FloatArray, projection: Projection, candidates: Candidates, noise_dof: float) -> Judged:
     """Scores and bounds from [J, Z, r]' [J, Z, r] (P + K + 1, P + K + 1), whitened, with the rows of the prior."""
     p = projection.whiten.shape[0]
-    scale = np.sqrt(np.maximum(np.diag(products)[p:], 1e-300))
+    scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
     overlap = projection.overlap(products[:p, p:] / scale)
-    left = products[p:, p:] / np.outer(scale, scale) - overlap.T @ overlap
+    left = products[p:, p:] / (scale[:, None] * scale) - overlap.T @ overlap
     score, gram = left[:-1, -1] * scale[-1], left[:-1, :-1]
     bias = projection.bias(overlap[:, :-1])
     low, high = candidates.low * scale[:-1], candidates.high * scale[:-1]
-    effects, groups = _grouped(candidates.effects)
+    effects, single, several = _grouped(candidates.effects)
     p_values, explained = np.ones(len(effects)), np.zeros(len(effects))
     bounds = np.zeros((len(effects), bias.shape[0]))
-    for group, own in groups:
-        if own.shape[1] == 1:
-            k = own[:, 0]
-            found = _single(score[k], gram[k, k], bias[:, k], low[k], high[k], noise_dof)
-        else:
-            blocks = gram[own[:, :, None], own[:, None, :]]
-            reach = np.maximum(np.abs(low[own]), np.abs(high[own]))
-            found = _several(score[own], blocks, np.moveaxis(bias[:, own], 0, 1), reach, noise_dof)
-        p_values[group], explained[group], bounds[group] = found
+    if single.effects.size:
+        k = single.columns[:, 0]
+        found = _single(score[k], gram.diagonal()[k], bias[:, k], low[k], high[k], noise_dof)
+        p_values[single.effects], explained[single.effects], bounds[single.effects] = found
+    if several.effects.size:
+        own, used = several.columns, several.used
+        blocks = gram[own[:, :, None], own[:, None, :]] * (used[:, :, None] * used[:, None, :])
+        reach = np.where(used, np.maximum(np.abs(low), np.abs(high))[own], 0.0)
+        of_bias = np.swapaxes(bias[:, own], 0, 1) * used[:, None]
+        found = _several(score[own] * used, blocks, of_bias, reach, used.sum(axis=1), noise_dof)
+        p_values[several.effects], explained[several.effects], bounds[several.effects] = found
     return Judged(effects, p_values, explained, bounds)
 
 
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Numbers (E,) of effects and their columns (E, k); those beyond the last of an effect are not ``used`` (E, k)."""
+
+    effects: IntArray
+    columns: IntArray
+    used: BoolArray
+
+
 @lru_cache(maxsize=16)
-def _grouped(of_columns: tuple[str, ...]) -> tuple[tuple[str, ...], list[tuple[IntArray, IntArray]]]:
-    """The effects of columns, and for each number k of columns the effects (E,) that have it and their columns (E, k)."""
+def _grouped(of_columns: tuple[str, ...]) -> tuple[tuple[str, ...], _Group, _Group]:
+    """The effects of columns: their names, those with one column, and those with several."""
     effects = tuple(dict.fromkeys(of_columns))
     columns = [[k for k, name in enumerate(of_columns) if name == effect] for effect in effects]
     groups = []
-    for size in sorted({len(own) for own in columns}):
-        group = [i for i, own in enumerate(columns) if len(own) == size]
-        groups.append((np.array(group), np.array([columns[i] for i in group])))
-    return effects, groups
+    for several in (False, True):
+        own = [i for i, one in enumerate(columns) if (len(one) > 1) == several]
+        most = max((len(columns[i]) for i in own), default=0)
+        padded = [columns[i] + columns[i][:1] * (most - len(columns[i])) for i in own]
+        used = [[k < len(columns[i]) for k in range(most)] for i in own]
+        shape = (len(own), most)
+        groups.append(
+            _Group(
+                np.array(own, np.int64), np.array(padded, np.int64).reshape(shape), np.array(used, bool).reshape(shape)
+            )
+        )
+    return effects, groups[0], groups[1]
 
 
 def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:
@@ -158,11 +178,11 @@ def _single(
 
 
 def _several(
-    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, dof: float
+    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, count: IntArray, dof: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p-values and T (E,) of effects with k signatures of unit norm; bounds (E, Q) of biases (E, Q, k).
 
-    score, reach (E, k): Z~' r and largest strengths; gram (E, k, k).
+    score, reach (E, k): Z~' r and largest strengths; gram (E, k, k); count (E,): of the columns that are not zero.
     """
     within = _at_most(bias, reach)
     size, vector = np.linalg.eigh(gram)
@@ -173,9 +193,9 @@ def _several(
     k, total = seen.sum(axis=1), np.sum(projected**2 * weight, axis=1)
     bound = np.abs(visible @ (projected * weight)[:, :, None])[:, :, 0]
     bound += Z95 * np.sqrt(np.sum(visible**2 * weight[:, None], axis=2))
-    if not seen.all():
+    if np.any(k < count):
         hidden = _at_most(bias - visible @ np.swapaxes(vector, 1, 2), reach)
-        bound += np.where((k < score.shape[1])[:, None], hidden, 0.0)
+        bound += np.where((k < count)[:, None], hidden, 0.0)
     p = np.where(k > 0, fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), 1.0)
     return p, total, np.where(k[:, None] > 0, np.minimum(bound, within), within)
 

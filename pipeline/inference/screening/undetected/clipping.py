@@ -5,15 +5,19 @@ Shapes: N samples, S = 2 senses, W bins.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ....arrays import FloatArray, IntArray
+from ....arrays import ComplexArray, FloatArray, IntArray
 from ....device.effect import Context
+from ..inband import Band
 from .library import BandSignature, probes_of
 from .linear import LinearDevice
 
+#: Products of samples and bins, relative to the samples of the record, up to which a sum takes less time than an FFT.
+_FEW = 8
 #: Change of all samples by a probe of the ADC stage [sigma], and the samples near the peak, relative to it.
 _CLIPPED, _LOUD = 30.0, 0.9
 
@@ -59,6 +63,26 @@ def adc_signatures(
     for probe in probes_of(with_mismatch, "adc"):
         if probe.effect.adc is None or probe.effect.name not in sizes:
             continue
-        whole = np.zeros((2, device.band.samples))
-        whole[:, loud] = (probe.effect.adc(volts, np.array([sizes[probe.effect.name]]), device.context) - volts).T
-        yield BandSignature(probe.effect.name, device.band.transform(whole.T), 0.0, np.inf)
+        change = probe.effect.adc(volts, np.array([sizes[probe.effect.name]]), device.context) - volts
+        moved = np.flatnonzero(change.any(axis=1))
+        spectrum = transform_of_few(device.band, loud[moved], change[moved])
+        yield BandSignature(probe.effect.name, spectrum, 0.0, np.inf)
+
+
+def transform_of_few(band: Band, where: IntArray, change: FloatArray) -> ComplexArray:
+    """``band.transform`` (S, W) of a record that is ``change`` (n, S) at the samples ``where`` (n,) and zero elsewhere.
+
+    With a bin b = b0 + L j + k, exp(-i w_b n) is a product of two factors, of which there are 2 sqrt(W) for a sample.
+    """
+    bins, samples = band.bins, band.samples
+    if where.size * bins.size > _FEW * samples:
+        whole = np.zeros((samples, change.shape[1]))
+        whole[where] = change
+        return band.transform(whole)
+    length = math.isqrt(bins.size - 1) + 1
+    steps = np.concatenate([bins[::length], np.arange(length)])
+    # Whole turns are taken off as integers, so that the angle keeps all its digits.
+    waves = np.exp((-2j * np.pi / samples) * ((where[:, None] * steps) % samples))
+    coarse, fine = waves[:, :-length], waves[:, -length:]
+    found = (coarse.T * change.T[:, None]) @ fine
+    return np.ascontiguousarray(found.reshape(change.shape[1], -1)[:, : bins.size])

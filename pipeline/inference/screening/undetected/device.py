@@ -7,7 +7,7 @@ Shapes: P parameters, W bins, S = 2 senses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
@@ -28,9 +28,9 @@ from .clipping import adc_sizes, loud_samples
 from .library import BandSignature
 from .linear import linear_devices
 from .linear_stages import moved_mechanics
-from .rows import products_of, real_rows, stationary_rows, stationary_variance
+from .rows import hum_of, products_of, record_weight, stationary_variance, white_products, without_hum, write_real
 from .scan_bounds import judged_scans
-from .scanned import ScannedProducts, scanned_products, scans_of
+from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
 
 
@@ -73,45 +73,71 @@ def scored_device(
         found = signatures(device, moved, loud, sizes, with_mismatch)
         scans = scans_of(item.band, (float(first[0]), float(first[-1])), line_hz, with_mismatch)
         rows = np.empty((count + len(found) + 1, 2, 2 * item.band.bins.size))
-        rows[:count] = device.rows(slopes)
+        np.matmul(slopes.reshape(2 * count, -1), device.columns.T, out=rows[:count].reshape(2 * count, -1))
         for row, one in zip(rows[count:], found):
-            row[:] = real_rows(one.spectrum)
-        rows[-1] = real_rows(item.spectrum - device.sensed)
-        variance = stationary_variance(item, noise.sigma_v)
-        products = products + products_of(rows, item, variance)
-        kept = np.append(np.arange(count), rows.shape[0] - 1)
-        stationary = stationary_rows(rows[kept], item, variance)
+            write_real(one.change, row, one.per_unit)
+        write_real(item.spectrum - device.sensed, rows[-1])
+        own, part = _products(rows, count, item, scans, stationary_variance(item, noise.sigma_v))
         del rows  # as large as a long record
-        own = scanned_products(scans, stationary, np.sqrt(2.0 / item.band.samples / variance))
-        scanned = own if scanned is None else scanned + own
+        products = products + own
+        scanned = part if scanned is None else scanned + part
     assert scanned is not None
-    of_prior = np.zeros((count + 1, count + 1))
-    if prior is not None:
-        rows = _prior_rows(prior, fit.x)
-        of_prior = rows @ rows.T
+    of_prior = _prior_products(prior, fit.x)
     # The signatures have no part in the rows of the prior.
-    kept = np.append(np.arange(count), count + len(found))
     whole = np.array(products)
+    kept = np.append(np.arange(count), count + len(found))
     whole[np.ix_(kept, kept)] += of_prior
     names, gradient = quantity_slopes(fit.x, rate, prior)
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     candidates = Candidates(tuple(one.effect for one in found), low, high)
     frequency = np.concatenate([item.band.frequency_hz for item in data])
     dof = 2.0 / float(np.mean(noise.relative_sd(frequency) ** 2))
+    projection = Projection.of(whole[:count, :count], gradient)
+    base = scanned.base + of_prior
+    # Scans take noise that depends on the signal at its largest variance, and their fit with it.
+    depends = any(item.noise is not None and item.noise.dependent.size for item in data)
+    of_scans = Projection.of(base[:count, :count], gradient) if depends else projection
     parts = (
-        judged(whole, Projection.of(whole[:count, :count], gradient), candidates, dof),
-        judged_scans(scanned, gradient, of_prior, dof),
+        judged(whole, projection, candidates, dof),
+        judged_scans(scanned, of_scans, base[:count, count], dof),
     )
     return summary(parts, names)
 
 
-def _prior_rows(prior: MismatchPrior, x: FloatArray) -> FloatArray:
-    """What the prior adds to the rows of the Jacobian and of the residual, (14 + 1, 2)."""
+def _products(
+    rows: FloatArray, count: int, item: BandData, scans: Iterable[BandScan], variance: FloatArray
+) -> tuple[FloatArray, ScannedProducts]:
+    """Products (P + K + 1, P + K + 1) in sigmas of the rows [J, Z, r] of a record, and those of its scans with J and r.
+
+    The hum lines of the residual (the last of the rows) are taken out in place; P = ``count``.
+    """
+    kept = np.append(np.arange(count), rows.shape[0] - 1)
+    weight = record_weight(item, variance)
+    if item.noise is None:
+        rows[-1:] = without_hum(rows[-1:], item.nuisance)
+        hum = hum_of(rows, item.nuisance)
+        hum[-1] = 0.0
+        products = white_products(rows, hum, item, variance)
+        return products, scanned_products(scans, rows[kept], hum[kept], weight, products[np.ix_(kept, kept)])
+    products = products_of(rows, item, item.noise, variance)
+    left = without_hum(rows[kept], item.nuisance)
+    base = products[np.ix_(kept, kept)]
+    if item.noise.dependent.size:
+        flat = (left * np.tile(weight, 2)).reshape(count + 1, -1)
+        base = flat @ flat.T
+    none = np.zeros((count + 1, 2, item.nuisance.shape[1]))
+    return products, scanned_products(scans, left, none, weight, base)
+
+
+def _prior_products(prior: MismatchPrior | None, x: FloatArray) -> FloatArray:
+    """What the prior adds to [J, r]' [J, r], (P + 1, P + 1)."""
+    if prior is None:
+        return np.zeros((x.size + 1, x.size + 1))
     root, offset = prior.rows()
-    out = np.zeros((x.size + 1, offset.size))
-    out[12:14] = root.T
-    out[-1] = offset - root @ x[12:]
-    return out
+    rows = np.zeros((x.size + 1, offset.size))
+    rows[12:14] = root.T
+    rows[-1] = offset - root @ x[12:]
+    return rows @ rows.T
 
 
 def feature_slopes(fit: Fit) -> FloatArray:

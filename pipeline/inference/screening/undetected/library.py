@@ -21,15 +21,22 @@ SHAPE: Shape = NIGHTLY_MODEL.built.shape
 
 @dataclass(frozen=True, eq=False)
 class BandSignature:
-    """Change of the spectrum (S, W) [V] of a record at unit strength, and the range (low, high) of the strength.
+    """Change of the spectrum (S, W) [V] of a record, and the range (low, high) of its strength.
 
-    The strength is a parameter in its unit, its square for a law of second order, or the share of a probe of an ADC.
+    The strength is a parameter in its unit, its square for a law of second order, or the share of a probe of an ADC; ``per_unit``
+    is what turns the change into that at unit strength.
     """
 
     effect: str
-    spectrum: ComplexArray
+    change: ComplexArray
     low: float
     high: float
+    per_unit: float = 1.0
+
+    @property
+    def spectrum(self) -> ComplexArray:
+        """The change (S, W) [V] at unit strength."""
+        return self.change * self.per_unit
 
 
 @lru_cache(maxsize=4)
@@ -72,7 +79,7 @@ class Probe:
         m = self.member
         high = max(abs(m.low), abs(m.high)) ** 2 if order == 2 else m.high
         low = 0.0 if order == 2 else min(m.low, 0.0)
-        return BandSignature(self.effect.name, change / value**order, low, high)
+        return BandSignature(self.effect.name, change, low, high, value**-order)
 
 
 @lru_cache(maxsize=32)

@@ -121,28 +121,28 @@ class LinearDevice:
         # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
         decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
         left = grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]
-        ends = (force @ left.T) * (0.5 * span / grid.points)
-        modal = self.parts[:, None] @ np.moveaxis(ends, 2, 0)[..., None]
-        q_end = 2.0 * modal[..., 0].real.sum(axis=0)
-        v_end = 2.0 * (modal[..., 0] * self.poles[:, None, None]).real.sum(axis=0)
+        count = force.shape[0]
+        ends = (force.reshape(-1, grid.points) @ left.T).reshape(count, 3, 3) * (0.5 * span / grid.points)
+        modal = np.einsum("kij,bjk->kbi", self.parts, ends)
+        q_end = 2.0 * modal.real.sum(axis=0)
+        v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
         m, transfer = self.mechanics, self._transfer()
-        spectrum = grid.spectra(force)
         boundary = np.concatenate([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=1)
-        volts = np.empty((force.shape[0], 2, self.s.size), dtype=np.complex128)
-        for a, row in enumerate(transfer):
-            volts[:, a] = -self.band.sample_rate_hz * (boundary @ np.concatenate([row, row * self.s]))
-            for c, own in enumerate(row):
-                volts[:, a] += own * spectrum[:, c]
-        return volts
+        ringing = np.concatenate([transfer, transfer * self.s]) * -self.band.sample_rate_hz
+        volts = (boundary @ ringing.reshape(6, -1)).reshape(count, 2, -1)
+        spectrum = grid.spectra(force)
+        for c, own in enumerate(transfer * grid.bin_scale):
+            volts += own * spectrum[:, c, None]
+        return np.asarray(volts)
 
     def _transfer(self) -> ComplexArray:
-        """G (V s + D)(K + s C + s^2)^-1 (S, 3, W) by partial fractions."""
+        """G (V s + D)(K + s C + s^2)^-1 (3, S, W) by partial fractions."""
         m, s = self.mechanics, self.s
         poles = np.concatenate([self.poles, self.poles.conj()])
         parts = np.concatenate([self.parts, self.parts.conj()])
         gain = (m.velocity_sense[0] * poles[:, None, None] + m.position_sense[0]) @ parts
         resonances = self.antialias / (s - poles[:, None])
-        return np.asarray(np.moveaxis(gain, 0, 2) @ resonances)
+        return np.asarray((gain.T.reshape(-1, poles.size) @ resonances).reshape(3, 2, -1))
 
 
 def hold_response(band: Band) -> ComplexArray:
@@ -161,9 +161,9 @@ def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray
 
 @kept_if_short(4)
 def _shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
-    """1 / G (W,) and the envelopes of the drive (D, n) [V], which all devices of a band share."""
+    """1 / G (W,), in units of the grid, and the envelopes of the drive (D, n) [V], which all devices of a band share."""
     _, antialias, drive = frequency_axis(band)
-    return 1.0 / antialias, grid.envelopes(drive)
+    return 1.0 / (grid.bin_scale * antialias), grid.envelopes(drive / grid.bin_scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,13 +192,16 @@ def linear_devices(
     damping, gyroscopic, stiffness, drive, velocity, position, _ = (
         np.concatenate([getattr(one, field.name) for one in every]) for field in fields(Mechanics)
     )
-    unit = np.broadcast_to(np.eye(3), (len(every), 3, 3))
-    modes = modes_of(Mechanics(damping, gyroscopic, stiffness, unit, np.zeros_like(unit), unit))
+    unit, none = np.empty((2, len(every), 3, 3))
+    unit[:], none[:] = np.eye(3), 0.0
+    modes = modes_of(Mechanics(damping, gyroscopic, stiffness, unit, none, unit))
     own = cartesian_poles(x)[0]
     order = np.argsort(np.argsort(own.imag))
     poles, parts = modes.poles[:, order], modes.residues[:, order]
     residues = (velocity[:, None] * poles[:, :, None, None] + position[:, None]) @ parts @ drive[:, None]
-    straight, crossed = (np.abs(poles[0, :2] - e).sum() for e in (expansion[:2], expansion[1::-1]))
+    first, second = poles[0, :2]
+    straight = abs(first - expansion[0]) + abs(second - expansion[1])
+    crossed = abs(first - expansion[1]) + abs(second - expansion[0])
     source = (1, 0, 2) if crossed < straight else (0, 1, 2)
     shifts = poles[0] - expansion[list(source)]
     devices = tuple(

@@ -30,8 +30,6 @@ from ....device.force_law import Points
 from ..inband import Band
 from ..kept import kept_if_short
 
-#: Phases of a general law: those of third order are exact.
-PHASES = 5
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
 _POINTS_PER_BIN = 1.2
 #: Envelope, relative to the largest, below which nonlinear forces count as zero: they grow as its square at least.
@@ -65,15 +63,23 @@ class Grid:
         return np.asarray((coarse[:, :, None] * fine[:, None, :]).reshape(exponents.size, -1)[:, : self.points])
 
     def envelopes(self, spectrum: ComplexArray) -> ComplexArray:
-        """a (.., n) of transforms (.., W)."""
+        """a (.., n) of transforms (.., W), both in units of :attr:`bin_scale`."""
         padded = np.zeros((*spectrum.shape[:-1], self.points), dtype=np.complex128)
-        padded[..., self.band.bins - self.middle] = spectrum
-        return np.asarray(ifft(padded, axis=-1) * (2.0 * self.points / self.band.samples))
+        below = self.middle - int(self.band.bins[0])
+        padded[..., self.points - below :] = spectrum[..., :below]
+        padded[..., : spectrum.shape[-1] - below] = spectrum[..., below:]
+        return np.asarray(ifft(padded, axis=-1, overwrite_x=True))
 
     def spectra(self, envelope: ComplexArray) -> ComplexArray:
-        """Transforms (.., W) of envelopes (.., n)."""
-        whole = fft(envelope, axis=-1)[..., self.band.bins - self.middle]
-        return np.asarray(whole * (self.band.samples / (2.0 * self.points)))
+        """Transforms (.., W) of envelopes (.., n), in units of :attr:`bin_scale`."""
+        whole, below = fft(envelope, axis=-1), self.middle - int(self.band.bins[0])
+        above = self.band.bins.size - below
+        return np.concatenate([whole[..., self.points - below :], whole[..., :above]], axis=-1)
+
+    @property
+    def bin_scale(self) -> float:
+        """What turns :meth:`spectra` into transforms [V]."""
+        return self.band.samples / (2.0 * self.points)
 
 
 @kept_if_short(4)
@@ -81,6 +87,30 @@ def grid_of(band: Band) -> Grid:
     """The grid of a band."""
     middle = band.frequency_hz[band.bins.size // 2]
     return Grid(band, next_fast_len(int(_POINTS_PER_BIN * band.bins.size) + 2), float(2.0 * np.pi * middle))
+
+
+@dataclass(frozen=True)
+class Phases:
+    """M = ``count`` phases over a ``turn`` [cycles] of w0: those of whole turns give all harmonics below M."""
+
+    count: int
+    turn: float
+
+    @property
+    def doubled(self) -> Phases:
+        """The phases of 2 w0 at the same times."""
+        return Phases(self.count, 2.0 * self.turn)
+
+
+#: Phases of a general law: those of third order are exact.
+WHOLE_TURN = Phases(5, 1.0)
+
+
+@cache
+def _waves(phases: Phases, orders: tuple[int, ...]) -> FloatArray:
+    """cos(h phi_m), then -sin(h phi_m), of each of the orders h, (2 len(orders), M)."""
+    angles = np.array(orders)[:, None] * np.linspace(0.0, 2.0 * np.pi * phases.turn, phases.count, endpoint=False)
+    return np.asarray(np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(-1, phases.count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,29 +137,37 @@ class Signals:
         own = (each[:, kept] for each in (self.coordinates, self.velocities, self.drives))
         return Signals(self.grid, self.kept[kept], *own)
 
-    def at(self, phases: FloatArray) -> Points:
-        """The motion at M phases (M,) [rad] of each of the n' points, phase by phase."""
+    def at(self, phases: Phases) -> Points:
+        """The motion at M phases of each of the n' points, phase by phase."""
         every = at_phases(np.concatenate([self.coordinates, self.velocities, self.drives]), phases)
-        return Points(np.concatenate([self.grid.time_s[self.kept]] * phases.size), every[:3], every[3:6], every[6:])
+        return Points(np.tile(self.grid.time_s[self.kept], phases.count), every[:3], every[3:6], every[6:])
 
 
-@cache
-def whole_turn() -> FloatArray:
-    """Phases of a general law."""
-    return np.linspace(0.0, 2.0 * np.pi, PHASES, endpoint=False)
+def _parts(envelope: ComplexArray) -> FloatArray:
+    """Real and imaginary parts (.., 2, n') of envelopes (.., n')."""
+    parts = np.empty((*envelope.shape[:-1], 2, envelope.shape[-1]))
+    parts[..., 0, :], parts[..., 1, :] = envelope.real, envelope.imag
+    return parts
 
 
-def at_phases(envelope: ComplexArray, phases: FloatArray) -> FloatArray:
-    """Re{a e^{i phi_m}} (C, M n') of envelopes (C, n'), phase by phase, at ``phases`` (M,) [rad]."""
-    waves = np.stack([np.cos(phases), -np.sin(phases)], axis=1)
-    return np.asarray((waves @ np.stack([envelope.real, envelope.imag], axis=1)).reshape(envelope.shape[0], -1))
+def at_phases(envelope: ComplexArray, phases: Phases) -> FloatArray:
+    """Re{a e^{i phi_m}} (.., M n') of envelopes a (.., n'), phase by phase."""
+    return np.asarray(_waves(phases, (1,)).T @ _parts(envelope)).reshape(*envelope.shape[:-1], -1)
 
 
-def harmonics(values: FloatArray, phases: FloatArray, *orders: int) -> list[ComplexArray]:
-    """f_h (C, n') of values (C, M n') at ``phases`` (M,) [rad], phase by phase, for each of the ``orders`` h."""
-    waves = np.concatenate([(np.cos(h * phases), -np.sin(h * phases)) for h in orders]) * (2.0 / phases.size)
-    parts = waves @ values.reshape(values.shape[0], phases.size, -1)
-    out = np.empty((len(orders), values.shape[0], parts.shape[2]), dtype=np.complex128)
+def motion_at_phases(envelope: ComplexArray, omega: float, phases: Phases) -> tuple[FloatArray, FloatArray]:
+    """Re{a e^{i phi_m}} (.., M n') of envelopes a (.., n') of coordinates, and Re{i omega a e^{i phi_m}} of their velocities."""
+    parts, (cosines, sines) = _parts(envelope), _waves(phases, (1,))
+    shape = (*envelope.shape[:-1], -1)
+    ahead = omega * np.stack([sines, -cosines], axis=1)
+    return (_waves(phases, (1,)).T @ parts).reshape(shape), (ahead @ parts).reshape(shape)
+
+
+def harmonics(values: FloatArray, phases: Phases, *orders: int) -> list[ComplexArray]:
+    """f_h (.., n') of values (.., M n'), phase by phase, for each of the ``orders`` h."""
+    waves = _waves(phases, orders) * (2.0 / phases.count)
+    parts = waves @ values.reshape(*values.shape[:-1], phases.count, -1)
+    out = np.empty((len(orders), *values.shape[:-1], parts.shape[-1]), dtype=np.complex128)
     for i, own in enumerate(out):
-        own.real, own.imag = parts[:, 2 * i], parts[:, 2 * i + 1]
+        own.real, own.imag = parts[..., 2 * i, :], parts[..., 2 * i + 1, :]
     return list(out)

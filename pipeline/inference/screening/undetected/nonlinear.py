@@ -20,8 +20,8 @@ from ....device.force_law import Laws, Points, force_along
 from ....device.gyro import M_D, M_S
 from .library import SHAPE, BandSignature, Probe, members_of, probes_of
 from .linear import LinearDevice
-from .narrow_band import Signals, at_phases, harmonics, whole_turn
-from .parity import kind_of
+from .narrow_band import WHOLE_TURN, Signals, at_phases, harmonics, motion_at_phases
+from .parity import LawKind, kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
 _SHARE = 1e-4
@@ -51,73 +51,98 @@ def _laws(device: LinearDevice) -> Laws:
 
 
 @dataclass(frozen=True, eq=False)
-class BandForce:
-    """A force in the band: its envelope (3, n') [V/s] at ``points`` (n',) of a grid, at a value of a parameter; its order."""
+class BandForces:
+    """Forces in the band: of each of k parameters, at its value, the envelope (3, n') [V/s] at ``points`` (n',) of a grid.
 
-    probe: Probe
+    ``order`` is the order of the force in the parameter.
+    """
+
+    probes: Sequence[Probe]
     points: IntArray
-    envelope: ComplexArray
-    value: float
+    envelopes: ComplexArray
+    values: Sequence[float]
     order: int
 
 
-def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForce]:
+@lru_cache(maxsize=4)
+def _kinds(with_mismatch: bool) -> tuple[tuple[LawKind, tuple[Probe, ...]], ...]:
+    """The parameters of the force laws, those that are taken at the same phases together."""
+    found: dict[tuple[bool, int, int], tuple[LawKind, list[Probe]]] = {}
+    for probe in probes_of(with_mismatch, "force"):
+        kind = kind_of(probe)
+        found.setdefault((kind.linear, kind.phases.count, kind.order), (kind, []))[1].append(probe)
+    return tuple((kind, tuple(probes)) for kind, probes in found.values())
+
+
+def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForces]:
     """The force of each parameter of the force laws, along the motion of a device."""
     laws, loud = _laws(device), signals.loud
     motions: dict[tuple[bool, int], Points] = {}
-    even: list[_EvenLaw] = []
-    for probe in probes_of(with_mismatch, "force"):
-        kind, p = kind_of(probe), probe.at(probe.member.scale)
-        used, key = signals if kind.linear else loud, (kind.linear, kind.phases.size)
+    even: list[_EvenLaws] = []
+    for kind, probes in _kinds(with_mismatch):
+        used, key = signals if kind.linear else loud, (kind.linear, kind.phases.count)
         if key not in motions:
             motions[key] = used.at(kind.phases)
-        f = _along(probe, motions[key], p, laws)
+        values = [probe.member.scale for probe in probes]
+        f = np.stack([_along(probe, motions[key], value, laws) for probe, value in zip(probes, values)])
         if kind.order == 1:
-            yield BandForce(probe, used.kept, harmonics(f, kind.phases, 1)[0], probe.member.scale, 1)
+            yield BandForces(probes, used.kept, harmonics(f, kind.phases, 1)[0], values, 1)
         else:
             steady, double = harmonics(f, kind.phases, 0, 2)
-            even.append(_EvenLaw(probe, p, steady.real, double))
+            even.append(_EvenLaws(probes, steady.real, double))
     if even:
-        phases = whole_turn()
-        motion = motions.get((False, phases.size)) or loud.at(phases)
-        yield from _second_order(even, device, loud, motion, laws)
+        motion = motions.get((False, WHOLE_TURN.count)) or loud.at(WHOLE_TURN)
+        yield _second_order(_EvenLaws.together(even), device, loud, motion, laws)
 
 
-def _along(probe: Probe, motion: Points, p: FloatArray, laws: Laws) -> FloatArray:
+def _along(probe: Probe, motion: Points, value: float, laws: Laws) -> FloatArray:
     assert probe.effect.force is not None
-    return force_along(probe.effect.force, motion, p, laws)
+    return force_along(probe.effect.force, motion, probe.at(value), laws)
 
 
 @dataclass(frozen=True, eq=False)
-class _EvenLaw:
-    """A law without a first harmonic at parameters p (k,): its harmonics f_0 (3, n'), real, and f_2 (3, n') [V/s]."""
+class _EvenLaws:
+    """k laws without a first harmonic: their harmonics f_0 (k, 3, n'), real, and f_2 (k, 3, n') [V/s]."""
 
-    probe: Probe
-    p: FloatArray
+    probes: tuple[Probe, ...]
     steady: FloatArray
     double: ComplexArray
 
+    @classmethod
+    def together(cls, parts: Sequence[_EvenLaws]) -> _EvenLaws:
+        """All laws of the parts, those without a force left out."""
+        probes = tuple(probe for part in parts for probe in part.probes)
+        steady, double = (np.concatenate(each) for each in zip(*((part.steady, part.double) for part in parts)))
+        acting = np.flatnonzero(steady.any(axis=(1, 2)) | double.any(axis=(1, 2)))
+        if acting.size < len(probes):
+            return cls(tuple(probes[i] for i in acting), steady[acting], double[acting])
+        return cls(probes, steady, double)
 
-def _second_order(
-    even: Sequence[_EvenLaw], device: LinearDevice, signals: Signals, motion: Points, laws: Laws
-) -> Iterator[BandForce]:
-    """The forces of laws through what their own harmonics add to the ``motion`` at :func:`whole_turn`."""
+
+def _second_order(even: _EvenLaws, device: LinearDevice, signals: Signals, motion: Points, laws: Laws) -> BandForces:
+    """The forces of laws through what their own harmonics add to the ``motion`` at :data:`WHOLE_TURN`."""
     omega, stiffness = signals.grid.omega, device.mechanics.stiffness[0]
     static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * omega**2 * np.eye(3)]))
-    level = _SHARE * omega**2 * _rms(signals.coordinates)
-    phases = whole_turn()
-    for law in even:
-        size = max(_rms(law.steady), _rms(law.double))
-        if size == 0.0:
-            continue
-        # To first order in the parameter, the deviation is proportional to it.
-        share = level / size
-        double = share * (fast @ law.double)
-        added = at_phases(np.concatenate([double, 2j * omega * double]), 2.0 * phases)
-        added[:3] += np.tile(0.5 * share * (static @ law.steady), phases.size)
-        moved = motion.plus(added[:3], added[3:])
-        (f,) = harmonics(_along(law.probe, moved, share * law.p, laws), phases, 1)
-        yield BandForce(law.probe, signals.kept, f, share * law.probe.member.scale, 2)
+    size = np.maximum(_rms_of_each(even.steady), _rms_of_each(even.double))
+    # To first order in the parameter, the deviation is proportional to it.
+    share = (_SHARE * omega**2 * _rms(signals.coordinates) / size)[:, None, None]
+    q, qd = motion_at_phases(fast @ (share * even.double), 2.0 * omega, WHOLE_TURN.doubled)
+    by_phase = q.reshape(*even.steady.shape[:2], WHOLE_TURN.count, -1)
+    by_phase += (static @ (0.5 * share * even.steady))[:, :, None]
+    q += motion.q
+    qd += motion.qd
+    values = [own * probe.member.scale for own, probe in zip(share[:, 0, 0].tolist(), even.probes)]
+    f = [
+        _along(probe, Points(motion.t, *moved, motion.u), value, laws)
+        for probe, value, moved in zip(even.probes, values, zip(q, qd))
+    ]
+    return BandForces(even.probes, signals.kept, harmonics(np.stack(f), WHOLE_TURN, 1)[0], values, 2)
+
+
+def _rms_of_each(z: FloatArray | ComplexArray) -> FloatArray:
+    """Rms (k,) of arrays (k, ..)."""
+    flat = np.ascontiguousarray(z).reshape(z.shape[0], -1).view(np.float64)
+    return np.asarray(np.sqrt(np.einsum("ki,ki->k", flat, flat) / (z.size // z.shape[0])))
 
 
 @lru_cache(maxsize=64)
@@ -130,24 +155,28 @@ def _returns(probe: Probe) -> bool:
     return float(np.linalg.norm(plus - minus)) > _EVEN * float(np.linalg.norm(plus))
 
 
-def drive_forces(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForce]:
+def drive_forces(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForces]:
     """The force of each parameter of the drive laws."""
     for probe in probes_of(with_mismatch, "drive"):
         if not _returns(probe):
             continue
         assert probe.effect.drive is not None
-        v = at_phases(signals.drives, phases := whole_turn()).T
-        (change,) = harmonics((probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, phases, 1)
-        yield BandForce(probe, signals.kept, device.mechanics.drive[0] @ change, probe.member.scale, 1)
+        v = at_phases(signals.drives, WHOLE_TURN).T
+        (change,) = harmonics(
+            (probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, WHOLE_TURN, 1
+        )
+        force = device.mechanics.drive[0] @ change
+        yield BandForces((probe,), signals.kept, force[None], (probe.member.scale,), 1)
 
 
 def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandSignature]:
     """Signatures of the sense laws."""
-    m, phases = device.mechanics, whole_turn()
-    motion = signals.at(phases)
-    q, qd, t = motion.q, motion.qd, motion.t
+    m, q, qd = device.mechanics, signals.coordinates, signals.velocities
+    sensed = m.velocity_sense[0] @ qd + m.position_sense[0] @ q
+    values = at_phases(np.concatenate([_MOTION_S @ q, _MOTION_S @ qd, sensed]), WHOLE_TURN)
     # Laws take points by channels (M n', S); their columns are contiguous.
-    x, xd, s = (_MOTION_S @ q).T, (_MOTION_S @ qd).T, (m.velocity_sense[0] @ qd + m.position_sense[0] @ q).T
+    x, xd, s = values[:2].T, values[2:4].T, values[4:].T
+    t = np.tile(signals.grid.time_s, WHOLE_TURN.count)
     few = slice(None, None, _SPARSE)
     level = _rms(s[few])
     found: list[tuple[Probe, float, int]] = []
@@ -158,11 +187,11 @@ def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool
         trial = sense(x[few], xd[few], s[few], t[few], probe.at(scale), device.context) - s[few]
         value = scale * _SHARE * level / _rms(trial)
         change = (sense(x, xd, s, t, probe.at(value), device.context) - s).T
-        (first,) = harmonics(change, phases, 1)
+        (first,) = harmonics(change, WHOLE_TURN, 1)
         # An even law has a first harmonic of second order.
         found.append((probe, value, 1 if _rms(first) > 0.01 * _rms(change) else 2))
         changes.append(first)
     if changes:
-        spectra = signals.grid.spectra(np.stack(changes)) * device.antialias
+        spectra = signals.grid.spectra(np.stack(changes)) * (signals.grid.bin_scale * device.antialias)
         for (probe, value, order), spectrum in zip(found, spectra):
             yield probe.signature(spectrum, value, order)

@@ -20,7 +20,7 @@ import numpy as np
 from ....arrays import FloatArray
 from ....device.force_law import Laws, Points, force_along
 from .library import Probe
-from .narrow_band import whole_turn
+from .narrow_band import WHOLE_TURN, Phases
 
 #: Relative size of a part of a law that counts as rounding.
 _ROUNDING = 1e-9
@@ -34,12 +34,12 @@ class LawKind:
 
     Parameters
     ----------
-    phases : (M,) [rad] at which the law is taken.
+    phases : at which the law is taken.
     linear, even : whether it is linear or even; neither if it is odd or mixed.
     order : of what returns into the band in the parameter, 1 or 2.
     """
 
-    phases: FloatArray
+    phases: Phases
     linear: bool
     even: bool
     order: int
@@ -63,12 +63,12 @@ def kind_of(probe: Probe) -> LawKind:
     plus, minus = at(1.0), at(-1.0)
     size = _ROUNDING * float(np.linalg.norm(plus))
     if np.linalg.norm(at(2.0) - 2.0 * plus) <= size:
-        return LawKind(np.array([0.0, 0.5 * np.pi]), True, False, 1)
+        return LawKind(Phases(2, 0.5), True, False, 1)
     if np.linalg.norm(plus + minus) <= size:
         # |x| x is right to 1 %: its seventh harmonic is folded into the first.
-        return LawKind(np.linspace(0.0, np.pi, 4, endpoint=False), False, False, 1)
+        return LawKind(Phases(4, 0.5), False, False, 1)
     if np.linalg.norm(plus - minus) <= size:
-        return LawKind(np.linspace(0.0, np.pi, 3, endpoint=False), False, True, 2)
+        return LawKind(WHOLE_TURN, False, True, 2)
     odd, half = (at(1.0, strength) - at(-1.0, strength) for strength in (1.0, 0.5))
     order = 2 if float(np.linalg.norm(odd)) > 3.0 * float(np.linalg.norm(half)) else 1
-    return LawKind(whole_turn(), False, False, order)
+    return LawKind(WHOLE_TURN, False, False, order)

@@ -20,11 +20,11 @@ from ..compressed import BandData
 from ..whitening import BandNoise, covariance
 
 
-def real_rows(spectra: ComplexArray) -> FloatArray:
-    """Spectra (.., W) as real numbers (.., 2 W): all real parts before all imaginary ones."""
-    out = np.empty((*spectra.shape[:-1], 2 * spectra.shape[-1]))
-    out[..., : spectra.shape[-1]], out[..., spectra.shape[-1] :] = spectra.real, spectra.imag
-    return out
+def write_real(spectra: ComplexArray, out: FloatArray, factor: float = 1.0) -> None:
+    """Write ``factor`` times spectra (.., W) as real numbers to ``out`` (.., 2 W): real parts before imaginary ones."""
+    width = spectra.shape[-1]
+    np.multiply(spectra.real, factor, out=out[..., :width])
+    np.multiply(spectra.imag, factor, out=out[..., width:])
 
 
 def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
@@ -36,40 +36,56 @@ def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
     return np.asarray(item.noise.variance + item.noise.dependent[[0, 2]].max(axis=1)[:, None])
 
 
-def stationary_rows(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Rows (K, S, 2 W) [V] in units of noise of ``variance`` (S, W) [V^2], hum lines projected out."""
-    weight = np.tile(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance), 2)
-    n = item.nuisance
-    if not n.shape[1]:
-        return rows * weight
+def without_hum(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
+    """Rows (K, S, 2 W) [V] less their part in a ``nuisance`` basis (2 W, L)."""
+    if not nuisance.shape[1]:
+        return rows
     flat = rows.reshape(-1, rows.shape[2])
-    left = (flat @ n) @ n.T
+    left = (flat @ nuisance) @ nuisance.T
     np.subtract(flat, left, out=left)
-    out = left.reshape(rows.shape)
-    out *= weight
+    return left.reshape(rows.shape)
+
+
+def record_weight(item: BandData, variance: FloatArray) -> FloatArray:
+    """sqrt(2/N) / s (S, W), which turns volts into sigmas of noise of ``variance`` (S, W) [V^2]."""
+    return np.asarray(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance))
+
+
+def hum_of(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
+    """Parts (K, S, L) of rows (K, S, 2 W) in a ``nuisance`` basis (2 W, L)."""
+    return np.asarray(rows.reshape(-1, rows.shape[2]) @ nuisance).reshape(*rows.shape[:2], -1)
+
+
+def white_products(rows: FloatArray, hum: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise, their parts ``hum`` (K, S, L) left out.
+
+    The projection is that of the products, y'z - (n'y)'(n'z), so the rows are not touched.
+    """
+    out = np.zeros((rows.shape[0], rows.shape[0]))
+    for a, own_variance in enumerate(variance[:, 0]):
+        own = rows[:, a] @ rows[:, a].T
+        own -= hum[:, a] @ hum[:, a].T
+        own *= 2.0 / item.band.samples / own_variance
+        out += own
     return out
 
 
-def products_of(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of the noise of a record, hum lines projected out.
-
-    With white noise the projection is that of the products, y'z - (n'y)'(n'z), so the rows are not touched.
+def products_of(rows: FloatArray, item: BandData, noise: BandNoise, variance: FloatArray) -> FloatArray:
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of noise that is not white, hum lines projected out.
 
     Raises
     ------
     numpy.linalg.LinAlgError : the covariance of noise that depends on the signal is not positive definite.
     """
-    if item.noise is None:
-        out = np.zeros((rows.shape[0], rows.shape[0]))
-        for a, own_variance in enumerate(variance[:, 0]):
-            own, hum = rows[:, a], rows[:, a] @ item.nuisance
-            out += (own @ own.T - hum @ hum.T) * (2.0 / item.band.samples / own_variance)
-        return out
-    if item.noise.dependent.size:
-        flat = generalised_rows(rows, item, item.noise)
-    else:
-        flat = stationary_rows(rows, item, variance).reshape(rows.shape[0], -1)
+    depends = noise.dependent.size > 0
+    flat = generalised_rows(rows, item, noise) if depends else stationary_rows(rows, item, variance)
     return np.asarray(flat @ flat.T)
+
+
+def stationary_rows(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Rows (K, 2 S W) of rows (K, S, 2 W) [V] in units of noise of ``variance`` (S, W) [V^2], hum lines projected out."""
+    weighted = without_hum(rows, item.nuisance) * np.tile(record_weight(item, variance), 2)
+    return np.asarray(weighted.reshape(rows.shape[0], -1))
 
 
 def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> FloatArray:

@@ -7,6 +7,8 @@ Shapes: g points, P parameters, Q quantities.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.special import fdtrc
 
@@ -20,51 +22,57 @@ _SHARE = 0.95
 _RIDGE = 1e-9
 
 
-def judged_scans(products: ScannedProducts, slopes: FloatArray, prior: FloatArray, noise_dof: float) -> Judged:
+def judged_scans(products: ScannedProducts, projection: Projection, residual: FloatArray, noise_dof: float) -> Judged:
     """p-values and bounds of the scans.
 
     Parameters
     ----------
     products : summed over the records.
-    slopes : dq/dx (Q, P).
-    prior : rows of the prior, [J, r]' [J, r] (P + 1, P + 1).
+    projection : of the fit, with the rows of its prior.
+    residual : J' r (P,), with those rows.
     noise_dof : degrees of freedom of the noise level.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError : the Jacobian has no full rank.
     """
-    count, scans = slopes.shape[1], products.scans
-    base = products.base + prior
-    projection = Projection.of(base[:count, :count], slopes)
-    residual = projection.overlap(base[:count, count:])[:, 0]
+    scans, q = products.scans, projection.slopes.shape[0]
     if not scans:
-        return Judged((), np.zeros(0), np.zeros(0), np.zeros((0, slopes.shape[0])))
-    cross, raw = np.concatenate(products.cross), np.concatenate(products.gram)
-    points = raw.shape[0]
-    size = np.sqrt(np.diagonal(raw, axis1=1, axis2=2))
-    cross = cross / size[:, None, :]
-    overlap = projection.overlap(cross[:, :count].transpose(1, 0, 2).reshape(count, -1))
-    by_point = np.ascontiguousarray(overlap.reshape(count, points, 4).transpose(1, 0, 2))
-    gram = raw / (size[:, :, None] * size[:, None, :]) - np.swapaxes(by_point, 1, 2) @ by_point
-    inverse = np.linalg.inv(gram + _RIDGE * np.eye(4))
-    score = cross[:, count] - residual @ by_point
+        return Judged((), np.zeros(0), np.zeros(0), np.zeros((0, q)))
+    count, points = residual.size, products.squares.shape[1]
+    size, unit = _unit_columns(products.squares)
+    cross = products.cross / size
+    overlap = projection.overlap(cross[:count].reshape(count, -1))
+    by_point = np.ascontiguousarray(overlap.reshape(count, 2, points, 2).transpose(2, 0, 1, 3)).reshape(
+        points, count, 4
+    )
+    gram = unit - np.swapaxes(by_point, 1, 2) @ by_point
+    inverse = np.linalg.inv(gram)
+    score = cross[count].transpose(1, 0, 2).reshape(points, 4) - projection.overlap(residual) @ by_point
     estimate = (inverse @ score[:, :, None])[:, :, 0]
-    every = np.sum(estimate * score, axis=1)
-    bias = np.swapaxes(projection.bias(overlap).reshape(-1, points, 4), 0, 1)
-    variance = np.sum((bias @ inverse) * bias, axis=2)
-    each = np.abs(bias @ estimate[:, :, None])[:, :, 0] + Z95 * np.sqrt(np.maximum(variance, 0.0))
-    reach = np.repeat([scan.reach for scan in scans], [len(one) for one in products.gram])
-    each = np.minimum(each, np.sum(np.abs(bias) * (reach[:, None] * size)[:, None], axis=2)).T
-    p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), slopes.shape[0]))
+    every = np.einsum("gk,gk->g", estimate, score)
+    bias = projection.slopes @ by_point
+    spread = np.sqrt(np.maximum(np.einsum("gqk,gqk->gq", bias @ inverse, bias), 0.0))
+    each = np.abs((bias @ estimate[:, :, None])[:, :, 0]) + Z95 * spread
+    reach = np.concatenate([np.full(scan.points, scan.reach) for scan in scans])
+    most = size.transpose(1, 0, 2).reshape(points, 4, 1) * reach[:, None, None]
+    each = np.minimum(each, (np.abs(bias) @ most)[:, :, 0]).T
+    p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), q))
     last = 0
     for i, scan in enumerate(scans):
-        first, last = last, last + products.gram[i].shape[0]
+        first, last = last, last + scan.points
         explained[i] = float(np.max(every[first:last]))
         single = float(fdtrc(4.0, noise_dof, explained[i] / 4.0))
-        p_values[i] = -np.expm1((last - first) * np.log1p(-min(single, 1.0 - 1e-16)))
+        p_values[i] = -math.expm1(scan.points * math.log1p(-min(single, 1.0 - 1e-16)))
         bounds[i] = _quantile(each[:, first:last], scan.weight)
     return Judged(tuple(scan.effect for scan in scans), p_values, explained, bounds)
+
+
+def _unit_columns(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Norms (S, g, 2) of columns with products (S, g, 3), and the products (g, 4, 4) of the unit columns, with a ridge."""
+    size = np.sqrt(squares[:, :, ::2])
+    cosine = squares[:, :, 1] / (size[:, :, 0] * size[:, :, 1])
+    unit = np.zeros((squares.shape[1], 4, 4))
+    unit[:, np.arange(4), np.arange(4)] = 1.0 + _RIDGE
+    for a in (0, 2):
+        unit[:, a, a + 1] = unit[:, a + 1, a] = cosine[a // 2]
+    return size, unit
 
 
 def _quantile(values: FloatArray, weight: FloatArray) -> FloatArray:

@@ -16,16 +16,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from hashlib import sha256
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....arrays import FloatArray
 from ....device.effect import Effect
-from ..compressed import line_columns, lines_between
+from ..compressed import line_columns, lines_between, nuisance_basis
 from ..inband import SHORT, Band, features
 from .library import members_of, scored_effects
 
@@ -47,36 +48,68 @@ class ScanPoints:
     Parameters
     ----------
     effect : its name.
+    points : their number g.
     weight : (g,) share of each point in the range of the scan; (0,): the bound holds for all points.
     reach : largest strength of a column.
     """
 
     effect: str
+    points: int
     weight: FloatArray
     reach: float
 
 
 @dataclass(frozen=True, eq=False)
 class BandScan:
-    """Columns of some or all points of a scan in a band; the weights need not add up to 1.
+    """Columns of g points of scans in a band, scan after scan; the weights of a scan need not add up to 1.
 
     Parameters
     ----------
-    scan : the points.
+    scans : the points of each scan, g in all.
     columns : (2 W, 2 g) real, two for each point; in single precision, as products with them are scores of at most 1e7 sigmas.
     squares, sums : (2 W, 3 g) products of the two columns of a point: 11, 12, 22; and their sums (3 g,) over the bins.
+    nuisance : orthonormal basis (2 W, L) of the hum lines.
     """
 
-    scan: ScanPoints
+    scans: tuple[ScanPoints, ...]
     columns: NDArray[np.float32]
     squares: FloatArray
     sums: FloatArray
+    nuisance: FloatArray
+
+    @cached_property
+    def hum(self) -> FloatArray:
+        """Parts (L, 2 g) of the columns in the hum lines."""
+        return np.asarray(self.nuisance.T @ self.columns)
 
 
-def _band_scan(scan: ScanPoints, columns: FloatArray) -> BandScan:
+def _band_scan(scan: ScanPoints, columns: FloatArray, nuisance: FloatArray) -> BandScan:
     first, second = columns[:, ::2], columns[:, 1::2]
     squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
-    return BandScan(scan, np.ascontiguousarray(columns, dtype=np.float32), squares, squares.sum(axis=0))
+    single = np.ascontiguousarray(columns, dtype=np.float32)
+    return BandScan((scan,), single, squares, squares.sum(axis=0), nuisance)
+
+
+def _together(parts: Sequence[BandScan]) -> BandScan:
+    """All parts as one, so that products with a device are one product."""
+    return BandScan(
+        _joined([scan for part in parts for scan in part.scans]),
+        np.concatenate([part.columns for part in parts], axis=1),
+        np.concatenate([part.squares for part in parts], axis=1),
+        np.concatenate([part.sums for part in parts]),
+        parts[0].nuisance,
+    )
+
+
+def _joined(scans: Sequence[ScanPoints]) -> tuple[ScanPoints, ...]:
+    """The scan of each effect from its parts, which follow each other, with weights that add up to 1."""
+    out = []
+    for effect, own in groupby(scans, key=lambda scan: scan.effect):
+        parts = list(own)
+        weight = np.concatenate([part.weight for part in parts])
+        points = sum(part.points for part in parts)
+        out.append(ScanPoints(effect, points, weight / weight.sum() if weight.size else weight, parts[0].reach))
+    return tuple(out)
 
 
 def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> list[tuple[float, float, float]]:
@@ -96,7 +129,9 @@ def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> 
     return points
 
 
-def _mode_scans(effect: Effect, band: Band, edges_hz: tuple[float, float], most: int) -> Iterator[BandScan]:
+def _mode_scans(
+    effect: Effect, band: Band, edges_hz: tuple[float, float], nuisance: FloatArray, most: int
+) -> Iterator[BandScan]:
     assert effect.resonance is not None
     members = {member.name: member for member in members_of(effect)}
     frequency = members[effect.resonance[0]]
@@ -112,18 +147,24 @@ def _mode_scans(effect: Effect, band: Band, edges_hz: tuple[float, float], most:
             y = gain * features(band, pole, 0)[0] + np.conj(gain) * features(band, complex(np.conj(pole)), 0)[0]
             columns.append(np.concatenate([y.real, y.imag], axis=1))
         weight = np.array([share for *_, share in points[first : first + most]])
-        yield _band_scan(ScanPoints(effect.name, weight, reach), np.concatenate(columns).T)
+        yield _band_scan(ScanPoints(effect.name, weight.size, weight, reach), np.concatenate(columns).T, nuisance)
 
 
 def _line_scans(
-    effect: Effect, band: Band, edges_hz: tuple[float, float], line_hz: float | None, most: int
+    effect: Effect,
+    band: Band,
+    edges_hz: tuple[float, float],
+    line_hz: float | None,
+    nuisance: FloatArray,
+    most: int,
 ) -> Iterator[BandScan]:
     frequency = next(member for member in members_of(effect) if member.name == effect.mains_frequency)
     lines = np.concatenate([np.zeros(0), *(lines_between(*edges_hz, f) for f in frequency.grid if f != line_hz)])
     for first in range(0, lines.size, most):
         columns = line_columns(band, lines[first : first + most])
         pairs = np.stack(np.split(columns, 2, axis=1), axis=2).reshape(columns.shape)
-        yield _band_scan(ScanPoints(effect.name, np.zeros(0), np.inf), pairs)
+        count = lines[first : first + most].size
+        yield _band_scan(ScanPoints(effect.name, count, np.zeros(0), np.inf), pairs, nuisance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,80 +203,76 @@ def scans_of(
 def _kept_scans(
     driven: BandOfDrive, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool
 ) -> tuple[BandScan, ...]:
-    return tuple(_scans(driven.band, edges_hz, line_hz, with_mismatch, sys.maxsize))
+    scans = tuple(_scans(driven.band, edges_hz, line_hz, with_mismatch, sys.maxsize))
+    return (_together(scans),) if scans else ()
 
 
 def _scans(
     band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool, most: int
 ) -> Iterator[BandScan]:
     """The scans in parts of at most ``most`` points."""
+    nuisance = nuisance_basis(band, line_hz)
     for effect in scored_effects(with_mismatch):
         if effect.resonance is not None:
-            yield from _mode_scans(effect, band, edges_hz, most)
+            yield from _mode_scans(effect, band, edges_hz, nuisance, most)
         elif effect.mains_frequency:
-            yield from _line_scans(effect, band, edges_hz, line_hz, most)
+            yield from _line_scans(effect, band, edges_hz, line_hz, nuisance, most)
 
 
 @dataclass(frozen=True, eq=False)
 class ScannedProducts:
-    """Products of whitened columns of one record.
+    """Products of whitened columns of one record, the g points of all scans one after the other.
 
     Parameters
     ----------
     scans : of which they are products.
     base : [J, r]' [J, r] (P + 1, P + 1).
-    cross, gram : of each scan, [J, r]' Z (g, P + 1, 4) and Z' Z (g, 4, 4) of its points.
+    cross : [J, r]' Z (P + 1, S, g, 2), with the two columns of a point in each channel.
+    squares : Z' Z (S, g, 3) of the columns of a point, 11, 12, 22; those of different channels are orthogonal.
     """
 
     scans: tuple[ScanPoints, ...]
     base: FloatArray
-    cross: tuple[FloatArray, ...]
-    gram: tuple[FloatArray, ...]
+    cross: FloatArray
+    squares: FloatArray
 
     def __add__(self, other: ScannedProducts) -> ScannedProducts:
-        cross = tuple(a + b for a, b in zip(self.cross, other.cross))
-        gram = tuple(a + b for a, b in zip(self.gram, other.gram))
-        return ScannedProducts(self.scans, self.base + other.base, cross, gram)
+        return ScannedProducts(
+            self.scans, self.base + other.base, self.cross + other.cross, self.squares + other.squares
+        )
 
 
-def scanned_products(scans: Iterable[BandScan], rows: FloatArray, weight: FloatArray) -> ScannedProducts:
-    """Products of the scans with the ``rows`` (P + 1, S, 2 W) of the Jacobian and of the residual, in sigmas.
+def scanned_products(
+    scans: Iterable[BandScan], rows: FloatArray, hum: FloatArray, weight: FloatArray, base: FloatArray
+) -> ScannedProducts:
+    """Products of the scans with the ``rows`` (P + 1, S, 2 W) [V] of the Jacobian and of the residual.
 
-    ``weight`` (S, W) turns volts into sigmas.
+    Parameters
+    ----------
+    scans : of the record.
+    rows, hum : the rows, and their parts (P + 1, S, L) in the hum lines, which are left out of the products; that of the residual
+        may be much larger than what is left, so it is zero.
+    weight : (S, W), turns volts into sigmas.
+    base : products (P + 1, P + 1) of the rows in sigmas.
     """
-    weighted = (rows * np.tile(weight, 2)).reshape(-1, rows.shape[2])
-    scale = np.linalg.norm(weighted, axis=1, keepdims=True) + 1e-300
-    np.divide(weighted, scale, out=weighted)
-    single = weighted.astype(np.float32)
-    del weighted  # as large as a third of a long record
-    flat_weight = bool(np.all(weight == weight[:, :1]))
-    parts, crosses, grams = [], [], []
+    power = weight**2
+    level = power[:, :1]
+    flat_weight = bool(np.all(power == level))
+    weighted = rows if flat_weight else rows * np.tile(power, 2)
+    single = weighted.astype(np.float32).reshape(-1, rows.shape[2])
+    found: list[ScanPoints] = []
+    crosses, squares = [], []
     for scan in scans:
-        count = scan.squares.shape[1] // 3
-        cross = ((single @ scan.columns) * scale).reshape(rows.shape[0], 2, count, 2)
-        crosses.append(cross.transpose(2, 0, 1, 3).reshape(count, -1, 4))
-        sums = weight[:, :1] ** 2 * scan.sums if flat_weight else np.tile(weight**2, 2) @ scan.squares
-        squares = sums.reshape(2, count, 3)
-        gram = np.zeros((count, 4, 4))
-        for a in (0, 2):
-            own = squares[a // 2]
-            gram[:, a, a], gram[:, a + 1, a + 1] = own[:, 0], own[:, 2]
-            gram[:, a, a + 1] = gram[:, a + 1, a] = own[:, 1]
-        grams.append(gram)
-        parts.append(scan.scan)
-    flat = rows.reshape(rows.shape[0], -1)
-    own = [
-        [k for k, part in enumerate(parts) if part.effect == name] for name in dict.fromkeys(p.effect for p in parts)
-    ]
-    return ScannedProducts(
-        tuple(_joined([parts[k] for k in one]) for one in own),
-        flat @ flat.T,
-        tuple(np.concatenate([crosses[k] for k in one]) for one in own),
-        tuple(np.concatenate([grams[k] for k in one]) for one in own),
-    )
-
-
-def _joined(parts: Sequence[ScanPoints]) -> ScanPoints:
-    """A scan from its parts, with weights that add up to 1."""
-    weight = np.concatenate([part.weight for part in parts])
-    return replace(parts[0], weight=weight / weight.sum() if weight.size else weight)
+        cross = (single @ scan.columns).astype(np.float64).reshape(rows.shape[0], 2, -1)
+        if flat_weight:
+            cross -= hum @ scan.hum
+            cross *= level
+        crosses.append(cross.reshape(rows.shape[0], 2, -1, 2))
+        sums = level * scan.sums if flat_weight else np.tile(power, 2) @ scan.squares
+        squares.append(sums.reshape(2, -1, 3))
+        found += scan.scans
+    if not crosses:
+        return ScannedProducts((), base, np.zeros((rows.shape[0], 2, 0, 2)), np.zeros((2, 0, 3)))
+    if len(crosses) == 1:
+        return ScannedProducts(tuple(found), base, crosses[0], squares[0])
+    return ScannedProducts(_joined(found), base, np.concatenate(crosses, axis=2), np.concatenate(squares, axis=1))

@@ -46,9 +46,11 @@ def signatures(
     found += readout_signatures(device, with_mismatch)
     forces = [*forces_of(device, signals, with_mismatch), *drive_forces(device, signals, with_mismatch)]
     if forces:
-        envelopes = np.zeros((len(forces), 3, grid.points), dtype=np.complex128)
-        for envelope, force in zip(envelopes, forces):
-            envelope[:, force.points] = force.envelope
-        volts = device.forced(envelopes, grid)
-        found += [force.probe.signature(y, force.value, force.order) for force, y in zip(forces, volts)]
+        ends = np.cumsum([0, *(len(one.probes) for one in forces)])
+        envelopes = np.zeros((ends[-1], 3, grid.points), dtype=np.complex128)
+        for first, last, one in zip(ends, ends[1:], forces):
+            envelopes[first:last, :, one.points] = one.envelopes
+        volts = iter(device.forced(envelopes, grid))
+        for one in forces:
+            found += [probe.signature(next(volts), value, one.order) for probe, value in zip(one.probes, one.values)]
     return tuple(sorted(found, key=lambda one: one.effect))
