@@ -46,8 +46,9 @@ def adc_sizes(louds: Sequence[Loud], sigma_v: FloatArray, bias_v: float, with_mi
             continue
         low, high = 1e-6 * probe.member.scale, probe.member.high
         for _ in range(40):
-            middle = float(np.sqrt(low * high))
-            size = float(np.linalg.norm((probe.effect.adc(volts, np.array([middle]), context) - volts) / sigma_v))
+            middle = math.sqrt(low * high)
+            change = (probe.effect.adc(volts, np.array([middle]), context) - volts) / sigma_v
+            size = math.sqrt(np.vdot(change, change))
             low, high = (low, middle) if size > _CLIPPED else (middle, high)
             if 0.5 * _CLIPPED < size < 2.0 * _CLIPPED:
                 break

@@ -8,7 +8,7 @@ Shapes: P parameters, W bins, S = 2 senses.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -129,11 +129,17 @@ def _products(
     return products, scanned_products(scans, left, none, weight, base)
 
 
+@lru_cache(maxsize=4)
+def _rows_of(prior: MismatchPrior) -> tuple[FloatArray, FloatArray]:
+    """Root and offset of a prior, which all devices of a run share."""
+    return prior.rows()
+
+
 def _prior_products(prior: MismatchPrior | None, x: FloatArray) -> FloatArray:
     """What the prior adds to [J, r]' [J, r], (P + 1, P + 1)."""
     if prior is None:
         return np.zeros((x.size + 1, x.size + 1))
-    root, offset = prior.rows()
+    root, offset = _rows_of(prior)
     rows = np.zeros((x.size + 1, offset.size))
     rows[12:14] = root.T
     rows[-1] = offset - root @ x[12:]

@@ -14,7 +14,7 @@ Shapes: 3 modes and coordinates, D = 2 drives, S = 2 senses, W bins, n points of
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,7 +23,7 @@ from ....arrays import ComplexArray, FloatArray
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
 from ....device.gyro import PHYSICAL, cartesian_mechanics, cartesian_modes, to_physical
-from ....device.mechanics import Mechanics, modes_of
+from ....device.mechanics import Mechanics, modes_of, state_matrix
 from ....experiment.antialias import filter_response
 from ....experiment.instrument import Instrument
 from ..fit import Fit
@@ -166,6 +166,29 @@ def _shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]
     return 1.0 / (grid.bin_scale * antialias), grid.envelopes(drive / grid.bin_scale)
 
 
+def _position_modes(every: Sequence[Mechanics], own: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Poles (B, 3) [rad/s] and residues (B, 3, 3, 3) of (K + s C + s^2)^-1, in the order of the poles ``own`` (3,).
+
+    They are those of ``modes_of`` with unit drive and sense.
+
+    Raises
+    ------
+    ConfigError : as in ``modes_of``.
+    """
+    state = np.concatenate([state_matrix(one) for one in every])
+    roots, right = np.linalg.eig(state)
+    modes = np.argsort(np.where(roots.imag > 0.0, roots.imag, np.inf), axis=1)[:, :3][
+        :, np.argsort(np.argsort(own.imag))
+    ]
+    batch = np.arange(len(every))[:, None]
+    poles = roots[batch, modes]
+    if not np.all(poles.imag > 0.0):
+        # It states which mode does not oscillate.
+        modes_of(every[int(np.argmin(poles.imag.min(axis=1)))])
+    left = np.linalg.inv(right)[batch, modes, 3:]
+    return poles, right[batch, :3, modes][:, :, :, None] * left[:, :, None]
+
+
 @dataclass(frozen=True, eq=False)
 class Moved:
     """Poles (B, 3) and residues (B, 3, S, D) [rad/s] of B other mechanics, in the order of those of the device."""
@@ -189,16 +212,12 @@ def linear_devices(
     x, expansion = fit.x, fit.likelihood.expansion
     mechanics, context = device_mechanics(x, instrument.bias_v)
     every = [mechanics, *others(mechanics, context)]
-    damping, gyroscopic, stiffness, drive, velocity, position, _ = (
-        np.concatenate([getattr(one, field.name) for one in every]) for field in fields(Mechanics)
+    poles, parts = _position_modes(every, cartesian_poles(x)[0])
+    read, position = (
+        np.concatenate([getattr(one, name) for one in every]) for name in ("velocity_sense", "position_sense")
     )
-    unit, none = np.empty((2, len(every), 3, 3))
-    unit[:], none[:] = np.eye(3), 0.0
-    modes = modes_of(Mechanics(damping, gyroscopic, stiffness, unit, none, unit))
-    own = cartesian_poles(x)[0]
-    order = np.argsort(np.argsort(own.imag))
-    poles, parts = modes.poles[:, order], modes.residues[:, order]
-    residues = (velocity[:, None] * poles[:, :, None, None] + position[:, None]) @ parts @ drive[:, None]
+    drive = np.concatenate([one.drive for one in every])
+    residues = (read[:, None] * poles[:, :, None, None] + position[:, None]) @ parts @ drive[:, None]
     first, second = poles[0, :2]
     straight = abs(first - expansion[0]) + abs(second - expansion[1])
     crossed = abs(first - expansion[1]) + abs(second - expansion[0])

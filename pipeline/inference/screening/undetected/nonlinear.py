@@ -8,6 +8,7 @@ Shapes: S = 2 senses, W bins, n points of the grid.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,7 +35,7 @@ _MOTION_D: FloatArray = np.ascontiguousarray(np.concatenate([M_D.T, np.ones((2, 
 
 
 def _rms(z: FloatArray | ComplexArray) -> float:
-    return float(np.linalg.norm(z)) / float(np.sqrt(z.size))
+    return math.sqrt(np.vdot(z, z).real / z.size)
 
 
 def _laws(device: LinearDevice) -> Laws:
