@@ -13,7 +13,7 @@ from pipeline.device.gyro import PHYSICAL, gyro_mechanics, to_physical
 from pipeline.device.operation.state_space import state_space
 from pipeline.errors import MeasurementError, UsageError, unwritable
 from pipeline.experiment.record import Campaign
-from pipeline.inference.screening.device import DeviceResult
+from pipeline.inference.screening.result import DeviceResult
 
 FORMATS = (".json", ".mat")
 

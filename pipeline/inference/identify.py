@@ -27,8 +27,9 @@ from .general.fit import fit_campaign
 from .general.goodness import campaign_status
 from .general.starts import driven_band
 from .screening.campaign import identify_campaign, is_inband
-from .screening.device import IdentificationSettings, failed_result
+from .screening.device import IdentificationSettings
 from .screening.mismatch import BROAD, NIGHTLY_MODEL
+from .screening.result import failed_result
 from .screening.sample import SamplerSettings
 from .systematic import rate_settings, with_common_errors
 

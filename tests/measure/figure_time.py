@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.experiment.files.common_tables import OperationTable
 from pipeline.inference import estimate, systematic
-from pipeline.inference.screening import device as identification
+from pipeline.inference.screening import result as identification
 from workflows.config import load_config
 from workflows.config_tables import RunTable
 from workflows.screening.block import DeviceBlock, virtual_block

@@ -2,7 +2,7 @@
 
     python tests/measure/score_time.py [DEVICES] [ROUNDS]
 
-Of each device the least time over the rounds counts, which other work on the machine disturbs least.
+Of each block of eight devices the least time over the rounds counts, which other work on the machine disturbs least.
 """
 
 from __future__ import annotations
@@ -14,33 +14,32 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from pipeline.inference.gate import Undetected
-from pipeline.inference.screening import device as screening
-from populations.draw import draw
+from pipeline.inference.screening import result
 from workflows.config import RunConfig
-from workflows.screening.settings import population
-from workflows.screening.virtual_device import identify_virtual
+from workflows.screening import block
+from workflows.screening.block import DeviceBlock, virtual_block
 
 
 def measured(devices: int, rounds: int) -> dict[str, float]:
-    """Least processor time per device [s], mean over the devices, without and with the scores."""
+    """Least processor time per device [s], mean over the blocks, without and with the scores."""
     config = RunConfig()
-    spec = population(config)
-    gain, drawn = float(spec.angular_gain), draw(spec, 51, 0, devices)
     nothing = Undetected("", 1.0, {}, {}, {})
-    kinds = {"without": lambda *_: nothing, "with": screening.scored_device}
-    times = {kind: np.full(devices, np.inf) for kind in kinds}
+    kinds = {"without": lambda scorings: [nothing] * len(scorings), "with": result.scored_devices}
+    together = block._TOGETHER
+    blocks = [DeviceBlock(i, first, together) for i, first in enumerate(range(0, devices, together))]
+    times = {kind: np.full(len(blocks), np.inf) for kind in kinds}
     for _ in range(rounds + 1):
-        for i in range(devices):
+        for own in blocks:
             for kind, scored in kinds.items():
-                screening.scored_device = scored
+                result.scored_devices = scored
                 start = time.process_time()
-                identify_virtual(config, drawn, i, gain)
-                times[kind][i] = min(times[kind][i], time.process_time() - start)
-    return {kind: float(each.mean()) for kind, each in times.items()}
+                virtual_block(config, own)
+                times[kind][own.index] = min(times[kind][own.index], time.process_time() - start)
+    return {kind: float(each.mean()) / together for kind, each in times.items()}
 
 
 if __name__ == "__main__":
-    size = [int(one) for one in sys.argv[1:]] + [12, 6][len(sys.argv) - 1 :]
+    size = [int(one) for one in sys.argv[1:]] + [16, 6][len(sys.argv) - 1 :]
     with threadpool_limits(limits=1):
         found = measured(*size)
     extra = found["with"] - found["without"]

@@ -12,7 +12,7 @@ from pipeline.errors import GyroscreenError
 from pipeline.experiment.files.size import check_identification
 from pipeline.inference.estimate import reference_comparison
 from pipeline.inference.screening.campaign import identify_campaign
-from pipeline.inference.screening.device import DeviceResult, failed_result, lost_result
+from pipeline.inference.screening.result import DeviceResult, failed_result, lost_result
 from pipeline.inference.systematic import rate_settings
 
 from ..config import RunConfig

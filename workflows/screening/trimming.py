@@ -17,7 +17,7 @@ from pipeline.device.gyro import PHYSICAL, split_hz, to_cartesian
 from pipeline.device.operation.trim import trim, trimmed_physical
 from pipeline.errors import ConfigError
 from pipeline.inference.estimate import RateSettings, intervals, quantities
-from pipeline.inference.screening.device import DeviceResult
+from pipeline.inference.screening.result import DeviceResult
 from pipeline.inference.systematic import common_nodes, demodulated
 from reports.decision import conforms, decide
 from reports.limits import Limits

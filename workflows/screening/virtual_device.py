@@ -26,7 +26,8 @@ from pipeline.experiment.noise.measure import measured
 from pipeline.experiment.noise.spectrum import noise_spectrum
 from pipeline.experiment.record import Record
 from pipeline.identification.bandpass import window_slice
-from pipeline.inference.screening.device import DeviceResult, FitRecord, identify_device, prepare
+from pipeline.inference.screening.device import FitRecord, fit_device, prepare
+from pipeline.inference.screening.result import DeviceResult, Fitted, results_of
 from populations.draw import Draw, draw
 
 from ..config import RunConfig
@@ -166,14 +167,14 @@ def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray,
     return silent, measured(volts, rate, sigma, hum, instrument.adc, random, kind), sigma
 
 
-def identify_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> DeviceResult:
-    """Simulate the records of device ``i`` of a draw, measure the noise on the silent one, and identify the device."""
+def fit_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> Fitted | DeviceResult:
+    """Simulate the records of device ``i`` of a draw, measure the noise on the silent one, fit the device and sample it."""
     instrument = config.instrument.instrument()
     shared = shared_record(config)
     silent, fit, _ = virtual_records(config, drawn, i)
     noise = noise_spectrum(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
     record = Record("chirp", instrument.sample_rate_hz, shared.record.drive_v, fit, role="fit")
-    return identify_device(
+    return fit_device(
         [FitRecord(record, shared.band, shared.nuisance)],
         noise,
         instrument,
@@ -183,3 +184,11 @@ def identify_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float
         rate_of(config, angular_gain),
         device_seed(config, POSTERIOR_STREAM, int(drawn.index[i])),
     )
+
+
+def identify_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> DeviceResult:
+    """The result of device ``i`` of a draw, from its simulated records."""
+    (result,) = results_of([fit_virtual(config, drawn, i, angular_gain)])
+    if isinstance(result, Exception):
+        raise result
+    return result

@@ -29,9 +29,9 @@ from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.campaign import identify_campaign
 from pipeline.inference.screening.compressed import BandData
-from pipeline.inference.screening.device import DeviceResult
 from pipeline.inference.screening.fit import information_covariance
 from pipeline.inference.screening.mismatch import with_mismatch
+from pipeline.inference.screening.result import DeviceResult
 from pipeline.quantities import AXES
 from populations.draw import Draw, draw
 from reports.yields import clopper_pearson

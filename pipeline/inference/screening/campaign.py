@@ -18,7 +18,8 @@ from ...experiment.noise.spectrum import NoiseSpectrum, white_spectrum
 from ...experiment.record import PAPER_FRAME, Campaign
 from ..gate import Gate
 from ..systematic import rate_settings
-from .device import DeviceResult, IdentificationSettings, identify_device, prepare
+from .device import IdentificationSettings, identify_device, prepare
+from .result import DeviceResult
 from .sample import SamplerSettings
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,22 +25,20 @@ from ...experiment.noise.spectrum import NoiseSpectrum
 from ...experiment.record import Record
 from ...identification.failure import IdentificationError
 from ...identification.route import RouteResult, identify_record
-from ..estimate import Estimate, RateSettings, estimate_from
-from ..gate import Gate, GoodnessOfFit, Undetected
+from ..estimate import RateSettings
+from ..gate import Gate
 from ..general.starts import gyro_start
-from ..pickoff_noise import with_measured_noise
-from ..systematic import Identified
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, start_from_modes
 from .inband import Band, make_band
-from .mismatch import MismatchPrior, without_tilt
-from .quality import FullBandQuality, full_band_quality, with_dependent_noise
+from .mismatch import MismatchPrior
+from .quality import full_band_quality, with_dependent_noise
 from .refill import refilled_fit
-from .sample import Posterior, SamplerSettings, not_converged_reason, sample
-from .undetected.device import scored_device
+from .result import UNDETERMINED, DeviceResult, Fitted, Value, failed_result, results_of
+from .sample import SamplerSettings, sample
+from .undetected.clipping import loud_samples
+from .undetected.device import Scoring
 from .whitening import band_noise
-
-Value = float | str | None
 
 
 @dataclass(frozen=True)
@@ -56,19 +54,6 @@ class IdentificationSettings:
     high_hz: float = 700.0
     line_hz: float | None = None
     mismatch: MismatchPrior | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceResult:
-    """Columns of the devices table, the estimate from which they come, the fit, and its draws without common errors.
-
-    The fit is ``None`` where it failed, the draws also where the tester has no common errors.
-    """
-
-    columns: dict[str, Value]
-    estimate: Estimate
-    fit: Fit | None
-    identified: Identified | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,21 +144,6 @@ def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> F
     return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
 
 
-def failed_result(reason: str, columns: dict[str, Value] | None = None) -> DeviceResult:
-    """The result of a device that could not be identified, with the columns that are known nevertheless."""
-    return _without_estimate(Estimate("fit_failed", reason), columns or {})
-
-
-def lost_result(reason: str) -> DeviceResult:
-    """The result of a device that ended its worker or exceeded its time limit."""
-    return _without_estimate(Estimate("lost", reason), {})
-
-
-def _without_estimate(estimate: Estimate, columns: dict[str, Value]) -> DeviceResult:
-    status: dict[str, Value] = {"status": estimate.status, "status_reason": estimate.reason}
-    return DeviceResult({**columns, **status}, estimate, None)
-
-
 def identify_device(
     fit_records: Sequence[FitRecord],
     noise: NoiseSpectrum,
@@ -197,6 +167,24 @@ def identify_device(
     -------
     A result in every case; a failure is reported as its status, not as an exception.
     """
+    fitted = fit_device(fit_records, noise, instrument, settings, sampler, gate, rate, seed)
+    (result,) = results_of([fitted])
+    if isinstance(result, Exception):
+        raise result
+    return result
+
+
+def fit_device(
+    fit_records: Sequence[FitRecord],
+    noise: NoiseSpectrum,
+    instrument: Instrument,
+    settings: IdentificationSettings,
+    sampler: SamplerSettings,
+    gate: Gate,
+    rate: RateSettings,
+    seed: np.random.SeedSequence,
+) -> Fitted | DeviceResult:
+    """The fit and the posterior of one device, with the parameters of :func:`identify_device`; its result if it failed."""
     columns: dict[str, Value] = {}
     found: list[RouteResult] = []
     reason = "no record drives both electrodes"
@@ -239,60 +227,8 @@ def identify_device(
             fit = best_fit(data, sigma_v, [fit.x], prior) or fit
     try:
         posterior = sample(fit, sampler, seed)
-        undetected = scored_device(fit, data, models, noise, instrument, rate, prior, settings.line_hz)
     except np.linalg.LinAlgError:
-        return failed_result("the records do not determine the parameters: the information matrix is singular", columns)
-    plant, mismatch = _plant_draws(posterior.flat(), prior, seed)
-    rate = with_measured_noise(
-        rate, noise, float(to_physical(fit.x[:12])[0 if rate.drive == "f1" else 1]), plant.shape[0]
-    )
-    return _result(columns, mismatch, sampler, gate, rate, fit, posterior, plant, quality, undetected)
-
-
-def _plant_draws(
-    draws: FloatArray, prior: MismatchPrior | None, seed: np.random.SeedSequence
-) -> tuple[FloatArray, dict[str, Value]]:
-    """Cartesian draws (n, 12) of the plant from those of the fit (n, P), and the columns of the mismatches."""
-    if prior is None:
-        return draws, {}
-    columns: dict[str, Value] = {}
-    for i, name in ((12, "drive_mismatch"), (13, "sense_mismatch")):
-        columns |= {name: float(np.median(draws[:, i])), f"{name}_sd": float(np.std(draws[:, i]))}
-    return without_tilt(draws, prior, np.random.default_rng(seed.spawn(1)[0])), columns
-
-
-def _result(
-    columns: dict[str, Value],
-    mismatch: dict[str, Value],
-    sampler: SamplerSettings,
-    gate: Gate,
-    rate: RateSettings,
-    fit: Fit,
-    posterior: Posterior,
-    plant: FloatArray,
-    quality: FullBandQuality,
-    undetected: Undetected,
-) -> DeviceResult:
-    identified = Identified.of_cartesian(plant, rate)
-    estimate = estimate_from(
-        identified.draws,
-        GoodnessOfFit(quality.error_all_noise, fit.chi2, fit.dof, fit.likelihood.chi2_sd),
-        gate,
-        not_converged_reason(posterior, sampler),
-        undetected,
-    )
-    columns = {
-        **columns,
-        **estimate.columns,
-        **mismatch,
-        **quality.columns(),
-        **undetected.columns(),
-        "rhat": posterior.rhat,
-        "ess": posterior.ess,
-        "acceptance": posterior.acceptance,
-        "status": estimate.status,
-        "status_reason": estimate.reason,
-    }
-    # The features of the band are large, and nothing after this needs them.
-    small = replace(fit, likelihood=replace(fit.likelihood, columns=()))
-    return DeviceResult(columns, estimate, small, None if rate.systematic.exact else identified)
+        return failed_result(UNDETERMINED, columns)
+    louds = [loud_samples(model_v) for model_v in models]
+    scoring = Scoring(fit, data, louds, noise, instrument, rate, prior, settings.line_hz)
+    return Fitted(columns, scoring, posterior, quality, sampler, gate, seed)

@@ -1,15 +1,15 @@
 """Scores of a nightly device against plain least squares with all rows, in double precision, one effect at a time."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from scipy.special import fdtrc
 
-from pipeline.inference.screening import device as screening
 from pipeline.inference.screening.inband import make_band
-from pipeline.inference.screening.undetected.clipping import adc_sizes, loud_samples, transform_of_few
-from pipeline.inference.screening.undetected.device import feature_slopes
+from pipeline.inference.screening.undetected.clipping import adc_sizes, transform_of_few
+from pipeline.inference.screening.undetected.device import feature_slopes, scored_device, scored_devices
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.narrow_band import (
@@ -24,23 +24,16 @@ from pipeline.inference.screening.undetected.signatures import signatures
 from populations.draw import draw
 from workflows.config import RunConfig
 from workflows.screening.settings import population
-from workflows.screening.virtual_device import identify_virtual
+from workflows.screening.virtual_device import fit_virtual
 
 
 @pytest.fixture(scope="module")
 def scored():
-    """What a device of the default run gives the scores, and its scores."""
-    config, calls = RunConfig(), []
-    spec, original = population(config), screening.scored_device
-
-    def spied(*arguments):
-        calls.append((arguments, original(*arguments)))
-        return calls[-1][1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(screening, "scored_device", spied)
-        identify_virtual(config, draw(spec, 51, 0, 1), 0, float(spec.angular_gain))
-    return calls[0]
+    """A fitted device of the default run, and its scores."""
+    config = RunConfig()
+    spec = population(config)
+    fitted = fit_virtual(config, draw(spec, 51, 0, 1), 0, float(spec.angular_gain))
+    return fitted.scoring, scored_device(fitted.scoring)
 
 
 def _in_sigmas(spectra, data, sigma_v):
@@ -74,11 +67,17 @@ def _explained(fit_rows, effect_rows):
 
 
 def test_scores_are_those_of_plain_least_squares(scored):
-    (fit, (data,), (model_v,), noise, instrument, _, prior, line_hz), found = scored
+    scoring, found = scored
+    fit, (data,), (loud,), noise, instrument = (
+        scoring.fit,
+        scoring.data,
+        scoring.louds,
+        scoring.noise,
+        scoring.instrument,
+    )
     (device,), moved = linear_devices(fit, [data.band], instrument, partial(moved_mechanics, True))
-    loud = loud_samples(model_v)
     sizes = adc_sizes([loud], noise.sigma_v, instrument.bias_v, True)
-    fit_rows = _jacobian_and_residual(device, fit, data, noise.sigma_v, prior)
+    fit_rows = _jacobian_and_residual(device, fit, data, noise.sigma_v, scoring.prior)
     dof = 2.0 / float(np.mean(noise.relative_sd(data.band.frequency_hz) ** 2))
     by_effect = {}
     for one in signatures(device, moved, loud, sizes, True):
@@ -90,7 +89,7 @@ def test_scores_are_those_of_plain_least_squares(scored):
             continue  # of one sign: half the probability, or none
         # A fall of chi2 of order 1 is the difference of two numbers of order 3600.
         assert found.p_values[effect] == pytest.approx(fdtrc(k, dof, total / k), rel=1e-6), effect
-    for scan in scans_of(data.band, (400.0, 700.0), line_hz, True):
+    for scan in scans_of(data.band, (400.0, 700.0), scoring.line_hz, True):
         first = 0
         for one in scan.scans:
             own = scan.columns[:, 2 * first : 2 * (first + one.points)].T.astype(np.float64)
@@ -108,9 +107,9 @@ def test_scores_are_those_of_plain_least_squares(scored):
 
 
 def test_the_transform_of_few_samples_is_that_of_the_record(scored):
-    (_, (data,), *_), _ = scored
+    (data,), instrument = scored[0].data, scored[0].instrument
     random = np.random.default_rng(1)
-    for band in (data.band, make_band(data.band.drive_v[:2999], scored[0][4], 430.0, 470.0)):
+    for band in (data.band, make_band(data.band.drive_v[:2999], instrument, 430.0, 470.0)):
         for count in (0, 1, 40, band.samples // 2):
             where = np.sort(random.choice(band.samples, count, replace=False))
             change = random.standard_normal((count, 2))
@@ -129,8 +128,22 @@ def test_phases_and_harmonics_are_inverse_to_each_other(scored):
     q, qd = motion_at_phases(a, 3.0, WHOLE_TURN)
     np.testing.assert_array_equal(q, values)
     np.testing.assert_allclose(qd, at_phases(3j * a, WHOLE_TURN), rtol=1e-12, atol=1e-12)
-    grid = grid_of(scored[0][1][0].band)
-    spectrum = scored[0][1][0].spectrum
+    (data,) = scored[0].data
+    grid, spectrum = grid_of(data.band), data.spectrum
     np.testing.assert_allclose(
         grid.spectra(grid.envelopes(spectrum)), spectrum, rtol=1e-12, atol=1e-12 * abs(spectrum).max()
     )
+
+
+def test_devices_that_are_scored_together_have_the_scores_of_each_alone_bit_for_bit(scored):
+    config = RunConfig()
+    spec = population(config)
+    drawn = draw(spec, 51, 0, 4)
+    scorings = [fit_virtual(config, drawn, i, float(spec.angular_gain)).scoring for i in range(1, 4)]
+    broken = replace(scorings[1], fit=replace(scorings[1].fit, x=np.full(14, np.nan)))
+    first, failed, *rest = scored_devices([scorings[0], broken, scored[0], *scorings[1:]])
+    assert isinstance(failed, Exception)
+    alone = [scorings[0], scored[0], *scorings[1:]]
+    for together, own in zip([first, *rest], [scored_device(one) for one in alone]):
+        assert together.columns() == own.columns()
+        assert (together.p_values, together.bounds, together.causes) == (own.p_values, own.bounds, own.causes)

@@ -7,8 +7,10 @@ Shapes: P parameters, W bins, S = 2 senses.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,87 +26,156 @@ from ..fit import Fit
 from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
 from .bounds import Candidates, Projection, judged, summary
-from .clipping import adc_sizes, loud_samples
+from .clipping import Loud, adc_sizes
 from .library import BandSignature
-from .linear import linear_devices
+from .linear import LinearDevice, Moved, linear_devices
 from .linear_stages import moved_mechanics
 from .rows import hum_of, products_of, record_weight, stationary_variance, white_products, without_hum, write_real
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
 
+T = TypeVar("T")
 
-def scored_device(
-    fit: Fit,
-    data: Sequence[BandData],
-    models_v: Sequence[FloatArray],
-    noise: NoiseSpectrum,
-    instrument: Instrument,
-    rate: RateSettings,
-    prior: MismatchPrior | None,
-    line_hz: float | None,
-) -> Undetected:
-    """Scores and bounds of a fitted device.
+
+@dataclass(frozen=True, eq=False)
+class Scoring:
+    """A fitted device whose effects are to be scored.
 
     Parameters
     ----------
     fit : at the maximum.
-    data, models_v : its records in their band, and their models (N, S) [V].
+    data, louds : its records in their band, and the samples of their models near their peaks (``loud_samples``).
     noise : spectrum of the silence.
     instrument, rate, prior, line_hz : as for ``identify_device``.
+    """
+
+    fit: Fit
+    data: Sequence[BandData]
+    louds: Sequence[Loud]
+    noise: NoiseSpectrum
+    instrument: Instrument
+    rate: RateSettings
+    prior: MismatchPrior | None
+    line_hz: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """What a stage passes on: the linear device in each band, its moved mechanics, and the sizes of the ADC stage."""
+
+    devices: tuple[LinearDevice, ...]
+    moved: Moved
+    sizes: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Products:
+    """Products (P + K + 1, P + K + 1) of the rows [J, Z, r] in sigmas, those of the scans, and the candidates Z."""
+
+    whole: FloatArray
+    scanned: ScannedProducts
+    candidates: Candidates
+
+
+def scored_device(scoring: Scoring) -> Undetected:
+    """Scores and bounds of a fitted device.
 
     Raises
     ------
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
-    count = fit.x.size
-    found: Sequence[BandSignature] = ()
+    linear = _linear(scoring)
+    return _judged(scoring, _products(scoring, linear, [_found(scoring, linear, i) for i in range(len(scoring.data))]))
+
+
+def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
+    """:func:`scored_device` of each, stage by stage; what it raises takes the place of its scores.
+
+    Each device passes its stages as it does alone, so its scores are the same bit for bit.
+    """
+    if len(scorings) == 1:
+        # A long record is given up part by part.
+        return _each(scored_device, scorings)
+    linear = _each(_linear, scorings)
+    found = _each(lambda scoring, own: [_found(scoring, own, i) for i in range(len(scoring.data))], scorings, linear)
+    products = _each(_products, scorings, linear, found)
+    return _each(_judged, scorings, products)
+
+
+def _each(stage: Callable[..., T], *inputs: Sequence[Any]) -> list[T | Exception]:
+    """The stage of each device, from its inputs; an exception among them is passed on."""
+    out: list[T | Exception] = []
+    for own in zip(*inputs):
+        failed = next((one for one in own if isinstance(one, Exception)), None)
+        try:
+            out.append(stage(*own) if failed is None else failed)
+        except Exception as error:
+            out.append(error)
+    return out
+
+
+def _linear(scoring: Scoring) -> _Linear:
+    with_mismatch = scoring.prior is not None
+    sizes = adc_sizes(scoring.louds, scoring.noise.sigma_v, scoring.instrument.bias_v, with_mismatch)
+    bands = [item.band for item in scoring.data]
+    return _Linear(
+        *linear_devices(scoring.fit, bands, scoring.instrument, partial(moved_mechanics, with_mismatch)), sizes
+    )
+
+
+def _found(scoring: Scoring, linear: _Linear, i: int) -> tuple[BandSignature, ...]:
+    """The signatures in record ``i``."""
+    return signatures(linear.devices[i], linear.moved, scoring.louds[i], linear.sizes, scoring.prior is not None)
+
+
+def _products(scoring: Scoring, linear: _Linear, found: Sequence[Sequence[BandSignature]]) -> _Products:
+    """Products of all rows, summed over the records and the prior of the fit."""
+    fit, data = scoring.fit, scoring.data
+    slopes, count = feature_slopes(fit), fit.x.size
+    first = data[0].band.frequency_hz
     products: FloatArray | float = 0.0
     scanned: ScannedProducts | None = None
-    with_mismatch = prior is not None
-    louds = [loud_samples(model_v) for model_v in models_v]
-    sizes = adc_sizes(louds, noise.sigma_v, instrument.bias_v, with_mismatch)
-    first = data[0].band.frequency_hz
-    devices, moved = linear_devices(
-        fit, [item.band for item in data], instrument, partial(moved_mechanics, with_mismatch)
-    )
-    slopes = feature_slopes(fit)
-    for item, loud, device in zip(data, louds, devices):
-        found = signatures(device, moved, loud, sizes, with_mismatch)
-        scans = scans_of(item.band, (float(first[0]), float(first[-1])), line_hz, with_mismatch)
-        rows = np.empty((count + len(found) + 1, 2, 2 * item.band.bins.size))
+    for item, device, own in zip(data, linear.devices, found):
+        edges = (float(first[0]), float(first[-1]))
+        scans = scans_of(item.band, edges, scoring.line_hz, scoring.prior is not None)
+        rows = np.empty((count + len(own) + 1, 2, 2 * item.band.bins.size))
         np.matmul(slopes.reshape(2 * count, -1), device.columns.T, out=rows[:count].reshape(2 * count, -1))
-        for row, one in zip(rows[count:], found):
+        for row, one in zip(rows[count:], own):
             write_real(one.change, row, one.per_unit)
         write_real(item.spectrum - device.sensed, rows[-1])
-        own, part = _products(rows, count, item, scans, stationary_variance(item, noise.sigma_v))
+        more, part = _of_record(rows, count, item, scans, stationary_variance(item, scoring.noise.sigma_v))
         del rows  # as large as a long record
-        products = products + own
+        products = products + more
         scanned = part if scanned is None else scanned + part
     assert scanned is not None
+    low, high = (np.array([getattr(one, end) for one in found[-1]]) for end in ("low", "high"))
+    return _Products(np.array(products), scanned, Candidates(tuple(one.effect for one in found[-1]), low, high))
+
+
+def _judged(scoring: Scoring, products: _Products) -> Undetected:
+    fit, data, prior, whole = scoring.fit, scoring.data, scoring.prior, products.whole
+    count = fit.x.size
     of_prior = _prior_products(prior, fit.x)
     # The signatures have no part in the rows of the prior.
-    whole = np.array(products)
-    kept = np.append(np.arange(count), count + len(found))
+    kept = np.append(np.arange(count), whole.shape[0] - 1)
     whole[np.ix_(kept, kept)] += of_prior
-    names, gradient = quantity_slopes(fit.x, rate, prior)
-    low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
-    candidates = Candidates(tuple(one.effect for one in found), low, high)
+    names, gradient = quantity_slopes(fit.x, scoring.rate, prior)
     frequency = np.concatenate([item.band.frequency_hz for item in data])
-    dof = 2.0 / float(np.mean(noise.relative_sd(frequency) ** 2))
+    dof = 2.0 / float(np.mean(scoring.noise.relative_sd(frequency) ** 2))
     projection = Projection.of(whole[:count, :count], gradient)
-    base = scanned.base + of_prior
+    base = products.scanned.base + of_prior
     # Scans take noise that depends on the signal at its largest variance, and their fit with it.
     depends = any(item.noise is not None and item.noise.dependent.size for item in data)
     of_scans = Projection.of(base[:count, :count], gradient) if depends else projection
     parts = (
-        judged(whole, projection, candidates, dof),
-        judged_scans(scanned, of_scans, base[:count, count], dof),
+        judged(whole, projection, products.candidates, dof),
+        judged_scans(products.scanned, of_scans, base[:count, count], dof),
     )
     return summary(parts, names)
 
 
-def _products(
+def _of_record(
     rows: FloatArray, count: int, item: BandData, scans: Iterable[BandScan], variance: FloatArray
 ) -> tuple[FloatArray, ScannedProducts]:
     """Products (P + K + 1, P + K + 1) in sigmas of the rows [J, Z, r] of a record, and those of its scans with J and r.
