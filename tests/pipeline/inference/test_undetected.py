@@ -137,7 +137,7 @@ def _linear_problem(random, absorbed=0.0):
 
 def _judge(jacobian, z, slopes, data, low, high):
     residual = data - jacobian @ np.linalg.lstsq(jacobian, data, rcond=None)[0]
-    whole = np.column_stack([jacobian, z, residual])
+    whole = np.column_stack([jacobian, residual, z])
     products = whole.T @ whole
     fit = Projection.of(products[:PARAMETERS, :PARAMETERS], slopes)
     candidates = Candidates(("one", "two", "two"), np.array(low), np.array(high))

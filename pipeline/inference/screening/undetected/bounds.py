@@ -84,14 +84,17 @@ class Projection:
 
 
 def judged(products: FloatArray, projection: Projection, candidates: Candidates, noise_dof: float) -> Judged:
-    """Scores and bounds from [J, Z, r]' [J, Z, r] (P + K + 1, P + K + 1), whitened, with the rows of the prior."""
+    """Scores and bounds from [J, r, Z]' [J, r, Z] (P + 1 + K, P + 1 + K), whitened, with the rows of the prior.
+
+    Only the products of Z within an effect are used.
+    """
     p = projection.whiten.shape[0]
     scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
     overlap = projection.overlap(products[:p, p:] / scale)
     left = products[p:, p:] / (scale[:, None] * scale) - overlap.T @ overlap
-    score, gram = left[:-1, -1] * scale[-1], left[:-1, :-1]
-    bias = projection.bias(overlap[:, :-1])
-    low, high = candidates.low * scale[:-1], candidates.high * scale[:-1]
+    score, gram = left[0, 1:] * scale[0], left[1:, 1:]
+    bias, scale = projection.bias(overlap[:, 1:]), scale[1:]
+    low, high = candidates.low * scale, candidates.high * scale
     effects, single, several = _grouped(candidates.effects)
     p_values, explained = np.ones(len(effects)), np.zeros(len(effects))
     bounds = np.zeros((len(effects), bias.shape[0]))

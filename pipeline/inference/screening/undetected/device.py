@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import groupby
 from typing import Any, TypeVar
 
 import numpy as np
@@ -36,6 +37,8 @@ from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
 
 T = TypeVar("T")
+#: Names of the quantities that are known, and dq/dx (Q, P).
+QuantitySlopes = tuple[tuple[str, ...], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +74,7 @@ class _Linear:
 
 @dataclass(frozen=True, eq=False)
 class _Products:
-    """Products (P + K + 1, P + K + 1) of the rows [J, Z, r] in sigmas, those of the scans, and the candidates Z."""
+    """Products (P + 1 + K, P + 1 + K) of the rows [J, r, Z] in sigmas, those of the scans, and the candidates Z."""
 
     whole: FloatArray
     scanned: ScannedProducts
@@ -86,7 +89,9 @@ def scored_device(scoring: Scoring) -> Undetected:
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
     linear = _linear(scoring)
-    return _judged(scoring, _products(scoring, linear, [_found(scoring, linear, i) for i in range(len(scoring.data))]))
+    products = _products(scoring, linear, [_found(scoring, linear, i) for i in range(len(scoring.data))])
+    (slopes,) = quantity_slopes(scoring.fit.x[None], scoring.rate, scoring.prior)
+    return _judged(scoring, products, slopes)
 
 
 def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
@@ -100,7 +105,7 @@ def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
     linear = _each(_linear, scorings)
     found = _each(lambda scoring, own: [_found(scoring, own, i) for i in range(len(scoring.data))], scorings, linear)
     products = _each(_products, scorings, linear, found)
-    return _each(_judged, scorings, products)
+    return _each(_judged, scorings, products, _slopes_of(scorings))
 
 
 def _each(stage: Callable[..., T], *inputs: Sequence[Any]) -> list[T | Exception]:
@@ -139,12 +144,13 @@ def _products(scoring: Scoring, linear: _Linear, found: Sequence[Sequence[BandSi
     for item, device, own in zip(data, linear.devices, found):
         edges = (float(first[0]), float(first[-1]))
         scans = scans_of(item.band, edges, scoring.line_hz, scoring.prior is not None)
-        rows = np.empty((count + len(own) + 1, 2, 2 * item.band.bins.size))
+        rows = np.empty((count + 1 + len(own), 2, 2 * item.band.bins.size))
         np.matmul(slopes.reshape(2 * count, -1), device.columns.T, out=rows[:count].reshape(2 * count, -1))
-        for row, one in zip(rows[count:], own):
+        write_real(item.spectrum - device.sensed, rows[count])
+        for row, one in zip(rows[count + 1 :], own):
             write_real(one.change, row, one.per_unit)
-        write_real(item.spectrum - device.sensed, rows[-1])
-        more, part = _of_record(rows, count, item, scans, stationary_variance(item, scoring.noise.sigma_v))
+        variance = stationary_variance(item, scoring.noise.sigma_v)
+        more, part = _of_record(rows, count, item, scans, variance)
         del rows  # as large as a long record
         products = products + more
         scanned = part if scanned is None else scanned + part
@@ -153,14 +159,13 @@ def _products(scoring: Scoring, linear: _Linear, found: Sequence[Sequence[BandSi
     return _Products(np.array(products), scanned, Candidates(tuple(one.effect for one in found[-1]), low, high))
 
 
-def _judged(scoring: Scoring, products: _Products) -> Undetected:
+def _judged(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> Undetected:
     fit, data, prior, whole = scoring.fit, scoring.data, scoring.prior, products.whole
     count = fit.x.size
     of_prior = _prior_products(prior, fit.x)
     # The signatures have no part in the rows of the prior.
-    kept = np.append(np.arange(count), whole.shape[0] - 1)
-    whole[np.ix_(kept, kept)] += of_prior
-    names, gradient = quantity_slopes(fit.x, scoring.rate, prior)
+    whole[: count + 1, : count + 1] += of_prior
+    names, gradient = slopes
     frequency = np.concatenate([item.band.frequency_hz for item in data])
     dof = 2.0 / float(np.mean(scoring.noise.relative_sd(frequency) ** 2))
     projection = Projection.of(whole[:count, :count], gradient)
@@ -178,21 +183,21 @@ def _judged(scoring: Scoring, products: _Products) -> Undetected:
 def _of_record(
     rows: FloatArray, count: int, item: BandData, scans: Iterable[BandScan], variance: FloatArray
 ) -> tuple[FloatArray, ScannedProducts]:
-    """Products (P + K + 1, P + K + 1) in sigmas of the rows [J, Z, r] of a record, and those of its scans with J and r.
+    """Products (P + 1 + K, P + 1 + K) in sigmas of the rows [J, r, Z] of a record, and those of its scans with J and r.
 
-    The hum lines of the residual (the last of the rows) are taken out in place; P = ``count``.
+    The hum lines of the residual are taken out in place; P = ``count``.
     """
-    kept = np.append(np.arange(count), rows.shape[0] - 1)
+    fit = slice(0, count + 1)
     weight = record_weight(item, variance)
     if item.noise is None:
-        rows[-1:] = without_hum(rows[-1:], item.nuisance)
+        rows[count : count + 1] = without_hum(rows[count : count + 1], item.nuisance)
         hum = hum_of(rows, item.nuisance)
-        hum[-1] = 0.0
+        hum[count] = 0.0
         products = white_products(rows, hum, item, variance)
-        return products, scanned_products(scans, rows[kept], hum[kept], weight, products[np.ix_(kept, kept)])
+        return products, scanned_products(scans, rows[fit], hum[fit], weight, products[fit, fit])
     products = products_of(rows, item, item.noise, variance)
-    left = without_hum(rows[kept], item.nuisance)
-    base = products[np.ix_(kept, kept)]
+    left = without_hum(rows[fit], item.nuisance)
+    base = products[fit, fit]
     if item.noise.dependent.size:
         flat = (left * np.tile(weight, 2)).reshape(count + 1, -1)
         base = flat @ flat.T
@@ -227,17 +232,32 @@ def feature_slopes(fit: Fit) -> FloatArray:
     return np.asarray((c[: steps.size] - c[steps.size :]) / (2.0 * steps[:, None, None]))
 
 
-def quantity_slopes(
-    x: FloatArray, rate: RateSettings, prior: MismatchPrior | None
-) -> tuple[tuple[str, ...], FloatArray]:
-    """Names of the quantities that are known, and dq/dx (Q, P)."""
-    step = STEPS[: x.size]
-    points = np.concatenate([x + np.diag(step), x - np.diag(step)])
+def quantity_slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> list[QuantitySlopes]:
+    """Names of the quantities that are known, and dq/dx (Q, P), of each of the parameters x (B, P)."""
+    size = x.shape[1]
+    step = STEPS[:size]
+    moves = np.concatenate([np.diag(step), -np.diag(step)])
+    points = (x[:, None] + moves).reshape(-1, size)
     q = cartesian_quantities(points if prior is None else mean_plant(points, prior), rate)
     names = tuple(quantity.name for quantity in IDENTIFIED)
-    both = np.stack([q[name] for name in names])
-    change = both[:, : x.size] - both[:, x.size :]
+    both = np.stack([q[name] for name in names]).reshape(len(names), x.shape[0], 2, size)
+    change = both[:, :, 0] - both[:, :, 1]
     axes = [names.index(name) for name in AXES]
     change[axes] = wrap(change[axes])
-    known = np.asarray(np.isfinite(change).all(axis=1))
-    return tuple(name for name, is_known in zip(names, known) if is_known), change[known] / (2.0 * step)
+    change /= 2.0 * step
+    known = np.asarray(np.isfinite(change).all(axis=2))
+    return [
+        (tuple(name for name, is_known in zip(names, own) if is_known), change[own, i]) for i, own in enumerate(known.T)
+    ]
+
+
+def _slopes_of(scorings: Sequence[Scoring]) -> list[QuantitySlopes | Exception]:
+    """The slopes of the quantities of each device; those with the same rate settings and prior at once."""
+    out: list[QuantitySlopes | Exception] = []
+    for _, own in groupby(scorings, key=lambda one: (one.rate, one.prior)):
+        group = list(own)
+        try:
+            out += quantity_slopes(np.stack([one.fit.x for one in group]), group[0].rate, group[0].prior)
+        except Exception as error:
+            out += [error] * len(group)
+    return out

@@ -59,7 +59,8 @@ def hum_of(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
 def white_products(rows: FloatArray, hum: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
     """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise, their parts ``hum`` (K, S, L) left out.
 
-    The projection is that of the products, y'z - (n'y)'(n'z), so the rows are not touched.
+    The projection is that of the products, y'z - (n'y)'(n'z), so the rows are not touched.  The symmetric product of all rows
+    takes less time than the smaller products that are needed of it.
     """
     out = np.zeros((rows.shape[0], rows.shape[0]))
     for a, own_variance in enumerate(variance[:, 0]):
