@@ -8,9 +8,10 @@ A parameter with ``per`` represents a family of parameters, one for each index o
 | "axis"        | one for each coordinate that nonlinear laws act on | k2x, k2y |
 | "drive"       | one for each drive                     | <name>_d1, <name>_d2 |
 | "path"        | one for each sense and drive, row by row | <name>_s1d1, <name>_s1d2, ... |
-| "direction"   | one if there are several senses, else none | the name itself |
+| "direction"   | one for each sense but the first       | the name itself, <name>_s3, <name>_s4, ... |
 
-A "direction" is an angle [deg] of a vector of the senses: (cos a, sin a).  It is defined modulo 180 deg.
+A "direction" is an angle [deg] of a vector of the senses: (cos a, sin a), with a third sense ((cos a, sin a) cos a3, sin a3), and
+so on.  The first is defined modulo 180 deg; the others start at 0, where they have no grid.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Parameter:
         level).
     fitted : false if only the values of the grid are possible (mains frequency).
     quantity : name of the result quantity that the parameter is (c12_per_s), or none.
-    typical : range from which studies draw a parameter with a grid, log-uniformly; by default the range of the grid.
+    typical : range within which the nightly bounds of undetected effects look; by default the physical range.
     relative_to : what its numbers are relative to (:mod:`pipeline.device.scale`); they are declared for the gyro of the paper.
     """
 
@@ -103,8 +104,13 @@ class Parameter:
             suffixes = tuple(f"_d{d + 1}" for d in range(shape.drives))
         elif self.per == "path":
             suffixes = tuple(f"_s{s + 1}d{d + 1}" for s in range(shape.senses) for d in range(shape.drives))
+        elif self.per == "direction":
+            more = (
+                replace(self, name=f"{self.name}_s{s + 1}", per="", null=0.0, grid=()) for s in range(2, shape.senses)
+            )
+            return (self, *more) if shape.senses > 1 else ()
         else:
-            return (self,) if self.per == "" or shape.senses > 1 else ()
+            return (self,)
         return tuple(replace(self, name=self.name + suffix, per="") for suffix in suffixes)
 
 

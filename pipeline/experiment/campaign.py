@@ -61,7 +61,7 @@ from .files.crop import between
 from .files.mapping import Source
 from .files.modal_record import ModalRecord, decode_modal_record
 from .files.readers import existing, read_columns, read_records
-from .files.together import at_temperatures, check_same_shape, roles_of, with_all_drives
+from .files.together import at_temperatures, check_same_shape, from_first_sample, roles_of, with_all_drives
 from .files.tone_columns import Quantity
 from .instrument import Instrument
 from .layout import layout_of
@@ -215,7 +215,7 @@ def _timed(file: Path, document: CampaignTable) -> Campaign:
         records += _records_of(file.parent, entry, role, known, document)
     channels = Channels(**msgspec.structs.asdict(document.channels))
     free = any(entry.kind == "decay" for entry in document.record)
-    records = [correct(record, channels) for record in with_all_drives(records, free)]
+    records = [correct(record, channels) for record in with_all_drives(from_first_sample(records), free)]
     frame = PAPER_FRAME
     if document.layout is not None:
         layout = layout_of(document.layout.senses, document.layout.drives)

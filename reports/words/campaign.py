@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pipeline.learning.answers import BadSamples, ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer
 from pipeline.quantities import NAMES
 
+from .numbers import volts
 from .quantities import error_words, grouped, label, partition_words, percent
 
 FIRST_MODEL = "first model"
@@ -264,7 +265,7 @@ def reason_words(text: str) -> str:
 def noise_sentence(noise: Noise | None) -> str:
     """The noise level sigma by channel (by mode for a modal record), and how it was determined."""
     if noise is not None and noise.parts:
-        each = (f"{name} {', '.join(f'{1e3 * one:#.3g}' for one in own)} mV" for name, own in noise.parts.items())
+        each = (f"{name} {volts(own)}" for name, own in noise.parts.items())
         return f"Each part of the campaign has a noise level of its own: {'; '.join(each)}."
     if noise is None or not any(math.isfinite(one) and one > 0.0 for one in noise.sigma):
         return "The noise level is not known, so only relative errors can be given."
@@ -276,7 +277,7 @@ def noise_sentence(noise: Noise | None) -> str:
             "The noise level could not be measured, so only relative errors are given. "
             f"The misfit of the fit, {sigma} of the {noise.unit}, serves as the noise level in F-tests."
         )
-    sigma = f"σ = {', '.join(f'{1e3 * one:#.3g}'.rstrip('.') for one in noise.sigma)} mV by channel"
+    sigma = f"σ = {volts(noise.sigma)} by channel"
     if noise.local_fit:
         return (
             f"{sigma}, from a smooth local fit of the response away from the resonances (no silent record, no repeats). "

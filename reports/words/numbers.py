@@ -7,8 +7,10 @@ and where more than seven decimals would follow a number below 0.01.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 UNKNOWN = "unknown"
+_VOLTS = (("V", 1.0), ("mV", 1e3), ("µV", 1e6), ("nV", 1e9))
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -22,6 +24,15 @@ def number(value: float | None, digits: int = 4) -> str:
         text = f"{value:.{max(digits - 1 - exponent, 0)}f}"
         return text.rstrip("0").rstrip(".") if "." in text else text
     return _power(value, digits - 1, strip=True)
+
+
+def volts(values: Sequence[float]) -> str:
+    """Voltages [V] with three digits and a common prefix, by which the largest lies between 1 and 1000: "12.4, 19.4 mV"."""
+    largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
+    unit, factor = next((one for one in _VOLTS if largest * one[1] >= 1.0), _VOLTS[-1] if largest > 0.0 else _VOLTS[0])
+    scaled = [factor * value for value in values]
+    texts = [number(one, 3) if one == 0.0 or abs(one) < 1e-3 else f"{one:#.3g}".rstrip(".") for one in scaled]
+    return f"{', '.join(texts)} {unit}"
 
 
 def rounded(value: float, sd: float | None) -> str:

@@ -26,7 +26,7 @@ from .campaign import (
     reason_words,
     record_sentences,
 )
-from .numbers import number, with_sd
+from .numbers import number, volts, with_sd
 from .quantities import place_words
 from .support import NO_LIMITS, support_words
 
@@ -142,8 +142,8 @@ def _volts_ladder(rungs: Sequence[RungAnswer]) -> list[str]:
         return []
     lines = ["rung                      status      relative error   rms residual of each record"]
     for rung in rungs:
-        volts = ", ".join(f"{name} {1e3 * rms:.3g} mV" for name, rms in (rung.error_v or {}).items())
-        lines.append(f"{_name(rung):24s}  {rung.status or '':10s}  {number(rung.relative_error):>14s}   {volts}")
+        each = ", ".join(f"{name} {volts([rms])}" for name, rms in (rung.error_v or {}).items())
+        lines.append(f"{_name(rung):24s}  {rung.status or '':10s}  {number(rung.relative_error):>14s}   {each}")
     return lines
 
 

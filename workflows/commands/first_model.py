@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,11 +19,12 @@ from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.general.fit import fit_campaign
 
+Choice = TypeVar("Choice", bound=str)
 #: Steps or ramps; interpolation in a band is nearly the latter.
 _HOLDS: tuple[Hold, ...] = ("zoh", "foh")
 #: Samples of each record, and paths from drives to senses, up to which the fits take seconds.
-_SAMPLES, _PATHS = 4_000, 4
-#: Error of a better pair over that of the first one.
+_SAMPLES, _PATHS = 4_000, 12
+#: Error of a better choice over that of the usual one; explained energy of the usual one over that of a better choice.
 _BETTER = 0.95
 
 
@@ -44,9 +46,9 @@ class FirstModel:
 
 
 def first_model(campaign: Campaign, senses: Sequence[Sense] = SENSES) -> FirstModel | None:
-    """The pair of the fit records; ``None`` where they are not driven, have many channels, or no fit succeeds.
+    """What the fit records are; ``None`` where they are not driven, have many channels, or no fit succeeds.
 
-    ``senses`` are those to try, where units tell; velocity and a held drive are kept unless another pair is clearly better.
+    ``senses`` are those to try, where units tell; velocity, and then a held drive, are kept unless another is clearly better.
     """
     records = tuple(_beginning(record) for record in campaign.with_role("fit"))
     if not records or records[0].drive_v.shape[1] * records[0].sense_v.shape[1] > _PATHS:
@@ -64,11 +66,24 @@ def first_model(campaign: Campaign, senses: Sequence[Sense] = SENSES) -> FirstMo
                 errors[sense, hold] = error
     if not errors:
         return None
-    best = min(errors, key=lambda pair: errors[pair])
-    usual: tuple[Sense, Hold] = ("velocity", campaign.instrument.hold) if "velocity" in senses else (best[0], "zoh")
-    if errors[best] >= _BETTER * errors.get(usual, np.inf):
-        best = usual
-    return FirstModel(*best, errors)
+    of_sense = {sense: min(e for (one, _), e in errors.items() if one == sense) for sense, _ in errors}
+    sense = _chosen(of_sense, "velocity")
+    hold = _chosen({hold: e for (one, hold), e in errors.items() if one == sense}, campaign.instrument.hold)
+    return FirstModel(sense, hold, errors)
+
+
+def _chosen(errors: Mapping[Choice, float], usual: Choice) -> Choice:
+    """The choice with the smallest error, or the usual one where none is clearly better."""
+    best = min(errors, key=lambda one: errors[one])
+    return usual if usual in errors and not _clearly_better(errors[best], errors[usual]) else best
+
+
+def _clearly_better(error: float, usual: float) -> bool:
+    """Whether a choice leaves clearly less, or explains clearly more, than the usual one.
+
+    Of three modes alike, one leaves 90 % of the rms with the right sense and 93 % with a wrong one: 18 % and 14 % of the energy.
+    """
+    return error < _BETTER * usual or _BETTER * (1.0 - error**2) > max(1.0 - usual**2, 0.0)
 
 
 def _beginning(record: Record) -> Record:

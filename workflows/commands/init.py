@@ -45,7 +45,9 @@ def init(files: Sequence[Path], out: Path | None) -> None:
     found = inspect(columns)
     decay = ring_down(columns[0][1], found) if len(files) == 1 else None
     found = found if decay is None else decay.found
-    gyro = len(found.of("drive")) == len(found.of("sense")) == 2
+    signals = (*found.of("drive"), *found.of("sense"))
+    # Two inputs and two outputs without names are more often those of another device.
+    gyro = len(found.of("drive")) == len(found.of("sense")) == 2 and all(column.named for column in signals)
     _write(
         folder,
         target,

@@ -9,14 +9,18 @@ from ..effect import Context, Effect, LookAlike, SizeRange
 from ..mechanics import Mechanics
 from ..parameters import Parameter
 
+#: Drive vectors [1/s] of stray modes of a gyro.  The range is wider: at a tenfold frequency a mode of the same gain has a
+#: tenfold b, and one at 6 times the median frequency of a record ended at 1e3 (`test_a_mode_far_above_the_others_is_found`).
+_B = (-1e3, 1e3)
 _GRID = tuple(300.0 * 1.02**k for k in range(141))
 
 
 def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
-    """Append w to q (n,) [V s]: f = p[0] [Hz], zeta = p[1] [1], b = p[2:2 + D] [1/s], a = p[-1] [deg] if S > 1."""
-    n, channels, drives = m.stiffness.shape[1], m.velocity_sense.shape[1], m.drive.shape[2]
-    omega, a = 2.0 * np.pi * p[0], np.deg2rad(p[-1])
-    vector = np.ones(1) if channels == 1 else np.array([np.cos(a), np.sin(a)] + [0.0] * (channels - 2))
+    """Append w to q (n,) [V s]: f = p[0] [Hz], zeta = p[1] [1], b = p[2:2 + D] [1/s], a = p[2 + D:] (S - 1,) [deg]."""
+    n, drives = m.stiffness.shape[1], m.drive.shape[2]
+    omega, vector = 2.0 * np.pi * p[0], np.ones(1)
+    for angle in np.deg2rad(p[2 + drives :]):
+        vector = np.append(vector * np.cos(angle), np.sin(angle))
     c, g, k = (np.pad(old, ((0, 0), (0, 1), (0, 1))) for old in (m.damping, m.gyroscopic, m.stiffness))
     c[:, n, n], k[:, n, n] = 2.0 * p[1] * omega, omega**2
     drive = np.append(m.drive, np.broadcast_to(p[2 : 2 + drives], (m.drive.shape[0], 1, drives)), axis=1)
@@ -32,13 +36,14 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 
 EFFECT = Effect(
     name="parasitic_mode",
-    law="w'' + 2 zeta omega w' + omega^2 w = b.v,  S += (cos a, sin a) w';  f in the band of the records",
+    law="w'' + 2 zeta omega w' + omega^2 w = b.v,  S += (cos a, sin a) w';  f in the band of the records;"
+    " with more senses ((cos a, sin a) cos a_s3, sin a_s3), and so on",
     source="the residue of a structural mode has rank one",
     signature="a resonance at a frequency where the plant has none, with the same sense vector for all drives",
     parameters=(
         Parameter("f", "Hz", 300.0, 1e5, "frequency", 1e3, grid=_GRID, typical=(300.0, 2500.0), relative_to="mode"),
         Parameter("zeta", "1", 1e-5, 0.5, "damping ratio", 3e-3, 1e-4, grid=(1e-3, 1e-2), typical=(5e-4, 2e-2)),
-        Parameter("b", "1/s", -1e3, 1e3, "drive vector", scale=0.01, per="drive", relative_to="transfer"),
+        Parameter("b", "1/s", -1e5, 1e5, "drive vector", scale=0.01, typical=_B, per="drive", relative_to="transfer"),
         Parameter("a", "deg", -90.0, 90.0, "sense angle", 45.0, grid=(-67.5, -22.5, 22.5, 67.5), per="direction"),
     ),
     mechanics=mechanics,

@@ -42,7 +42,7 @@ from .response_findings import (
     short_findings,
     wiring_findings,
 )
-from .single import single_lag
+from .single import common_lag
 from .wiring import wiring
 
 #: Above this relative error in the band, the response is not that of three linear modes.
@@ -85,18 +85,18 @@ class CheckReport:
 
 
 def _single_drive(campaign: Campaign, driven: list[Record], senses: int) -> list[Finding]:
-    """Lag and hold of a device with one drive, from its longest record."""
-    record = max(driven, key=lambda r: r.duration_s)
+    """Lag and hold of a device with one drive."""
     findings = []
-    lags = {f"sense{k + 1}": single_lag(record, k, campaign.instrument) for k in range(senses)}
+    lags = {f"sense{k + 1}": common_lag(driven, k, campaign.instrument) for k in range(senses)}
     measured = {name: lag for name, lag in lags.items() if lag is not None}
     for name, (lag, sd) in measured.items():
         findings += lag_findings(campaign, lag, sd, name if len(measured) > 1 else None)
     if len(measured) < senses:
         missing = ", ".join(name for name, lag in lags.items() if lag is None)
         text = (
-            f"Lag and hold of {missing} could not be tested: no coherent response on both sides of a resonance. Drive the"
-            " device over a band that extends at least 10 % below and above its resonance."
+            f"Lag and hold of {missing} could not be tested: there is no coherent response on both sides of a resonance, or"
+            " records disagree, as where several modes respond. Drive the device over a band that extends at least 10 % below"
+            " and above its resonance."
         )
         findings.append(Finding("undecided", "note", text))
     return findings + short_findings(driven, None)

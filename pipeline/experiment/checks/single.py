@@ -10,6 +10,7 @@ Piersol, Random Data, ch. 9).  Frequencies in hertz, lags in samples.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -29,6 +30,8 @@ _STEP = 0.1
 _NEAR = 0.1
 #: Smallest weighted mean of cos(phase error) (1 is perfect) at which the lag counts as measured.
 _AGREEMENT = 0.9
+#: Lags of two records that differ by less [samples] are equal, as those that are too small to be reported.
+_SAME = 0.1
 
 
 def _averaged(
@@ -52,6 +55,18 @@ def _averaged(
     coherent = np.asarray(np.abs(uy) ** 2 / np.maximum(uu * yy, np.finfo(float).tiny), dtype=np.float64)
     frequencies = np.fft.rfftfreq(segment, 1.0 / rate_hz).astype(np.float64)
     return frequencies, uu, uy, coherent
+
+
+def common_lag(records: Sequence[Record], sense: int, instrument: Instrument) -> tuple[float, float] | None:
+    """The most precise ``single_lag`` of the records; ``None`` where no record shows one, or two of them differ.
+
+    Between several resonances the phase turns as with a lag, but by another amount in each band.
+    """
+    found = [lag for record in records if (lag := single_lag(record, sense, instrument)) is not None]
+    best = min(found, key=lambda one: one[1], default=None)
+    if best is None or any(abs(lag - best[0]) > _SAME + 5.0 * math.hypot(sd, best[1]) for lag, sd in found):
+        return None
+    return best
 
 
 def single_lag(record: Record, sense: int, instrument: Instrument) -> tuple[float, float] | None:

@@ -177,7 +177,7 @@ def _divided(
 ) -> tuple[Record, ...]:
     """The uniform pieces of ``whole``, which begins at ``first_row``; pieces shorter than the shortest record are left out."""
     if time_s is None:
-        return (whole,)
+        return (dataclasses.replace(whole, elapsed_s=first_row / whole.sample_rate_hz),)
     parts = [part for part in pieces(whole.name, time_s, first_row) if part.stop - part.start >= MIN_SAMPLES]
     if not parts:
         raise MeasurementError(
@@ -200,6 +200,7 @@ def _divided(
                 sense_v=whole.sense_v[part],
                 clock=clock,
                 at_rest=whole.at_rest and part.start == 0,
+                elapsed_s=first_row / (rate or clock.sample_rate_hz) + float(time_s[part.start] - time_s[0]),
             )
         )
     return tuple(records)

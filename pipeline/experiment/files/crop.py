@@ -32,7 +32,15 @@ def between(records: Sequence[Record], start_s: float | None, stop_s: float | No
         if high - low >= MIN_SAMPLES:
             part = slice(low, high)
             at_rest = record.at_rest and low == 0
-            kept.append(replace(record, drive_v=record.drive_v[part], sense_v=record.sense_v[part], at_rest=at_rest))
+            kept.append(
+                replace(
+                    record,
+                    drive_v=record.drive_v[part],
+                    sense_v=record.sense_v[part],
+                    at_rest=at_rest,
+                    elapsed_s=record.elapsed_s + low / rate,
+                )
+            )
     if not kept:
         raise ConfigError(
             f"{first.name}: start_s and stop_s leave no samples",

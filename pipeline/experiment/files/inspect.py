@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import MeasurementError
+from .causes import further_drives
 from .clock import clock_of, pieces
 from .mapping import NAME
+from .stated_rate import stated_rate
 from .units import UNITS, split_unit
 
 Use = Literal["time", "drive", "sense", "unused", "open"]
@@ -72,7 +74,8 @@ class Inspection:
     Parameters
     ----------
     columns : of the file in which the most of them vary.
-    sample_rate_hz : from the time column; ``None`` where no file states it.
+    sample_rate_hz : from the time column, else from a number that a file states; ``None`` where there is neither.
+    rate_from : what states it, in words.
     samples, gaps : of each file.
     at_rest : for each file whether its senses are quiet at the start; silent: whether no drive varies.
     """
@@ -83,6 +86,7 @@ class Inspection:
     gaps: tuple[int, ...]
     at_rest: tuple[bool, ...]
     silent: tuple[bool, ...]
+    rate_from: str = ""
 
     def of(self, use: Use) -> tuple[FileColumn, ...]:
         """The columns that are taken for this."""
@@ -141,8 +145,11 @@ def inspect(files: Sequence[tuple[str, Mapping[str, NDArray[Any]]]]) -> Inspecti
         silent.append(not any(np.ptp(each[key]) > 0.0 for key in drives))
         rest.append(_quiet(np.stack([np.asarray(each[key], dtype=np.float64) for key in senses], axis=1)))
     samples = tuple(len(next(iter(each.values()))) for _, each in files)
-    rate = rates[0] if rates else None
-    return Inspection(tuple(seen), rate, samples, tuple(gaps), tuple(rest), tuple(silent))
+    stated = next((one for _, each in files if (one := stated_rate(each)) is not None), None)
+    rate_from, rate = (
+        ("from the time column", rates[0]) if rates else (f"{stated[0]} states it", stated[1]) if stated else ("", None)
+    )
+    return Inspection(tuple(seen), rate, samples, tuple(gaps), tuple(rest), tuple(silent), rate_from)
 
 
 def _uses(found: Mapping[str, NDArray[Any]]) -> list[FileColumn]:
@@ -155,7 +162,14 @@ def _uses(found: Mapping[str, NDArray[Any]]) -> list[FileColumn]:
     open_ = [k for k, column in enumerate(columns) if column.use == "open"]
     drives = any(column.use == "drive" for column in columns)
     senses = any(column.use == "sense" for column in columns)
+    if not drives and not senses and len(open_) > 2 and not any(columns[k].named for k in open_):
+        signals = np.stack([np.asarray(found[columns[k].name], dtype=np.float64) for k in open_], axis=1)
+        for place in further_drives(signals):
+            why = "moves other columns, and the first drive does not move it: a guess"
+            columns[open_[place]] = replace(columns[open_[place]], use="drive", why=why)
     for place, k in enumerate(open_):
+        if columns[k].use != "open":
+            continue
         if not drives and place == 0 and (len(open_) > 1 or senses):
             columns[k] = replace(columns[k], use="drive", why="the first column that varies: a guess")
         elif not senses or not columns[k].named:

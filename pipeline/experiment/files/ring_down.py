@@ -1,4 +1,4 @@
-"""Whether a file shows a free decay: its strongest oscillation falls to little, and no column that is named a drive stops then.
+"""Whether a file shows a free decay: its strongest oscillation falls to little, and no named drive stops or moves it then.
 
     A(t): modulus of the analytic signal, mean over 4 cycles;   free from 2 cycles behind the last A > 0.95 of its largest
 
@@ -21,6 +21,7 @@ from ...arrays import FloatArray
 from ..decays.backbone import line_hz
 from ..decays.pieces import analytic
 from ..record import Record
+from .causes import moves
 from .inspect import NAMED, FileColumn, Inspection
 
 #: Level from which on the motion falls, and below which it has ended; cycles of the mean and of what is left out at the start.
@@ -57,8 +58,9 @@ def ring_down(columns: Mapping[str, NDArray[Any]], found: Inspection) -> RingDow
     ends = float(np.median(amplitude[-max(amplitude.size // 20, 1) :])) < _ENDED * amplitude.max()
     if not ends or not 0 < below[0] < below[1] < below[2] or tail.size < _SHORTEST * y.size:
         return None
-    named = [drive for drive in found.of("drive") if drive.why == NAMED]
-    if any(_stops(np.asarray(columns[drive.name], dtype=np.float64), first) for drive in named):
+    named = [np.asarray(columns[one.name], dtype=np.float64) for one in found.of("drive") if one.why == NAMED]
+    # The response to a sweep falls behind a resonance, too.
+    if any(_stops(drive, first) or moves(drive[first:], y[first:]) for drive in named):
         return None
     start = 0 if first < cycle * _MEAN else first + int(_LATER * cycle)
     return RingDown(replace(found, columns=tuple(_seen(column, best) for column in found.columns)), start / rate)

@@ -47,7 +47,7 @@ def campaign_template(
     hold, why : of the drive samples, and what shows it.
     """
     rate = (
-        f"sample_rate_hz = {found.sample_rate_hz:.12g}        # from the time column"
+        f"sample_rate_hz = {found.sample_rate_hz:.12g}        # {found.rate_from}"
         if found.sample_rate_hz is not None
         else "sample_rate_hz = 1.0            # NOT STATED in the files: frequencies are in cycles per sample until it is"
     )

@@ -27,6 +27,17 @@ def with_all_drives(records: Sequence[Record], free: bool = False) -> list[Recor
     ]
 
 
+def from_first_sample(records: Sequence[Record]) -> list[Record]:
+    """The records with the times of their first samples counted from the first sample of their file that is used.
+
+    Records cut from one file are one run, so that a drift goes on from one to the next.
+    """
+    first: dict[str | None, float] = {}
+    for record in records:
+        first[record.file] = min(first.get(record.file, record.elapsed_s), record.elapsed_s)
+    return [dataclasses.replace(record, elapsed_s=record.elapsed_s - first[record.file]) for record in records]
+
+
 def at_temperatures(records: Sequence[Record], tcf_ppm_per_c: float) -> tuple[Record, ...]:
     """The records with the frequency shifts of their declared temperatures, 1e-6 TCF (T - mean of T over the fit records)."""
     fitted = [r.temperature_c for r in records if r.role == "fit" and r.temperature_c is not None]

@@ -10,7 +10,8 @@ steady state, so from the end of the record backwards periods are taken while
 
 e_k is the energy of the n samples of a quarter of a difference, e the mean of the m quarters behind it.
 
-The period is declared (``period_samples``) or that of a drive that repeats exactly.
+The period is declared (``period_samples``) or that of a drive that repeats exactly.  Records that follow each other in one file
+are one run here, whatever their roles.
 
 Shapes: N samples, P samples of a period, M periods, D drives, S senses.
 """
@@ -78,6 +79,29 @@ def steady_periods(record: Record) -> FloatArray | None:
     return y[first:] if count - first >= 2 else None
 
 
+def runs_of(records: Sequence[Record]) -> list[Record]:
+    """The records, those joined that follow each other in one file under the same conditions."""
+    runs: list[Record] = []
+    for record in sorted(records, key=lambda one: (one.file or "", one.elapsed_s)):
+        last = runs[-1] if runs else None
+        if last is not None and _goes_on(last, record):
+            drive, sense = (
+                np.concatenate(both) for both in ((last.drive_v, record.drive_v), (last.sense_v, record.sense_v))
+            )
+            runs[-1] = replace(last, drive_v=drive, sense_v=sense, bad=None)
+        else:
+            runs.append(record)
+    return runs
+
+
+def _goes_on(before: Record, after: Record) -> bool:
+    conditions = [
+        (one.file, one.bias_v, one.rate_dps, one.frequency_shift, one.period_samples) for one in (before, after)
+    ]
+    apart = (after.elapsed_s - before.elapsed_s) * before.sample_rate_hz - before.sense_v.shape[0]
+    return before.file is not None and conditions[0] == conditions[1] and abs(apart) < 0.5
+
+
 @dataclass(frozen=True, eq=False)
 class PeriodNoise:
     """Noise variance (S,) [V^2] per sample, its degrees of freedom, and its spectrum."""
@@ -92,7 +116,7 @@ def period_noise(records: Sequence[Record], line_hz: float | None, adc: Adc | No
 
     The spectrum is that of the record with the most degrees of freedom.
     """
-    found = [(record, y) for record in records if (y := steady_periods(record)) is not None]
+    found = [(record, y) for record in runs_of(records) if (y := steady_periods(record)) is not None]
     if not found:
         return None
     total, dof = np.zeros(found[0][1].shape[2]), 0

@@ -204,7 +204,6 @@ def test_declared_sizes_are_positive_and_in_order(effect: Effect) -> None:
         assert 0.0 < effect.size.typical < largest
     for parameter in effect.parameters:
         if parameter.typical is not None:
-            assert parameter.grid
             assert parameter.low <= parameter.typical[0] < parameter.typical[1] <= parameter.high
 
 

@@ -265,3 +265,17 @@ def test_a_file_with_foreign_column_names_is_read_without_conversion(tmp_path):
     arrow = campaign.records[2].drive_v[:, 0]
     quarters = np.array_split(arrow, 4)
     assert all(a.std() < b.std() for a, b in pairwise(quarters))
+
+
+def test_records_cut_from_one_file_are_one_run_so_that_a_drift_goes_on(tmp_path):
+    random = np.random.default_rng(6)
+    time_s = np.delete(np.arange(1000) / 100.0, slice(600, 650))
+    table = np.stack([time_s, *random.standard_normal((2, 950))], axis=1)
+    np.savetxt(tmp_path / "m.csv", table, delimiter=",", header="time_s,drive1_V,sense1_V", comments="")
+    cuts = ("start = 100\nstop = 300", "start = 300", "start_s = 2.0\nstop_s = 4.0")
+    entries = "".join(f'[[record]]\nfile = "m.csv"\nname = "{k}"\n{cut}\n' for k, cut in enumerate(cuts))
+    (tmp_path / "campaign.toml").write_text(entries)
+    records = read_campaign(tmp_path).records
+    # Row 300 follows 2 s behind row 100, and the piece behind the gap 5.5 s.
+    expected = {"0": 0.0, "1": 2.0, "1 (2)": 5.5, "2": 1.0}
+    assert {r.name: r.elapsed_s for r in records} == pytest.approx(expected)

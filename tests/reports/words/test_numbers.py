@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.learning.answers import RungAnswer
-from reports.words.numbers import number, sd_text, with_sd
+from reports.words.numbers import number, sd_text, volts, with_sd
 from reports.words.support import support_words
 from tests.reports.learning.conftest import _CUBIC
 
@@ -63,3 +63,10 @@ def test_partial_says_how_strong_the_held_out_support_is():
     assert support_words(rung("partial", 130.0, 10.0)) == "held out: 13 sd, but the last model is not adequate"
     assert support_words(rung("confirmed", 90.0, 10.0)) == "held out: 9 sd"
     assert support_words(rung("partial", None, None)) == "nothing was held out"
+
+
+def test_voltages_share_the_prefix_that_people_would_write() -> None:
+    assert volts([0.0124, 0.0194]) == "12.4, 19.4 mV"
+    assert volts([237.0, 0.5]) == "237, 0.500 V"
+    assert volts([3.4e-7]) == "340 nV"
+    assert volts([0.0]) == "0 V"

@@ -136,7 +136,7 @@ def _mode_scans(
     members = {member.name: member for member in members_of(effect)}
     frequency = members[effect.resonance[0]]
     low, high = frequency.typical or (frequency.low, frequency.high)
-    reach = max(member.high for name, member in members.items() if not member.grid)
+    reach = max((member.typical or (member.low, member.high))[1] for member in members.values() if not member.grid)
     points = _mode_points(edges_hz, low, high)
     for first in range(0, len(points), most):
         columns = []

@@ -50,6 +50,24 @@ def test_a_wrong_hold_of_a_device_with_one_drive_is_found():
     assert msgspec.toml.decode(check(wrong).toml) == {"instrument": {"hold": "foh"}}
 
 
+def test_a_phase_that_another_mode_turns_is_no_lag_where_records_disagree():
+    """Two sweeps over a device of three modes; in one band the phase of a sense turns as with a lag of many samples."""
+    random, rate = np.random.default_rng(8), 400.0
+    t = np.arange(18000) / rate
+    records = []
+    for name, (low, high) in {"low": (2.0, 8.5), "high": (8.5, 15.0)}.items():
+        drive = np.sin(2 * np.pi * (low + (high - low) * t / t[-1] / 2) * t)
+        sense = np.zeros(t.size)
+        for f, zeta, gain in ((5.2, 0.013, -0.7), (7.3, 0.01, 0.3), (9.1, 0.02, 0.9)):
+            w = 2 * np.pi * f
+            sense += signal.lsim(([gain, 0.0, 0.0], [1.0, 2 * zeta * w, w * w]), drive, t)[1]
+        sense += 0.01 * sense.std() * random.standard_normal(t.size)
+        records.append(Record(f"{name}.csv", rate, drive[:, None], sense[:, None], role="fit"))
+    report = check(Campaign("arm", tuple(records), Instrument(sample_rate_hz=rate, hold="foh")))
+    assert report.of_kind("lag") == ()
+    assert "several modes" in report.of_kind("undecided")[0].text
+
+
 @pytest.mark.silverbox
 @pytest.mark.skipif(not SILVERBOX.exists(), reason="the measured record is not beside the project")
 def test_silverbox_was_not_driven_through_a_zero_order_hold(tmp_path):

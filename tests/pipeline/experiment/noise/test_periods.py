@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -82,3 +83,16 @@ def test_the_spectrum_of_coloured_noise_follows_from_the_periods() -> None:
     wave = np.exp(-2j * np.pi * f / RATE_HZ)
     expected = 1e-2 * np.sqrt(1.0 - 0.7**2) / np.abs(1.0 - 0.7 * wave)
     assert level.spectrum.sigma_at(f)[:, 0] == pytest.approx(expected, rel=0.1)
+
+
+def test_the_periods_of_records_cut_from_one_file_count_together() -> None:
+    whole = record(12, 1e-3, 3)
+    cut = 10 * PERIOD
+    first = replace(whole, drive_v=whole.drive_v[:cut], sense_v=whole.sense_v[:cut], file="m.csv")
+    later = {"drive_v": whole.drive_v[cut:], "sense_v": whole.sense_v[cut:], "file": "m.csv", "role": "validate"}
+    second = replace(whole, name="held out", elapsed_s=cut / RATE_HZ, **later)
+    both, alone = (noise_level(Campaign("m", each, Instrument(RATE_HZ))) for each in ((first, second), (whole,)))
+    assert (both.source, both.dof, both.sigma_v[0]) == ("repeats", alone.dof, alone.sigma_v[0])
+    # A gap between them would turn the phase of the periods.
+    apart = replace(second, elapsed_s=second.elapsed_s + 0.1)
+    assert noise_level(Campaign("m", (first, apart), Instrument(RATE_HZ))).dof < alone.dof
