@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -74,7 +75,12 @@ def test_one_number_beside_the_signals_states_the_sample_rate(tmp_path, capsys):
     savemat(tmp_path / "two.mat", {"u": u, "y": y, "dt": 0.002})
     rows = [f"{a},{b},{400 if k == 0 else ''}" for k, (a, b) in enumerate(zip(u, y))]
     (tmp_path / "three.csv").write_text("Force,Acceleration,Fs\n" + "\n".join(rows) + "\n")
-    for name, rate in (("one.mat", 750.0), ("two.mat", 500.0), ("three.csv", 400.0)):
+    np.savez(tmp_path / "four.npz", u=u, y=y, fs=300.0)
+    with h5py.File(tmp_path / "five.h5", "w") as file:
+        file["run/u"], file["run/y"] = u, y
+        file["run"].attrs["Fs"] = 250.0
+    rates = {"one.mat": 750.0, "two.mat": 500.0, "four.npz": 300.0, "five.h5": 250.0, "three.csv": 400.0}
+    for name, rate in rates.items():
         folder = tmp_path / name.partition(".")[0]
         assert call(["init", str(tmp_path / name), "--out", str(folder)]) == 0
         assert read_campaign(folder).records[0].sample_rate_hz == rate

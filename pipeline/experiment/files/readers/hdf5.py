@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
+from ..stated_rate import stated_rate
 from .table import MOST_COLUMNS, Columns, allow, vectors
 
 #: Deepest nesting of groups that is read.
@@ -18,8 +20,8 @@ def _is_signal(member: Any) -> bool:
     return (
         isinstance(member, h5py.Dataset)
         and member.dtype.kind in "fiub"
-        and 0 < member.ndim <= 2
-        and (member.size == max(member.shape) or 1 < min(member.shape) <= MOST_COLUMNS)
+        and member.ndim <= 2
+        and (member.size == max(member.shape, default=1) or 1 < min(member.shape) <= MOST_COLUMNS)
         and not member.external
         and not member.is_virtual
     )
@@ -39,8 +41,20 @@ def _members(group: Any, prefix: str, depth: int) -> dict[str, Any]:
     return found
 
 
+def _rate(file: Any, members: dict[str, Any]) -> Columns:
+    """The sample rate that an attribute of the file, a group of signals or a signal states, as one number by its name."""
+    for holder in (file, *(member.parent for member in members.values()), *members.values()):
+        numbers = {name: np.ravel(value) for name, value in holder.attrs.items() if np.size(value) == 1}
+        if (found := stated_rate(numbers)) is not None:
+            return {found[0]: numbers[found[0]]}
+    return {}
+
+
 def read(path: Path) -> Columns:
-    """All real vectors, (N,), (1, N) or (N, 1), and the columns of tables, by path; a folder that all share is left out."""
+    """All real vectors, (N,), (1, N) or (N, 1), and the columns of tables, by path; a folder that all share is left out.
+
+    An attribute that states the sample rate is a column of one number.
+    """
     with h5py.File(path, "r") as file:
         found = _members(file, "", _DEPTH)
         # Chunks that were never written read as fill values, so the file size does not bound a damaged shape.
@@ -49,7 +63,8 @@ def read(path: Path) -> Columns:
         cut = len(next(iter(shared))) + 1 if len(shared) == 1 and shared != {""} else 0
         columns: Columns = {}
         for name, member in found.items():
-            columns |= vectors(name[cut:], member[()])
+            columns |= vectors(name[cut:], np.asarray(member[()]))
+        columns = {**_rate(file, found), **columns}
     return columns
 
 

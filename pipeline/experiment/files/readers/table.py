@@ -59,7 +59,7 @@ def vectors(name: str, values: NDArray[Any]) -> Columns:
 
 
 def vector(values: NDArray[Any]) -> NDArray[Any] | None:
-    """A row or column vector as (N,), unit unchanged; ``None`` if ``values`` is not a vector of real numbers."""
-    if values.dtype.kind not in "fiub" or values.ndim == 0 or values.size != max(values.shape, default=0):
+    """A row or column vector as (N,), a number as (1,), unit unchanged; ``None`` for a table and for what is no real number."""
+    if values.dtype.kind not in "fiub" or values.size != max(values.shape, default=1):
         return None
     return np.ravel(values)
