@@ -13,7 +13,7 @@ Shapes: E ensembles, n walkers, L kept steps, 12 parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +29,8 @@ _FREEDOM = 20.0
 _PROBE = 256
 _MAX_STEPS = 6000
 _LogDensity = Callable[[FloatArray], FloatArray]
-#: (log density, start (n, P), steps, random stream) -> points (L, n, P), accepted share
-_Chain = Callable[[_LogDensity, FloatArray, int, Any], tuple[FloatArray, float]]
+#: (log density, start (E, n, P), steps, a random stream of each ensemble) -> points (L, E, n, P), accepted shares (E,)
+_Chains = Callable[[_LogDensity, FloatArray, int, Sequence[Any]], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True)
@@ -81,40 +81,58 @@ def diagnose(draws: FloatArray) -> tuple[float, float]:
     return float(np.max(split_rhat(chains))), float(np.min(mean_ess(chains)))
 
 
-def _independence_chain(
-    log_density: _LogDensity, start: FloatArray, steps: int, random: Any
-) -> tuple[FloatArray, float]:
-    """Independence Metropolis-Hastings with the t proposal from start (n, P); points (L, n, P) and the accepted share.
+def _independence_chains(
+    log_density: _LogDensity, start: FloatArray, steps: int, randoms: Sequence[Any]
+) -> tuple[FloatArray, FloatArray]:
+    """Independence Metropolis-Hastings with the t proposal from start (E, n, P); points (L, E, n, P) and accepted shares (E,).
 
     A proposal y of x is accepted with the probability min(1, pi(y) t(x) / (pi(x) t(y))) (Hastings, Biometrika 57 (1970) 97).
-    The random numbers are those of emcee's MHMove.
+    Each ensemble has the random numbers of emcee's MHMove.  Walkers of such moves do not interact, so the densities of all
+    ensembles are one call.
     """
-    points, accepted = np.empty((steps, *start.shape)), 0
-    x, log_weight = start, log_density(start) - _log_t(start)
+    count, walkers, size = start.shape
+
+    def log_weights(points: FloatArray) -> FloatArray:
+        return log_density(points) - _log_t(points)
+
+    points = np.empty((steps, count * walkers, size))
+    accepted = np.zeros(count)
+    x = start.reshape(-1, size)
+    log_weight = log_weights(x)
+    y, chance = np.empty_like(x), np.empty(count * walkers)
     for step in range(steps):
-        random.random_sample()  # emcee draws which of its moves it makes
-        y = _t_draws(start.shape[0], start.shape[1], random)
-        proposed = log_density(y) - _log_t(y)
-        better = np.log(random.rand(start.shape[0])) < proposed - log_weight
+        for i, random in enumerate(randoms):
+            own = slice(i * walkers, (i + 1) * walkers)
+            random.random_sample()  # emcee draws which of its moves it makes
+            y[own] = _t_draws(walkers, size, random)
+            chance[own] = random.rand(walkers)
+        proposed = log_weights(y)
+        better = np.log(chance) < proposed - log_weight
         x, log_weight = np.where(better[:, None], y, x), np.where(better, proposed, log_weight)
         points[step] = x
-        accepted += int(np.count_nonzero(better))
-    return points, accepted / (steps * start.shape[0])
+        accepted += np.count_nonzero(better.reshape(count, walkers), axis=1)
+    return points.reshape(steps, count, walkers, size), accepted / (steps * walkers)
 
 
-def _ensemble_chain(log_density: _LogDensity, start: FloatArray, steps: int, random: Any) -> tuple[FloatArray, float]:
-    """Stretch and differential-evolution moves from start (n, P); points (L, n, P) and the accepted share."""
+def _ensemble_chains(
+    log_density: _LogDensity, start: FloatArray, steps: int, randoms: Sequence[Any]
+) -> tuple[FloatArray, FloatArray]:
+    """Stretch and differential-evolution moves from start (E, n, P); points (L, E, n, P) and accepted shares (E,)."""
     # emcee imports scipy.stats and h5py, one second of processor time, and most devices do without it.
     import emcee
 
-    moves = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
-    sampler = emcee.EnsembleSampler(*start.shape, log_density, moves=moves, vectorize=True)
-    sampler.log_prob_fn = log_density  # emcee's wrapper prints a traceback of whatever the function raises
-    sampler.random_state = random.get_state()
-    # Two points outside of the support cannot be compared: the fit is then no maximum.
-    with np.errstate(invalid="raise"):
-        sampler.run_mcmc(start, steps, skip_initial_state_check=True)
-    return sampler.get_chain(), float(np.mean(sampler.acceptance_fraction))
+    points, shares = [], []
+    for own, random in zip(start, randoms):
+        moves = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
+        sampler = emcee.EnsembleSampler(*own.shape, log_density, moves=moves, vectorize=True)
+        sampler.log_prob_fn = log_density  # emcee's wrapper prints a traceback of whatever the function raises
+        sampler.random_state = random.get_state()
+        # Two points outside of the support cannot be compared: the fit is then no maximum.
+        with np.errstate(invalid="raise"):
+            sampler.run_mcmc(own, steps, skip_initial_state_check=True)
+        points.append(sampler.get_chain())
+        shares.append(float(np.mean(sampler.acceptance_fraction)))
+    return np.stack(points, axis=1), np.array(shares)
 
 
 def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) -> Posterior:
@@ -140,19 +158,21 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
         points = fit.x + unit @ factor.T
         return log_likelihood(points, *likelihood.arrays)
 
-    def run(name: str, chain: _Chain, steps: int, thin: int) -> Posterior:
+    def run(name: str, chains: _Chains, steps: int, thin: int) -> Posterior:
         burn = settings.burn if thin == 1 else steps
-        units, accepted = [], []
+        starts, randoms = [], []
         for stream in streams[: settings.ensembles]:
             random = np.random.RandomState()
             random.set_state(stream.get_state())
-            start = _t_draws(settings.walkers, size, stream)
-            inside = np.isfinite(log_posterior(start))
-            points, share = chain(log_posterior, np.where(inside[:, None], start, 1e-3 * start), burn + steps, random)
-            # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
-            units.append(np.swapaxes(points[burn + thin - 1 :: thin], 0, 1).reshape(-1, size))
-            accepted.append(share)
-        unit = np.stack(units)
+            randoms.append(random)
+            starts.append(_t_draws(settings.walkers, size, stream))
+        start = np.stack(starts)
+        inside = np.isfinite(log_posterior(start.reshape(-1, size))).reshape(start.shape[:2])
+        points, accepted = chains(
+            log_posterior, np.where(inside[:, :, None], start, 1e-3 * start), burn + steps, randoms
+        )
+        # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
+        unit = points[burn + thin - 1 :: thin].transpose(1, 2, 0, 3).reshape(settings.ensembles, -1, size)
         rhat, ess = diagnose(unit)
         return Posterior(fit.x + unit @ factor.T, rhat, ess, float(np.mean(accepted)), importance, name)
 
@@ -163,10 +183,10 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
     importance = float(weight.sum() ** 2 / np.sum(weight**2) / _PROBE)
 
     if importance > 0.5:
-        return run("laplace", _independence_chain, settings.steps, 1)
+        return run("laplace", _independence_chains, settings.steps, 1)
     steps, posterior = 1000, None
     while posterior is None or (steps <= _MAX_STEPS and not_converged_reason(posterior, settings) is not None):
-        posterior = run("ensemble", _ensemble_chain, steps, steps // 50)
+        posterior = run("ensemble", _ensemble_chains, steps, steps // 50)
         steps *= 3
     return posterior
 

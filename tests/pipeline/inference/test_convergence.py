@@ -9,7 +9,7 @@ from arviz_stats.base.array import array_stats
 from scipy.signal import lfilter
 
 from pipeline.inference.screening.convergence import mean_ess, split_chains, split_rhat
-from pipeline.inference.screening.sample import _independence_chain, _log_t, _t_draws
+from pipeline.inference.screening.sample import _independence_chains, _log_t, _t_draws
 
 
 def autoregressive(a, shape, random):
@@ -43,7 +43,7 @@ def test_a_chain_that_does_not_move_has_no_rhat_and_equal_means_give_one():
     assert mean_ess(split_chains(still)) == 400.0
 
 
-def test_an_independence_chain_is_that_of_emcee():
+def test_independence_chains_are_those_of_emcee():
     def log_density(x):
         return -0.5 * np.sum(x**2, axis=1) - 0.1 * np.abs(x[:, 0]) ** 3
 
@@ -51,11 +51,14 @@ def test_an_independence_chain_is_that_of_emcee():
         y = _t_draws(x.shape[0], x.shape[1], random)
         return y, _log_t(x) - _log_t(y)
 
-    start, random = np.random.default_rng(7).normal(size=(40, 5)), np.random.RandomState(8)
-    sampler = emcee.EnsembleSampler(40, 5, log_density, moves=emcee.moves.MHMove(propose), vectorize=True)
-    sampler.random_state = random.get_state()
-    sampler.run_mcmc(start, 30, skip_initial_state_check=True)
-    points, accepted = _independence_chain(log_density, start, 30, random)
-    np.testing.assert_array_equal(points, sampler.get_chain())
-    assert 0.5 < accepted < 1.0
-    assert accepted == pytest.approx(np.mean(sampler.acceptance_fraction))
+    start = np.random.default_rng(7).normal(size=(3, 40, 5))
+    randoms = [np.random.RandomState(seed) for seed in (8, 9, 10)]
+    chains = []
+    for own, random in zip(start, randoms):
+        sampler = emcee.EnsembleSampler(40, 5, log_density, moves=emcee.moves.MHMove(propose), vectorize=True)
+        sampler.random_state = random.get_state()
+        sampler.run_mcmc(own, 30, skip_initial_state_check=True)
+        chains.append(sampler.get_chain())
+    points, accepted = _independence_chains(log_density, start, 30, randoms)
+    np.testing.assert_array_equal(points, np.stack(chains, axis=1))
+    assert np.all((accepted > 0.5) & (accepted < 1.0))
