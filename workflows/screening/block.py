@@ -34,7 +34,7 @@ from .virtual_device import fit_virtual, physical_of
 #: Posterior draws at each common error: P(conform) in steps of 1/200, a tenth of the rule's 0.05.
 _DRAWS_GIVEN_COMMON = 200
 
-#: Devices of a block that are scored together: 8 save all that 16 save, with 12 MB.
+#: Devices of a block that are scored together: 8 save all that 16 save, and hold 7 MB (16: 16 MB).
 _TOGETHER = 8
 #: What ends a device, not the run.
 _FAILURES = (GyroscreenError, ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError)
