@@ -292,8 +292,7 @@ def noise_sentence(noise: Noise | None) -> str:
         "silent": "measured on the silent record",
         "repeats": "from the differences between repeats of a drive (there is no silent record)",
     }
-    kind = "; its spectrum is not white" if noise.coloured else ""
-    dependent = ""
+    kind, dependent = "; its spectrum is not white" if noise.coloured else "", ""
     if noise.jitter_s:
         dependent = f" The sampling instants jitter by {1e6 * noise.jitter_s:.2g} µs rms."
     elif noise.gain_noise:

@@ -33,7 +33,7 @@ def campaign_dependent_noise(
     ``starts_s`` [s] by record is the time by which it was advanced.
     """
     noise = fit.noise
-    if not noise.known or noise.sigma_v.size != 2:
+    if not noise.known:
         return None
     predicted = {record.name: record.predicted_v for record in fit.records}
     found = []

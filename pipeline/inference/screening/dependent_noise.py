@@ -18,13 +18,14 @@ A record that was advanced by phi samples, by an all-pass filter g, has interpol
 
     cov_ab(k) = T_ab sum_j g(k - j)^2 (c_a c_b)(j - phi)
 
-Shapes: N samples, S = 2 senses.
+Shapes: N samples, S senses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -72,7 +73,7 @@ class DependentNoise:
         return factor_of(self.kind, volts, rate_hz)
 
     def variances(self, volts: FloatArray, rate_hz: float) -> FloatArray:
-        """v (3, N) [V^2] of the channel pairs (0, 0), (0, 1), (1, 1) at model ``volts`` (N, S) [V]."""
+        """v (3, N) [V^2] of the channel pairs (0, 0), (0, 1), (1, 1) of two senses at model ``volts`` (N, 2) [V]."""
         c, t = self.factor(volts, rate_hz).T, self.covariance
         return np.stack([t[0, 0] * c[0] ** 2, t[0, 1] * c[0] * c[1], t[1, 1] * c[1] ** 2])
 
@@ -148,20 +149,23 @@ def _find(
     def seen(product: FloatArray) -> FloatArray:
         return np.asarray(irfft(rfft(advanced_products(product, shift)) * smooth, n=samples))
 
-    u = [seen(s[0] ** 2), seen(s[0] * s[1]), seen(s[1] ** 2)]
-    diagonal, z = np.zeros(2), np.zeros(2)
-    for a, own in ((0, u[0]), (1, u[2])):
-        z[a] = _significance(high[a], own, sigma2[a], width / rate, float(silent_sd))
+    channels = range(s.shape[0])
+    own = [seen(s[a] ** 2) for a in channels]
+    t, whole, z = np.zeros((len(channels), len(channels))), [], []
+    for a in channels:
+        z.append(_significance(high[a], own[a], sigma2[a], width / rate, float(silent_sd)))
         for _ in range(_REWEIGHTED):
-            weight = own / (sigma2[a] + diagonal[a] * np.maximum(own, 0.0)) ** 2
-            diagonal[a] = max(float(weight @ (high[a] ** 2 - sigma2[a]) / (weight @ own)), 0.0)
-    if not z.max() > _SIGNIFICANT:
+            weight = own[a] / (sigma2[a] + t[a, a] * np.maximum(own[a], 0.0)) ** 2
+            t[a, a] = max(float(weight @ (high[a] ** 2 - sigma2[a]) / (weight @ own[a])), 0.0)
+        whole.append(sigma2[a] + t[a, a] * np.maximum(own[a], 0.0))
+    if not max(z) > _SIGNIFICANT:
         return None
-    whole = [sigma2[0] + diagonal[0] * np.maximum(u[0], 0.0), sigma2[1] + diagonal[1] * np.maximum(u[2], 0.0)]
-    weight = u[1] / (whole[0] * whole[1])
-    limit = np.sqrt(diagonal[0] * diagonal[1])
-    cross = float(np.clip(weight @ (high[0] * high[1]) / (weight @ u[1]), -limit, limit))
-    return DependentNoise(kind, np.array([[diagonal[0], cross], [cross, diagonal[1]]]), float(z.max()))
+    for a, b in combinations(channels, 2):
+        both = seen(s[a] * s[b])
+        weight = both / (whole[a] * whole[b])
+        limit = np.sqrt(t[a, a] * t[b, b])
+        t[a, b] = t[b, a] = float(np.clip(weight @ (high[a] * high[b]) / (weight @ both), -limit, limit))
+    return DependentNoise(kind, t, max(z))
 
 
 def _significance(high: FloatArray, u: FloatArray, sigma2: float, share: float, silent_sd: float) -> float:

@@ -62,6 +62,23 @@ def test_a_linear_decay_is_adequate_and_gives_frequency_and_damping() -> None:
         assert sd < 3e-3 * truth
 
 
+def test_gain_noise_of_a_decay_is_a_component_of_the_noise_and_no_misfit() -> None:
+    random = np.random.default_rng(11)
+    y = decay(seconds=6.0)
+    noisy = y * (1.0 + 0.02 * random.standard_normal(y.size)) + 1e-3 * random.standard_normal(y.size)
+    silence = 1e-3 * random.standard_normal(8000)
+    parts = [("decay", noisy, "fit"), ("silence", silence, "noise")]
+    records = tuple(
+        Record(name, RATE_HZ, np.zeros((v.size, 0)), v[:, None], role, at_rest=False) for name, v, role in parts
+    )
+    found = refine(Campaign("ring", records, Instrument(RATE_HZ)), RESONATOR).answer
+    assert (found.verdict, tuple(found.effects)) == ("adequate", ())
+    assert found.noise.gain_noise == pytest.approx(0.02, rel=0.1)
+    for name, truth in (("f1_hz", F_HZ), ("zeta1", ZETA)):
+        value, sd = found.parameters[name]
+        assert abs(value - truth) < 3.5 * sd
+
+
 @pytest.mark.parametrize(
     ("effect", "size", "pieces"),
     [("cubic_stiffness.k3", 0.05 * OMEGA**2, 10), ("nonlinear_damping.d", 2e-2, 6)],
