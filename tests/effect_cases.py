@@ -27,6 +27,11 @@ def example_file() -> str:
     return block[1]
 
 
+def is_scanned(effect: Effect) -> bool:
+    """Whether all parameters are scanned, so that the record has no derivative at the null."""
+    return all(parameter.grid for parameter in effect.parameters)
+
+
 def values_at(effect: Effect, model: Model, share: float) -> dict[str, float]:
     """Parameters at ``share`` of their scale; those with a grid at its middle."""
     return {

@@ -149,9 +149,10 @@ def sized(
     effect = model.effect(name)
     members = effect.members(model.built.shape)
     without = forward(model, base, chirp, instrument)
-    if effect.stages == ("adc",):
+    if effect.clips("adc") or effect.clips("drive"):
         # Clipping has an effect only below the largest sample.
-        level = float(np.max(np.abs(without))) * float(random.uniform(0.7, 0.98))
+        samples = without if effect.clips("adc") else chirp.drive_v
+        level = float(np.max(np.abs(samples))) * float(random.uniform(0.7, 0.98))
         return {effect.full_name(member): 1.0 / level for member in members}
     fixed, shape = {}, {}
     for member in members:

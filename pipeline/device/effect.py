@@ -8,7 +8,7 @@ kept anywhere else.
 |---|---|---|
 | drive       | (v, p, context) -> u                            | samples (N, D) [V] to force; memoryless |
 | mechanics   | (mechanics, p, context) -> Mechanics            | linear and time-invariant; may append coordinates |
-| force       | (t, q, qd, u, p, laws, out) -> None             | compiled force law, see ``force_law`` |
+| force       | (t, q, qd, u, p, laws, out) -> None             | compiled force law, see ``force_law``; may have memories |
 | sense       | (x, xd, s, t, p, context) -> s                  | pick-off volts (M, S) from motion x (M, S) [V s] |
 | readout     | (readout, p, context) -> Readout                | linear and time-invariant |
 | adc         | (y, p, context) -> y                            | acts on the samples (N, S) [V] |
@@ -16,6 +16,10 @@ kept anywhere else.
 
 p (k,) are the parameters in the order of declaration, with families expanded.  At the null value no stage is called, so the
 result is bit-identical to the model without the effect.
+
+A force law with coordinates of its own, which its mechanics stage appends or which are memories, gets the place of the first
+of them as one more number p[k].  A memory is an internal state h of first order: the velocity qd of its coordinate is h, what the
+law adds to ``out`` there is h', and h is zero at the first sample.
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ import importlib.util
 import pkgutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -35,21 +39,13 @@ from typing import Any
 from ..arrays import FloatArray
 from ..errors import ConfigError
 from . import effects as library
+from .declared import LookAlike, SizeRange
 from .force_law import Laws
 from .mechanics import Mechanics
 from .parameters import Parameter, Shape
 from .readout import Readout
 
-__all__ = [
-    "Context",
-    "Effect",
-    "Laws",
-    "LookAlike",
-    "SizeRange",
-    "find_effects",
-    "load_effect",
-    "numbered",
-]
+__all__ = ["Context", "Effect", "Laws", "LookAlike", "SizeRange", "find_effects", "load_effect", "numbered"]
 
 
 _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbance")
@@ -57,46 +53,18 @@ _STAGES = ("drive", "mechanics", "force", "sense", "readout", "adc", "disturbanc
 
 @dataclass(frozen=True)
 class Context:
-    """Conditions for all stages except force: biases [V], the parameters of the plant by name, time before the record [s]."""
+    """Conditions for all stages except force: biases [V], parameters of the plant by name, time before the record [s].
+
+    ``derivative``: order of the derivative of the motion that the pick-offs sense; ``axes``: number of coordinates that
+    nonlinear laws act on.
+    """
 
     bias_v: float
     operating_bias_v: float
     plant: Mapping[str, Any]
     elapsed_s: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class LookAlike:
-    """Other effects that together reproduce the records of an effect.
-
-    Parameters
-    ----------
-    effects : names of the other effects.
-    example : parameter -> value of the imitated effect; there the others explain all but 1e-4 of its delta_chi2 (tested).
-    always : the others imitate the effect at every value of its parameters, not only near the example.
-    start : full parameter name -> value at which a fit of the others starts, if not at their null.
-    """
-
-    effects: tuple[str, ...]
-    example: Mapping[str, float]
-    always: bool = False
-    start: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class SizeRange:
-    """Plausible sizes of an effect, for studies that draw them.
-
-    Parameters
-    ----------
-    typical : norm of the parameters without a grid; about SNR 100 on the standard campaign (a factor of 10 does not matter).
-    largest : largest plausible magnitude of a parameter; may be a function of the plant's parameters by name.
-    signed : both signs are plausible.
-    """
-
-    typical: float
-    largest: float | Callable[[Mapping[str, float]], float]
-    signed: bool = True
+    derivative: int = 1
+    axes: int = 1
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,6 +81,7 @@ class Effect:
     plants : plants to which it applies: "gyro", "updown" (gyros with that mode), "modal" (any channels), "resonator" (modal, one
         drive and one sense).
     condition : condition of a record that, if declared, fixes the only parameter: "rate", or none.
+    demodulated : only demodulated records, sweeps of a lock-in amplifier, show it.
     depends_on_bias : the law contains the bias, so records at another bias help to identify the effect.
     mimics_hold : a wrongly declared hold of the drive samples looks like this effect.
     look_alikes : other effects that reproduce its records.
@@ -120,6 +89,7 @@ class Effect:
         sense, and the learning loop scans the two on a fine grid.
     mains_frequency : name of the parameter that is the mains frequency [Hz]; the effect is added if silence shows a mains line.
     potential : (q (M, n), p, axes) -> (M,), potential energy of ``force``, if the force has one; checked by a test.
+    memories : number of internal states of ``force`` for each axis that nonlinear laws act on.
     size : plausible sizes; by default a tenth of the parameters' scales, up to their range.
     number : k of the k-th mode that one file adds (:func:`numbered`).
 
@@ -143,12 +113,14 @@ class Effect:
     disturbance: Callable[[FloatArray, FloatArray, Context], FloatArray] | None = None
     plants: tuple[str, ...] = ("gyro", "modal")
     condition: str = ""
+    demodulated: bool = False
     depends_on_bias: bool = False
     mimics_hold: bool = False
     look_alikes: tuple[LookAlike, ...] = ()
     resonance: tuple[str, str] | None = None
     mains_frequency: str = ""
     potential: Callable[[FloatArray, FloatArray, int], FloatArray] | None = None
+    memories: int = 0
     size: SizeRange | None = None
     number: int = 1
 
@@ -173,6 +145,8 @@ class Effect:
                 raise ConfigError(f"effect {self.name!r} has no such parameter", value=name, allowed=", ".join(names))
         if self.potential is not None and self.force is None:
             raise ConfigError(f"effect {self.name!r} declares a potential without a force", next_step="add the force")
+        if self.memories < 0 or (self.memories and self.force is None):
+            raise ConfigError(f"effect {self.name!r} declares memories without a force", next_step="add the force")
 
     def __repr__(self) -> str:
         return f"load_effect({self.origin!r})"
@@ -195,6 +169,11 @@ class Effect:
         module = str(function.__module__)
         return module.rpartition(".")[2] if module.startswith(library.__name__) else str(function.__code__.co_filename)
 
+    @property
+    def has_coordinates(self) -> bool:
+        """Whether the force law acts on coordinates of its own, which the linear motion does not move."""
+        return self.force is not None and (self.mechanics is not None or self.memories > 0)
+
     def members(self, shape: Shape) -> tuple[Parameter, ...]:
         """Parameters of the effect on a plant of ``shape`` with families expanded, in the order of ``p``."""
         return tuple(member for parameter in self.parameters for member in parameter.members(shape))
@@ -206,7 +185,7 @@ class Effect:
         """
         if not self.members(shape):
             return False
-        return shape.drives > 0 or (self.resonance is None and not set(self.stages) <= {"drive", "readout"})
+        return shape.drives > 0 or not (self.resonance or set(self.stages) <= {"drive", "readout"})
 
     def full_name(self, member: Parameter) -> str:
         """Name of a parameter in a model: "effect.parameter", or the name of the result quantity that it is."""
@@ -228,6 +207,10 @@ class Effect:
         members = self.members(shape)
         gridded = all(member.grid for member in members)
         return all(value == member.null for value, member in zip(p.tolist(), members) if gridded or not member.grid)
+
+    def clips(self, stage: str) -> bool:
+        """Whether its only parameter is a clip level of a ``stage``, scanned relative to the samples there."""
+        return self.stages == (stage,) and len(self.parameters) == 1 and bool(self.parameters[0].grid)
 
 
 @lru_cache(maxsize=256)

@@ -27,7 +27,8 @@ class Laws(NamedTuple):
 
     damping (n, n) [1/s], stiffness (n, n) [1/s^2]; drive (n, D) [1/s]; motion (D, n): motion @ q (D,) is the motion of the
     drive electrodes [V s]; bias_v of the record and operating_bias_v of the device [V]; ``axes``: nonlinear laws act on the
-    first ``axes`` coordinates; elapsed_s: time from the start of the run to the first sample of the record [s].
+    first ``axes`` coordinates; elapsed_s: time from the start of the run to the first sample of the record [s]; the last
+    ``memories`` coordinates are memories, whose velocity is an internal state (``effect``).
     """
 
     damping: FloatArray
@@ -38,12 +39,13 @@ class Laws(NamedTuple):
     operating_bias_v: float
     axes: int
     elapsed_s: float = 0.0
+    memories: int = 0
 
 
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
 LAWS_TYPE = types.NamedTuple(
-    (_MATRIX, _MATRIX, _MATRIX, _MATRIX, types.float64, types.float64, types.int64, types.float64), Laws
+    (_MATRIX, _MATRIX, _MATRIX, _MATRIX, types.float64, types.float64, types.int64, types.float64, types.int64), Laws
 )
 FORCE_SIGNATURE = types.void(types.float64, _VECTOR, _VECTOR, _VECTOR, _VECTOR, LAWS_TYPE, _VECTOR)
 # Tuples of function pointers allow one compiled integrator for all combinations of effects.  The warning filter is set once,

@@ -22,7 +22,7 @@ As modes:   H(s) = sum_k R_k / (s - p_k) + conj + A F,   Im p_k > 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -56,6 +56,11 @@ class Mechanics:
     def senses_acceleration(self) -> bool:
         """Whether a pick-off senses acceleration."""
         return bool(np.any(self.acceleration_sense))
+
+    @property
+    def derivative(self) -> int:
+        """Order of the derivative of the motion that the pick-offs sense."""
+        return 2 if self.senses_acceleration else 0 if np.any(self.position_sense) else 1
 
     @property
     def reads(self) -> FloatArray:
@@ -97,6 +102,17 @@ def state_matrix(mechanics: Mechanics) -> FloatArray:
     a[:, n:, :n] = -stiffness
     a[:, n:, n:] = -(mechanics.damping + mechanics.gyroscopic)
     return a
+
+
+def widened(mechanics: Mechanics, n: int) -> Mechanics:
+    """``mechanics`` with free coordinates without damping, stiffness, drive and sense appended, ``n`` in all."""
+    more = (0, n - mechanics.stiffness.shape[1])
+
+    def wider(name: str) -> FloatArray:
+        rows, columns = (0, 0) if name.endswith("_sense") else more, (0, 0) if name == "drive" else more
+        return np.pad(getattr(mechanics, name), ((0, 0), rows, columns))
+
+    return Mechanics(*(wider(f.name) for f in fields(Mechanics)))
 
 
 def modes_of(mechanics: Mechanics) -> Modes:

@@ -17,6 +17,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import ConfigError
 from .effect import Effect, find_effects
+from .exact_null import with_exact_nulls
 from .model_toml import ModelFields, model_toml, read_model
 from .parameters import Parameter, read_prior
 from .plant import C12, Plant, PlantSpec
@@ -66,7 +67,7 @@ class Model:
     @cached_property
     def library(self) -> dict[str, Effect]:
         """All available effects by name: those of the package and of ``effect_folders``; modes, several times."""
-        return with_more_modes(find_effects(tuple(Path(folder) for folder in self.effect_folders)))
+        return with_more_modes(with_exact_nulls(find_effects(tuple(Path(folder) for folder in self.effect_folders))))
 
     @cached_property
     def built(self) -> Plant:
@@ -91,11 +92,11 @@ class Model:
             )
         return effect
 
-    def candidates(self) -> tuple[str, ...]:
-        """Names of the effects that the plant's records can show and that are not in the model; of several modes, the next."""
+    def candidates(self, demodulated: bool = False) -> tuple[str, ...]:
+        """Absent effects that the plant's records, or ``demodulated`` ones of a lock-in, can show; of several modes, the next."""
         kinds, shape = self.built.kinds, self.built.shape
         apply = [e for e in self.library.values() if kinds & set(e.plants) and e.shows(shape)]
-        absent = [e for e in apply if e.name not in self.effects]
+        absent = [e for e in apply if e.name not in self.effects and (demodulated or not e.demodulated)]
         next_mode = {e.origin: e.number for e in sorted(absent, key=lambda e: -e.number) if e.mode is not None}
         return tuple(e.name for e in absent if e.number == next_mode.get(e.origin, e.number))
 

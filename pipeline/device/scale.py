@@ -11,6 +11,7 @@ What V and s mean is declared by ``Parameter.relative_to``:
 |---|---|---|---|
 | "motion"    | motion over period, in the unit of q'          | period of the modes | force laws |
 | "sense"     | samples of the senses                          | period | clip levels |
+| "drive"     | samples of the drives                          | period | clip levels of the drive |
 | "transfer"  | the number is proportional to sense over drive | period | gains from drive to sense |
 | "record"    | -                                              | duration of the records | drifts |
 | "mode"      | -                                              | lowest period of an additional mode | frequency of a mode |
@@ -26,7 +27,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
-RelativeTo = Literal["motion", "sense", "transfer", "record", "mode", "absolute"]
+RelativeTo = Literal["motion", "sense", "drive", "transfer", "record", "mode", "absolute"]
 _TOKEN = re.compile(r"(Hz|V|rad|deg|s|1)(?:\^(\d+))?")
 #: Frequencies [Hz] of an additional mode in the records of the gyro of the paper, driven from 400 to 700 Hz, 10 kHz.
 PAPER_MODES_HZ = (300.0, 1e5)
@@ -63,7 +64,7 @@ class Scale:
         if relative_to == "record":
             return float(self.duration**seconds)
         gain = self.transfer if relative_to == "transfer" else 1.0
-        volt = self.motion if relative_to == "motion" else self.sense
+        volt = {"motion": self.motion, "drive": self.sense / self.transfer}.get(relative_to, self.sense)
         return float(gain * volt**volts * self.hz**-seconds)
 
 

@@ -40,6 +40,7 @@ from ..screening.settings import POSTERIOR_STREAM, device_seed, population, rate
 from ..screening.virtual_device import physical_of, shared_record, virtual_volts
 from .coverage import COVERED, Share, offsets
 from .hidden.effects import draw_effect, peak_of
+from .hidden.own_law import modelled_response, without_law
 from .hidden.study import make_folder, resumed, rows_in
 from .hidden.truth import clipped, hum, response
 
@@ -67,12 +68,12 @@ def effects_of(name: str) -> tuple[str, ...]:
 
 
 def _drawn_sizes(
-    effect: str, values: Mapping[str, float], clean_v: FloatArray, random: np.random.Generator
+    effect: str, values: Mapping[str, float], clean_v: FloatArray, drive_v: FloatArray, random: np.random.Generator
 ) -> dict[str, float]:
     """Sizes of an effect in a device of parameters ``values`` whose record without it is ``clean_v`` (N, 2) [V]."""
     if effect == NONE:
         return {}
-    drawn = draw_effect(effect, values, peak_of([clean_v]), random, NIGHTLY_MODEL)
+    drawn = draw_effect(effect, values, peak_of([clean_v], [drive_v]), random, NIGHTLY_MODEL)
     clips = NIGHTLY_MODEL.effect(effect).stages == ("adc",)
     low, high = _CLIPS if clips else _SIZES
     size = float(low * (high / low) ** random.uniform()) + (1.0 if clips else 0.0)
@@ -90,8 +91,11 @@ def examine(config: RunConfig, drawn: Draw, i: int, effect: str) -> dict[str, An
     for name in config.experiment.effects:
         plant |= {f"{name}.{parameter}": float(value[i]) for parameter, value in drawn.effects[name].items()}
     drive, rate = shared.record.drive_v, instrument.sample_rate_hz
-    values = plant | _drawn_sizes(effect, plant, virtual_volts(config, drawn, i), random)
-    clean = clipped(response(values, drive, instrument), values)
+    values = plant | _drawn_sizes(effect, plant, virtual_volts(config, drawn, i), drive, random)
+    if effect != NONE and without_law((effect,)):
+        clean = modelled_response(NIGHTLY_MODEL, (effect,), values, shared.record, instrument)
+    else:
+        clean = clipped(response(values, drive, instrument), values)
     silent = np.zeros((round(config.experiment.silence_s * rate), 2))
     silent_v, fit_v = (
         measured(

@@ -28,8 +28,7 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
         np.pad(old, ((0, 0), (0, 0), (0, 1))) for old in (m.position_sense, m.velocity_sense, m.acceleration_sense)
     ]
     # Pick-offs of displacement measure omega w, those of acceleration w'' / omega, so that b has the unit 1/s for each kind.
-    kind = 2 if m.senses_acceleration else 0 if np.any(m.position_sense) else 1
-    senses[kind][:, :, n] = vector * omega ** (1 - kind)
+    senses[m.derivative][:, :, n] = vector * omega ** (1 - m.derivative)
     position, velocity, acceleration = senses
     return Mechanics(c, g, k, drive, velocity, position, acceleration)
 

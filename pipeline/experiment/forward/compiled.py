@@ -1,4 +1,4 @@
-"""The loops of ``kernels``, compiled once for each number of coordinates and cached on disk."""
+"""The loops of ``kernels``, compiled once for each number of coordinates and of places for forces, and cached on disk."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numba import njit, types
 
 from ...device.force_law import FORCE_TYPE, LAWS_TYPE
 from ...threads import once
-from .kernels import MOST_FORCES, deviation_from_linear, first_order_deviation, linear_states
+from .kernels import deviation_from_linear, first_order_deviation, linear_states
 
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
@@ -20,18 +20,23 @@ OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"contract", "reassoc", "nsz"},
 }
-_FORCES = (types.UniTuple(FORCE_TYPE, MOST_FORCES), types.int64, types.UniTuple(_VECTOR, MOST_FORCES), LAWS_TYPE)
 _STEPS = (types.float64, types.int64)
 _DRIVE = (_MATRIX, types.boolean)
 
 
+def forces_type(places: int) -> tuple[Any, ...]:
+    """Types of force functions, of the number that acts, of their parameters and of what they use."""
+    return types.UniTuple(FORCE_TYPE, places), types.int64, types.UniTuple(_VECTOR, places), LAWS_TYPE
+
+
 @once
-def compiled_deviation(half_size: int) -> Any:
-    """``deviation_from_linear`` for at most ``half_size`` coordinates (H)."""
+def compiled_deviation(sizes: tuple[int, int]) -> Any:
+    """``deviation_from_linear`` for at most H coordinates and P forces, ``sizes`` = (H, P)."""
+    half_size, places = sizes
     shape = types.UniTuple(types.int64, half_size)
     matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
     reads = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(shape, *_FORCES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    signature = types.void(shape, *forces_type(places), *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
     return njit(signature, **OPTIONS)(deviation_from_linear)
 
 
@@ -44,10 +49,11 @@ def compiled_linear_states(half_size: int) -> Any:
 
 
 @once
-def compiled_first_order(half_size: int) -> Any:
-    """``first_order_deviation`` for at most ``half_size`` coordinates (H)."""
+def compiled_first_order(sizes: tuple[int, int]) -> Any:
+    """``first_order_deviation`` for at most H coordinates and P forces, ``sizes`` = (H, P)."""
+    half_size, places = sizes
     shape = types.UniTuple(types.int64, half_size)
     matrices = (_MATRIX, _MATRIX, types.float64)
     reads = (_MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(shape, *_FORCES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    signature = types.void(shape, *forces_type(places), *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
     return njit(signature, **OPTIONS)(first_order_deviation)

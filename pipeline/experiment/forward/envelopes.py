@@ -68,6 +68,12 @@ def mode_near(system: System, about_hz: float) -> int:
 
 def flow_at(system: System, mode: int, a: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """R (M,) [1/s], W (M,) [rad/s] and the tone over a (M, S) of the amplitudes a (M,) [V s] at the times t (M,) [s]."""
+    if system.memories:
+        raise ConfigError(
+            "an effect with a memory is not computed for amplitudes of free decays",
+            value=[effect.name for effect, _ in system.forces if effect.memories],
+            next_step='remove it from the model, or use samples of the decay (kind = "decay")',
+        )
     mechanics = system.mechanics
     n, points = mechanics.stiffness.shape[1], a.size
     poles, right = np.linalg.eig(state_matrix(mechanics)[0])

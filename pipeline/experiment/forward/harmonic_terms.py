@@ -16,7 +16,7 @@ from ...arrays import ComplexArray, FloatArray
 from ...device.force_law import Points, force_along
 from .response import force_volts
 from .system import System
-from .tones import linear_pickoff
+from .tones import acting_drive, linear_pickoff
 
 #: Harmonics H and times T of a period: a cubic force of harmonics up to 3 has harmonics up to 9, which do not alias with 32.
 HARMONICS, TIMES = 3, 32
@@ -47,7 +47,8 @@ class TonePoints:
 
 def force_samples(system: System, points: TonePoints) -> FloatArray:
     """u (N, T, D) [V]: the drives at the times of a period, after the drive stage."""
-    volts = np.real(points.drive_v[:, None, :] * np.exp(1.0j * _THETA)[None, :, None])
+    acting = acting_drive(system, points.frequency_hz, points.drive_v)
+    volts = np.real(acting[:, None, :] * np.exp(1.0j * _THETA)[None, :, None])
     count, _, drives = volts.shape
     return np.ascontiguousarray(force_volts(system, volts.reshape(-1, drives)).reshape(count, TIMES, drives))
 

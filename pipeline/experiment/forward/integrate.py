@@ -32,7 +32,7 @@ from ...device.mechanics import Mechanics, state_matrix
 from ...errors import ConfigError
 from ..instrument import Hold
 from .compiled import compiled_deviation, compiled_first_order, compiled_linear_states
-from .kernels import MOST_FORCES
+from .kernels import FORCE_PLACES, MOST_FORCES
 
 SUBSTEPS = 4
 
@@ -111,7 +111,7 @@ def steps_of(mechanics: Mechanics, step_s: float, hold: Hold, substeps: int) -> 
 
 
 def compiled_forces(forces: Forces) -> tuple[Any, int, Any]:
-    """Force functions padded to ``MOST_FORCES``, how many act, and their parameters, as the compiled loops take them."""
+    """Force functions padded to one of ``FORCE_PLACES``, how many act, and their parameters, as the compiled loops take them."""
     if len(forces) > MOST_FORCES:
         raise ConfigError(
             "too many forces at once",
@@ -119,7 +119,7 @@ def compiled_forces(forces: Forces) -> tuple[Any, int, Any]:
             allowed=f"at most {MOST_FORCES}",
             next_step="drop effects of the force stage from the model",
         )
-    padding = MOST_FORCES - len(forces)
+    padding = next(places for places in FORCE_PLACES if places >= len(forces)) - len(forces)
     return (
         tuple([compiled_force(force) for force, _ in forces] + [compiled_force(_no_force)] * padding),
         len(forces),
@@ -161,9 +161,10 @@ def trajectory(
     taps = steps.padded((np.eye(steps.factors.size) if reads is None else reads) / steps.factors)
     linear = np.empty((points if reads is None else 0, taps.shape[0]))
     deviation = np.empty((points, taps.shape[0]))
-    compiled_deviation(steps.half_size)(
+    acting = compiled_forces(forces)
+    compiled_deviation((steps.half_size, len(acting[0])))(
         (0,) * steps.half_size,
-        *compiled_forces(forces),
+        *acting,
         laws,
         steps.half,
         steps.held,
@@ -245,9 +246,10 @@ def perturbed_motion(motion: Motion, forces: Forces, laws: Laws, reads: FloatArr
     steps = motion.steps
     taps = steps.padded(reads / steps.factors)
     deviation = np.empty((motion.states.shape[0] // 2 + 1, taps.shape[0]))
-    compiled_first_order(steps.half_size)(
+    acting = compiled_forces(forces)
+    compiled_first_order((steps.half_size, len(acting[0])))(
         (0,) * steps.half_size,
-        *compiled_forces(forces),
+        *acting,
         laws,
         steps.half,
         steps.half @ steps.half,

@@ -216,10 +216,13 @@ def direct_gain(mechanics: Mechanics, readout: Readout) -> FloatArray:
 
 
 def shifted(y: FloatArray, steps: int) -> FloatArray:
-    """y (N, ...) delayed by whole samples, zero before; unit unchanged."""
+    """y (N, ...) delayed by whole samples, zero before; advanced by them, it keeps its last value; unit unchanged."""
     if steps == 0:
         return y
     out = np.zeros_like(y)
+    if steps < 0:
+        out[:steps], out[steps:] = y[-steps:], y[-1]
+        return out
     out[steps:] = y[: max(y.shape[0] - steps, 0)]
     return out
 
@@ -230,7 +233,7 @@ def free_response(mechanics: Mechanics, readout: Readout, samples: int, clock: S
     poles, right = np.linalg.eig(state_matrix(mechanics)[0])
     left = np.linalg.inv(right)
     sensed = mechanics.reads[0] @ right
-    gain = np.einsum("ksj,jk->ks", readout.response(poles), sensed) * np.exp(-poles * readout.delay_s)[:, None]
+    gain = np.einsum("ksj,jk->ks", readout.response(poles), sensed) * readout.lag(poles)
     decay = np.exp(np.arange(samples)[:, None] * (poles * clock.step_s))
     parts = (gain[:, :, None] * left[:, None, :]).reshape(2 * n, -1)
     return np.asarray((decay @ parts).real.reshape(samples, -1, 2 * n))

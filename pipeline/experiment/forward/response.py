@@ -20,6 +20,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...device.force_law import Points, force_along
+from ...device.readout import Readout
 from ...threads import mapped
 from .drive_groups import DriveGroup, waveforms_of
 from .integrate import SUBSTEPS, Motion, between_samples, linear_motion, perturbed_motion, trajectory
@@ -34,6 +35,7 @@ from .linear import (
     shifted,
     upper_poles,
 )
+from .paths import by_channel, clocked, lagged_drive, of_drive, superposed
 from .readout_filter import filtered
 from .system import System
 
@@ -70,22 +72,35 @@ def linear_volts(system: System, group: DriveGroup, starts: Starts | None = None
     group : the records.
     starts : state (2n,) of each record at its first sample; ``None`` is rest.
     """
-    clock, readout = group.clock, system.readout
-    m = system.mechanics
-    if system.drives:
-        # The drive stage may be nonlinear, so a record of another level has another waveform.
-        waveforms, gains = waveforms_of([force_volts(system, v) for v in group.drives], clock)
-        y = linear_response(m, readout, waveforms, gains, clock, feeds=False)[:, :: clock.stride]
-        if np.any(readout.resistive) or np.any(readout.capacitive):
-            y = y + fed_through(readout, group.waveforms, group.gains, clock)[:, :: clock.stride]
-    else:
-        y = linear_response(m, readout, group.waveforms, group.gains, clock)[:, :: clock.stride]
-    for record, start in enumerate(starts or ()):
+    y = superposed(system.readout, lambda readout, drive: _forced_volts(system, readout, group, drive))
+    if any(start is not None for start in starts or ()):
+        y += by_channel(system.readout, lambda readout: _free_volts(system, readout, group, starts or ()))
+    return clocked(y, system.readout, system.context.elapsed_s, 1.0 / group.sample_rate_hz)
+
+
+def _forced_volts(system: System, readout: Readout, group: DriveGroup, drive: int | None) -> FloatArray:
+    """Response (R, N, S) [V] to the drives, or to one ``drive`` of them, from rest."""
+    clock, m = group.clock, system.mechanics
+    if not system.drives:
+        return linear_response(m, readout, group.waveforms, of_drive(group.gains, drive), clock)[:, :: clock.stride]
+    # The drive stage may be nonlinear, so a record of another level has another waveform.
+    waveforms, gains = waveforms_of([force_volts(system, v) for v in group.drives], clock)
+    y = linear_response(m, readout, waveforms, of_drive(gains, drive), clock, feeds=False)[:, :: clock.stride]
+    if np.any(readout.resistive) or np.any(readout.capacitive):
+        y = y + fed_through(readout, group.waveforms, of_drive(group.gains, drive), clock)[:, :: clock.stride]
+    return y
+
+
+def _free_volts(system: System, readout: Readout, group: DriveGroup, starts: Starts) -> FloatArray:
+    """Response (R, N, S) [V] to the states at the first samples."""
+    clock, m = group.clock, system.mechanics
+    y = np.zeros((len(starts), group.drives[0].shape[0], readout.static.shape[0]))
+    for record, start in enumerate(starts):
         if start is not None:
             free = free_response(m, readout, group.waveforms.shape[1], clock) @ full_start(system, start)
-            y[record] += free[:: clock.stride]
+            y[record] = free[:: clock.stride]
             # What follows the drive at once is late too; the drive before the first sample is taken as the first one.
-            late = -(-delay_steps(readout.delay_s, clock.step_s)[0] // clock.stride)
+            late = max(-(-delay_steps(readout.delay_s, clock.step_s)[0] // clock.stride), 0)
             y[record, :late] += group.drives[record][0] @ direct_gain(m, readout).T
     return y
 
@@ -95,11 +110,7 @@ def nonlinear_response(
 ) -> FloatArray:
     """What force and sense effects add to the linear response, (R, N, S) [V]; zero where there are none.
 
-    ``substeps`` of the integrator per sample; the other arguments as in ``linear_volts``.
-
-    Raises
-    ------
-    ConfigError : as in ``integrate.trajectory``.
+    ``substeps`` of the integrator per sample; other arguments as in ``linear_volts``, errors as in ``integrate.trajectory``.
     """
     return np.asarray(nonlinear_responses(system, group, starts, substeps, (0.0,))[0])
 
@@ -114,15 +125,22 @@ def nonlinear_responses(
     if not (system.forces or system.senses):
         samples, senses = group.drives[0].shape[0], system.sense_motion.shape[0]
         return np.zeros((len(delays_s), len(group.drives), samples, senses))
+    system = system.integrated
     start_states = starts or (None,) * len(group.drives)
     steps = _substeps(group.clock, substeps)
 
     def one(record: int) -> FloatArray:
-        u = interpolated(force_volts(system, group.drives[record]), group.clock)
+        u = _force_drive(system, group, record)
         r = _nonlinear_pickoff(system, u, group.clock, start_states[record], steps)
         return np.stack([_after_readout(delayed(system, d), r, group.clock, steps) for d in delays_s])
 
     return np.stack(_for_distinct_records(one, response_sources(group, starts), group.threads), axis=1)
+
+
+def _force_drive(system: System, group: DriveGroup, record: int) -> FloatArray:
+    """u (N', D) [V] of a record at the steps of the clock, as forces see it."""
+    clock, v = group.clock, force_volts(system, group.drives[record])
+    return lagged_drive(interpolated(v, clock), system.readout, clock.step_s)
 
 
 def delayed(system: System, delay_s: float) -> System:
@@ -136,7 +154,7 @@ def linear_motions(system: System, group: DriveGroup, starts: Starts | None, sub
     clock, steps = group.clock, _substeps(group.clock, substeps)
 
     def one(record: int) -> Motion:
-        u = interpolated(force_volts(system, group.drives[record]), clock)
+        u = _force_drive(system, group, record)
         start = start_states[record]
         state = None if start is None else full_start(system, start)
         return linear_motion(system.mechanics, u, clock.step_s, clock.hold, state, steps)
@@ -245,10 +263,15 @@ def _sense_effect_volts(
 
 def _after_readout(system: System, r: FloatArray, clock: SampleClock, substeps: int) -> FloatArray:
     """Pick-off volts r (M, S) after the read-out, (N, S) [V]."""
-    q, g = upper_poles(system.readout)
-    shift, late_s = delay_steps(system.readout.delay_s, clock.step_s)
-    y = filtered(q, g, system.readout.static, r, clock.step_s, late_s, substeps)
-    return shifted(y, shift)[:: clock.stride]
+
+    def one(readout: Readout) -> FloatArray:
+        q, g = upper_poles(readout)
+        shift, late_s = delay_steps(readout.delay_s, clock.step_s)
+        y = filtered(q, g, readout.static, r, clock.step_s, late_s, substeps)
+        return shifted(y, shift)[:: clock.stride]
+
+    y = by_channel(system.readout, one)
+    return clocked(y, system.readout, system.context.elapsed_s, clock.step_s * clock.stride)
 
 
 def volts(system: System, group: DriveGroup, starts: Starts | None = None) -> FloatArray:

@@ -226,7 +226,7 @@ def _change(
     integrated = found.force is not None or found.sense is not None
     if integrated or base.strong:
         # The linear response changes only if the effect acts on a linear stage too.
-        appends = system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape
+        appends = found.has_coordinates or system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape
         # Close to the null the first order of a force suffices; a point of a grid is far from the null.
         if base.motions is not None and not own.grid and not appends:
             change = first_order_response(system, group, base.motions)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ...device.effect import Context, Effect, Laws
-from ...device.mechanics import Mechanics
+from ...device.mechanics import Mechanics, widened
 from ...device.model import Model
 from ...device.readout import Readout, plain_readout
 from ...errors import ConfigError
@@ -62,7 +62,10 @@ class System:
     context : conditions and values that effects may use.
     sense_motion, drive_motion : (S, n) and (D, n) [1] as in ``device.plant``, zero for appended coordinates.
     axes : nonlinear laws act on the first ``axes`` coordinates.
-    drives, forces, senses, adcs : effects of these stages, with their parameters (k,).
+    drives, forces, senses, adcs : effects of these stages, with their parameters (k,); a force law with coordinates of its own
+        has the place of the first one as one more parameter.
+    memories : memories of the force laws that are not coordinates yet (:attr:`integrated`).
+    remembered : the last coordinates that are memories.
     """
 
     mechanics: Mechanics
@@ -75,6 +78,26 @@ class System:
     forces: tuple[tuple[Effect, FloatArray], ...]
     senses: tuple[tuple[Effect, FloatArray], ...]
     adcs: tuple[tuple[Effect, FloatArray], ...]
+    memories: int = 0
+    remembered: int = 0
+
+    @property
+    def integrated(self) -> System:
+        """The system with one more coordinate for each memory, which nothing drives, senses or couples but the force laws.
+
+        Linear responses need no memories: without stiffness they would be modes that do not oscillate.
+        """
+        if not self.memories:
+            return self
+        n = self.mechanics.stiffness.shape[1]
+        return replace(
+            self,
+            mechanics=widened(self.mechanics, n + self.memories),
+            sense_motion=_appended(self.sense_motion, n + self.memories),
+            drive_motion=_appended(self.drive_motion, n + self.memories),
+            memories=0,
+            remembered=self.memories,
+        )
 
     @property
     def laws(self) -> Laws:
@@ -89,6 +112,7 @@ class System:
             float(self.context.operating_bias_v),
             self.axes,
             float(self.context.elapsed_s),
+            self.remembered,
         )
 
 
@@ -113,15 +137,20 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
     ConfigError : the damping matrix is not positive semidefinite, or the stiffness matrix not positive definite.
     """
     plant = model.built
-    context = Context(conditions.bias_v, conditions.operating_bias_v, values, conditions.elapsed_s)
     effects = acting(model, values, conditions)
     mechanics = plant.mechanics(values)
+    axes, declared = len(plant.shape.axes), conditions
+    context = Context(
+        declared.bias_v, declared.operating_bias_v, values, declared.elapsed_s, mechanics.derivative, axes
+    )
     if conditions.frequency_shift != 0.0:
         mechanics = replace(mechanics, stiffness=mechanics.stiffness * (1.0 + conditions.frequency_shift) ** 2)
     poles, residues = (_NO_POLES, _NO_POLES) if instrument.antialias is None else filter_poles(instrument.antialias)
     readout = plain_readout(poles, residues, plant.shape.senses, plant.shape.drives)
+    first: dict[str, int] = {}
     for effect, p in effects:
         if effect.mechanics is not None:
+            first[effect.name] = mechanics.stiffness.shape[1]
             mechanics = effect.mechanics(mechanics, p, context)
         if effect.readout is not None:
             readout = effect.readout(readout, p, context)
@@ -135,24 +164,33 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
                 next_step="check the parameters of the model",
             )
 
-    def appended(motion: FloatArray) -> FloatArray:
-        rows, own = motion.shape
-        out = np.zeros((rows, mechanics.stiffness.shape[1]))
-        out[:, :own] = motion
-        return out
+    n, memories = mechanics.stiffness.shape[1], 0
+    for effect, _ in effects:
+        if effect.memories:
+            first[effect.name] = n + memories
+            memories += effect.memories * axes
 
     def of(stage: str) -> tuple[tuple[Any, FloatArray], ...]:
-        return tuple((effect, p) for effect, p in effects if getattr(effect, stage) is not None)
+        own = tuple((effect, p) for effect, p in effects if getattr(effect, stage) is not None)
+        if stage != "force":
+            return own
+        return tuple((e, np.append(p, first[e.name]) if e.has_coordinates else p) for e, p in own)
 
     return System(
         mechanics,
         readout,
         context,
-        appended(plant.sense_motion()),
-        appended(plant.drive_motion()),
-        len(plant.shape.axes),
+        _appended(plant.sense_motion(), n),
+        _appended(plant.drive_motion(), n),
+        axes,
         of("drive"),
         of("force"),
         of("sense"),
         of("adc"),
+        memories,
     )
+
+
+def _appended(motion: FloatArray, n: int) -> FloatArray:
+    """``motion`` (r, m) with zeros for the coordinates from m to n."""
+    return np.pad(motion, ((0, 0), (0, n - motion.shape[1])))

@@ -28,6 +28,12 @@ def linear_motion_of(system: System, frequency_hz: FloatArray, force_v: ComplexA
     return np.asarray(np.linalg.solve(whole, driven[:, :, None])[:, :, 0])
 
 
+def acting_drive(system: System, frequency_hz: FloatArray, drive_v: ComplexArray) -> ComplexArray:
+    """The drives (N, D) [V] behind their delays and poles."""
+    s = np.asarray(2.0j * np.pi * frequency_hz, dtype=np.complex128)
+    return np.asarray(drive_v * system.readout.drive_lag(s))
+
+
 def linear_pickoff(system: System, frequency_hz: FloatArray, q: ComplexArray) -> ComplexArray:
     """S (N, S) [V] of a motion q (N, n) [V s], without feedthrough."""
     m, s = system.mechanics, 2.0j * np.pi * frequency_hz[:, None]
@@ -38,12 +44,13 @@ def linear_pickoff(system: System, frequency_hz: FloatArray, q: ComplexArray) ->
 def read_out(system: System, frequency_hz: FloatArray, pickoff_v: ComplexArray, drive_v: ComplexArray) -> ComplexArray:
     """Y (N, S) [V]: pick-off volts S (N, S) and the feedthrough of the drives (N, D), behind filter and delay."""
     readout, s = system.readout, np.asarray(2.0j * np.pi * frequency_hz, dtype=np.complex128)
+    drive_v = acting_drive(system, frequency_hz, drive_v)
     volts = pickoff_v + drive_v @ readout.resistive.T + s[:, None] * (drive_v @ readout.capacitive.T)
     filtered = (readout.response(s) @ volts[:, :, None])[:, :, 0]
-    return np.asarray(filtered * np.exp(-s * readout.delay_s)[:, None])
+    return np.asarray(filtered * readout.lag(s))
 
 
 def linear_tones(system: System, frequency_hz: FloatArray, drive_v: ComplexArray) -> ComplexArray:
     """Y (N, S) [V] of a device without nonlinear effects, under the drives (N, D) [V]."""
-    q = linear_motion_of(system, frequency_hz, drive_v)
+    q = linear_motion_of(system, frequency_hz, acting_drive(system, frequency_hz, drive_v))
     return read_out(system, frequency_hz, linear_pickoff(system, frequency_hz, q), drive_v)

@@ -18,6 +18,17 @@ from .residuals import CampaignResiduals
 from .scan import scan
 
 
+def scanned_effects(model: Model, known: Mapping[str, float]) -> tuple[str, ...]:
+    """Effects of ``model`` with parameters on a grid, of which no value is ``known``."""
+    shape, found = model.built.shape, []
+    for effect in model.ordered_effects():
+        # The shape of a disturbance is chosen otherwise; parameters that are not fitted (which channel) are scanned, too.
+        members = [m for m in effect.members(shape) if m.fitted or effect.disturbance is None]
+        if any(m.grid for m in members) and not any(effect.full_name(m) in known for m in members):
+            found.append(effect.name)
+    return tuple(found)
+
+
 def with_effect_starts(
     model: Model,
     campaign: Campaign,
@@ -36,10 +47,8 @@ def with_effect_starts(
     threads : how many records are integrated at once.
     """
     values = dict(start)
-    for effect in model.ordered_effects():
-        members = [m for m in effect.members(model.built.shape) if m.fitted]
-        if any(m.grid for m in members) and not any(effect.full_name(m) in values for m in members):
-            values |= _scanned(model, effect.name, campaign, noise, values, likely, threads)
+    for name in scanned_effects(model, values):
+        values |= _scanned(model, name, campaign, noise, values, likely, threads)
     for effect in model.ordered_effects():
         shape = {effect.full_name(m) for m in effect.members(model.built.shape) if not m.fitted}
         if effect.disturbance is not None and not shape <= values.keys():

@@ -24,7 +24,7 @@ from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign, Record, Role
 from ...threads import mapped
 from .continuation import continued, restarted
-from .effect_starts import with_effect_starts
+from .effect_starts import scanned_effects, with_effect_starts
 from .free_states import free_start
 from .gauss_newton import GaussNewtonResult, minimise
 from .linear_step import FitPoint, Sensitivity, covariance_of, point_at
@@ -136,6 +136,8 @@ def fit_with_columns(
     known = {name: float(value) for name, value in (start or {}).items() if name in model.by_name}
     if any(p.name not in known and p.name not in model.fixed for p in model.built.parameters):
         known = {**find_start(model, fitted, campaign.instrument, sigma_v), **known}
+    if start is None:
+        known = known | _fitted_without_scanned(model, campaign, noise, known, threads)
     model, known = with_effect_starts(model, campaign, noise, {**known, **model.fixed}, likely or {}, threads)
     problem = CampaignResiduals(model, campaign, noise, threads)
     tasks = problem.tasks(fitted, model.complete(known))
@@ -145,6 +147,22 @@ def fit_with_columns(
     result = continued(problem, at, result, tasks, dof, noise.known)
     result = restarted(problem, result, tasks, dof)
     return campaign_fit(problem, campaign, noise, tasks, result), result.sensitivities
+
+
+def _fitted_without_scanned(
+    model: Model, campaign: Campaign, noise: NoiseLevel, known: Mapping[str, float], threads: int
+) -> dict[str, float]:
+    """Values of a fit without the effects that are scanned; empty if the model has no others or nothing is scanned.
+
+    A scan explains what the others leave.  With a hardening spring at its null there is nothing but that spring to explain, so
+    that the scan of a hidden mode ends at no coupling, from where its frequency does not change the record.
+    """
+    smaller, scanned = model, scanned_effects(model, {**known, **model.fixed})
+    for name in scanned:
+        smaller = smaller.without_effect(name)
+    if not scanned or not smaller.effects:
+        return {}
+    return fit_campaign(smaller, campaign, noise, dict(known), threads=threads).values
 
 
 def _first_point(problem: CampaignResiduals, tasks: Tasks, known: Mapping[str, float]) -> FitPoint:

@@ -217,10 +217,12 @@ class CampaignResiduals:
             before = nonlinear_response(system, group, [start])[0]
             n, omega = m.stiffness.shape[1], np.sqrt(np.diagonal(m.stiffness[0]))
             position, velocity = np.abs(m.reads[0])[:, :n], np.abs(m.reads[0])[:, n:]
-            motion = (
-                1e-4 * float(np.sqrt(np.mean(task.record.sense_v**2))) / np.max(position + omega * velocity, axis=0)
-            )
+            level, seen = float(np.sqrt(np.mean(task.record.sense_v**2))), np.max(position + omega * velocity, axis=0)
+            motion = np.divide(1e-4 * level, seen, out=np.zeros(n), where=seen > 0.0)
             for i, step in zip([*range(n), *range(own, own + n)], [*motion, *(motion * omega)]):
+                if step == 0.0:
+                    # A coordinate that no sense sees starts at rest.
+                    continue
                 moved = start.copy()
                 moved[i] += step
                 columns[i] += (nonlinear_response(system, group, [moved])[0] - before) / step

@@ -21,6 +21,7 @@ from scipy.ndimage import uniform_filter1d
 
 from ...arrays import FloatArray
 from ...device.model import Model
+from ...experiment.forward.clip_levels import clip_levels
 from ...experiment.forward.signatures import Signature, base_of, signatures
 from ...experiment.instrument import Instrument
 from .gauss_newton import PATIENCE
@@ -84,6 +85,9 @@ def scan(
         if member.grid and member.unit == "Hz":
             top = min(member.high, rate / 2.0)
             grid[member.name] = likely.get(member.name) or peaks_hz(residuals, rate, member.low, top)
+    if found.clips("drive"):
+        # Its declared grid holds all drives that may occur; each point of it takes a response.
+        grid |= clip_levels(found, model.built.shape, [task.record for task in tasks.each])
     normal = sum(j.T @ j for j in columns)
     scale = np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
@@ -100,12 +104,17 @@ def scan(
                 c = whiten[place](signature.columns[:, own]).reshape(-1, r.size)
                 products = [c @ c.T, c @ r, c @ j]
                 sums[k] = [a + b for a, b in zip(sums[k], products)] if k in sums else products
+    ranges = {member.name: member for member in members}
     best, start = -np.inf, {member.name: member.null for member in members}
     for k, signature in enumerate(at):
         gram, g, cross = sums[k]
         gram, g = gram - cross @ inverse @ cross.T, g - cross @ inverse @ slope
         all_scanned = all(member.grid for member in members)
         size = np.ones(g.size) if all_scanned else np.linalg.pinv(gram, rcond=1e-10, hermitian=True) @ g
+        if not all_scanned:
+            # A size beyond a range would start at its limit, which may be the null, from where the scanned ones do not show.
+            limits = [(ranges[name].low, ranges[name].high) for name in signature.names]
+            size = np.clip(size, *np.array(limits).T)
         delta_chi2 = float(2.0 * size @ g - size @ gram @ size)
         if delta_chi2 > best:
             best = delta_chi2

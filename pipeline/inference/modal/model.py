@@ -79,8 +79,9 @@ def _linear_modes(systems: Sequence[System]) -> tuple[ComplexArray, ComplexArray
     q, residues = np.stack([r.poles for r in readouts]), np.stack([r.residues for r in readouts])
     response = np.einsum("bkj,bjst->bkst", 1.0 / (p[:, :, None] - q[:, None, :]), residues)
     response += np.stack([r.static for r in readouts])[:, None]
-    response *= np.exp(-p * np.array([r.delay_s for r in readouts])[:, None])[:, :, None, None]
-    return p, np.asarray(response @ modes.residues)
+    response *= np.stack([r.lag(own) for r, own in zip(readouts, p)])[..., None]
+    driven = np.stack([r.drive_lag(own) for r, own in zip(readouts, p)])
+    return p, np.asarray(response @ modes.residues * driven[:, :, None, :])
 
 
 def _merged(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

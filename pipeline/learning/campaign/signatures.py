@@ -20,6 +20,7 @@ from ...device.effect import Effect
 from ...device.model import Model
 from ...device.parameters import Parameter
 from ...errors import ConfigError
+from ...experiment.forward.clip_levels import clip_levels
 from ...experiment.forward.response import response_sources
 from ...experiment.forward.signatures import Base, Signature, base_of, signatures
 from ...experiment.instrument import Instrument
@@ -30,8 +31,6 @@ from ...inference.general.linear_step import relative_change
 from ...inference.general.residuals import CampaignResiduals, Tasks
 from .rows import FourierRows
 
-#: Clip levels that are scanned, as shares of the largest sample.
-_CLIP_LEVELS = (1.0, 0.997, 0.99, 0.97, 0.93, 0.85, 0.7)
 #: A direction enters as (cos a, sin a), so the signatures at two angles span those at all.
 _AXES_DEG = (0.0, 90.0)
 
@@ -45,13 +44,14 @@ class Tangent:
     model : of the fit.
     groups : for each drive group the indices of its records and its simulated records.
     rows : takes an index of a record and volts (k, N, S) to rows (k, 2 F S).
-    peak_v, norm_v : largest sample, and norm, of the measured records [V].
+    records : the measured records.
+    norm_v : norm of the measured records [V].
     """
 
     model: Model
     groups: tuple[tuple[tuple[int, ...], Base], ...]
     rows: Callable[[int, FloatArray], FloatArray]
-    peak_v: float
+    records: tuple[Record, ...]
     norm_v: float
 
 
@@ -151,9 +151,8 @@ def tangent_of(
         (places, base_of(fitted.model, fitted.values, group, instrument, [starts[place] for place in places]))
         for places, group in tasks.groups
     )
-    peak_v = max(float(np.max(np.abs(record.sense_v))) for record in records)
     norm_v = float(np.sqrt(sum(float(np.sum((r.sense_v - r.sense_v.mean(axis=0)) ** 2)) for r in records)))
-    return Tangent(fitted.model, groups, rows, peak_v, norm_v)
+    return Tangent(fitted.model, groups, rows, tuple(records), norm_v)
 
 
 def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArray]]] | None:
@@ -165,9 +164,7 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
     grid: dict[str, tuple[float, ...]] = {}
     if angle is not None and len(members) > 1:
         grid[angle] = _AXES_DEG
-    if effect.stages == ("adc",) and len(members) == 1:
-        # A clip level above all samples changes nothing; one far below them would be obvious.
-        grid[members[0].name] = tuple(1.0 / (at.peak_v * share) for share in _CLIP_LEVELS)
+    grid |= clip_levels(effect, at.model.built.shape, at.records)
     columns: list[list[FloatArray]] = [[] for _ in range(sum(len(places) for places, _ in at.groups))]
     found: list[Signature] = []
     energy: list[FloatArray] = []

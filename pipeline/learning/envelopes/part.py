@@ -90,9 +90,10 @@ class EnvelopePart:
 
     @cached_property
     def effects(self) -> tuple[str, ...]:
-        """Those of the motion and of the pick-off."""
+        """Those of the motion and of the pick-off; a force law with coordinates of its own has no slow flow of one mode."""
         library = self.model.library
-        return tuple(name for name in self.model.candidates() if set(library[name].stages) & _STAGES)
+        found = (name for name in self.model.candidates() if set(library[name].stages) & _STAGES)
+        return tuple(name for name in found if not library[name].has_coordinates)
 
     @property
     def ranged(self) -> tuple[str, ...]:

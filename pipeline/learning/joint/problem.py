@@ -102,7 +102,7 @@ class JointProblem:
     def unseen(self) -> tuple[str, ...]:
         """Absent effects that do not change these records."""
         acting = {term.name for term in self.terms}
-        return tuple(name for name in self.model.candidates() if name not in acting)
+        return tuple(name for name in self.model.candidates(True) if name not in acting)
 
     @cached_property
     def _problem(self) -> Regression:

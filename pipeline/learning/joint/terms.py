@@ -33,7 +33,8 @@ def _term(
 ) -> Term | None:
     members = effect.members(model.built.shape)
     plain = [m for m in members if not m.grid]
-    if not all(effect.full_name(m) in sized for m in plain):
+    # A clip level has no slope at its null.
+    if not plain or not all(effect.full_name(m) in sized for m in plain):
         return None
     scanned = {effect.full_name(m): m.grid for m in members if m.grid}
     if effect.mode is not None and not grid[0]:

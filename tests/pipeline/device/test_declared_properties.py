@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, values_at
+from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, is_scanned, values_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants import PAPER_LIKE as PLANT
@@ -30,20 +30,25 @@ from pipeline.quantities import NAMES
 SHAPE = DEFAULT_COMPARE_MODEL.built.shape
 
 
-def _force(effect: Effect, q: FloatArray, qd: FloatArray, u: FloatArray) -> FloatArray:
-    """The acceleration (3,) of a force law at one scale of its parameters, half a second into a record."""
-    assert effect.force is not None
+def _parameters(effect: Effect) -> FloatArray:
+    """One scale of the parameters of a force law, and the place of its own coordinates if it has some."""
     p = np.array([m.null + m.scale for m in effect.members(SHAPE)])
-    unit = np.diag([1.0, 2.0, 3.0])
-    laws = Laws(unit, 1e7 * unit, np.ones((3, 2)), np.ones((2, 3)), 5.0, 5.0, len(SHAPE.axes))
-    out = np.zeros(3)
-    effect.force(0.5, q, qd, u, p, laws, out)
+    return np.append(p, 3.0) if effect.has_coordinates else p
+
+
+def _force(effect: Effect, q: FloatArray, qd: FloatArray, u: FloatArray) -> FloatArray:
+    """The acceleration (n,) of a force law at one scale of its parameters, half a second into a record."""
+    assert effect.force is not None
+    unit = np.diag(1.0 + np.arange(q.size))
+    laws = Laws(unit, 1e7 * unit, np.ones((q.size, 2)), np.ones((2, q.size)), 5.0, 5.0, len(SHAPE.axes))
+    out = np.zeros(q.size)
+    effect.force(0.5, q, qd, u, _parameters(effect), laws, out)
     return out
 
 
 def _passive(effect: Effect) -> bool:
     """Whether the force is conservative, or vanishes without velocity so that it can only dissipate."""
-    if effect.force is None:
+    if effect.force is None or effect.has_coordinates:
         return False
     at_rest = _force(effect, np.array([1e-4, -2e-4, 3e-4]), np.zeros(3), np.array([1.0, 2.0]))
     return effect.potential is not None or not np.any(at_rest)
@@ -77,16 +82,38 @@ def test_energy_falls_without_drive(name: str, angle: float, share: float) -> No
     assert energy[-1] < energy[0]
 
 
+def test_a_hysteresis_takes_the_area_of_its_loops() -> None:
+    """Bouc and Wen's law with n = 1 dissipates k |h| (|psi' h| + psi' h)/(2 r); k h^2/2 is what it stores."""
+    model = DEFAULT_COMPARE_MODEL.with_effect("hysteresis")
+    values = model.complete({**PLANT, "hysteresis.k": 1e5, "hysteresis.r": 1e-4})
+    system = assemble(model, values, INSTRUMENT, conditions_of(RECORD, INSTRUMENT, None)).integrated
+    assert system.mechanics.stiffness.shape[1] == 5
+    start = np.zeros(10)
+    start[:2] = 3e-4, -2e-4
+    forces = [(e.force, p) for e, p in system.forces]
+    linear, deviation = trajectory(system.mechanics, forces, system.laws, np.zeros((400, 2)), 1e-4, "zoh", start, 40)
+    q, qd = np.hsplit(linear + deviation, 2)
+    h, s = qd[:, 3:], qd[:, :2]
+    energy = 0.5 * np.einsum("mi,ij,mj->m", q, system.mechanics.stiffness[0], q)
+    energy += 0.5 * np.sum(qd[:, :3] ** 2, axis=1) + 0.5 * 1e5 * np.sum(h**2, axis=1)
+    lost = 1e5 / 2e-4 * np.sum(np.abs(h) * (np.abs(s * h) + s * h), axis=1)
+    lost += np.einsum("mi,ij,mj->m", qd[:, :3], system.mechanics.damping[0][:3, :3], qd[:, :3])
+    step = 1e-4 / 40
+    assert energy[-1] < 0.9 * energy[0]
+    assert energy[0] - energy[-1] == pytest.approx(step * np.sum(0.5 * (lost[1:] + lost[:-1])), rel=1e-4)
+    assert np.abs(h).max() == pytest.approx(1e-4, rel=0.05)
+
+
 def test_the_force_is_the_negative_gradient_of_the_potential(effect: Effect) -> None:
     if effect.potential is None:
         return
-    q, step = np.array([1e-4, -2e-4, 3e-4]), 1e-9
-    p = np.array([m.null + m.scale for m in effect.members(SHAPE)])
-    around = q + step * np.concatenate([np.eye(3), -np.eye(3)])
-    values = effect.potential(around, p, len(SHAPE.axes))
-    force = _force(effect, q, np.ones(3), np.ones(2))
+    q, step = np.array([1e-4, -2e-4, 3e-4, 4e-4, -5e-4])[: 5 if effect.has_coordinates else 3], 1e-9
+    around = q + step * np.concatenate([np.eye(q.size), -np.eye(q.size)])
+    values = effect.potential(around, _parameters(effect), len(SHAPE.axes))
+    force = _force(effect, q, np.ones(q.size), np.ones(2))
     assert np.any(force)
-    assert force == pytest.approx(-(values[:3] - values[3:]) / (2.0 * step), rel=1e-6, abs=1e-9 * np.abs(force).max())
+    gradient = (values[: q.size] - values[q.size :]) / (2.0 * step)
+    assert force == pytest.approx(-gradient, rel=1e-6, abs=1e-9 * np.abs(force).max())
 
 
 def test_the_effect_depends_on_the_bias_if_it_says_so(effect: Effect, larger: Model) -> None:
@@ -116,7 +143,7 @@ def _residual(rows: FloatArray, basis: FloatArray) -> FloatArray:
 def test_a_wrong_hold_looks_like_the_effect_if_it_says_so(effect: Effect, user_folder: Path) -> None:
     """On a resonator in a wide band: alone, or after a delay, it explains more than half of what a wrong hold leaves."""
     base = Model(PlantSpec("modal", 1, "displacement"), effect_folders=(str(user_folder),))
-    if effect.name not in base.candidates() or effect.disturbance or effect.adc or effect.resonance:
+    if effect.name not in base.candidates() or is_scanned(effect) or effect.resonance:
         assert not effect.mimics_hold
         return
     rate = 610.35
@@ -126,9 +153,9 @@ def test_a_wrong_hold_looks_like_the_effect_if_it_says_so(effect: Effect, user_f
     plant = {"f1_hz": 68.0, "zeta1": 0.05, "gain1_s1d1": 2e5}
     group = drive_group_of([record], instrument, None)
 
-    def columns(name: str) -> FloatArray:
-        (found,) = signatures(base_of(base, plant, group, instrument), name)
-        return np.stack([column[0].ravel() for column in found.columns], axis=1)
+    def columns(name: str) -> list[FloatArray]:
+        found = signatures(base_of(base, plant, group, instrument), name)
+        return [np.stack([column[0].ravel() for column in one.columns], axis=1) for one in found]
 
     fitted = np.concatenate([jacobian(base, plant, record, instrument)[:, 0], np.ones((drive.shape[0], 1))], axis=1)
     true = forward(base, plant, record, replace(instrument, hold="foh"))
@@ -137,10 +164,12 @@ def test_a_wrong_hold_looks_like_the_effect_if_it_says_so(effect: Effect, user_f
     def share(of: FloatArray, own: FloatArray) -> float:
         return 1.0 - float(np.sum(_residual(of, own) ** 2) / np.sum(of**2))
 
-    rest, own = _residual(wrong, fitted), _residual(columns(effect.name), fitted)
-    delay = _residual(columns("loop_delay"), fitted)
-    later = 0.0 if effect.name == "loop_delay" else share(_residual(rest, delay), _residual(own, delay))
-    assert effect.mimics_hold == (max(share(rest, own), later) > 0.5)
+    rest, each = _residual(wrong, fitted), [_residual(own, fitted) for own in columns(effect.name)]
+    (delay,) = (_residual(own, fitted) for own in columns("loop_delay"))
+    shares = [share(rest, own) for own in each]
+    if effect.name != "loop_delay":
+        shares += [share(_residual(rest, delay), _residual(own, delay)) for own in each]
+    assert effect.mimics_hold == (max(shares) > 0.5)
 
 
 def test_a_resonance_adds_a_mode_with_its_frequency_and_damping(effect: Effect) -> None:
@@ -153,7 +182,13 @@ def test_a_resonance_adds_a_mode_with_its_frequency_and_damping(effect: Effect) 
     plant = gyro_mechanics(physical)
     changed = effect.mechanics(plant, p, Context(5.0, 5.0, dict(zip(PHYSICAL, physical.T))))
     added = changed.stiffness.shape[1] - plant.stiffness.shape[1]
-    assert added == (0 if effect.resonance is None else 1)
+    if effect.resonance is None:
+        # Coordinates of a force law are neither driven nor sensed.
+        assert (added > 0) == effect.has_coordinates
+        assert not np.any(changed.drive[:, 3:])
+        assert not np.any(changed.reads[:, :, 3 : 3 + added])
+    else:
+        assert added == 1
     if effect.resonance is not None:
         frequency, damping = (p[[m.name for m in members].index(name)] for name in effect.resonance)
         poles = modes_of(changed).poles[0]

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, values_at
+from effect_cases import INSTRUMENT, LIBRARY, RECORD, USERS, is_scanned, values_at
 from plants import PAPER_LIKE as PLANT
 
 from pipeline.device import effects as library
 from pipeline.device.effect import Context, Effect, find_effects, load_effect
+from pipeline.device.exact_null import changed_stage
 from pipeline.device.gyro import PHYSICAL, gyro_mechanics
 from pipeline.device.mechanics import Mechanics
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, PlantSpec
@@ -27,7 +28,7 @@ drive_nonlinearity sense_nonlinearity capacitive_feedthrough resistive_feedthrou
 loop_delay gain_drift adc_saturation mains_hum
 """.split()  # noqa: SIM905 -- as the contract lists them
 LINEAR = [name for name in LIBRARY if find_effects()[name].mechanics is not None]
-SLOPED = [n for n in LIBRARY if find_effects()[n].disturbance is None and find_effects()[n].adc is None]
+SLOPED = [n for n in LIBRARY if find_effects()[n].disturbance is None and not is_scanned(find_effects()[n])]
 
 
 def only(names: list[str]) -> pytest.MarkDecorator:
@@ -58,6 +59,39 @@ def test_at_the_null_the_record_is_bit_identical(effect: Effect, larger: Model) 
     assert np.array_equal(forward(larger, PLANT, RECORD, INSTRUMENT), without)
     null = {n: v for n, v in values_at(effect, larger, 0.0).items() if not all(m.grid for m in effect.parameters)}
     assert np.array_equal(forward(larger, {**PLANT, **null}, RECORD, INSTRUMENT), without)
+
+
+def test_each_stage_is_exactly_absent_at_the_null(effect: Effect) -> None:
+    assert changed_stage(effect) == ""
+
+
+@pytest.mark.parametrize(
+    ("law", "declared", "stage"),
+    [
+        ("force=lambda t, q, qd, u, p, laws, out: _add(out, (1.0 + p[0]) * q[0])", "", "force"),
+        ("sense=lambda x, xd, s, t, p, context: s + 1e-6 + p[0]", "", "sense"),
+        ("readout=lambda readout, p, context: readout.through(np.eye(2) * (1.0 + 1e-9 + p[0]))", "", "readout"),
+        ("drive=lambda v, p, context: v * p[0]", "", "drive"),
+        ("drive=lambda v, p, context: v * p[0]", ", null=1.0", ""),
+    ],
+)
+def test_an_effect_whose_null_is_not_exactly_absent_is_refused(
+    law: str, declared: str, stage: str, tmp_path: Path
+) -> None:
+    (tmp_path / "offset.py").write_text(
+        "import numpy as np\nfrom pipeline.device.effect import Effect\nfrom pipeline.device.parameters import Parameter\n"
+        "def _add(out, value):\n    out[0] += value\n"
+        f"P = Parameter('a', '1', 0.0, 9.0, 'size'{declared})\n"
+        f"EFFECT = Effect(name='offset', law='l', source='s', signature='s', parameters=(P,), {law})\n",
+        encoding="utf-8",
+    )
+    load_effect.cache_clear()
+    model = replace(DEFAULT_COMPARE_MODEL, effect_folders=(str(tmp_path),))
+    if not stage:
+        assert "offset" in model.with_effect("offset").effects
+        return
+    with pytest.raises(ConfigError, match=f"not exactly no effect: its stage '{stage}'"):
+        model.with_effect("offset")
 
 
 @only([*SLOPED, USERS])

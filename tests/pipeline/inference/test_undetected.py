@@ -48,9 +48,10 @@ def device():
     loud = loud_samples(y)
     found = signatures(linear, moved, loud, adc_sizes([loud], np.full(2, 1e-3), 5.0, True), True)
 
-    def change(effect, parameter, value):
+    def change(effect, parameter, value, **scanned):
         larger = model.with_effect(effect)
-        return band.transform(forward(larger, {**values, f"{effect}.{parameter}": value}, record, INSTRUMENT) - y)
+        moved = {**values, f"{effect}.{parameter}": value, **{f"{effect}.{name}": at for name, at in scanned.items()}}
+        return band.transform(forward(larger, moved, record, INSTRUMENT) - y)
 
     by_effect = {}
     for one in found:
@@ -78,6 +79,12 @@ def test_the_linear_device_has_the_spectrum_of_its_record(device):
         ("damping_drift", "gamma", 1e-3, 0),
         ("frequency_drift", "beta", 1e-7, 0),
         ("gain_drift", "gamma", 1e-5, 0),
+        ("channel_delay", "tau", 1e-9, 0),
+        ("drive_delay", "tau", 1e-9, 0),
+        ("clock_offset", "delta", 1e-3, 0),
+        ("cubic_damping", "d", 1e-4, 0),
+        ("squeeze_film_damping", "1/g^2", 1.0, 0),
+        ("weakening_damping", "1/s", 1e-5, 0),
     ],
 )
 def test_a_signature_is_the_change_of_the_simulated_record(device, effect, parameter, size, place):
@@ -87,6 +94,14 @@ def test_a_signature_is_the_change_of_the_simulated_record(device, effect, param
     # A share of a few percent survives the fit of most effects, so the shape must be right to a few tenths of a percent.
     assert np.linalg.norm(simulated - scale * own) < 0.013 * np.linalg.norm(simulated)
     assert scale == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("place", "speed_v"), [(0, 0.05), (1, 0.2)])
+def test_a_friction_that_is_viscous_in_quiet_parts_has_the_change_of_the_simulated_record(device, place, speed_v):
+    """Its first harmonic needs more phases than that of a polynomial, and all points of the record."""
+    _, _, found, change = device
+    simulated, own = change("coulomb_friction", "F", 1e-5, s=speed_v) / 1e-5, found["coulomb_friction"][place].spectrum
+    assert np.linalg.norm(simulated - own) < 0.013 * np.linalg.norm(simulated)
 
 
 @pytest.mark.parametrize(
@@ -113,6 +128,7 @@ def test_laws_are_told_apart_by_their_parity():
     assert {name for name, kind in kinds.items() if kind.order == 2} == {
         "quadratic_stiffness",
         "electrostatic_softening",
+        "levitation_force",
     }
     assert {name for name, kind in kinds.items() if kind.linear} == {"damping_drift", "frequency_drift"}
     assert kinds["quadratic_stiffness"].even

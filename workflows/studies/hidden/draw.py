@@ -150,7 +150,7 @@ def hide(kind: str, number: int, seed: int, model: Model = DEFAULT_COMPARE_MODEL
         changed = dict(values)
         for i, effect in enumerate(effects):
             target = float(np.exp(random.uniform(*np.log(KINDS[kind].snr))))
-            drawn = draw_effect(effect, values, peak_of(before), random, model)
+            drawn = draw_effect(effect, values, peak_of(before, [r.drive_v for r in fitted]), random, model)
             search = _SizeSearch(effect, model, drawn, values, fitted, before, base)
             size, reached = search.sized(target, stream(seed, kind, number, f"hum{i}"))
             changed |= drawn.at(size)

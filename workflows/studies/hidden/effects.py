@@ -31,19 +31,21 @@ LIBRARY: tuple[str, ...] = DEFAULT_COMPARE_MODEL.candidates()
 
 @dataclass(frozen=True)
 class Peak:
-    """Largest absolute samples [V]: of the outputs, and a lower bound of the rocking velocity |psi'|."""
+    """Largest absolute samples [V]: of the outputs, a lower bound of the rocking velocity |psi'|, and of the drives."""
 
     output_v: float
     rocking_v: float
+    drive_v: float = 2.0
 
 
-def peak_of(records: Sequence[FloatArray]) -> Peak:
-    """Peaks of records (N, 2) [V].
+def peak_of(records: Sequence[FloatArray], drives: Sequence[FloatArray]) -> Peak:
+    """Peaks of records (N, 2) [V] and of their drives (N, 2) [V].
 
     y_2 - y_1 = 2 psi_x', because the up-down motion is equal in both outputs; and |psi'| >= |psi_x'|.
     """
     output = max(float(np.abs(y).max()) for y in records)
-    return Peak(output, 0.5 * max(float(np.abs(y[:, 1] - y[:, 0]).max()) for y in records))
+    rocking = 0.5 * max(float(np.abs(y[:, 1] - y[:, 0]).max()) for y in records)
+    return Peak(output, rocking, max(float(np.abs(v).max()) for v in drives))
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,10 @@ class Drawn:
 
 
 def _clip_level(effect: Effect, peak: Peak, random: np.random.Generator) -> Drawn:
+    if effect.clips("drive"):
+        # The drives have one amplitude each, so that the SNR rises steeply from size 0, where the level is the peak.
+        level = {effect.full_name(m): 1.0 / peak.drive_v for m in effect.members(_SHAPE)}
+        return Drawn(level, most=_LARGEST_CLIP - 1.0, null=level)
     # At size 1 the level is the peak, so nothing is clipped.  Noise enters behind the clipping stage or in front of it.
     clips_noise = float(random.integers(2))
     direction = {effect.full_name(m): 1.0 / peak.output_v for m in effect.members(_SHAPE)}
@@ -117,18 +123,20 @@ def _sizes(effect: Effect, values: Mapping[str, float], peak: Peak, random: np.r
     return Drawn(direction, fixed, largest / reach, null)
 
 
-def _friction(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    return Drawn({"coulomb_friction.F": 0.01}, {"coulomb_friction.s": peak.output_v * 0.005 * 4.0 ** random.uniform()})
-
-
 def _motion(values: Mapping[str, float], peak_v: float) -> float:
     """Amplitude of the motion [V s] of a velocity ``peak_v`` [V] at the lower rocking frequency."""
     return peak_v / (2.0 * np.pi * values["f1_hz"])
 
 
-def _hysteresis(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
-    reach = _motion(values, peak.output_v) * 0.05 * 6.0 ** random.uniform()
-    return Drawn({"hysteresis.k": 10.0}, {"hysteresis.r": float(reach)})
+def _preload(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    reach = _motion(values, peak.output_v) * 0.02 * 5.0 ** random.uniform()
+    return Drawn({"preload.P": 0.003 * float(random.choice([-1.0, 1.0]))}, {"preload.r": float(reach)})
+
+
+def _step(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
+    # Records last 3 s; sweeps pass the rocking modes near the middle.
+    fixed = {"stiffness_step.t": random.uniform(1.0, 1.8), "stiffness_step.w": 0.005}
+    return Drawn({"stiffness_step.b": 1e-6 * float(random.choice([-1.0, 1.0]))}, fixed)
 
 
 def _stop(values: Mapping[str, float], peak: Peak, random: np.random.Generator) -> Drawn:
@@ -150,8 +158,8 @@ def _heating(values: Mapping[str, float], peak: Peak, random: np.random.Generato
 
 
 _OUTSIDE: dict[str, Callable[[Mapping[str, float], Peak, np.random.Generator], Drawn]] = {
-    "coulomb_friction": _friction,
-    "hysteresis": _hysteresis,
+    "preload": _preload,
+    "stiffness_step": _step,
     "stop": _stop,
     "mode_coupling": _coupling,
     "parametric_pumping": _pumping,
@@ -185,6 +193,6 @@ def draw_effect(
     effect = model.effect(name)
     if effect.disturbance is not None:
         return _disturbance(effect, random)
-    if effect.stages == ("adc",):
+    if effect.stages == ("adc",) or effect.clips("drive"):
         return _clip_level(effect, peak, random)
     return _sizes(effect, values, peak, random)

@@ -3,6 +3,7 @@
     psi_x, psi_y, z, w      mechanics, with a parasitic mode w: q'' = F f(v, q) - (C(t) + G) q' - K(t) q + nonlinear forces
     m_x, m_y                memory of the suspension (hysteresis, heat)
     b_kj, b_kj'             biquads j = 1..4 of the anti-alias filter of channel k
+    h, h_x, h_y             hidden modes of internal resonances 1:2 and 1:3, only where there is one
 
 The drive is held over each sample, so no step crosses an edge of the drive.  A stray capacitance passes the impulse
 C (v_n - v_{n-1}), which is a jump of the velocity of the first biquad.  The pick-off pole is applied after the filter
@@ -26,6 +27,8 @@ COORDINATES = 4
 _MEMORY = 2 * COORDINATES
 _FILTER = _MEMORY + 2
 STATES = _FILTER + 16
+#: States of the hidden modes, behind the others: h, h', h_x, h_x', h_y, h_y'.
+HIDDEN = 6
 
 # Dormand and Prince's method of order 8 with 12 stages (Hairer, Norsett & Wanner, Solving ODEs I, section II.5).
 _STAGES = 12
@@ -39,7 +42,8 @@ class Physics(NamedTuple):
 
     stiffness [1/s^2], damping, gyroscopic [1/s] (4, 4); drive (4, 2) [1/s]; sense (2, 4), from velocities to volts;
     drive_motion, sense_motion (2, 4), from coordinates to the motion of the electrodes; crosstalk (2, 2);
-    resistive [1], capacitive [s] (2, 2); filter_damping (4,) is 2 zeta omega_c and filter_square omega_c^2 of the biquads.
+    resistive [1], capacitive [s] (2, 2); filter_damping (4,) is 2 zeta omega_c and filter_square omega_c^2 of the biquads;
+    hidden (2, 3) coupling, omega and zeta of the hidden modes of internal resonances 1:2 and 1:3.
     """
 
     stiffness: FloatArray
@@ -65,10 +69,13 @@ class Physics(NamedTuple):
     quadratic_x: float
     quadratic_y: float
     drag: float
-    pickoff_time_s: float
-    delay_s: float
+    cubic_drag: float
+    film: float
+    weakening: float
     friction: float
     friction_speed: float
+    pickoff_time_s: float
+    delay_s: float
     hysteresis: float
     hysteresis_reach: float
     stop: float
@@ -78,15 +85,29 @@ class Physics(NamedTuple):
     pump_omega: float
     heating: float
     cooling_per_s: float
+    preload: float
+    preload_reach: float
+    step: float
+    step_s: float
+    step_width_s: float
+    hidden: FloatArray
+
+
+@njit(cache=True)
+def size_of(g: Physics) -> int:
+    """Number of states."""
+    return STATES + HIDDEN if g.hidden[0, 0] != 0.0 or g.hidden[1, 0] != 0.0 else STATES
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
-    """Writes dy/dt of the state y (STATES,) at time t [s] with the held drive v (2,) [V] to ``dy`` (STATES,)."""
+    """Writes dy/dt of the state y (``size_of``,) at time t [s] with the held drive v (2,) [V] to ``dy``."""
     n = COORDINATES
     warm = 1.0 + g.stiffness_drift * t
     if g.pump != 0.0:
         warm += g.pump * np.cos(g.pump_omega * t)
+    if g.step != 0.0:
+        warm += 0.5 * g.step * (1.0 + np.tanh((t - g.step_s) / g.step_width_s))
     loss = 1.0 + g.damping_drift * t
     for i in range(n):
         a = 0.0
@@ -108,24 +129,29 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
     x, z, xd, zd = y[0], y[1], y[n], y[n + 1]
     radius2 = x * x + z * z
     speed = np.sqrt(xd * xd + zd * zd)
-    dy[n] -= g.cubic * radius2 * x + g.quadratic_x * x * x + g.drag * speed * xd
-    dy[n + 1] -= g.cubic * radius2 * z + g.quadratic_y * z * z + g.drag * speed * zd
     dy[_MEMORY] = dy[_MEMORY + 1] = 0.0
+    # Central forces and isotropic dampings.
+    pull, drag = g.cubic * radius2, g.drag * speed + g.cubic_drag * speed * speed
+    if g.preload != 0.0:
+        pull += g.preload / np.sqrt(radius2 + g.preload_reach * g.preload_reach)
+    if g.stop != 0.0 and radius2 > g.stop_gap * g.stop_gap:
+        pull += g.stop * (1.0 - g.stop_gap / np.sqrt(radius2))
     if g.friction != 0.0:
-        rub = g.friction / np.sqrt(speed * speed + g.friction_speed * g.friction_speed)
-        dy[n] -= rub * xd
-        dy[n + 1] -= rub * zd
+        drag += g.friction / np.sqrt(speed * speed + g.friction_speed * g.friction_speed)
+    dy[n] -= pull * x + g.quadratic_x * x * x + drag * xd
+    dy[n + 1] -= pull * z + g.quadratic_y * z * z + drag * zd
+    if g.film != 0.0 or g.weakening != 0.0:
+        # Films on both sides, whose gaps are 1 - x and 1 + x; both laws without what is in the linear damping.
+        x_g = np.sqrt(g.film * radius2)
+        change = 0.5 / (1.0 - x_g) ** 3 + 0.5 / (1.0 + x_g) ** 3 - 1.0
+        change += 1.0 / (1.0 + g.weakening * speed) - 1.0
+        dy[n] -= change * (g.damping[0, 0] * xd + g.damping[0, 1] * zd)
+        dy[n + 1] -= change * (g.damping[1, 0] * xd + g.damping[1, 1] * zd)
     if g.hysteresis != 0.0:
         for i in range(2):
             h, s = y[_MEMORY + i], y[n + i]
             dy[_MEMORY + i] = s - 0.5 * (abs(s) * h + s * abs(h)) / g.hysteresis_reach
             dy[n + i] -= g.hysteresis * h
-    if g.stop != 0.0:
-        radius = np.sqrt(radius2)
-        if radius > g.stop_gap:
-            push = g.stop * (1.0 - g.stop_gap / radius)
-            dy[n] -= push * x
-            dy[n + 1] -= push * z
     if g.coupling != 0.0:
         dy[n] -= 2.0 * g.coupling * x * z
         dy[n + 1] -= g.coupling * x * x
@@ -134,7 +160,27 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
         for j in range(2):
             for i in range(2):
                 dy[n + i] -= g.heating * y[_MEMORY] * g.stiffness[i, j] * y[j]
+    if y.size > STATES:
+        _hidden(warm, loss, y, g, dy)
     _read(t, y, v, g, dy)
+
+
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
+def _hidden(warm: float, loss: float, y: FloatArray, g: Physics, dy: FloatArray) -> None:
+    """Adds the potentials c h |psi|^2 and c |psi|^2 (h_x psi_x + h_y psi_y); the hidden modes drift as the others."""
+    radius2 = y[0] * y[0] + y[1] * y[1]
+    double, triple = g.hidden[0, 0], g.hidden[1, 0]
+    along = y[STATES + 2] * y[0] + y[STATES + 4] * y[1]
+    for k in range(3):
+        h = STATES + 2 * k
+        c, omega, zeta = g.hidden[min(k, 1)]
+        dy[h] = y[h + 1]
+        dy[h + 1] = (
+            -warm * omega * omega * y[h] - loss * 2.0 * zeta * omega * y[h + 1] - c * radius2 * (y[k - 1] if k else 1.0)
+        )
+    for i in range(2):
+        pull = 2.0 * (double * y[STATES] + triple * along) * y[i] + triple * radius2 * y[STATES + 2 + 2 * i]
+        dy[COORDINATES + i] -= pull
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
@@ -160,20 +206,20 @@ def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _step(t: float, h: float, y: FloatArray, v: FloatArray, g: Physics, stages: FloatArray, trial: FloatArray) -> None:
-    """Advance the state y (STATES,) by one step of length h [s], in place; ``stages`` and ``trial`` are work space."""
+    """Advance the state y by one step of length h [s], in place; ``stages`` and ``trial`` are work space."""
     for i in range(_STAGES):
-        for k in range(STATES):
+        for k in range(y.size):
             trial[k] = y[k]
         for j in range(i):
             a = h * _A[i, j]
             if a != 0.0:
-                for k in range(STATES):
+                for k in range(y.size):
                     trial[k] += a * stages[j, k]
         slope(t + _C[i] * h, trial, v, g, stages[i])
     for j in range(_STAGES):
         b = h * _B[j]
         if b != 0.0:
-            for k in range(STATES):
+            for k in range(y.size):
                 y[k] += b * stages[j, k]
 
 
@@ -195,8 +241,7 @@ def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> floa
     d0 = b[0] - (c[0] + c[1] + c[2])
     d1 = b[1] * h - (c[1] + 2.0 * c[2])
     d2 = b[2] * h * h - 2.0 * c[2]
-    c[3] = 10.0 * d0 - 4.0 * d1 + 0.5 * d2
-    c[4] = -15.0 * d0 + 7.0 * d1 - d2
+    c[3], c[4] = 10.0 * d0 - 4.0 * d1 + 0.5 * d2, -15.0 * d0 + 7.0 * d1 - d2
     c[5] = 6.0 * d0 - 3.0 * d1 + 0.5 * d2
     # The particular solution is a polynomial with e_i = c_i - (lag/h) (i + 1) e_{i+1}.
     e = np.empty(6)
@@ -214,8 +259,8 @@ def integrate(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatAr
     """
     count = v.shape[0]
     out = np.zeros((count, 2))
-    y = np.zeros(STATES)
-    stages, trial = np.zeros((_STAGES, STATES)), np.zeros(STATES)
+    y = np.zeros(size_of(g))
+    stages, trial = np.zeros((_STAGES, y.size)), np.zeros(y.size)
     before, after = np.zeros((2, 3)), np.zeros((2, 3))
     slow = np.zeros(2)
     late = g.delay_s / sample_s

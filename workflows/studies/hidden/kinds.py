@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from .truth import OUTSIDE
+
 Noise = Literal["white", "coloured", "heavy-tailed", "louder"]
 
 
@@ -27,7 +29,7 @@ KINDS: dict[str, HiddenKind] = {
     "none": HiddenKind(500, "nothing hidden"),
     "one": HiddenKind(220, "one library effect"),
     "weak": HiddenKind(110, "one library effect, weak", (4.0, 10.0)),
-    "outside": HiddenKind(54, "one effect outside the library"),
+    "outside": HiddenKind(9 * len(OUTSIDE), "one effect outside the library"),
     "left-out": HiddenKind(66, "one library effect, removed from the library"),
     "two": HiddenKind(60, "two library effects"),
     "coloured": HiddenKind(60, "nothing hidden, coloured noise", noise="coloured"),

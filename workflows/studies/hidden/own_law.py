@@ -33,8 +33,9 @@ def modelled_response(
     ------
     ConfigError : as in ``forward``.
     """
-    for name in effects:
-        model = model.with_effect(name)
+    # The records of a bench have a delay of their own, which is an effect, too.
+    for name in {*effects, *(own.partition(".")[0] for own, value in values.items() if "." in own and value != 0.0)}:
+        model = model.with_effect(name) if name in model.library else model
     known = {name: value for name, value in values.items() if name in model.by_name}
     return forward(model, known, record, instrument)
 

@@ -31,18 +31,19 @@ STEPS = 2
 HARMONICS = 5
 
 _STATED = """
-adc_saturation angular_rate capacitive_feedthrough cubic_stiffness damping_drift drive_nonlinearity electrode_misalignment
-electrode_mismatch electrostatic_softening frequency_drift gain_drift loop_delay mains_hum nonlinear_damping
-offdiagonal_damping parasitic_mode pickoff_crosstalk pickoff_pole quadratic_stiffness resistive_feedthrough
-sense_nonlinearity updown_tilt
+adc_saturation angular_rate capacitive_feedthrough coulomb_friction cubic_damping cubic_stiffness damping_drift
+drive_nonlinearity electrode_misalignment electrode_mismatch electrostatic_softening frequency_drift gain_drift hysteresis
+internal_resonance_1_2 internal_resonance_1_3 loop_delay mains_hum nonlinear_damping offdiagonal_damping parasitic_mode
+pickoff_crosstalk pickoff_pole quadratic_stiffness resistive_feedthrough sense_nonlinearity squeeze_film_damping updown_tilt
+weakening_damping
 """
 #: Library effects whose law is stated here.
 STATED: frozenset[str] = frozenset(_STATED.split())
 
 #: Physics outside the library: name -> (law, library effects that look like it).
 OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
-    "coulomb_friction": ("psi'' -= F psi' / sqrt(|psi'|^2 + s^2)", ()),
-    "hysteresis": ("psi_i'' -= k h_i,  h' = psi' - (|psi'| h + psi' |h|)/(2 r): Bouc-Wen", ()),
+    "stiffness_step": ("K (1 + b (1 + tanh((t - t0)/w))/2): K steps within a record", ("frequency_drift",)),
+    "preload": ("psi'' -= P psi / sqrt(|psi|^2 + r^2)", ()),
     "stop": ("psi'' -= k (1 - g/|psi|) psi where |psi| > g", ("cubic_stiffness",)),
     "mode_coupling": ("potential c psi_x^2 psi_y", ("quadratic_stiffness",)),
     "parametric_pumping": ("K (1 + h cos(2 pi f t))", ()),
@@ -134,10 +135,13 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
         quadratic_x=of("quadratic_stiffness.k2x"),
         quadratic_y=of("quadratic_stiffness.k2y"),
         drag=of("nonlinear_damping.d"),
-        pickoff_time_s=of("pickoff_pole.T"),
-        delay_s=of("loop_delay.tau"),
+        cubic_drag=of("cubic_damping.d"),
+        film=of("squeeze_film_damping.1/g^2"),
+        weakening=of("weakening_damping.1/s"),
         friction=of("coulomb_friction.F"),
         friction_speed=float(values.get("coulomb_friction.s", 1.0)),
+        pickoff_time_s=of("pickoff_pole.T"),
+        delay_s=of("loop_delay.tau"),
         hysteresis=of("hysteresis.k"),
         hysteresis_reach=float(values.get("hysteresis.r", 1.0)),
         stop=of("stop.k"),
@@ -147,6 +151,17 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
         pump_omega=2.0 * math.pi * of("parametric_pumping.f"),
         heating=of("self_heating.b"),
         cooling_per_s=1.0 / float(values.get("self_heating.tau", 1.0)),
+        preload=of("preload.P"),
+        preload_reach=float(values.get("preload.r", 1.0)),
+        step=of("stiffness_step.b"),
+        step_s=of("stiffness_step.t"),
+        step_width_s=float(values.get("stiffness_step.w", 1.0)),
+        hidden=np.array(
+            [
+                [math.sqrt(of(f"{name}.c^2")), ratio * omega[0] * (1.0 + of(f"{name}.delta")), of(f"{name}.zeta")]
+                for name, ratio in (("internal_resonance_1_2", 2.0), ("internal_resonance_1_3", 3.0))
+            ]
+        ),
     )
 
 

@@ -1,4 +1,4 @@
-"""Signatures of the ADC stage: the change of the samples of the model, at a size that is neither invisible nor loud.
+"""Sizes at which clipping is probed, neither invisible nor loud, and the signatures of the ADC stage.
 
 Shapes: N samples, S = 2 senses, W bins.
 """
@@ -54,6 +54,13 @@ def adc_sizes(louds: Sequence[Loud], sigma_v: FloatArray, bias_v: float, with_mi
                 break
         found[probe.effect.name] = middle
     return found
+
+
+def drive_sizes(drives_v: Sequence[FloatArray], with_mismatch: bool) -> dict[str, float]:
+    """Effect that clips the drive -> 1/level [1/V] of a level at 0.9 of the largest of the drives (N, D) [V]."""
+    peak_v = max(float(np.max(np.abs(v), initial=0.0)) for v in drives_v)
+    clips = {probe.effect.name for probe in probes_of(with_mismatch, "drive") if probe.effect.clips("drive")}
+    return dict.fromkeys(clips, 1.0 / (_LOUD * peak_v)) if peak_v > 0.0 else {}
 
 
 def adc_signatures(

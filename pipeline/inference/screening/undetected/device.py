@@ -27,7 +27,7 @@ from ..fit import Fit
 from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
 from .bounds import Candidates, Projection, judged, summary
-from .clipping import Loud, adc_sizes
+from .clipping import Loud, adc_sizes, drive_sizes
 from .library import BandSignature
 from .linear import LinearDevice, Moved, linear_devices
 from .linear_stages import moved_mechanics
@@ -124,6 +124,7 @@ def _linear(scoring: Scoring) -> _Linear:
     with_mismatch = scoring.prior is not None
     sizes = adc_sizes(scoring.louds, scoring.noise.sigma_v, scoring.instrument.bias_v, with_mismatch)
     bands = [item.band for item in scoring.data]
+    sizes |= drive_sizes([band.drive_v for band in bands], with_mismatch)
     return _Linear(
         *linear_devices(scoring.fit, bands, scoring.instrument, partial(moved_mechanics, with_mismatch)), sizes
     )

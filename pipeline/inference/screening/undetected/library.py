@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
 from ....arrays import ComplexArray, FloatArray
-from ....device.effect import Effect
+from ....device.effect import Effect, LookAlike
 from ....device.model import Model
 from ....device.parameters import Parameter, Shape
 from ..mismatch import NIGHTLY_MODEL
@@ -41,11 +42,19 @@ class BandSignature:
 
 @lru_cache(maxsize=4)
 def scored_effects(with_mismatch: bool) -> tuple[Effect, ...]:
-    """The effects of the library that a fit lacks: neither in its model nor inside an effect of its model."""
+    """The effects of the library that a fit lacks: neither in its model nor inside an effect of its model.
+
+    An effect that is always the sum of others has no score of its own: theirs show it.
+    """
     model = NIGHTLY_MODEL if with_mismatch else Model(effects=NIGHTLY_MODEL.effects[:-1])
-    found = (model.effect(name) for name in model.candidates())
+    found = [model.effect(name) for name in model.candidates()]
     own = set(model.effects)
-    return tuple(e for e in found if not any(other.always and set(other.effects) <= own for other in e.look_alikes))
+    known = own | {effect.name for effect in found}
+
+    def shown(like: LookAlike) -> bool:
+        return like.always and set(like.effects) <= (known if len(like.effects) > 1 else own)
+
+    return tuple(effect for effect in found if not any(shown(like) for like in effect.look_alikes))
 
 
 @lru_cache(maxsize=256)
@@ -63,16 +72,23 @@ def only(size: int, i: int, value: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """One parameter of an effect, which acts alone: the effect, the parameter, its number ``i`` of ``size``."""
+    """One parameter of an effect, which acts alone: the effect, the parameter, its number ``i`` of ``size``.
+
+    ``scanned``: number and value of the parameters that are scanned; all others are zero.
+    """
 
     effect: Effect
     member: Parameter
     i: int
     size: int
+    scanned: tuple[tuple[int, float], ...] = ()
 
     def at(self, value: float) -> FloatArray:
-        """Parameters (k,) of the effect with this one at ``value``, in its unit, and all others zero."""
-        return only(self.size, self.i, value)
+        """Parameters (k,) of the effect with this one at ``value``, in its unit."""
+        p = only(self.size, self.i, value)
+        for i, fixed in self.scanned:
+            p[i] = fixed
+        return p
 
     def signature(self, change: ComplexArray, value: float, order: int) -> BandSignature:
         """The signature per unit of the parameter, or of its square, from the change (S, W) [V] at ``value``."""
@@ -84,7 +100,20 @@ class Probe:
 
 @lru_cache(maxsize=32)
 def probes_of(with_mismatch: bool, stage: str) -> tuple[Probe, ...]:
-    """All parameters of the scored effects that act on a ``stage`` of the signal path."""
-    effects = [effect for effect in scored_effects(with_mismatch) if getattr(effect, stage) is not None]
-    members = [members_of(effect) for effect in effects]
-    return tuple(Probe(e, m, i, len(own)) for e, own in zip(effects, members) for i, m in enumerate(own))
+    """All parameters of the scored effects that act on a ``stage`` of the signal path.
+
+    A force with coordinates of its own is not scored: the linear motion of the device does not move them.
+    """
+    effects = [e for e in scored_effects(with_mismatch) if getattr(e, stage) is not None and not e.has_coordinates]
+    return tuple(probe for effect in effects for probe in _probes(effect))
+
+
+def _probes(effect: Effect) -> tuple[Probe, ...]:
+    """The parameters of an effect; where some are scanned, the others at both ends of the scans, which span those between."""
+    own = members_of(effect)
+    scans = [i for i, m in enumerate(own) if m.grid]
+    if len(scans) in (0, len(own)):
+        return tuple(Probe(effect, m, i, len(own)) for i, m in enumerate(own))
+    ends = product(*[(own[i].grid[0], own[i].grid[-1]) for i in scans])
+    points = [tuple(zip(scans, at)) for at in ends]
+    return tuple(Probe(effect, m, i, len(own), at) for i, m in enumerate(own) if not m.grid for at in points)

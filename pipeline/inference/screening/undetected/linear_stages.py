@@ -1,7 +1,9 @@
 """Signatures of linear mechanics, from the change of poles and residues, and of the read-out.
 
     mechanics   dy = sum_k dR_k Phi_k + R_k dp_k dPhi_k/dp + conj
-    readout     dy = dG(i w) S + d{G(i w)(R + i w C)} v
+    readout     dy = dG(i w) S + d{G(i w)(R + i w C)} v + sum_d dL_d(i w) S_d - d delta t dS/dt
+
+with the lag L_d of drive d and its part S_d of the volts, and the offset delta of the clock.
 
 Shapes: S = 2 senses, W bins.
 """
@@ -9,6 +11,7 @@ Shapes: S = 2 senses, W bins.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -22,13 +25,14 @@ from ..inband import Band
 from ..kept import kept_if_short
 from .library import SHAPE, BandSignature, Probe, probes_of
 from .linear import LinearDevice, Moved, frequency_axis
+from .narrow_band import Grid
 
 
 @lru_cache(maxsize=4)
 def mechanics_moves(with_mismatch: bool) -> tuple[tuple[Probe, float], ...]:
     """Effects of linear mechanics that add no coordinate, and the step of a parameter: ahead and behind, one after the other."""
     found = probes_of(with_mismatch, "mechanics")
-    grids = {probe.effect.name for probe in found if probe.member.grid}
+    grids = {probe.effect.name for probe in found if probe.scanned}
     return tuple(
         (probe, sign * 1e-4 * probe.member.scale)
         for probe in found
@@ -59,15 +63,28 @@ def mechanics_signatures(device: LinearDevice, moved: Moved, with_mismatch: bool
         yield probe.signature(spectrum, 1.0, 1)
 
 
-@kept_if_short(8)
-def _readout_changes(
-    band: Band, with_mismatch: bool, bias_v: float
-) -> tuple[tuple[BandSignature, ...], tuple[Probe, ...], ComplexArray]:
+@dataclass(frozen=True, eq=False)
+class _ReadoutChanges:
     """What all devices of a band share.
 
-    The signatures of drive that is fed through; then the parameters that change the filter, and their change of G (k, S, S, W)
-    per unit.
+    Parameters
+    ----------
+    fed : signatures of drive that is fed through.
+    through, filters : parameters that change the filter, and their change of G (k, S, S, W) per unit.
+    lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, W) per unit.
+    clocks : parameters that change the clock, each with the offset per unit.
     """
+
+    fed: tuple[BandSignature, ...]
+    through: tuple[Probe, ...]
+    filters: ComplexArray
+    lagged: tuple[Probe, ...]
+    lags: ComplexArray
+    clocks: tuple[tuple[Probe, float], ...]
+
+
+@kept_if_short(8)
+def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _ReadoutChanges:
     s, _, drive = frequency_axis(band)
     poles, residues = (
         (np.zeros(0, dtype=np.complex128),) * 2 if band.antialias is None else filter_poles(band.antialias)
@@ -76,30 +93,51 @@ def _readout_changes(
     context = Context(bias_v, bias_v, {})
 
     def of(readout: Readout) -> tuple[ComplexArray, ComplexArray]:
-        through = readout.response(s) * np.exp(-s * readout.delay_s)[:, None, None]
+        through = readout.response(s) * readout.lag(s)[:, :, None]
         fed = readout.resistive + s[:, None, None] * readout.capacitive
         return through, np.asarray(np.einsum("wsr,wrd,dw->sw", through, fed, drive))
 
     own = of(plain)
     fed: list[BandSignature] = []
     through: list[tuple[Probe, ComplexArray]] = []
+    lags: list[tuple[Probe, ComplexArray]] = []
+    clocks: list[tuple[Probe, float]] = []
     for probe in probes_of(with_mismatch, "readout"):
         assert probe.effect.readout is not None
         step = 1e-4 * probe.member.scale
-        moved = of(probe.effect.readout(plain, probe.at(step), context))
+        readout = probe.effect.readout(plain, probe.at(step), context)
+        moved = of(readout)
         change = (moved[0] - own[0]) / step
-        if change.any():
+        if readout.clock_offset:
+            clocks.append((probe, readout.clock_offset / step))
+        elif (lag := readout.drive_lag(s) - 1.0).any():
+            lags.append((probe, lag.T / step))
+        elif change.any():
             through.append((probe, np.moveaxis(change, 0, 2) / frequency_axis(band)[1]))
         else:
             fed.append(probe.signature((moved[1] - own[1]) / step, 1.0, 1))
-    stacked = np.stack([change for _, change in through]) if through else np.zeros((0, 2, 2, s.size), np.complex128)
-    return tuple(fed), tuple(probe for probe, _ in through), stacked
+    return _ReadoutChanges(
+        tuple(fed),
+        tuple(probe for probe, _ in through),
+        np.stack([change for _, change in through]) if through else np.zeros((0, 2, 2, s.size), np.complex128),
+        tuple(probe for probe, _ in lags),
+        np.stack([lag for _, lag in lags]) if lags else np.zeros((0, SHAPE.drives, s.size), np.complex128),
+        tuple(clocks),
+    )
 
 
-def readout_signatures(device: LinearDevice, with_mismatch: bool) -> Iterator[BandSignature]:
-    """Signatures of the read-out; a parameter changes either the filter or what is fed through."""
-    fed, probes, through = _readout_changes(device.band, with_mismatch, device.context.bias_v)
-    yield from fed
-    spectra = through[:, :, 0] * device.sensed[0] + through[:, :, 1] * device.sensed[1]
-    for probe, spectrum in zip(probes, spectra):
+def readout_signatures(device: LinearDevice, grid: Grid, with_mismatch: bool) -> Iterator[BandSignature]:
+    """Signatures of the read-out; a parameter changes the filter, what is fed through, the lag of a drive, or the clock."""
+    changes = _readout_changes(device.band, with_mismatch, device.context.bias_v)
+    yield from changes.fed
+    spectra = changes.filters[:, :, 0] * device.sensed[0] + changes.filters[:, :, 1] * device.sensed[1]
+    for probe, spectrum in zip(changes.through, spectra):
         yield probe.signature(spectrum, 1.0, 1)
+    if changes.lagged:
+        alone = np.eye(SHAPE.drives)[:, None, None] * device.pickoff_residues
+        for probe, spectrum in zip(changes.lagged, np.einsum("kdw,dsw->ksw", changes.lags, device.read(alone))):
+            yield probe.signature(spectrum, 1.0, 1)
+    if changes.clocks:
+        later = -grid.over_time(device.s * device.sensed)
+        for probe, offset in changes.clocks:
+            yield probe.signature(offset * later, 1.0, 1)

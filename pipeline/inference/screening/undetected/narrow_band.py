@@ -33,7 +33,7 @@ from ..kept import kept_if_short
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
 _POINTS_PER_BIN = 1.2
 #: Envelope, relative to the largest, below which nonlinear forces count as zero: they grow as its square at least.
-_QUIET = 5e-2
+QUIET = 5e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,25 @@ class Grid:
     def time_s(self) -> FloatArray:
         """Times of the points (n,) [s]."""
         return np.linspace(0.0, self.band.samples / self.band.sample_rate_hz, self.points, endpoint=False)
+
+    @cached_property
+    def _time_kernel(self) -> ComplexArray:
+        """Transform (L,) of sum_n t_n e^{-2 pi i m n/N} / N [s] at the differences m of two bins, m < 0 at the end."""
+        bins, samples = self.band.bins.size, self.band.samples
+        m = np.arange(1, bins)
+        kernel = np.zeros(next_fast_len(2 * bins - 1), dtype=np.complex128)
+        kernel[0] = 0.5 * (samples - 1)
+        kernel[m] = 1.0 / np.expm1(-2.0j * np.pi * m / samples)
+        kernel[-m] = kernel[m].conj()
+        return np.asarray(fft(kernel / self.band.sample_rate_hz))
+
+    def over_time(self, spectrum: ComplexArray) -> ComplexArray:
+        """Transforms (.., W) of t y(t) [s] from those of y (.., W).
+
+        The jump of t from the end of the record to its start needs more points than envelopes have.
+        """
+        product = fft(spectrum, self._time_kernel.size, axis=-1) * self._time_kernel
+        return np.asarray(ifft(product, axis=-1)[..., : self.band.bins.size])
 
     def powers(self, exponents: ComplexArray) -> ComplexArray:
         """exp(x t) (k, n) at the times of the points, of exponents x (k,) [1/s], as products of two short sequences."""
@@ -133,7 +152,7 @@ class Signals:
     def loud(self) -> Signals:
         """Those of all points at which nonlinear forces count."""
         size = np.abs(self.velocities).sum(axis=0)
-        kept = np.flatnonzero(size > _QUIET * float(size.max()))
+        kept = np.flatnonzero(size > QUIET * float(size.max()))
         own = (each[:, kept] for each in (self.coordinates, self.velocities, self.drives))
         return Signals(self.grid, self.kept[kept], *own)
 

@@ -9,7 +9,7 @@ Shapes: S = 2 senses, W bins, n points of the grid.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,13 +21,15 @@ from ....device.force_law import Laws, Points, force_along
 from ....device.gyro import M_D, M_S
 from .library import SHAPE, BandSignature, Probe, members_of, probes_of
 from .linear import LinearDevice
-from .narrow_band import WHOLE_TURN, Signals, at_phases, harmonics, motion_at_phases
+from .narrow_band import WHOLE_TURN, Phases, Signals, at_phases, harmonics, motion_at_phases
 from .parity import LawKind, kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
 _SHARE = 1e-4
 #: Every so many points a law is tried to find the size of its probe.
 _SPARSE = 16
+#: Phases of half a turn of a drive that clips, an odd law: its 15th harmonic is folded into the first.
+_CLIP_PHASES = Phases(8, 0.5)
 #: First harmonic of an even law relative to its other harmonics: rounding.
 _EVEN = 1e-9
 _MOTION_S: FloatArray = np.concatenate([M_S, np.ones((2, 1))], axis=1)
@@ -71,7 +73,10 @@ def _kinds(with_mismatch: bool) -> tuple[tuple[LawKind, tuple[Probe, ...]], ...]
     found: dict[tuple[bool, int, int], tuple[LawKind, list[Probe]]] = {}
     for probe in probes_of(with_mismatch, "force"):
         kind = kind_of(probe)
-        found.setdefault((kind.linear, kind.phases.count, kind.order), (kind, []))[1].append(probe)
+        if kind.still:
+            # What the drive alone makes at other harmonics does not mix with the motion.
+            continue
+        found.setdefault((kind.fades, kind.phases.count, kind.order), (kind, []))[1].append(probe)
     return tuple((kind, tuple(probes)) for kind, probes in found.values())
 
 
@@ -81,7 +86,7 @@ def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> It
     motions: dict[tuple[bool, int], Points] = {}
     even: list[_EvenLaws] = []
     for kind, probes in _kinds(with_mismatch):
-        used, key = signals if kind.linear else loud, (kind.linear, kind.phases.count)
+        used, key = loud if kind.fades else signals, (kind.fades, kind.phases.count)
         if key not in motions:
             motions[key] = used.at(kind.phases)
         values = [probe.member.scale for probe in probes]
@@ -92,7 +97,7 @@ def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> It
             steady, double = harmonics(f, kind.phases, 0, 2)
             even.append(_EvenLaws(probes, steady.real, double))
     if even:
-        motion = motions.get((False, WHOLE_TURN.count)) or loud.at(WHOLE_TURN)
+        motion = motions.get((True, WHOLE_TURN.count)) or loud.at(WHOLE_TURN)
         yield _second_order(_EvenLaws.together(even), device, loud, motion, laws)
 
 
@@ -156,18 +161,20 @@ def _returns(probe: Probe) -> bool:
     return float(np.linalg.norm(plus - minus)) > _EVEN * float(np.linalg.norm(plus))
 
 
-def drive_forces(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForces]:
-    """The force of each parameter of the drive laws."""
+def drive_forces(
+    device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool
+) -> Iterator[BandForces]:
+    """The force of each parameter of the drive laws; ``sizes`` are those of clipping."""
     for probe in probes_of(with_mismatch, "drive"):
-        if not _returns(probe):
+        clips = probe.effect.clips("drive")
+        if (probe.effect.name not in sizes) if clips else not _returns(probe):
             continue
         assert probe.effect.drive is not None
-        v = at_phases(signals.drives, WHOLE_TURN).T
-        (change,) = harmonics(
-            (probe.effect.drive(v, probe.at(probe.member.scale), device.context) - v).T, WHOLE_TURN, 1
-        )
+        value, phases = sizes.get(probe.effect.name, probe.member.scale), _CLIP_PHASES if clips else WHOLE_TURN
+        v = at_phases(signals.drives, phases).T
+        (change,) = harmonics((probe.effect.drive(v, probe.at(value), device.context) - v).T, phases, 1)
         force = device.mechanics.drive[0] @ change
-        yield BandForces((probe,), signals.kept, force[None], (probe.member.scale,), 1)
+        yield BandForces((probe,), signals.kept, force[None], (value,), 1)
 
 
 def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandSignature]:

@@ -34,7 +34,7 @@ def signatures(
     ----------
     device, moved : at the maximum of the likelihood, in the band of a record (``linear_devices``).
     loud : samples of its volts near their peak (``clipping``).
-    sizes : of the ADC stage (:func:`adc_sizes`).
+    sizes : of clipping (:func:`adc_sizes`, :func:`drive_sizes`).
     with_mismatch : whether the fit has electrode mismatches.
     """
     grid = grid_of(device.band)
@@ -43,8 +43,8 @@ def signatures(
     found += adc_signatures(device, loud, sizes, with_mismatch)
     found += sense_signatures(device, signals, with_mismatch)
     found += mechanics_signatures(device, moved, with_mismatch)
-    found += readout_signatures(device, with_mismatch)
-    forces = [*forces_of(device, signals, with_mismatch), *drive_forces(device, signals, with_mismatch)]
+    found += readout_signatures(device, grid, with_mismatch)
+    forces = [*forces_of(device, signals, with_mismatch), *drive_forces(device, signals, sizes, with_mismatch)]
     if forces:
         ends = np.cumsum([0, *(len(one.probes) for one in forces)])
         envelopes = np.zeros((ends[-1], 3, grid.points), dtype=np.complex128)

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from pipeline.device.model import Model
 from pipeline.device.plant import PlantSpec
+from pipeline.errors import ConfigError
 from pipeline.experiment.forward.harmonic import branch, steady_motion
 from pipeline.experiment.forward.harmonic_terms import TonePoints
 from pipeline.experiment.forward.system import Conditions, assemble
@@ -58,6 +59,13 @@ def test_a_duffing_sweep_jumps_as_time_integration_does():
     assert np.abs(y - other).max() < 1e-4 * np.abs(other).max()
     # The upper branch on the way up, the lower one on the way down.
     assert abs(y[2]) > 3.0 * abs(y[4])
+
+
+def test_an_effect_with_a_memory_is_refused_for_sweeps():
+    """Three harmonics give the corners of a hysteresis to 0.3 % of the peak only; 1e-4 is promised."""
+    own = system(effects=("hysteresis",), **{"hysteresis.k": 2e4, "hysteresis.r": 3e-5})
+    with pytest.raises(ConfigError, match="a memory is not computed for sweeps"):
+        steady_motion(own, points(np.array([99.0, 101.0])))
 
 
 def test_without_forces_the_motion_is_that_of_the_linear_path():

@@ -17,6 +17,7 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, perturbed_motion, trajectory
+from pipeline.experiment.forward.kernels import MOST_FORCES
 from pipeline.experiment.forward.linear import SampleClock, linear_response, upper_poles
 from pipeline.experiment.forward.readout_filter import filtered
 from pipeline.experiment.instrument import AntiAlias
@@ -133,4 +134,4 @@ def test_a_free_motion_decays_from_its_initial_state() -> None:
 def test_more_forces_than_the_kernel_holds_are_refused() -> None:
     m = PLANT.mechanics(VALUES)
     with pytest.raises(ConfigError, match="too many forces"):
-        trajectory(m, [(spring, np.zeros(1))] * 9, _laws(m), DRIVE[:10], 1e-4, "zoh", None)
+        trajectory(m, [(spring, np.zeros(1))] * (MOST_FORCES + 1), _laws(m), DRIVE[:10], 1e-4, "zoh", None)

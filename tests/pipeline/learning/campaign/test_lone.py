@@ -22,6 +22,7 @@ from pipeline.inference.general.resonances import resonance_excess
 from pipeline.inference.identify import identify
 from pipeline.learning.campaign.answers import campaign_answers
 from workflows.studies.hidden.draw import INSTRUMENT, SIGMA_V
+from workflows.studies.hidden.restricted import RestrictedProblem
 from workflows.studies.hidden.truth import response
 
 DEVICE = {
@@ -62,7 +63,8 @@ def test_compare_identify_and_refine_agree_that_a_hysteresis_is_a_misfit() -> No
     assert answers.comparison.where_by_kind[0].kind == "resonance"  # type: ignore[index]
     assert identify(campaign).columns["status"] == "misfit"
     rules = Rules(rungs=1, draws=4000)
-    ladder = as_ladder(answers.problem, forward_selection(answers.problem, (), rules), rules)
+    without = RestrictedProblem(answers.problem, ("hysteresis",))
+    ladder = as_ladder(without, forward_selection(without, (), rules), rules)
     assert ladder.verdict == "unknown"
     assert not any(rung.status == "confirmed" for rung in ladder.rungs)
     # The level is that of the fitted records themselves, so no error is stated in units of it.
