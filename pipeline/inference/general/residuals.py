@@ -205,27 +205,25 @@ class CampaignResiduals:
         group = task.group
         system = self.system(values, group)
         m, clock = system.mechanics, group.clock
-        own = task.coordinates
+        own, n = task.coordinates, m.stiffness.shape[1]
         samples = task.record.drive_v.shape[0]
         columns = np.moveaxis(free_response(m, system.readout, samples * clock.stride, clock)[:: clock.stride], -1, 0)
-        if own > m.stiffness.shape[1]:
-            # An effect that appends a coordinate is at its null here, where its initial state changes nothing.
-            padding = np.zeros((own - m.stiffness.shape[1], *columns.shape[1:]))
-            columns = np.concatenate([part for half in np.split(columns, 2) for part in (half, padding)])
-        columns = columns.copy()
+        # An effect that appends a coordinate may be at its null here or at the start of the fit; its initial state is rest.
+        shared = min(own, n)
+        padding = np.zeros((own - shared, *columns.shape[1:]))
+        columns = np.concatenate([part for half in np.split(columns, 2) for part in (half[:shared], padding)])
         if exact and start is not None:
             before = nonlinear_response(system, group, [start])[0]
-            n, omega = m.stiffness.shape[1], np.sqrt(np.diagonal(m.stiffness[0]))
+            omega = np.sqrt(np.diagonal(m.stiffness[0]))
             position, velocity = np.abs(m.reads[0])[:, :n], np.abs(m.reads[0])[:, n:]
             level, seen = float(np.sqrt(np.mean(task.record.sense_v**2))), np.max(position + omega * velocity, axis=0)
             motion = np.divide(1e-4 * level, seen, out=np.zeros(n), where=seen > 0.0)
-            for i, step in zip([*range(n), *range(own, own + n)], [*motion, *(motion * omega)]):
-                if step == 0.0:
+            for i, step in enumerate((motion * half)[:shared] for half in (np.ones(n), omega)):
+                for k in np.flatnonzero(step):
                     # A coordinate that no sense sees starts at rest.
-                    continue
-                moved = start.copy()
-                moved[i] += step
-                columns[i] += (nonlinear_response(system, group, [moved])[0] - before) / step
+                    moved = start.copy()
+                    moved[i * own + k] += step[k]
+                    columns[i * own + k] += (nonlinear_response(system, group, [moved])[0] - before) / step[k]
         return self.whiten(columns, task).reshape(2 * own, -1).T
 
     def steps(self, values: Mapping[str, float], task: Task, start: FloatArray | None) -> FloatArray:

@@ -128,6 +128,8 @@ def run_loop(hidden: Hidden) -> dict[str, Any]:
         row["refine"] = {**_refined(RefinementResult(answers, ladder).to_dict()), **_sum(shared, own)}
         if ladder.selection.tests and hidden.noise_free_v:
             row["refine"]["snr_left"] = snr_left(answers.problem.campaign_fit(ladder.selection.last.fit.terms), hidden)
+        elif ladder.selection.tests and set(hidden.effects) <= set(hidden.left_out):
+            row["refine"]["snr_left"] = snr_beside(answers.problem, ladder, hidden)
         row["refine"]["class_delta_chi2"] = [_largest_rise(problem, ladder, one) for one in ladder.classes]
     return row
 
@@ -148,6 +150,16 @@ def snr_left(fit: CampaignFit, hidden: Hidden) -> float:
     left = strengths.row([r.predicted_v - hidden.noise_free_v[r.name] for r in fit.of_role("fit")])
     energy = float(left @ left) / SIGMA_V**2
     return float(np.sqrt(max(energy - fit.x.size, 0.0)))
+
+
+def snr_beside(problem: CampaignProblem, ladder: Ladder, hidden: Hidden) -> float:
+    """SNR by which the campaign itself prefers the hidden effects to the last model:  sqrt(max(chi2 - chi2 of their fit, 0)).
+
+    For records that differ, of which there is no noise-free version; infinite where a fit fails.
+    """
+    last = ladder.selection.last.fit
+    fit = problem.fit(tuple(hidden.effects), problem.fit(()))
+    return float(np.sqrt(max(last.chi2 - fit.chi2, 0.0))) if fit.ok else float("inf")
 
 
 def _timed(step: Callable[[], _Found]) -> tuple[_Found, dict[str, float]]:
