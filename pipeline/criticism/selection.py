@@ -206,7 +206,7 @@ def _refits(
     wanted = (*curved, *(score for score in significant if score not in curved))
     for score in sorted(wanted, key=lambda score: promised[score.name], reverse=True):
         name = score.name
-        if promised[name] < rules.settled_share * reached:
+        if promised[name] < rules.settled_share * reached and not tests.is_coarse:
             break
         if name in at_limit and _same_point(score, at_limit[name]):
             reasons[name] = AT_LIMIT

@@ -48,6 +48,6 @@ EFFECT = Effect(
     mechanics=mechanics,
     force=force,
     potential=potential,
-    plants=("gyro", "resonator"),
+    plants=("gyro",),
     size=SizeRange(1e14, 1e19, signed=False),
 )

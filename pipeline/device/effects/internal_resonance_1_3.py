@@ -52,6 +52,6 @@ EFFECT = Effect(
     mechanics=mechanics,
     force=force,
     potential=potential,
-    plants=("gyro", "resonator"),
+    plants=("gyro",),
     size=SizeRange(1e21, 1e28, signed=False),
 )

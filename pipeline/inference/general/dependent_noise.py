@@ -41,7 +41,8 @@ def campaign_dependent_noise(
         spectrum = noise.spectrum or white_spectrum(noise.sigma_v, record.sample_rate_hz, noise.dof)
         rest = record.sense_v - predicted[record.name]
         shift = starts_s.get(record.name, 0.0) * record.sample_rate_hz
-        found.append(find_dependent_noise(rest - rest.mean(axis=0), predicted[record.name], spectrum, 0.0, shift))
+        own = predicted[record.name]
+        found.append(find_dependent_noise(rest - rest.mean(axis=0), own, spectrum, 0.0, shift, record.at_rest))
     return pooled(one for one in found if one is not None)
 
 
