@@ -103,14 +103,13 @@ class FitTests:
 
     def curved(self, alpha: float) -> tuple[Score, ...]:
         """Candidates that these data may show by their second order only, where structure at ``alpha`` asks for one."""
-        signatures = self.signatures
-        names = signatures.curved if self.is_structured(alpha) else signatures.beside
+        names = self.signatures.curved if self.is_structured(alpha) else self.signatures.beside
         return tuple(score for score in self.scores if score.name in names)
 
     @property
     def is_coarse(self) -> bool:
-        """Whether so much is left that a score, which knows the first order alone, promises too little."""
-        return (self.fit.relative_error.get("fit") or 0.0) > _COARSE
+        """Whether so much is left that scores, which know the first order alone, promise too little."""
+        return (self.fit.relative_error.get("fit") or 0) > _COARSE
 
     def is_structured(self, alpha: float) -> bool:
         """Whether structure is left in the residual, at ``alpha``."""
