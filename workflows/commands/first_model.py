@@ -66,24 +66,29 @@ def first_model(campaign: Campaign, senses: Sequence[Sense] = SENSES) -> FirstMo
                 errors[sense, hold] = error
     if not errors:
         return None
+    # Noise alone explains as much more with 2 + paths parameters, at 5 sd.
+    samples = sum(record.sense_v.size for record in records)
+    paths = records[0].drive_v.shape[1] * records[0].sense_v.shape[1]
+    chance = 5.0 * float(np.sqrt(2.0 * (2 + paths))) / samples
     of_sense = {sense: min(e for (one, _), e in errors.items() if one == sense) for sense, _ in errors}
-    sense = _chosen(of_sense, "velocity")
-    hold = _chosen({hold: e for (one, hold), e in errors.items() if one == sense}, campaign.instrument.hold)
+    sense = _chosen(of_sense, "velocity", chance)
+    hold = _chosen({hold: e for (one, hold), e in errors.items() if one == sense}, campaign.instrument.hold, chance)
     return FirstModel(sense, hold, errors)
 
 
-def _chosen(errors: Mapping[Choice, float], usual: Choice) -> Choice:
+def _chosen(errors: Mapping[Choice, float], usual: Choice, chance: float) -> Choice:
     """The choice with the smallest error, or the usual one where none is clearly better."""
     best = min(errors, key=lambda one: errors[one])
-    return usual if usual in errors and not _clearly_better(errors[best], errors[usual]) else best
+    return usual if usual in errors and not _clearly_better(errors[best], errors[usual], chance) else best
 
 
-def _clearly_better(error: float, usual: float) -> bool:
-    """Whether a choice leaves clearly less, or explains clearly more, than the usual one.
+def _clearly_better(error: float, usual: float, chance: float) -> bool:
+    """Whether a choice leaves clearly less, or explains clearly more, than the usual one, and more than ``chance`` does.
 
     Of three modes alike, one leaves 90 % of the rms with the right sense and 93 % with a wrong one: 18 % and 14 % of the energy.
     """
-    return error < _BETTER * usual or _BETTER * (1.0 - error**2) > max(1.0 - usual**2, 0.0)
+    more = _BETTER * (1.0 - error**2) > max(1.0 - usual**2, 0.0)
+    return (error < _BETTER * usual or more) and usual**2 - error**2 > chance
 
 
 def _beginning(record: Record) -> Record:

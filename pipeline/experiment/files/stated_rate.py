@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from .units import UNITS, split_unit
 
 _RATE = re.compile(r"(f_?s|f_?samp\w*|sampl\w*[ _-]?(rate|freq\w*)|s_?rate|sr)\W*", re.IGNORECASE)
+#: Largest sample rate that a campaign may state [Hz].
+_LARGEST_HZ = 1e12
 _STEP = re.compile(r"(d_?t|t_?s|delta_?t|sampl\w*[ _-]?(interval|period|time|step))\W*", re.IGNORECASE)
 
 
@@ -29,8 +31,9 @@ def stated_rate(found: Mapping[str, NDArray[Any]]) -> tuple[str, float] | None:
         if not (rate or step) or (number := _only_number(np.asarray(values))) is None:
             continue
         si, factor = UNITS[unit] if unit is not None else ("Hz" if rate else "s", 1.0)
-        if si in ("Hz", "s"):
-            return name, factor * number if si == "Hz" else 1.0 / (factor * number)
+        rate_hz = factor * number if si == "Hz" else 1.0 / max(factor * number, 1e-300)
+        if si in ("Hz", "s") and rate_hz <= _LARGEST_HZ:
+            return name, rate_hz
     return None
 
 
