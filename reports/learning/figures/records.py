@@ -19,6 +19,7 @@ from pipeline.arrays import FloatArray
 
 from ...html.style import AFTER, BEFORE, INK, MUTED, RULE, WIDTH, literal, log_ticks, panels, style, to_svg
 from ...words.campaign import listed
+from ...words.numbers import number
 from ..record_view import (
     FrequencyWindow,
     RecordPair,
@@ -80,7 +81,7 @@ def record_figures(
         warnings.filterwarnings("ignore", message="Glyph")
         return RecordFigures(
             resonances=_pictures(
-                (pair, f"around {listed([f'{one:.1f}' for one in window.centres_hz])} Hz", _resonance(pair, window, f"{k}-{j}"))
+                (pair, f"around {listed([number(one) for one in window.centres_hz])} Hz", _resonance(pair, window, f"{k}-{j}"))
                 for k, pair in enumerate(chosen[:2])
                 for j, window in enumerate(windows)
             ),
