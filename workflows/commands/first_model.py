@@ -1,6 +1,7 @@
-"""What pick-offs sense, and how drives are held, where files do not tell: the pair with which one mode leaves the least.
+"""What pick-offs sense, and how drives are held, where files do not tell: what one mode explains best.
 
-relative error of the modal plant with one mode, for each sense and each hold; the smallest counts if it is clearly smaller
+The modal plant with one mode is fitted for each sense and each hold.  The sense is chosen first, by its best hold, then the hold;
+another choice than the usual one must leave clearly less, or explain clearly more.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Look at the columns of foreign files: which is time, drive or sense, in which unit, and why; a guess, never a fact.
 
     time      its name, or values that rise uniformly in the first column
-    drive     its name ("drive", "input", "force", "u", ..), else the first column that varies
+    drive     its name ("drive", "input", "force", "u", ..), else the first column that varies, and others that it does not move
     sense     its name ("sense", "output", "acc", "y", ..), else the columns that are left
 
 A campaign reads all of its files in the same way, so the file in which the most columns vary decides.

@@ -126,16 +126,14 @@ class CampaignProblem:
             model = self.model
             for term in terms:
                 model = model.with_effect(term)
-            values = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
-            at_null = values
-            if values is not None:
-                values = {**self._spread_starts(terms), **self.curved_starts, **values}
+            known = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
+            values = None if known is None else {**self._spread_starts(terms), **self.curved_starts, **known}
             likely = {mode[0]: self._mode_starts.get((name, key - {name}), ()) for name, mode in self._modes.items()}
             try:
                 fitted, columns = fit_with_columns(model, self.campaign, self.noise, values, likely, self.threads)
                 # A curved term that starts beside its null may end in a minimum above the fit without it.
-                if start is not None and fitted.chi2 > start.chi2 and values != at_null:
-                    fitted, columns = fit_with_columns(model, self.campaign, self.noise, at_null, likely, self.threads)
+                if start is not None and fitted.chi2 > start.chi2 and values != known:
+                    fitted, columns = fit_with_columns(model, self.campaign, self.noise, known, likely, self.threads)
                 free = self._trigger_offset(fitted)
                 result = fit_result(fitted, columns, terms, self.campaign, self.spectra, self.strata, free)
             except (GyroscreenError, np.linalg.LinAlgError) as error:
