@@ -33,12 +33,18 @@ class Term:
     ----------
     name : of the term.
     parameters : those with a null.
-    scanned : parameter that does not exist at the null -> values to try; a single value is not fitted.
+    scanned : parameter that does not exist at the null -> values to try; a single value is not fitted.  A parameter that is among
+        ``parameters`` too, such as a clip level, has no slope at its null: its column is the change from there to each value.
     """
 
     name: str
     parameters: tuple[TermParameter, ...]
     scanned: Mapping[str, tuple[float, ...]] | None = None
+
+    @property
+    def has_slope(self) -> bool:
+        """Whether the prediction has a slope at the null."""
+        return not {p.name for p in self.parameters} <= (self.scanned or {}).keys()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,15 +136,12 @@ class Regression:
         for term in self.terms:
             if term.name in fit.terms:
                 continue
-            cells, grid = [], []
-            for scanned in _grid(term):
-                point = {**at, **{p.name: p.null for p in term.parameters}, **scanned}
-                wanted = [p.name for p in term.parameters]
-                for block, z in zip(blocks, self._columns(point, wanted)):
+            cells, grid = [], _grid(term)
+            for found in self._term_columns(term, {**at, **{p.name: p.null for p in term.parameters}}):
+                for block, z in zip(blocks, found):
                     block.append(z)
-                cells.append(slice(column, column + len(wanted)))
-                column += len(wanted)
-                grid.append(scanned)
+                cells.append(slice(column, column + len(term.parameters)))
+                column += len(term.parameters)
             candidates.append(Candidate(term.name, term.parameters, tuple(cells), tuple(grid)))
         empty = [np.zeros((block.residual.size, 0)) for block in self.measured[: self.fitted]]
         return Signatures(tuple(candidates), tuple(np.concatenate([e, *z], axis=1) for e, z in zip(empty, blocks)))
@@ -179,7 +182,7 @@ class Regression:
             free = sum(block.nuisances for block in blocks[: self.fitted])
             sd = sd * np.sqrt(chi2 / max(rows - free - len(names), 1))
         columns = {term.name: tuple(names.index(name) for name in _all_names(term)) for term in chosen}
-        nulls = {p.name: p.null for term in chosen for p in term.parameters}
+        nulls = {p.name: p.null for term in chosen if term.has_slope for p in term.parameters}
         shifts = {
             term.name: tuple(values[name] - nulls.get(name, values[name]) for name in _all_names(term))
             for term in chosen
@@ -204,8 +207,8 @@ class Regression:
 
     def _at_null(self, values: Values) -> dict[str, float]:
         """Parameters of all terms: absent terms at their null, scanned parameters at their first value."""
-        full = {p.name: p.null for term in self.terms for p in term.parameters}
-        full.update({name: values[0] for term in self.terms for name, values in (term.scanned or {}).items()})
+        full = {name: values[0] for term in self.terms for name, values in (term.scanned or {}).items()}
+        full.update({p.name: p.null for term in self.terms for p in term.parameters})
         return {**full, **values}
 
     def _rows(self, values: Values) -> FloatArray:
@@ -230,9 +233,18 @@ class Regression:
             for block, old in zip(columns, self.measured)
         ]
 
+    def _term_columns(self, term: Term, at: Values) -> list[list[FloatArray]]:
+        """For each point of the grid of a term, and each fitted block, the columns (n m, K) of its parameters at ``at``."""
+        points = [{**at, **scanned} for scanned in _grid(term)]
+        if term.has_slope:
+            return [self._columns(point, [p.name for p in term.parameters]) for point in points]
+        plain, *moved = self.predict([self._at_null(point) for point in (at, *points)])
+        return [[(b - a).reshape(-1, 1) for a, b in zip(plain[: self.fitted], one)] for one in moved]
+
     def _bounds(self, chosen: Sequence[Term], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         sides = {p.name: (p.side, p.null) for term in chosen for p in term.parameters}
-        scans = {name: values for term in chosen for name, values in (term.scanned or {}).items() if len(values) > 1}
+        scanned = [pair for term in chosen for pair in (term.scanned or {}).items()]
+        scans = {name: values for name, values in scanned if len(values) > 1 and name not in sides}
         limits = self.limits or {}
         lower = [sides[n][1] if n in sides and sides[n][0] > 0 else min(scans.get(n, (-np.inf,))) for n in names]
         upper = [sides[n][1] if n in sides and sides[n][0] < 0 else max(scans.get(n, (np.inf,))) for n in names]
@@ -254,19 +266,21 @@ class Regression:
         rows = self._rows(point)
         shared = np.concatenate(self._columns(point, list(self.baseline)))
         trials = []
-        for scanned in _grid(term):
-            columns = np.concatenate(self._columns({**point, **scanned}, names))
-            both = np.concatenate([shared, columns], axis=1)
-            step, *_ = np.linalg.lstsq(both / np.linalg.norm(both, axis=0), rows, rcond=1e-12)
-            left = rows - both / np.linalg.norm(both, axis=0) @ step
-            size = step[shared.shape[1] :] / np.linalg.norm(columns, axis=0)
-            trials.append((float(np.vdot(left, left)), {**point, **scanned, **dict(zip(names, size.tolist()))}))
+        for scanned, blocks in zip(_grid(term), self._term_columns(term, point)):
+            columns = np.concatenate(blocks)
+            # A change from the null to a value is neither more nor less than that.
+            both = np.concatenate([shared, columns], axis=1) if term.has_slope else shared
+            goal = rows if term.has_slope else rows - columns[:, 0]
+            step, *_ = np.linalg.lstsq(both / np.linalg.norm(both, axis=0), goal, rcond=1e-12)
+            left = goal - both / np.linalg.norm(both, axis=0) @ step
+            size = step[shared.shape[1] :] / np.linalg.norm(columns, axis=0)[: both.shape[1] - shared.shape[1]]
+            trials.append((float(np.vdot(left, left)), {**point, **dict(zip(names, size.tolist())), **scanned}))
         return [first for _, first in sorted(trials, key=lambda pair: pair[0])[:STARTS]]
 
 
 def _all_names(term: Term) -> list[str]:
     return [
-        *(p.name for p in term.parameters),
+        *(p.name for p in term.parameters if p.name not in (term.scanned or {})),
         *(name for name, values in (term.scanned or {}).items() if len(values) > 1),
     ]
 

@@ -33,7 +33,7 @@ def joint_record_views(problem: JointProblem, fit: FitResult) -> list[RecordView
     values = problem.values(fit)
     return [
         view
-        for part in problem.parts
+        for part in problem.parts_of(fit)
         if isinstance(part, TimePart)
         for view in record_views(part.campaign, part.fit_at(values))
     ]
@@ -42,7 +42,7 @@ def joint_record_views(problem: JointProblem, fit: FitResult) -> list[RecordView
 def tone_views(problem: JointProblem, fit: FitResult) -> list[ToneView]:
     """Each pass of every sweep and frequency response with the prediction of a fit, sorted by record and level."""
     values, found = problem.values(fit), []
-    for part in problem.parts:
+    for part in problem.parts_of(fit):
         if isinstance(part, TonePart):
             found += _passes(part, values)
     return found

@@ -13,7 +13,7 @@ from functools import partial
 from ...device.model import Model
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
-from .free_disturbances import free_shapes
+from .free_disturbances import best_shape
 from .residuals import CampaignResiduals
 from .scan import scan
 
@@ -95,7 +95,5 @@ def _shaped(
     values = smaller.complete({name: value for name, value in start.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
     residuals = problem.residuals(values, tasks, (None,) * len(tasks.each))
-    found = model.effect(effect)
     rates = [task.record.sample_rate_hz for task in tasks.each]
-    best = max(free_shapes(found, model.built.shape, residuals, rates), key=lambda shape: shape.score)
-    return {found.full_name(m): best.point[m.name] for m in found.members(model.built.shape)}
+    return best_shape(model.effect(effect), model.built.shape, residuals, rates)

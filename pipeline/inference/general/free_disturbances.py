@@ -100,3 +100,11 @@ def free_shapes(
         point = {m.name: float(v) for m, v in zip(members, at)}
         found.append(DisturbanceShape(point, delta_chi2, dof, delta_chi2 / max(relative, 1e-300)))
     return tuple(found)
+
+
+def best_shape(
+    effect: Effect, shape: Shape, residuals: Sequence[FloatArray], sample_rates_hz: Sequence[float]
+) -> dict[str, float]:
+    """The shape of largest score, as full parameter name -> value; arguments as of :func:`free_shapes`."""
+    best = max(free_shapes(effect, shape, residuals, sample_rates_hz), key=lambda one: one.score)
+    return {effect.full_name(m): best.point[m.name] for m in effect.members(shape)}

@@ -101,6 +101,11 @@ class EnvelopePart:
         return ()
 
     @property
+    def levels(self) -> dict[str, tuple[float, ...]]:
+        """None: an amplitude bends at a level, but has no flat peak."""
+        return {}
+
+    @property
     def own_terms(self) -> tuple[Term, ...]:
         """None: the floor is always free."""
         return ()

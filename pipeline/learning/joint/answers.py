@@ -22,6 +22,7 @@ from ..common import RegressionAnswers, diagnosis_answer, misfit, refinement_ans
 from ..modal.terms import GAUGES
 from ..next_experiment.separating import Proposal
 from ..where.regions import FAMILIES, FREQUENCY_KINDS, by_kind, explained_by_kind, remaining_shares, significant_places
+from .mixed import joint_problem
 from .problem import JointProblem
 
 
@@ -32,7 +33,7 @@ def joint_answers(campaign: ToneCampaign, model: Model = DEFAULT_COMPARE_MODEL) 
     ------
     MeasurementError : too few rows for the modes or for the noise level.
     """
-    return JointAnswers(JointProblem(campaign.with_fit_records(), model))
+    return JointAnswers(joint_problem(campaign.with_fit_records(), model))
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,6 +101,11 @@ class Part(Protocol):
         ...
 
     @property
+    def levels(self) -> Mapping[str, tuple[float, ...]]:
+        """Parameter that is the inverse of a clip level -> values to try; empty where the records show no clipping."""
+        ...
+
+    @property
     def own_terms(self) -> tuple[Term, ...]:
         """Terms of the instrument."""
         ...

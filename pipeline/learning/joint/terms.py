@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -19,9 +19,22 @@ def terms_of(model: Model, parts: Sequence[Part], sized: Collection[str], even: 
     grids = [part.mode_grid() for part in parts]
     # Each point of the grid costs a slope: the widths are those of the part that resolves most of them.
     grid = tuple(sorted({f for own, _ in grids for f in own})), max((own for _, own in grids), key=len)
-    found = [_term(model.library[name], model, grid, sized, even) for name in names]
+    levels = {name: values for part in parts for name, values in part.levels.items()}
+    effects = [model.library[name] for name in names]
+    found = [_level_term(effect, model, levels) or _term(effect, model, grid, sized, even) for effect in effects]
     own = [term for part in parts for term in part.own_terms]
     return (*(term for term in found if term is not None), *own)
+
+
+def _level_term(effect: Effect, model: Model, levels: Mapping[str, tuple[float, ...]]) -> Term | None:
+    """The term of an effect whose only parameter is a clip level: it has no slope at its null."""
+    members = effect.members(model.built.shape)
+    scanned = {effect.full_name(m): levels[effect.full_name(m)] for m in members if effect.full_name(m) in levels}
+    if len(scanned) != len(members):
+        return None
+    return Term(
+        effect.name, tuple(TermParameter(effect.full_name(m), m.unit, m.null, side=1) for m in members), scanned
+    )
 
 
 def _term(
@@ -33,7 +46,6 @@ def _term(
 ) -> Term | None:
     members = effect.members(model.built.shape)
     plain = [m for m in members if not m.grid]
-    # A clip level has no slope at its null.
     if not plain or not all(effect.full_name(m) in sized for m in plain):
         return None
     scanned = {effect.full_name(m): m.grid for m in members if m.grid}

@@ -16,27 +16,25 @@ from functools import cached_property
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...criticism.problem import Region, ResidualBlock, Signatures
+from ...criticism.problem import LocalCandidate, Region, ResidualBlock, Signatures
 from ...criticism.regression import Term
 from ...device.model import Model
-from ...errors import ConfigError, MeasurementError
+from ...errors import MeasurementError
+from ...experiment.forward.clip_levels import clip_levels
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign, Record
-from ...inference.general.fit import CampaignFit, campaign_fit
-from ...inference.general.free_states import free_start, settled
-from ...inference.general.gauss_newton import CLOSE, PATIENCE, GaussNewtonResult
-from ...inference.general.linear_step import FitPoint
-from ...inference.general.residuals import CampaignResiduals, Task, Tasks
+from ...inference.general.fit import CampaignFit
+from ...inference.general.free_disturbances import best_shape
+from ...inference.general.gauss_newton import CLOSE
 from ...inference.general.scales import top_hz
 from ...inference.general.starts import excited_band, find_start
 from ..campaign.rows import FourierRows, block_of, coordinate_jacobian, spectra_of, strata_of
-from ..campaign.signatures import probe_signatures
+from ..campaign.signatures import disturbance_candidate, probe_signatures
 from ..joint.part import PartNoise, RecordLeft, Values
 from ..where.partition import CampaignPartition, campaign_partition, record_partitions
 from ..where.regions import misfit_regions, structure_regions
+from .records import TimedRecords
 
-#: Stages that are not candidates here: lines have free amplitudes in every record, and a converter has no slope.
-_OTHERS = frozenset({"disturbance", "adc"})
 #: Points of the grid of an additional mode.
 _POINTS = 12
 
@@ -57,9 +55,7 @@ class TimePart:
     full: Model
     campaign: Campaign
     level: NoiseLevel
-    _states: dict[str, FloatArray] = field(default_factory=dict)
     _partition: list[CampaignPartition] = field(default_factory=list)
-    _fits: dict[tuple[tuple[str, float], ...], CampaignFit] = field(default_factory=dict)
 
     kind = "time"
 
@@ -70,9 +66,14 @@ class TimePart:
         return PartNoise(tuple(own.sigma_v.tolist()), own.source, own.dof, own.known, own.independent)
 
     @cached_property
+    def beside(self) -> TimedRecords:
+        """The records beside a device."""
+        return TimedRecords(self.model, self.full, self.campaign, self.level)
+
+    @property
     def records(self) -> tuple[Record, ...]:
         """The fitted records, then those held out."""
-        return (*self.campaign.with_role("fit"), *self.campaign.with_role("validate"))
+        return self.beside.each
 
     @property
     def held(self) -> int:
@@ -95,7 +96,7 @@ class TimePart:
     def measured(self) -> tuple[ResidualBlock, ...]:
         """The records."""
         values = {**{name: p.null for name, p in self.model.by_name.items()}, **self.plant_start()}
-        problem, found = self._residuals(self.model), []
+        problem, found = self.beside.residuals(self.model), []
         for record, transform in zip(self.records, self.spectra):
             task = problem.task(record, self.model.complete(values))
             rows = transform(problem.whiten(record.sense_v, task))
@@ -105,9 +106,23 @@ class TimePart:
 
     @cached_property
     def effects(self) -> tuple[str, ...]:
-        """Those that a record shows without amplitudes of its own."""
-        library = self.model.library
-        return tuple(name for name in self.model.candidates() if not set(library[name].stages) & _OTHERS)
+        """All that have no amplitudes in every record."""
+        return tuple(name for name in self.model.candidates() if name not in self.disturbances)
+
+    @cached_property
+    def disturbances(self) -> tuple[str, ...]:
+        """Absent effects with free amplitudes in every record and channel."""
+        return tuple(name for name in self.model.candidates() if self.model.library[name].disturbance is not None)
+
+    @cached_property
+    def levels(self) -> dict[str, tuple[float, ...]]:
+        """Shares of the largest sample."""
+        shape, found = self.model.built.shape, dict[str, tuple[float, ...]]()
+        for name in self.effects:
+            effect = self.model.library[name]
+            levels = clip_levels(effect, shape, self.beside.fitted)
+            found |= {effect.full_name(m): levels[m.name] for m in effect.members(shape) if m.name in levels}
+        return found
 
     @property
     def ranged(self) -> tuple[str, ...]:
@@ -174,7 +189,7 @@ class TimePart:
 
     def predict(self, values: Values) -> tuple[FloatArray, ...]:
         """The records of a device, each from the initial state that explains it best."""
-        problem, tasks, starts, complete = self._at(values)
+        problem, tasks, starts, complete = self.beside.at(values)
         predicted = problem.predictions(complete, tasks, starts)
         every = zip(predicted, tasks.each, self.spectra)
         return tuple(transform(problem.whiten(y, task)) for y, task, transform in every)
@@ -185,7 +200,7 @@ class TimePart:
         own = [name for name in names if name in self.full.by_name]
         if not own:
             return out
-        problem, tasks, starts, complete = self._at(values, own)
+        problem, tasks, starts, complete = self.beside.at(values, own)
         model = problem.model
         first = next((task for task in tasks.each if np.any(task.record.drive_v)), tasks.each[0])
         start = starts[tasks.each.index(first)]
@@ -209,7 +224,7 @@ class TimePart:
 
     def probes(self, values: Values) -> Signatures:
         """Shapes of the predicted records."""
-        problem, _, _, _ = self._at(values)
+        problem, _, _, _ = self.beside.at(values)
         count = len(self.records) - self.held
         return probe_signatures(problem, self.fit_at(values), self.records[:count], self.spectra)
 
@@ -240,60 +255,22 @@ class TimePart:
 
     def fit_at(self, values: Values) -> CampaignFit:
         """The records beside a device with ``values``, in the form of a fit; parameters have no sd of a fit."""
-        key = tuple(sorted((name, value) for name, value in values.items() if name in self.full.by_name))
-        if key not in self._fits:
-            self._fits[key] = self._fit_at(values)
-        return self._fits[key]
+        return self.beside.fit_at(values)
 
-    def _fit_at(self, values: Values) -> CampaignFit:
-        problem, tasks, starts, complete = self._at(values)
-        count = len(self.records) - self.held
-        fitted = Tasks(tasks.each[:count], problem.tasks(self.records[:count], complete).groups)
-        predicted = tuple(problem.predictions(complete, fitted, starts[:count]))
-        residuals = tuple(problem.residuals_of(predicted, fitted))
-        x = problem.model.to_internal(complete)
-        chi2 = sum(float(np.vdot(r, r)) for r in residuals)
-        at = FitPoint(x, tuple(starts[:count]), predicted, residuals, chi2)
-        return campaign_fit(problem, self.campaign, self.level, fitted, GaussNewtonResult(at, np.eye(x.size), (), True))
+    def disturbance_candidates(self, values: Values) -> tuple[LocalCandidate, ...]:
+        """Absent disturbances, their amplitudes free in every record and channel, beside a device with ``values``."""
+        fit = self.fit_at(values)
+        found = (disturbance_candidate(fit, self.beside.fitted, name) for name in self.disturbances)
+        return tuple(one for one in found if one is not None)
 
-    def _residuals(self, model: Model) -> CampaignResiduals:
-        return CampaignResiduals(model, self.campaign, self.level)
-
-    def _at(
-        self, values: Values, names: Sequence[str] = ()
-    ) -> tuple[CampaignResiduals, Tasks, list[FloatArray | None], dict[str, float]]:
-        """Residuals, records, initial states and parameters of a device with the effects that act or are named.
-
-        With ``names`` only these parameters are free, so that no slope is computed in vain.
-        """
-        library, absent = self.model.library, set(self.full.effects) - set(self.model.effects)
-        shape, model = self.full.built.shape, self.model
-        for name in sorted(absent):
-            every = {library[name].full_name(m): m.null for m in library[name].members(shape) if not m.grid}
-            scanned = any(library[name].full_name(m) in names for m in library[name].members(shape))
-            if scanned or any(values.get(full, null) != null for full, null in every.items()):
-                model = model.with_effect(name)
-        complete = model.complete({name: values[name] for name in model.by_name if name in values})
-        if not model.allowed(complete):
-            raise ConfigError("a parameter is out of its range", next_step="see gyroscreen effects")
-        if names:
-            plant = {p.name for p in model.built.parameters}
-            kept = set(names) | (plant if plant & set(names) else set())
-            others = {name: value for name, value in complete.items() if name not in kept}
-            model = replace(model, fixed={**others, **self.model.fixed}, prior={})
-        problem = self._residuals(model)
-        tasks = problem.tasks(self.records, complete)
-        return problem, tasks, [self._state(problem, complete, task) for task in tasks.each], complete
-
-    def _state(self, problem: CampaignResiduals, complete: dict[str, float], task: Task) -> FloatArray | None:
-        """The initial state of a record, from that of the values before."""
-        if not task.coordinates:
-            return None
-        known = self._states.get(task.record.name)
-        if known is None or known.size != 2 * task.coordinates:
-            found = free_start(problem, complete, task)
-        else:
-            found = settled(problem, complete, task, known, PATIENCE)
-        assert found is not None
-        self._states[task.record.name] = found
-        return found
+    def with_disturbance(self, name: str, values: Values) -> TimePart:
+        """The part whose model has the disturbance ``name``, in the shape that the residuals at ``values`` support best."""
+        fit, effect = self.fit_at(values), self.model.effect(name)
+        residuals = [record.residual for record in fit.of_role("fit")]
+        rates = [record.sample_rate_hz for record in self.beside.fitted]
+        fixed = best_shape(effect, self.model.built.shape, residuals, rates)
+        model, full = (
+            replace(larger, fixed={**larger.fixed, **fixed})
+            for larger in (self.model.with_effect(name), self.full.with_effect(name))
+        )
+        return TimePart(model, full, self.campaign, self.level)

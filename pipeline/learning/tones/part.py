@@ -86,6 +86,11 @@ class TonePart:
         return ()
 
     @property
+    def levels(self) -> dict[str, tuple[float, ...]]:
+        """None: an amplitude bends at a level, but has no flat peak."""
+        return {}
+
+    @property
     def own_terms(self) -> tuple[Term, ...]:
         """The settling of a detector."""
         return (Term(SETTLING, (TermParameter(SHARE, "1", 0.0, 1.0, 1),)),) if self.tone.swept else ()

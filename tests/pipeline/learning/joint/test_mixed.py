@@ -40,14 +40,15 @@ def _sampled(drive, rate, w0, width, gain, k3, steps):
     return out
 
 
-def chirp(level, sd, k3=0.0, seed=1, seconds=0.8):
-    """Two chirps up and down, fitted and held out, and a silent record."""
+def chirp(level, sd, k3=0.0, seed=1, seconds=0.8, hum=0.0, clip=np.inf):
+    """Two chirps up and down, fitted and held out, and a silent record; volts of a 50 Hz line, and a level of clipping."""
     t = np.arange(int(seconds * RATE)) / RATE
     up = level * np.sin(2 * np.pi * (260.0 * t + 40.0 * t**2 / seconds))
     random, records = np.random.default_rng(seed), []
     for name, drive, role in (("up", up, "fit"), ("down", up[::-1].copy(), "validate"), ("silent", 0.0 * up, "noise")):
         y = _sampled(drive, RATE, 2 * np.pi * F0, 2 * np.pi * WIDTH, GAIN, k3, 8)
-        y = y + sd * random.standard_normal(t.size)
+        y = y + sd * random.standard_normal(t.size) + hum * np.cos(100 * np.pi * t + random.uniform(0.0, 2 * np.pi))
+        y = np.clip(y, -clip, clip)
         records.append(Record(name, RATE, drive[:, None], y[:, None], role=role))
     return Campaign("mixed", tuple(records), Instrument(RATE))
 
@@ -110,21 +111,58 @@ def test_the_parts_agree_and_their_information_adds_up():
         assert abs(value - true) < 4.0 * sd, name
 
 
+def refined(timed, records):
+    """The answers and the ladder of one rung."""
+    answers, rules = joint_answers(mixed(timed, records), MODEL), Rules(rungs=1)
+    # A mode at each of 60 frequencies takes most of the time, and is no rival of a force, of hum and of clipping.
+    plain = tuple(term for term in answers.problem.terms if not term.scanned or not term.has_slope)
+    answers.problem.__dict__["terms"] = plain
+    assert len(plain) > 6
+    answers, selection = answers.selected(rules)
+    return answers, as_ladder(answers.problem, selection, rules)
+
+
 @pytest.mark.parametrize("shown", ["sweep", "chirp"])
 def test_an_effect_that_one_part_shows_is_named(shown):
     """A cubic stiffness that bends the resonance of one part by half its width and of the other not at all."""
     k3, levels = 6e14, {"sweep": 0.001, "chirp": 0.002}
     levels[shown] *= 15.0
     timed, records = chirp(levels["chirp"], 2e-4, k3, seconds=0.4), sweep(levels["sweep"], 2e-5, k3, rows=40)
-    answers, rules = joint_answers(mixed(timed, records), MODEL), Rules(rungs=1)
-    # A mode at each of 60 frequencies takes most of the time, and is no rival of a force.
-    plain = tuple(term for term in answers.problem.terms if not term.scanned)
-    answers.problem.__dict__["terms"] = plain
-    assert len(plain) > 6
-    ladder = as_ladder(answers.problem, answers.selected(rules)[1], rules)
+    answers, ladder = refined(timed, records)
     assert (ladder.verdict, ladder.terms) == ("adequate", ("cubic_stiffness",))
     assert ladder.rungs[-1].status == "confirmed"
     value, sd = ladder.rungs[-1].parameters["cubic_stiffness.k3"]
     assert abs(value - k3) < 4.0 * sd
     (place,) = [p for p in answers.refinement(ladder).regions if p.family == "record" and p.share > 0.5]
     assert place.record == ("sweep" if shown == "sweep" else "up")
+
+
+@pytest.mark.parametrize("effect", ["mains_hum", "adc_saturation"])
+def test_what_the_instrument_of_the_time_records_does_is_named(effect):
+    """A 50 Hz line of 5 sigma, or peaks cut at 0.9 of their height; a sweep has neither, and its rows stay as they are."""
+    sd, clip = (
+        1e-3 if effect == "mains_hum" else 1e-4,
+        0.9 * np.abs(chirp(0.02, 0.0, seconds=0.4).records[0].sense_v).max(),
+    )
+    hidden = {"hum": 5.0 * sd} if effect == "mains_hum" else {"clip": clip}
+    answers, ladder = refined(chirp(0.02, sd, seconds=0.4, **hidden), sweep(0.001, 2e-5, rows=40))
+    assert (ladder.verdict, ladder.terms) == ("adequate", (effect,))
+    assert ladder.rungs[-1].status == "confirmed"
+    found = ladder.rungs[-1].parameters
+    if effect == "mains_hum":
+        assert found["mains_hum.f"] == (50.0, 0.0)
+    else:
+        value, spread = found["adc_saturation.1/level"]
+        assert abs(value - 1.0 / clip) < 4.0 * spread
+    values, tones = answers.problem.values(answers.fitted((effect,))), answers.problem.parts[1]
+    for one, other in zip(
+        tones.predict(values), tones.predict({**values, **{name: 0.0 for name in found if "." in name}})
+    ):
+        assert np.array_equal(one, other)
+
+
+def test_the_gain_does_not_depend_on_the_size_of_the_drive():
+    """A candidate that clips the drive is at its null: on grid values it clipped sweeps of more than 10 V."""
+    fit = compare(mixed(None, sweep(40.0, 0.01)), MODEL).fit
+    value, sd = fit.parameters["gain1_s1d1"]
+    assert abs(value - GAIN) < 4.0 * sd
