@@ -27,6 +27,9 @@ import numpy as np
 
 from ..arrays import ComplexArray, FloatArray
 
+#: Least relative distance of two poles: residues lose seven digits, and a pole that is moved changes G by less than 1e-7.
+_APART = 1e-7
+
 
 @dataclass(frozen=True, eq=False)
 class Readout:
@@ -80,12 +83,17 @@ class Readout:
         return replace(self, residues=self.residues @ matrix, static=self.static @ matrix)
 
     def with_pole(self, pole: complex, channel: int | None = None) -> Readout:
-        """G(s) / (1 - s / pole) of one ``channel`` or of all: one more ``pole`` [rad/s] with unit gain at zero frequency."""
+        """G(s) / (1 - s / pole) of one ``channel`` or of all: one more ``pole`` [rad/s] with unit gain at zero frequency.
+
+        A pole that is there already is moved by 1e-7 of itself, because partial fractions need different poles.
+        """
+        near = self.poles[np.abs(self.poles - pole) < _APART * abs(pole)]
+        pole = near[-1] * (1.0 + _APART) if near.size else pole
         acts = (
             np.ones(self.static.shape[0], dtype=bool) if channel is None else np.arange(self.static.shape[0]) == channel
         )
         own = self.response(np.array([pole])) * np.where(acts, -pole, 0.0)[:, None]
-        lagged = np.where(acts, 1.0 - self.poles[:, None] / pole, 1.0)
+        lagged = np.where(acts, (pole - self.poles[:, None]) / pole, 1.0)
         return replace(
             self,
             poles=np.append(self.poles, pole),

@@ -33,6 +33,7 @@ from workflows.studies.hidden.draw import (
 )
 from workflows.studies.hidden.effects import LIBRARY, Peak, draw_effect
 from workflows.studies.hidden.integrator import STATES, integrate, lagged, size_of, slope
+from workflows.studies.hidden.readout import APART
 from workflows.studies.hidden.strengths import baseline, sized
 from workflows.studies.hidden.truth import OUTSIDE, STATED, physics, response
 
@@ -42,8 +43,11 @@ _DEVICE = device_parameters({}, 3)
 _SWEEP = drive_samples(Chirp((520.0, 545.0), (545.0, 520.0), duration_s=0.25), _RATE)
 
 
-#: Effects with an independent law that do not act on the samples.
-CONTINUOUS = [n for n in LIBRARY if n in STATED and not {"adc", "disturbance"} & set(Model().effect(n).stages)]
+#: Compared one by one: those of single paths, and those that the simulator lets act on a force that others have changed.
+ALONE = {*APART, "charge_drift", "drive_saturation", "levitation_force"}
+
+#: Effects with an independent law that act within the integration, not on the samples.
+CONTINUOUS = [n for n in LIBRARY if n in STATED - ALONE and not {"adc", "disturbance"} & set(Model().effect(n).stages)]
 
 
 def _rms(y: FloatArray) -> float:
@@ -56,7 +60,7 @@ def _drawn(effect: str, size: float, seed: int = 0) -> dict[str, float]:
 
 
 def _all_at_once() -> dict[str, float]:
-    """Every stated effect except converter stages and disturbances, which act on the samples."""
+    """Every effect of ``CONTINUOUS``."""
     strong = {"damping_drift": 30.0, "drive_nonlinearity": 2.0, "electrostatic_softening": 1.0}
     drawn = {name: value for effect in CONTINUOUS for name, value in _drawn(effect, strong.get(effect, 10.0)).items()}
     # Two steps per sample resolve the corner of a narrower friction, and those of a hysteresis, to 1e-7 only.

@@ -59,6 +59,7 @@ class Physics(NamedTuple):
     filter_damping: FloatArray
     filter_square: float
     bias_v: float
+    swing_v: float
     square_law: float
     inverse_drive_gap: float
     inverse_sense_gap: float
@@ -90,6 +91,9 @@ class Physics(NamedTuple):
     step: float
     step_s: float
     step_width_s: float
+    fringe: float
+    charging: float
+    softened_share: float
     hidden: FloatArray
 
 
@@ -103,7 +107,8 @@ def size_of(g: Physics) -> int:
 def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) -> None:
     """Writes dy/dt of the state y (``size_of``,) at time t [s] with the held drive v (2,) [V] to ``dy``."""
     n = COORDINATES
-    warm = 1.0 + g.stiffness_drift * t
+    charge = g.charging * t
+    warm = 1.0 + g.stiffness_drift * t - 2.0 * g.softened_share * charge
     if g.pump != 0.0:
         warm += g.pump * np.cos(g.pump_omega * t)
     if g.step != 0.0:
@@ -116,7 +121,8 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
         dy[i] = y[n + i]
         dy[n + i] = a
     for k in range(2):
-        u = v[k] + g.square_law * v[k] * v[k] / (2.0 * g.bias_v)
+        applied = min(max(v[k], -g.swing_v), g.swing_v)
+        u = applied + g.square_law * applied * applied / (2.0 * g.bias_v)
         if g.inverse_drive_gap != 0.0:
             closed = 0.0
             for j in range(n):
@@ -125,7 +131,8 @@ def slope(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
             half = 0.5 * g.bias_v
             u = (half + u) / ((1.0 - closed) * (1.0 - closed)) - half - g.bias_v * closed
         for i in range(n):
-            dy[n + i] += g.drive[i, k] * u
+            dy[n + i] += g.drive[i, k] * u * (1.0 + charge)
+        dy[n + 2] += g.fringe * g.drive[2, k] * applied * applied / (2.0 * g.bias_v)
     x, z, xd, zd = y[0], y[1], y[n], y[n + 1]
     radius2 = x * x + z * z
     speed = np.sqrt(xd * xd + zd * zd)
@@ -193,7 +200,7 @@ def _read(t: float, y: FloatArray, v: FloatArray, g: Physics, dy: FloatArray) ->
             s += g.sense[k, j] * y[n + j]
             closed += g.sense_motion[k, j] * y[j]
         open_ = 1.0 - g.inverse_sense_gap * closed
-        pickoff[k] = s / (open_ * open_) * (1.0 + g.gain_drift * t)
+        pickoff[k] = s / (open_ * open_) * (1.0 + g.gain_drift * t) * (1.0 + g.charging * t)
         pickoff[k] += g.resistive[k, 0] * v[0] + g.resistive[k, 1] * v[1]
     for k in range(2):
         volts = g.crosstalk[k, 0] * pickoff[0] + g.crosstalk[k, 1] * pickoff[1]
@@ -252,6 +259,38 @@ def lagged(p: float, a: FloatArray, b: FloatArray, h: float, lag: float) -> floa
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
+def _impulse(v: FloatArray, n: int, g: Physics, y: FloatArray) -> None:
+    """Adds the jump that stray capacitances pass at the edge of the drive before sample ``n`` to the state y, in place."""
+    for k in range(2):
+        jump = 0.0
+        for i in range(2):
+            for d in range(2):
+                was = v[n - 1, d] if n > 0 else 0.0
+                jump += g.crosstalk[k, i] * g.capacitive[i, d] * (v[n, d] - was)
+        y[_FILTER + 8 * k + 1] += g.filter_square * jump
+
+
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
+def knots(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatArray:
+    """Filter outputs y, y', y'' [V, V/s, V/s^2] of both channels at both ends of every step, (M, 2 ends, 2, 3), from rest.
+
+    ``steps`` steps per sample of ``sample_s`` [s]; delay and pole of the read-out are not applied.
+    """
+    out = np.empty((v.shape[0] * steps, 2, 2, 3))
+    y = np.zeros(size_of(g))
+    stages, trial = np.zeros((_STAGES, y.size)), np.zeros(y.size)
+    h = sample_s / steps
+    for n in range(v.shape[0]):
+        _impulse(v, n, g, y)
+        for i in range(steps):
+            m = n * steps + i
+            _filtered(y, g, out[m, 0])
+            _step(m * h, h, y, v[n], g, stages, trial)
+            _filtered(y, g, out[m, 1])
+    return out
+
+
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def integrate(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatArray:
     """The record (N, 2) [V] from rest for drive samples v (N, 2) [V], with ``steps`` steps per sample of ``sample_s`` [s].
 
@@ -267,13 +306,7 @@ def integrate(v: FloatArray, sample_s: float, steps: int, g: Physics) -> FloatAr
     whole = int(np.floor(late))
     piece = late - whole
     for n in range(count):
-        for k in range(2):
-            jump = 0.0
-            for i in range(2):
-                for d in range(2):
-                    was = v[n - 1, d] if n > 0 else 0.0
-                    jump += g.crosstalk[k, i] * g.capacitive[i, d] * (v[n, d] - was)
-            y[_FILTER + 8 * k + 1] += g.filter_square * jump
+        _impulse(v, n, g, y)
         if piece == 0.0 and n + whole < count:
             for k in range(2):
                 out[n + whole, k] = slow[k] if g.pickoff_time_s > 0.0 else y[_FILTER + 8 * k + 6]

@@ -16,12 +16,25 @@ from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Record
 
+from .readout import PER_DRIVE
 from .truth import OUTSIDE, STATED
 
 
 def without_law(effects: Sequence[str]) -> tuple[str, ...]:
-    """Those of the hidden ``effects`` that the independent simulator does not state."""
-    return tuple(name for name in effects if name not in STATED and name not in OUTSIDE)
+    """Those of the hidden ``effects`` that the independent simulator does not state.
+
+    It states paths of single drives for linear devices only, beside no effect of another kind that acts on motion or drive.
+    """
+    plain = all(is_linear(name) for name in effects)
+    known = STATED if plain else STATED - set(PER_DRIVE)
+    return tuple(name for name in effects if name not in known and name not in OUTSIDE)
+
+
+def is_linear(name: str) -> bool:
+    """Whether a device with the effect ``name`` is linear and constant in time, so that its drives superpose."""
+    if name in OUTSIDE:
+        return False
+    return not set(Model().effect(name).stages) & {"drive", "force", "sense"}
 
 
 def modelled_response(

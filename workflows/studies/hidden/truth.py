@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.instrument import Instrument
 
 from .integrator import COORDINATES, Physics, integrate
+from .readout import is_apart, read_out
 
 #: Integration steps per sample; at 10 kHz the error of a record is below 1e-8 of its signal.
 STEPS = 2
@@ -31,11 +33,12 @@ STEPS = 2
 HARMONICS = 5
 
 _STATED = """
-adc_saturation angular_rate capacitive_feedthrough coulomb_friction cubic_damping cubic_stiffness damping_drift
-drive_nonlinearity electrode_misalignment electrode_mismatch electrostatic_softening frequency_drift gain_drift hysteresis
-internal_resonance_1_2 internal_resonance_1_3 loop_delay mains_hum nonlinear_damping offdiagonal_damping parasitic_mode
-pickoff_crosstalk pickoff_pole quadratic_stiffness resistive_feedthrough sense_nonlinearity squeeze_film_damping updown_tilt
-weakening_damping
+adc_saturation angular_rate capacitive_feedthrough channel_delay channel_pole charge_drift clock_offset
+coulomb_friction cubic_damping cubic_stiffness damping_drift drive_delay drive_nonlinearity drive_pole
+drive_saturation electrode_misalignment electrode_mismatch electrostatic_softening frequency_drift gain_drift
+hysteresis internal_resonance_1_2 internal_resonance_1_3 levitation_force loop_delay mains_hum nonlinear_damping
+offdiagonal_damping parasitic_mode pickoff_crosstalk pickoff_pole quadratic_stiffness resistive_feedthrough
+sense_nonlinearity squeeze_film_damping updown_tilt weakening_damping
 """
 #: Library effects whose law is stated here.
 STATED: frozenset[str] = frozenset(_STATED.split())
@@ -125,6 +128,7 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
         filter_damping=np.array([2.0 * math.sin((2 * j - 1) * math.pi / 16.0) * corner for j in range(1, 5)]),
         filter_square=corner**2,
         bias_v=float(instrument.bias_v),
+        swing_v=1.0 / max(of("drive_saturation.1/level"), 1e-300),
         square_law=of("drive_nonlinearity.eps"),
         inverse_drive_gap=of("electrostatic_softening.1/g"),
         inverse_sense_gap=of("sense_nonlinearity.1/g"),
@@ -156,6 +160,9 @@ def physics(values: Mapping[str, float], instrument: Instrument) -> Physics:
         step=of("stiffness_step.b"),
         step_s=of("stiffness_step.t"),
         step_width_s=float(values.get("stiffness_step.w", 1.0)),
+        fringe=of("levitation_force.eps"),
+        charging=of("charge_drift.gamma"),
+        softened_share=of("charge_drift.kappa"),
         hidden=np.array(
             [
                 [math.sqrt(of(f"{name}.c^2")), ratio * omega[0] * (1.0 + of(f"{name}.delta")), of(f"{name}.zeta")]
@@ -175,7 +182,8 @@ def response(
     ConfigError : the simulator does not support the instrument, or the motion diverges.
     """
     v = np.ascontiguousarray(drive_v, dtype=np.float64)
-    y = integrate(v, 1.0 / instrument.sample_rate_hz, steps, physics(values, instrument))
+    respond = partial(read_out, values) if is_apart(values) else integrate
+    y = respond(v, 1.0 / instrument.sample_rate_hz, steps, physics(values, instrument))
     if not np.all(np.isfinite(y)):
         raise ConfigError("the motion diverges", next_step="hide a weaker effect")
     return clipped(y, values)
