@@ -31,6 +31,7 @@ from ..where.partition import (
     residual_spectra,
 )
 from ..where.regions import misfit_regions, structure_regions
+from .curved import corrected_beside, curved_terms, spread_starts, trigger_offset
 from .mode_grid import Scan, mode_scans
 from .modes import mode_candidate
 from .rows import FourierRows, fit_result, spectra_of, strata_of
@@ -127,7 +128,8 @@ class CampaignProblem:
             for term in terms:
                 model = model.with_effect(term)
             known = None if start is None else {name: value for name, (value, _) in start.parameters.items()}
-            values = None if known is None else {**self._spread_starts(terms), **self.curved_starts, **known}
+            spread = spread_starts(self.model, terms, self.curved, self.variation)
+            values = None if known is None else {**spread, **self.curved_starts, **known}
             likely = {mode[0]: self._mode_starts.get((name, key - {name}), ()) for name, mode in self._modes.items()}
             try:
                 fitted, columns = fit_with_columns(model, self.campaign, self.noise, values, likely, self.threads)
@@ -161,7 +163,8 @@ class CampaignProblem:
         candidates = tuple(c for c in known.candidates if c.name in names)
         found = [job.result() for job in disturbances]
         local = [*(one for one in found if one is not None), *(mode for job in scanned for mode in job.result())]
-        return Signatures(candidates, known.blocks, tuple(local), known.grams, self.curved, self._beside)
+        beside = corrected_beside(self.model, self.curved, self.curved_starts)
+        return Signatures(candidates, known.blocks, tuple(local), known.grams, self.curved, beside)
 
     def _mode(self, name: str, fit: FitResult) -> tuple[LocalCandidate, ...]:
         """The mode of an effect as a candidate, if its grid is not empty; its best frequencies are kept as starts of a fit."""
@@ -192,52 +195,30 @@ class CampaignProblem:
         return pooled_spectra(residual_spectra(self.campaign_fit(fit.terms), self.partitions))
 
     def _trigger_offset(self, fitted: CampaignFit) -> Sequence[FloatArray]:
-        """For each fit record (N S, 1) the column of a start shift common to all; none where the starts do not differ.
-
-        Starts that differ have a mean that nobody knows, and a constant delay equals it.  The means of the other deviations are
-        parameters of the plant.
-        """
-        if self.variation is None or self.variation.spread.start_s == 0.0:
-            return ()
+        """As of ``curved.trigger_offset``, at the first fit that asks."""
         if not self._offset:
-            residuals, start = self._residuals(fitted), slice(1, 2)
-            self._offset = tuple(
-                residuals.whiten(self.noise.common_v[r.name][start], residuals.task(r, fitted.values)).reshape(1, -1).T
-                for r in self.records
-            )
+            self._offset = trigger_offset(self._residuals(fitted), fitted, self.records, self.variation)
         return self._offset
 
     @cached_property
     def curved(self) -> frozenset[str]:
-        """Linear effects of the read-out with one parameter that starts which differ absorb to first order: a delay, a pole."""
-        if self.variation is None or self.variation.spread.start_s == 0.0:
-            return frozenset()
-        library, shape = self.model.library, self.model.built.shape
-        absent = (library[name] for name in self.model.candidates())
-        return frozenset(
-            e.name for e in absent if e.stages == ("readout",) and [m.unit for m in e.members(shape)] == ["s"]
-        )
+        """As of ``curved.curved_terms``."""
+        return curved_terms(self.model, self.variation)
 
-    @cached_property
-    def _beside(self) -> frozenset[str]:
-        """The curved terms beside which the records were corrected.
+    def fitted_names(self, fit: FitResult) -> tuple[str, ...]:
+        """The free parameters of the model."""
+        return self.campaign_fit(fit.terms).model.free
 
-        Without a refit a pole of 29 us at SNR 63, found before the records were corrected beside it, was not tried again: jitter
-        had been measured as 5 % too large, and no structure was left (bench-one 17, seed 2038).
-        """
-        library, shape = self.model.library, self.model.built.shape
-        curved = (library[name] for name in self.curved)
-        return frozenset(
-            e.name for e in curved if {e.full_name(m) for m in e.members(shape)} & self.curved_starts.keys()
-        )
-
-    def _spread_starts(self, terms: Sequence[str]) -> dict[str, float]:
-        """Start values of curved terms [s]: the spread of the starts.  At the null chi2 does not change to first order."""
-        if self.variation is None:
-            return {}
-        library, shape = self.model.library, self.model.built.shape
-        curved = [library[term] for term in terms if term in self.curved]
-        return {e.full_name(m): m.null + self.variation.spread.start_s for e in curved for m in e.members(shape)}
+    def with_records(
+        self,
+        campaign: Campaign,
+        noise: NoiseLevel,
+        corrected: tuple[Campaign, RecordVariation] | None = None,
+        dependent: DependentNoise | None = None,
+        curved_starts: Mapping[str, float] | None = None,
+    ) -> CampaignProblem:
+        """The problem with other records; arguments as of the class."""
+        return CampaignProblem(campaign, self.model, noise, self.threads, corrected, dependent, curved_starts)
 
     def _residuals(self, fitted: CampaignFit) -> CampaignResiduals:
         return CampaignResiduals(fitted.model, self.campaign, self.noise, self.threads)

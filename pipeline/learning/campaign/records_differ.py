@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import chdtrc
@@ -35,7 +36,9 @@ from ...inference.general.fit import CampaignFit
 from ...inference.general.residuals import CampaignResiduals
 from ...inference.general.variation import RecordVariation, record_variation
 from ...inference.general.varied_fit import VariedFit, clips, fit_with_variation
-from .problem import CampaignProblem
+from .recorded import RecordedProblem
+
+P = TypeVar("P", bound=RecordedProblem)
 
 #: A selection is repeated if a spread falls below this share of the one that it assumed.  A hidden effect inflates the spreads;
 #: while they stay too large, the records count for too little.
@@ -44,7 +47,7 @@ _SMALLER = 0.5
 _ROUNDS = 3
 
 
-def repeats_differ(problem: CampaignProblem) -> bool:
+def repeats_differ(problem: RecordedProblem) -> bool:
     """Whether repeats differ in their frequency, start or gains.
 
     delta_chi2 of the regression of (y_a - y_b) / sqrt 2 on the m derivatives of the predicted record, against chi2_m; divided
@@ -71,7 +74,7 @@ def repeats_differ(problem: CampaignProblem) -> bool:
     return False
 
 
-def varied_problem(problem: CampaignProblem, found: VariedFit) -> CampaignProblem:
+def varied_problem(problem: P, found: VariedFit) -> P:
     """The problem with the corrected records and the noise of a fit with variation.
 
     Jitter follows the slope, and the corrected records are advanced.  With the jitter of the fit without variation, a start
@@ -89,10 +92,10 @@ def varied_problem(problem: CampaignProblem, found: VariedFit) -> CampaignProble
         for name in fit.model.parameters_of(term)
         if name in fit.values
     }
-    return CampaignProblem(found.campaign, problem.model, noise, problem.threads, variation, dependent, beside)
+    return problem.with_records(found.campaign, noise, variation, dependent, beside)
 
 
-def prepared(problem: CampaignProblem) -> CampaignProblem:
+def prepared(problem: P) -> P:
     """The problem with jitter or gain noise where the residual shows it, and with variation where repeats differ."""
     if not problem.fit(()).ok:
         return problem
@@ -100,11 +103,11 @@ def prepared(problem: CampaignProblem) -> CampaignProblem:
     dependent = campaign_dependent_noise(fit, problem.campaign)
     if dependent is not None:
         noise = with_dependent_noise(problem.noise, dependent, fit, problem.campaign)
-        problem = CampaignProblem(problem.campaign, problem.model, noise, problem.threads, dependent=dependent)
+        problem = problem.with_records(problem.campaign, noise, dependent=dependent)
     return _varied(problem, ()) if repeats_differ(problem) else problem
 
 
-def _varied(problem: CampaignProblem, terms: tuple[str, ...]) -> CampaignProblem:
+def _varied(problem: P, terms: tuple[str, ...]) -> P:
     """The problem with the variation that the records need beside the model with ``terms``; itself where they need none."""
     if not problem.fit(terms).ok:
         return problem
@@ -113,7 +116,7 @@ def _varied(problem: CampaignProblem, terms: tuple[str, ...]) -> CampaignProblem
 
 
 def _fit_with_variation(
-    problem: CampaignProblem, fit: CampaignFit, known: RecordVariation | None = None
+    problem: RecordedProblem, fit: CampaignFit, known: RecordVariation | None = None
 ) -> VariedFit | None:
     """The fit with the variation of the measured records; ``None`` where there is none, as beside a model that is wrong."""
     try:
@@ -122,12 +125,12 @@ def _fit_with_variation(
         return None
 
 
-def every_candidate(problem: CampaignProblem) -> Problem:
+def every_candidate(problem: RecordedProblem) -> Problem:
     """The problem with all of its candidates."""
     return problem
 
 
-def _aligning_terms(problem: CampaignProblem, selection: ForwardSelection) -> tuple[str, ...]:
+def _aligning_terms(problem: RecordedProblem, selection: ForwardSelection) -> tuple[str, ...]:
     """The terms beside which the records are aligned again: the selected ones, and one that clips them though it was refused.
 
     Clipped records that were advanced as if they were band-limited refuse the clipping: the held-out chi2 rose by 132 +- 40 at an
@@ -143,8 +146,8 @@ def _aligning_terms(problem: CampaignProblem, selection: ForwardSelection) -> tu
 
 
 def selected(
-    problem: CampaignProblem, rules: Rules, restricted: Callable[[CampaignProblem], Problem] = every_candidate
-) -> tuple[CampaignProblem, ForwardSelection]:
+    problem: P, rules: Rules, restricted: Callable[[P], Problem] = every_candidate
+) -> tuple[P, ForwardSelection]:
     """The selection of effects, and the problem on which it was made.
 
     Parameters
@@ -157,8 +160,9 @@ def selected(
     if problem.variation is None:
         decided = not selection.tests or verdict_of(selection, (), rules) != "unknown"
         # The pieces of a decay are one run; each has a state of its own already.
-        free = not any(np.any(record.drive_v) for record in problem.records)
-        if decided or free or len(problem.records) < 2 or repeats_of(problem.campaign):
+        records = problem.campaign.with_role("fit")
+        free = not any(np.any(record.drive_v) for record in records)
+        if decided or free or len(records) < 2 or repeats_of(problem.campaign):
             return problem, selection
         last = problem.campaign_fit(selection.last.fit.terms)
         if record_variation(last, problem.campaign, threads=problem.threads).spread.is_zero:
@@ -182,9 +186,7 @@ def selected(
             if plain is not None:
                 return plain
             noise = replace(noise_level(problem.measured), mixing=problem.noise.mixing)
-            equal = CampaignProblem(
-                problem.measured, problem.model, noise, problem.threads, dependent=problem.dependent
-            )
+            equal = problem.with_records(problem.measured, noise, dependent=problem.dependent)
             return equal, forward_selection(restricted(equal), (), rules)
         pairs = zip(before.of_deviations(1), after.of_deviations(1))
         aligned = clips(fit.model) == clipped and problem.curved & set(terms) == curved

@@ -96,6 +96,11 @@ class EnvelopePart:
         return tuple(name for name in found if not library[name].has_coordinates)
 
     @property
+    def refused(self) -> tuple[str, ...]:
+        """Force laws with coordinates of their own."""
+        return tuple(name for name, effect in self.model.library.items() if effect.has_coordinates)
+
+    @property
     def ranged(self) -> tuple[str, ...]:
         """None: a size may be any."""
         return ()

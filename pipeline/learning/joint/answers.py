@@ -10,14 +10,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from msgspec import UNSET, structs
+from msgspec import UNSET, UnsetType, structs
 
 from ...criticism.fit_tests import Rules
 from ...criticism.ladder import Diagnosis, Ladder
 from ...criticism.problem import FitResult
+from ...criticism.selection import ForwardSelection
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...experiment.tones import ToneCampaign
-from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RefinementAnswer
+from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RecordsDiffer, RefinementAnswer
+from ..campaign.variation_text import records_differ_answer
 from ..common import RegressionAnswers, diagnosis_answer, misfit, refinement_answer
 from ..modal.terms import GAUGES
 from ..next_experiment.separating import Proposal
@@ -45,6 +47,16 @@ class JointAnswers(RegressionAnswers[JointProblem]):
         """Those of a campaign."""
         return Rules()
 
+    def selected(self, rules: Rules) -> tuple[JointAnswers, ForwardSelection]:
+        """The selection of effects, and the answers on whose problem it was made."""
+        problem, selection = self.problem.selected(rules)
+        return (self if problem is self.problem else JointAnswers(problem)), selection
+
+    @property
+    def records_differ(self) -> RecordsDiffer | UnsetType:
+        """How the records in time differ, where that was found."""
+        return UNSET if self.problem.variation is None else records_differ_answer(self.problem.variation)
+
     @cached_property
     def comparison(self) -> ComparisonAnswer:
         """How well the given model explains the records, and where it fails."""
@@ -60,6 +72,7 @@ class JointAnswers(RegressionAnswers[JointProblem]):
             relative_error={role: fit.relative_error.get(role) for role in roles},
             misfit={role: misfit(value) for role, value in error.items()},
             noise=self.noise,
+            records_differ=self.records_differ,
             where=where,
             where_by_kind=significant_places(by_kind(regions), self.problem.noise_dof),
             where_rest=remaining_shares(where),
@@ -77,7 +90,12 @@ class JointAnswers(RegressionAnswers[JointProblem]):
         gauges = GAUGES if self.problem.model.plant.kind == "gyro" else ()
         if not found.fit.ok:
             return answer
-        return structs.replace(answer, invisible=(*answer.invisible, *self.problem.unseen, *gauges), noise=self.noise)
+        return structs.replace(
+            answer,
+            invisible=(*answer.invisible, *self.problem.unseen, *gauges),
+            noise=self.noise,
+            records_differ=self.records_differ,
+        )
 
     def refinement(
         self, ladder: Ladder, proposals: Sequence[Proposal] = (), drive_files: bool = False
@@ -104,6 +122,7 @@ class JointAnswers(RegressionAnswers[JointProblem]):
             regions=significant_places(first, dof, last),
             regions_by_kind=significant_places(by_kind(first), dof, by_kind(last)),
             noise=self.noise,
+            records_differ=self.records_differ,
         )
 
     @property
@@ -111,10 +130,13 @@ class JointAnswers(RegressionAnswers[JointProblem]):
         """The noise of the first part by channel, from the weakest source of all; that of each part where there are several."""
         parts = [part.noise for part in self.problem.parts]
         weakest = min(parts, key=lambda own: (own.independent, own.known))
+        dependent = {} if self.problem.dependent is None else self.problem.dependent.columns()
         return Noise(
             sigma=parts[0].sigma_v,
             from_=weakest.source if weakest.independent else "residual",
             local_fit=True if weakest.source == "local" else UNSET,
+            jitter_s=dependent.get("jitter_s", UNSET),
+            gain_noise=dependent.get("gain_noise", UNSET),
             parts={part.kind: part.noise.sigma_v for part in self.problem.parts} if len(parts) > 1 else UNSET,
         )
 

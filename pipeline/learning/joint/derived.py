@@ -1,4 +1,4 @@
-"""Quantities that follow from the parameters of a fit, with their sd."""
+"""What follows from the parameters of a fit: quantities with their sd, and modes that are there twice."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...criticism.problem import FitResult
+from ...device.model import Model
+from ..campaign.rows import APART
 
 
 def derived_of(fit: FitResult, fixed: Mapping[str, float]) -> dict[str, tuple[float, float]]:
@@ -36,6 +38,17 @@ def derived_of(fit: FitResult, fixed: Mapping[str, float]) -> dict[str, tuple[fl
             f, z = values[name], values[zeta]
             found[f"width{name[1:-3]}_hz"] = (2.0 * z * f, sd({name: 2.0 * z, zeta: 2.0 * f}))
     return found
+
+
+def duplicates(fit: FitResult, term: str, model: Model) -> bool:
+    """Whether a term of a fit adds a mode in the resonance of a plant mode."""
+    mode = model.library[term].mode if term in model.library else None
+    values = {name: value for name, (value, _) in fit.parameters.items()}
+    if mode is None or mode[0] not in values:
+        return False
+    f, zeta = values[mode[0]], values.get(mode[1], 0.0)
+    others = [(values[n], values[f"zeta{n[1:-3]}"]) for n in values if f"zeta{n[1:-3]}" in values and n.endswith("_hz")]
+    return any(abs(f - own) < APART * (zeta * f + z * own) for own, z in others)
 
 
 def _covariance(fit: FitResult) -> FloatArray:

@@ -96,6 +96,11 @@ class Part(Protocol):
         ...
 
     @property
+    def refused(self) -> tuple[str, ...]:
+        """Effects with which these records cannot be predicted, so that they are no candidates for a device that has them."""
+        ...
+
+    @property
     def ranged(self) -> tuple[str, ...]:
         """Parameters that must stay in their ranges, which are at the scale of these records."""
         ...

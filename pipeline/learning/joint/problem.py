@@ -15,12 +15,15 @@ import numpy as np
 
 from ...axial import wrap
 from ...criticism.announce import announce_fit
+from ...criticism.fit_tests import Rules
 from ...criticism.problem import FitResult, Region, Signatures, Spectrum
 from ...criticism.regression import Term
+from ...criticism.selection import ForwardSelection, forward_selection
 from ...device.model import Model
 from ...errors import GyroscreenError
-from ..campaign.rows import APART
-from .derived import derived_of
+from ...inference.general.variation import RecordVariation
+from ...inference.screening.dependent_noise import DependentNoise
+from .derived import derived_of, duplicates
 from .part import Part, RecordLeft
 from .rows import JointRows
 from .terms import terms_of
@@ -37,6 +40,10 @@ class JointProblem:
     ----------
     parts : of the campaign, all with the same model; at least one has a record to fit.
     """
+
+    #: Differences between the records, and noise that depends on the signal: of records in the time domain.
+    variation: RecordVariation | None = None
+    dependent: DependentNoise | None = None
 
     def __init__(self, parts: tuple[Part, ...]) -> None:
         self._plain = parts
@@ -55,6 +62,10 @@ class JointProblem:
             self._even,
             self._limits,
         )
+
+    def selected(self, rules: Rules) -> tuple[JointProblem, ForwardSelection]:
+        """The selection of effects, and the problem on which it was made."""
+        return self, forward_selection(self, (), rules)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -193,20 +204,8 @@ class JointProblem:
             relative_error=self.relative_errors(fit),
             noise_bounded=not self.noise_known,
             error_given=self.noise_independent,
-            at_limit=tuple(name for name in fit.terms if self._duplicates(fit, name)),
+            at_limit=tuple(name for name in fit.terms if duplicates(fit, name, self.model)),
         )
-
-    def _duplicates(self, fit: FitResult, term: str) -> bool:
-        """Whether a term adds a mode in the resonance of a plant mode."""
-        mode = self.model.library[term].mode if term in self.model.library else None
-        values = _values(fit)
-        if mode is None or mode[0] not in values:
-            return False
-        f, zeta = values[mode[0]], values.get(mode[1], 0.0)
-        others = [
-            (values[n], values[f"zeta{n[1:-3]}"]) for n in values if f"zeta{n[1:-3]}" in values and n.endswith("_hz")
-        ]
-        return any(abs(f - own) < APART * (zeta * f + z * own) for own, z in others)
 
     def _squared(self, fit: FitResult) -> FitResult:
         """The fit with the squares of the parameters whose sign does not show, as the regression has them."""

@@ -15,7 +15,8 @@ from .part import Part
 
 def terms_of(model: Model, parts: Sequence[Part], sized: Collection[str], even: frozenset[str]) -> tuple[Term, ...]:
     """The terms of ``parts`` whose parameters are ``sized``: some records change with them.  Those of ``even`` are squares."""
-    names = dict.fromkeys(name for part in parts for name in part.effects)
+    refused = {name for part in parts for name in part.refused}
+    names = dict.fromkeys(name for part in parts for name in part.effects if name not in refused)
     grids = [part.mode_grid() for part in parts]
     # Each point of the grid costs a slope: the widths are those of the part that resolves most of them.
     grid = tuple(sorted({f for own, _ in grids for f in own})), max((own for _, own in grids), key=len)

@@ -125,6 +125,11 @@ class TimePart:
         return found
 
     @property
+    def refused(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    @property
     def ranged(self) -> tuple[str, ...]:
         """All."""
         return tuple(self.full.by_name)

@@ -81,6 +81,11 @@ class TonePart:
         return term_names(self.model, self.tone.swept)
 
     @property
+    def refused(self) -> tuple[str, ...]:
+        """Force laws with coordinates of their own."""
+        return tuple(name for name, effect in self.model.library.items() if effect.has_coordinates)
+
+    @property
     def ranged(self) -> tuple[str, ...]:
         """None: a size may be any."""
         return ()
