@@ -183,7 +183,8 @@ def encoded(value: Any) -> str:
         # JSON's escapes are a subset of those of a TOML basic string, but for the delete character.
         return msgspec.json.encode(value).decode().replace("\x7f", "\\u007F")
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key(k)} = {encoded(v)}" for k, v in value.items() if v is not None) + " }"
+        items = [f"{key(k)} = {encoded(v)}" for k, v in value.items() if v is not None]
+        return "{ " + ", ".join(items) + " }" if items else "{}"
     return "[" + ", ".join(encoded(item) for item in value) + "]"
 
 

@@ -27,7 +27,7 @@ P = TypeVar("P", bound=Problem)
 
 @dataclass(frozen=True, eq=False)
 class RegressionAnswers(ABC, Generic[P]):
-    """What answers share whose measurement is not repeated with another drive; the fits are kept by ``problem``."""
+    """What the answers of regressions share; the fits are kept by ``problem``."""
 
     problem: P
 
@@ -45,7 +45,7 @@ class RegressionAnswers(ABC, Generic[P]):
         return self.problem.fit(tuple(terms))
 
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
-        """None: drive files are those of time records."""
+        """For every class the record that separates it; none, because drive files are those of time records."""
         return ()
 
     def first_diagnosis(self, found: Diagnosis) -> DiagnosisAnswer:
@@ -56,7 +56,7 @@ class RegressionAnswers(ABC, Generic[P]):
     def diagnosis(
         self, found: Diagnosis, proposals: Sequence[Proposal] = (), drive_files: bool = False
     ) -> DiagnosisAnswer:
-        """What the given model lacks; ``proposals`` are none."""
+        """What the given model lacks; ``proposals`` separate its classes."""
 
 
 def diagnosis_answer(found: Diagnosis) -> DiagnosisAnswer:

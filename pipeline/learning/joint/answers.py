@@ -16,9 +16,11 @@ from ...criticism.fit_tests import Rules
 from ...criticism.ladder import Diagnosis, Ladder
 from ...criticism.problem import FitResult
 from ...criticism.selection import ForwardSelection
+from ...criticism.verdict import TermClass
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...experiment.tones import ToneCampaign
 from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RecordsDiffer, RefinementAnswer
+from ..campaign.answers import separating_text
 from ..campaign.variation_text import records_differ_answer
 from ..common import RegressionAnswers, diagnosis_answer, misfit, refinement_answer
 from ..modal.terms import GAUGES
@@ -51,6 +53,11 @@ class JointAnswers(RegressionAnswers[JointProblem]):
         """The selection of effects, and the answers on whose problem it was made."""
         problem, selection = self.problem.selected(rules)
         return (self if problem is self.problem else JointAnswers(problem)), selection
+
+    def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
+        """For every class of several effects the record in time that separates it best; ``terms`` are in the fit."""
+        found = (self.problem.proposal(terms, one) for one in classes if len(one.members) > 1)
+        return tuple(one for one in found if one is not None)
 
     @property
     def records_differ(self) -> RecordsDiffer | UnsetType:
@@ -85,7 +92,7 @@ class JointAnswers(RegressionAnswers[JointProblem]):
     def diagnosis(
         self, found: Diagnosis, proposals: Sequence[Proposal] = (), drive_files: bool = False
     ) -> DiagnosisAnswer:
-        """What the given model lacks; ``proposals`` are none."""
+        """What the given model lacks; arguments as of ``CampaignAnswers.diagnosis``."""
         answer = diagnosis_answer(found)
         gauges = GAUGES if self.problem.model.plant.kind == "gyro" else ()
         if not found.fit.ok:
@@ -95,12 +102,13 @@ class JointAnswers(RegressionAnswers[JointProblem]):
             invisible=(*answer.invisible, *self.problem.unseen, *gauges),
             noise=self.noise,
             records_differ=self.records_differ,
+            separating_record=separating_text(proposals, drive_files),
         )
 
     def refinement(
         self, ladder: Ladder, proposals: Sequence[Proposal] = (), drive_files: bool = False
     ) -> RefinementAnswer:
-        """The ladder; ``proposals`` are none."""
+        """The ladder; arguments as of :meth:`diagnosis`."""
         answer = refinement_answer(ladder)
         if not ladder.rungs:
             return answer
@@ -123,6 +131,7 @@ class JointAnswers(RegressionAnswers[JointProblem]):
             regions_by_kind=significant_places(by_kind(first), dof, by_kind(last)),
             noise=self.noise,
             records_differ=self.records_differ,
+            separating_record=separating_text(proposals, drive_files),
         )
 
     @property

@@ -19,6 +19,7 @@ from ...arrays import FloatArray
 from ...criticism.fit_tests import Rules
 from ...criticism.problem import FitResult, Signatures
 from ...criticism.selection import ForwardSelection
+from ...criticism.verdict import TermClass
 from ...device.model import Model
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
@@ -28,6 +29,7 @@ from ...inference.general.variation import RecordVariation
 from ...inference.screening.dependent_noise import DependentNoise
 from ..campaign.curved import corrected_beside, curved_terms, spread_starts, trigger_offset
 from ..campaign.records_differ import prepared, selected
+from ..next_experiment.separating import Proposal, separating_record
 from ..timed.part import TimePart
 from .part import Part
 from .parts import parts_of
@@ -104,6 +106,11 @@ class MixedProblem(JointProblem):
     def selected(self, rules: Rules) -> tuple[MixedProblem, ForwardSelection]:
         """The selection of effects, repeated with the variation of the records in time where they differ."""
         return selected(self, rules)
+
+    def proposal(self, terms: Sequence[str], found: TermClass) -> Proposal | None:
+        """The record in time that would separate the members of a class beside ``terms``; none where no record is driven."""
+        driven = any(np.any(record.drive_v) for record in self.time.beside.fitted)
+        return separating_record(self, terms, found) if driven else None
 
     @cached_property
     def curved(self) -> frozenset[str]:

@@ -19,10 +19,12 @@ from ...criticism.fit_tests import Rules
 from ...criticism.problem import FitResult, Region, Signatures, Spectrum
 from ...criticism.regression import Term
 from ...criticism.selection import ForwardSelection, forward_selection
+from ...criticism.verdict import TermClass
 from ...device.model import Model
 from ...errors import GyroscreenError
 from ...inference.general.variation import RecordVariation
 from ...inference.screening.dependent_noise import DependentNoise
+from ..next_experiment.separating import Proposal
 from .derived import derived_of, duplicates
 from .part import Part, RecordLeft
 from .rows import JointRows
@@ -66,6 +68,10 @@ class JointProblem:
     def selected(self, rules: Rules) -> tuple[JointProblem, ForwardSelection]:
         """The selection of effects, and the problem on which it was made."""
         return self, forward_selection(self, (), rules)
+
+    def proposal(self, terms: Sequence[str], found: TermClass) -> Proposal | None:
+        """The record that would separate the members of a class beside ``terms``; none, because drive files are in time."""
+        return None
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ... import toml_files as toml
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from ...criticism.announce import announce
 from ...criticism.budget import CLEAR_SNR, DETECTABLE_SNR
 from ...criticism.separation import Prediction, Separation, known_of, separation
@@ -29,7 +29,7 @@ from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
 from ...inference.general.gauss_newton import ITERATIONS, PATIENCE
 from ...inference.general.residuals import nuisance_columns
-from ..campaign.problem import CampaignProblem
+from ..campaign.recorded import RecordedProblem
 from .experiments import Experiment, experiments, within
 
 #: Durations [s] that are tried where a shorter record does not separate every pair.
@@ -102,8 +102,10 @@ class Proposal:
             f"# Play the drive columns at {self.sample_rate_hz:g} Hz (hold {self.hold!r}), starting at rest.  Add the measured",
             "# samples as columns sense1_V, ..; put the file beside campaign.toml, add the lines below to it, diagnose again.",
         ]
+        # The file has the standard columns, whatever those of the campaign are.
+        keys = {"file": self.file, "kind": "time", "role": "fit", "columns": {}}
         conditions = {"rate_dps": self.experiment.rate_dps, "bias_v": self.experiment.bias_v}
-        return "\n".join(head) + "\n" + toml.table("[[record]]", {"file": self.file, "role": "fit", **conditions})
+        return "\n".join(head) + "\n" + toml.table("[[record]]", {**keys, **conditions})
 
     def write(self, folder: Path) -> Path | None:
         """Write the drive file and, beside it, the lines for campaign.toml; write nothing if no pair is separated.
@@ -132,15 +134,17 @@ class _Member:
     ----------
     term : its name.
     fitted, chi2 : the fit, and its chi2 on the old records.
-    known : (P, P) square root of the information of the old records.
-    jacobian : (P, P) d values / d smooth coordinates.
-    steps : (P,) of the finite differences.
+    known : (P, P) square root of the information of the old rows, those of other domains included.
+    places : for each of the F free parameters of the model its column of ``known``; -1 where it was not fitted.
+    jacobian : (F, F) d values / d smooth coordinates.
+    steps : (F,) of the finite differences.
     """
 
     term: str
     fitted: CampaignFit
     chi2: float
     known: FloatArray
+    places: IntArray
     jacobian: FloatArray
     steps: FloatArray
 
@@ -164,12 +168,12 @@ class _RecordTrial:
         return float(self.found.apart(DETECTABLE_SNR)), left[-1] if left else self.found.least
 
 
-def separating_record(problem: CampaignProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
+def separating_record(problem: RecordedProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
     """The record that would separate the members of a class; ``None`` if fewer than two of them can be fitted.
 
     Parameters
     ----------
-    problem : the campaign, with its fits.
+    problem : the campaign, with its fits; at least one of its records in time is driven.
     terms : effects in the fit at which the class was found.
     found : the class.
     """
@@ -199,7 +203,7 @@ def separating_record(problem: CampaignProblem, terms: Sequence[str], found: Ter
 
 
 def _best(
-    problem: CampaignProblem, members: Sequence[_Member], bounds: Sequence[_RecordTrial], best: _RecordTrial | None
+    problem: RecordedProblem, members: Sequence[_Member], bounds: Sequence[_RecordTrial], best: _RecordTrial | None
 ) -> _RecordTrial | None:
     """The best of some experiments and ``best``; an experiment whose bound is no better needs no derivatives."""
     for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:PATIENCE]:
@@ -211,7 +215,7 @@ def _best(
     return best
 
 
-def _member(problem: CampaignProblem, terms: Sequence[str], term: str, rival: str) -> _Member | None:
+def _member(problem: RecordedProblem, terms: Sequence[str], term: str, rival: str) -> _Member | None:
     """The fit in which ``rival`` replaces ``term``; ``None`` if it fails."""
     swapped = tuple(rival if name == term else name for name in terms)
     fit = problem.fit(swapped, None if rival == term else problem.fit(tuple(terms)))
@@ -220,10 +224,12 @@ def _member(problem: CampaignProblem, terms: Sequence[str], term: str, rival: st
     fitted, campaign = problem.campaign_fit(swapped), problem.campaign
     plain = replace(campaign.with_role("fit")[0], at_rest=True)
     steps = tuned_steps(fitted.model, fitted.values, plain, campaign.instrument, angular_gain=campaign.angular_gain)
-    return _Member(rival, fitted, fit.chi2, known_of(fit), fitted.model.values_jacobian(fitted.x), steps)
+    fitted_names = problem.fitted_names(fit)
+    places = np.array([fitted_names.index(n) if n in fitted_names else -1 for n in fitted.model.free], dtype=np.int64)
+    return _Member(rival, fitted, fit.chi2, known_of(fit), places, fitted.model.values_jacobian(fitted.x), steps)
 
 
-def _bounded(problem: CampaignProblem, members: Sequence[_Member], experiment: Experiment) -> _RecordTrial | None:
+def _bounded(problem: RecordedProblem, members: Sequence[_Member], experiment: Experiment) -> _RecordTrial | None:
     """An upper bound on the separation of an experiment; ``None`` if a member cannot exist at its conditions."""
     adc = problem.campaign.instrument.adc
     try:
@@ -244,7 +250,7 @@ def _bounded(problem: CampaignProblem, members: Sequence[_Member], experiment: E
 
 
 def _separated(
-    problem: CampaignProblem, members: Sequence[_Member], trial: _RecordTrial, exact: bool = False
+    problem: RecordedProblem, members: Sequence[_Member], trial: _RecordTrial, exact: bool = False
 ) -> _RecordTrial:
     """The trial with its separation after all parameters are refitted."""
     predictions = [
@@ -260,7 +266,7 @@ def _response(campaign: Campaign, member: _Member, record: Record) -> FloatArray
     return forward(model, values, record, campaign.instrument, angular_gain=campaign.angular_gain)
 
 
-def _columns(problem: CampaignProblem, member: _Member, record: Record, exact: bool) -> FloatArray:
+def _columns(problem: RecordedProblem, member: _Member, record: Record, exact: bool) -> FloatArray:
     """(N S, P) change of a new record with the parameters of a member's fit, in sigmas."""
     fitted, campaign = member.fitted, problem.campaign
     columns = jacobian(
@@ -272,14 +278,14 @@ def _columns(problem: CampaignProblem, member: _Member, record: Record, exact: b
         exact=exact,
         steps=member.steps,
     )
-    white, free = _white(problem, member, record, columns), columns.shape[2]
-    # Columns of the old rows beyond the free parameters are initial states of single records.
+    white, fitted_too = _white(problem, member, record, columns), member.places >= 0
+    # The other columns of the old rows are initial states of single records, and parameters of other instruments.
     wide = np.zeros((white.shape[0], member.known.shape[1]))
-    wide[:, :free] = np.linalg.solve(member.jacobian.T, white.T).T
+    wide[:, member.places[fitted_too]] = np.linalg.solve(member.jacobian.T, white.T).T[:, fitted_too]
     return wide
 
 
-def _white(problem: CampaignProblem, member: _Member, record: Record, y: FloatArray) -> FloatArray:
+def _white(problem: RecordedProblem, member: _Member, record: Record, y: FloatArray) -> FloatArray:
     """Volts (N, S, k) as rows (N S, k) in sigmas, with the nuisances of every channel projected out."""
     n = nuisance_columns(member.fitted.model, member.fitted.values, record, problem.campaign.instrument)
     white = (y / problem.noise.sigma_v[:, None]).reshape(y.shape[0], -1)

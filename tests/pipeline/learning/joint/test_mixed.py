@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numba import njit
 
+from pipeline.criticism.budget import CLEAR_SNR
 from pipeline.criticism.fit_tests import Rules
 from pipeline.criticism.ladder import as_ladder
+from pipeline.criticism.verdict import TermClass
 from pipeline.device.model import Model, PlantSpec
+from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import Instrument
 from pipeline.experiment.record import Campaign, Record
 from pipeline.experiment.tones import ToneCampaign, ToneRecord
@@ -191,3 +195,22 @@ def test_repeats_whose_frequency_differs_by_3_ppm_are_aligned():
     for name, true in TRUE.items():
         value, sd = found.parameters[name]
         assert abs(value - true) < 4.0 * sd + (1.5e-6 * F0 if name == "f1_hz" else 0.0), name
+
+
+def test_the_proposed_record_separates_what_a_sweep_cannot_as_well_as_predicted():
+    """A softening that is cubic or, on tones, quadratic: the rise of chi2 with the wrong one once the record is measured."""
+    k3, pair = -3e14, ("cubic_stiffness", "quadratic_stiffness")
+    timed, records = chirp(0.004, 2e-4, k3, seconds=0.4), sweep(0.01, 2e-5, k3, rows=40)
+    problem = joint_answers(mixed(timed, records), MODEL).problem
+    right, wrong = (problem.fit((name,), problem.fit(())) for name in pair)
+    proposal = problem.proposal(pair[:1], TermClass(pair[0], pair, ()))
+    record = proposal.experiment.record(timed)
+    true = problem.campaign_fit(pair[:1])
+    measured = replace(record, sense_v=forward(true.model, true.values, record, timed.instrument))
+    whole = mixed(replace(timed, records=(*timed.records, measured)), records)
+    refit = joint_answers(whole, MODEL).problem.fit(pair[1:], wrong)
+    assert abs(wrong.chi2 - right.chi2) < 10.0
+    assert proposal.snr > CLEAR_SNR
+    assert refit.chi2 - right.chi2 == pytest.approx(proposal.snr**2, rel=0.05)
+    declared = tomllib.loads(proposal.stanza())["record"][0]
+    assert (declared["kind"], declared["columns"]) == ("time", {})
