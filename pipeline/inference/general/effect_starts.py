@@ -1,7 +1,8 @@
 """Start values of the parameters of effects, where their null value is no start.
 
 A parameter that does not exist at the null of its effect (the frequency of a mode, a clip level) is scanned on a grid, and the
-shape of a disturbance (mains frequency, number of harmonics) is the one that the residuals without it support best.
+shape of a disturbance (mains frequency, number of harmonics) is the one that the residuals without it support best.  Records that
+do not start at rest begin in the state that explains them best without the effect.
 """
 
 from __future__ import annotations
@@ -11,9 +12,13 @@ from dataclasses import replace
 from functools import partial
 
 from ...device.model import Model
+from ...experiment.forward.drive_groups import highest_drive_energy
+from ...experiment.forward.sensitivity import STRONG
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
 from .free_disturbances import best_shape
+from .free_states import free_start
+from .linear_step import with_starts
 from .residuals import CampaignResiduals
 from .scan import scan
 
@@ -71,16 +76,22 @@ def _scanned(
     problem = CampaignResiduals(smaller, campaign, noise, threads)
     values = smaller.complete({name: value for name, value in start.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
-    at_rest, shape = (None,) * len(tasks.each), model.built.shape
-    steps = problem.steps(values, tasks.each[0], None)
+    starts, shape = [free_start(problem, values, task) for task in tasks.each], model.built.shape
+    reference = highest_drive_energy([task.record.drive_v for task in tasks.each])
+    strongest = tasks.each[reference], starts[reference]
+    # With linear columns of a strongly hardening decay the size of a hysteresis was 50 times too small, and its fit got stuck.
+    exact = problem.strength(values, *strongest) > STRONG
+    columns = problem.columns(values, tasks, starts, exact, problem.steps(values, *strongest))
+    free = [None if s is None else problem.start_columns(values, t, s, exact) for t, s in zip(tasks.each, starts)]
     return scan(
         smaller,
         effect,
         values,
         tasks,
         campaign.instrument,
-        problem.residuals(values, tasks, at_rest),
-        problem.columns(values, tasks, at_rest, False, steps),
+        starts,
+        problem.residuals(values, tasks, starts),
+        with_starts(list(zip(columns, free))),
         [partial(problem.whiten, task=task) for task in tasks.each],
         {m.name: likely.get(model.effect(effect).full_name(m), ()) for m in model.effect(effect).members(shape)},
     )
@@ -94,6 +105,6 @@ def _shaped(
     problem = CampaignResiduals(smaller, campaign, noise)
     values = smaller.complete({name: value for name, value in start.items() if name in smaller.by_name})
     tasks = problem.tasks(campaign.with_role("fit"), values)
-    residuals = problem.residuals(values, tasks, (None,) * len(tasks.each))
+    residuals = problem.residuals(values, tasks, [free_start(problem, values, task) for task in tasks.each])
     rates = [task.record.sample_rate_hz for task in tasks.each]
     return best_shape(model.effect(effect), model.built.shape, residuals, rates)

@@ -90,6 +90,19 @@ def sensitivities_at(
     return list(zip(problem.columns(values, tasks, at.starts, exact, steps), free))
 
 
+def with_starts(sensitivities: Sequence[Sensitivity]) -> list[FloatArray]:
+    """For each record the columns (N S, P + all initial states): those of the parameters, then of every initial state."""
+    width = sum(0 if f is None else f.shape[1] for _, f in sensitivities)
+    out, place = [], 0
+    for j, f in sensitivities:
+        wide = np.zeros((j.shape[0], width))
+        if f is not None:
+            wide[:, place : place + f.shape[1]] = f
+            place += f.shape[1]
+        out.append(np.concatenate([j, wide], axis=1))
+    return out
+
+
 def normal_equations(
     model: Model, at: FitPoint, sensitivities: Sequence[Sensitivity]
 ) -> tuple[FloatArray, FloatArray, list[Elimination | None]]:

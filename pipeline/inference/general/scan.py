@@ -59,6 +59,7 @@ def scan(
     values: Mapping[str, float],
     tasks: Tasks,
     instrument: Instrument,
+    starts: Sequence[FloatArray | None],
     residuals: Sequence[FloatArray],
     columns: Sequence[FloatArray],
     whiten: Sequence[Callable[[FloatArray], FloatArray]],
@@ -72,8 +73,9 @@ def scan(
     effect : its name.
     values : complete parameters of ``model``.
     tasks, instrument : the fit records.
+    starts : initial state (2n,) of each record; ``None`` is rest.
     residuals : (N, S) of each record in sigmas.
-    columns : (N S, P) of each record in sigmas.
+    columns : (N S, P) of each record in sigmas, those of all initial states included.
     whiten : for each record a function from volts (k, N, S) to sigmas, nuisances projected out.
     likely : frequencies [Hz] by parameter name that are scanned instead of the peaks.
     """
@@ -95,7 +97,7 @@ def scan(
     sums: dict[int, list[FloatArray]] = {}
     at: list[Signature] = []
     for places, group in tasks.groups:
-        base = base_of(model, values, group, instrument)
+        base = base_of(model, values, group, instrument, [starts[place] for place in places])
         for k, signature in enumerate(signatures(base, effect, grid=grid)):
             if k == len(at):
                 at.append(replace(signature, columns=np.zeros(0)))

@@ -22,7 +22,7 @@ from ...experiment.record import Campaign
 from ...experiment.variation import KINDS, Deviations, RecordSpread, kind_of_deviation
 from .deviation_columns import deviation_columns
 from .fit import CampaignFit
-from .linear_step import Sensitivity
+from .linear_step import with_starts
 from .residuals import CampaignResiduals, Tasks
 from .variance_components import Grams, grams_of, solved, spread_of, with_residuals
 
@@ -97,7 +97,7 @@ def linearized(fit: CampaignFit, campaign: Campaign, c_v: Mapping[str, FloatArra
     jacobians = problem.columns(fit.values, tasks, starts, exact, steps)
     free = [None if s is None else problem.start_columns(fit.values, t, s, exact) for t, s in zip(tasks.each, starts)]
     count = len(fitted)
-    wide = _with_starts(list(zip(jacobians[:count], free[:count])))
+    wide = with_starts(list(zip(jacobians[:count], free[:count])))
     none = [np.zeros(j.shape[0]) for j in wide]
     products = grams_of(columns[:count], wide, none)
     return Linearized(fit, c_v, problem, tasks, columns, (*wide, *jacobians[count:]), products)
@@ -143,16 +143,3 @@ def estimated(
         alone = solved(grams_of([c], [np.zeros((r.size, 1))], [r - j @ dx]), sd)
         out.append(Deviations(t.record.name, alone.deviations[0], np.sqrt(np.diagonal(alone.covariances[0]))))
     return RecordVariation(spread, tuple(out)), dx
-
-
-def _with_starts(sensitivities: Sequence[Sensitivity]) -> list[FloatArray]:
-    """For each record the columns (N S, P + all initial states): those of the parameters, then of every initial state."""
-    width = sum(0 if f is None else f.shape[1] for _, f in sensitivities)
-    out, place = [], 0
-    for j, f in sensitivities:
-        wide = np.zeros((j.shape[0], width))
-        if f is not None:
-            wide[:, place : place + f.shape[1]] = f
-            place += f.shape[1]
-        out.append(np.concatenate([j, wide], axis=1))
-    return out

@@ -16,7 +16,9 @@ from pipeline.experiment.campaign import read_campaign
 from pipeline.experiment.decays.backbone import oscillations
 from pipeline.experiment.forward.record import forward
 from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.noise.level import noise_level
 from pipeline.experiment.record import Campaign, Record
+from pipeline.inference.general.fit import fit_campaign
 from workflows.learning import diagnose, refine
 
 RATE_HZ, F_HZ, ZETA = 2000.0, 100.0, 3e-3
@@ -92,6 +94,19 @@ def test_one_ring_down_names_its_effect(effect: str, size: float, pieces: int) -
     value, sd = found.parameters[effect]
     assert abs(value - size) < 3.5 * sd
     assert sd < 0.02 * size
+
+
+def test_a_clip_level_is_scanned_from_the_fitted_states() -> None:
+    """From rest a decay has no motion to clip: the level stayed where its grid begins, at an error of 43."""
+    measured = campaign(decay(), 4, 1000.0)
+    clipped = replace(
+        measured, records=tuple(replace(r, sense_v=np.clip(r.sense_v, -0.8, 0.8)) for r in measured.records)
+    )
+    fit = fit_campaign(RESONATOR.with_effect("adc_saturation"), clipped, noise_level(measured))
+    assert fit.converged
+    assert fit.error["fit"] == pytest.approx(1.0, abs=0.1)
+    value, sd = fit.parameters["adc_saturation.1/level"]
+    assert abs(value - 1.25) < 4.0 * sd
 
 
 def written(folder: Path, text: str, drive: bool = False) -> Path:
