@@ -1,18 +1,7 @@
 """Tests of one fit (absent terms, structure in the residual), and tests of whether a fit with one more term is better.
 
-A larger fit is judged on the fitted data by the decrease of chi2 and by the Wald statistic of the term, and on held-out data by
-the paired difference of chi2:
-
-    W          = theta' C^-1 theta                            C: covariance of the sizes theta of a term
-    delta      = r_before - r_after                           change of the held-out residual, row by row
-    delta_chi2 = sum(r_before^2 - r_after^2)
-    sd         = 2 sqrt(max(level^2 sum(delta^2), sum over chunks of (sum of delta r)^2)),   r of the better model
-
-If the better model is right, its r is noise and delta_chi2 is +-sum(delta^2) + 2 sum(delta r), with sd 2 level sqrt(sum delta^2)
-for noise of rms ``level``: 1, or that of the larger fit where the noise level is unknown.  Sums over chunks of rows widen the sd
-where the noise is stronger, coloured or heavy-tailed, and never narrow it.  Where chi2 rises they widen it to three times at
-most: beyond that r holds a misfit of the better model, which does not excuse a worse one.  Free amplitudes that the larger model
-refits on the held-out data are subtracted from delta_chi2.  Source of W: Wald 1943.
+A larger fit is judged on the fitted data by the decrease of chi2 and by the Wald statistic of the term (Wald 1943),
+W = theta' C^-1 theta with the covariance C of its sizes theta, and on held-out data (``held_out``).
 """
 
 from __future__ import annotations
@@ -26,8 +15,9 @@ import numpy as np
 
 from .announce import announce
 from .budget import ALPHA, CLEAR_SNR, DRAWS
-from .goodness import WINDOW, ResidualTests, excess, goodness
-from .problem import FitResult, Problem, Region, ResidualBlock, Signatures
+from .goodness import ResidualTests, excess, goodness
+from .held_out import PairedDifference, held_out_difference
+from .problem import FitResult, Problem, Region, Signatures
 from .scores import Baseline, Projected, Score, baseline, project
 from .significance import Null, log_tail, score_all
 
@@ -36,10 +26,7 @@ from .significance import Null, log_tail, score_all
 _COARSE = 1.0 / 3.0
 #: Why a term is refused whose refit ended at a limit.
 AT_LIMIT = "after its refit, a parameter is at the limit of its range, or the term duplicates part of the model"
-HeldOutStatus = Literal["confirmed", "partial", "refused"]
 Outcome = Literal["accepted", "failed", "at limit", "insignificant", "little", "unsupported"]
-#: Largest ratio of the observed to the nominal sd where chi2 rises.
-_MAX_INFLATION = 3.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +40,7 @@ class Rules:
     rungs : largest number of terms that may be added.
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
+    same_promise : a refused term is not refitted again while its promise has changed by less than this share.
     settled_share : candidates that promise less than this share of what a refit has reached are not refitted.
     class_refits : number of rivals of a term that are refitted in its place.
     draws, seed : of the simulated nulls.
@@ -62,7 +50,8 @@ class Rules:
     alpha_left: float = ALPHA
     rungs: int = 6
     least_share: float = 0.15
-    least_expected: float = 0.01
+    least_expected: float = 0.05
+    same_promise: float = 0.2
     settled_share: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
@@ -205,50 +194,6 @@ def _is_nonzero(fit: FitResult, term: str) -> bool:
 
 
 @dataclass(frozen=True)
-class PairedDifference:
-    """Decrease of the held-out chi2 and its sd."""
-
-    delta_chi2: float
-    sd: float
-
-    @property
-    def status(self) -> HeldOutStatus:
-        """confirmed or refused by more than 2 sd, else partial (also where nothing was held out)."""
-        if self.delta_chi2 > 2.0 * self.sd > 0.0:
-            return "confirmed"
-        return "refused" if self.delta_chi2 < -2.0 * self.sd else "partial"
-
-
-def held_out_difference(before: FitResult, after: FitResult) -> PairedDifference:
-    """Compare a fit with a larger one on the held-out data; noise of 1 [sigma], or sqrt(chi2/dof) if not known."""
-    level = 1.0 if after.noise_known else float(np.sqrt(after.chi2 / max(after.dof, 1)))
-    return paired_difference(before.held, after.held, level)
-
-
-def paired_difference(
-    before: Sequence[ResidualBlock], after: Sequence[ResidualBlock], level: float = 1.0
-) -> PairedDifference:
-    """delta_chi2 and its sd, as defined at the head of the module, of two models on the same held-out blocks.
-
-    Parameters
-    ----------
-    before, after : blocks (n, m) of the smaller and of the larger model, in the same order and of the same shapes.
-    level : rms of the noise [sigma].
-    """
-    decrease = sum(old.chi2 - new.chi2 - (new.nuisances - old.nuisances) for old, new in zip(before, after))
-    better = after if decrease > 0.0 else before
-    nominal, actual = 0.0, 0.0
-    for old, new, right in zip(before, after, better):
-        delta = old.rows - new.rows
-        nominal += level**2 * float(np.vdot(delta, delta))
-        edges = np.arange(0, delta.size, WINDOW)
-        actual += float(np.sum(np.add.reduceat(delta * right.rows, edges) ** 2)) if delta.size else 0.0
-    if decrease < 0.0:
-        actual = min(actual, _MAX_INFLATION**2 * nominal)
-    return PairedDifference(decrease, 2.0 * float(np.sqrt(max(nominal, actual))))
-
-
-@dataclass(frozen=True)
 class RefitTest:
     """Test of a fit with more terms.
 
@@ -272,8 +217,8 @@ def refit_test(tests: FitTests, parameters: int, fit: FitResult, added: Sequence
     at limit          an added parameter ended at the limit of its range
     insignificant     chi2 falls by less than ``alpha`` asks, or a size is below its sd
     little            it explains less than ``least_share`` of the misfit
-    unsupported       the held-out chi2 rises by more than 2 sd; where the noise level is unknown, it does not fall by as much,
-                      because an F-test takes every remaining misfit for white noise
+    unsupported       the held-out chi2 rises against expectation; where the noise level is unknown, it does not fall by more
+                      than 2 sd, because an F-test takes every remaining misfit for white noise
     """
     delta_chi2, held = tests.fit.chi2 - fit.chi2, PairedDifference(0.0, 0.0)
     outcome: Outcome = "accepted"

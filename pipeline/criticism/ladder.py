@@ -18,8 +18,9 @@ from .fit_tests import Rules
 from .goodness import Agreement, ResidualTests
 from .problem import FitResult, Problem
 from .regions import RegionShare, explained_by_region
+from .rung import Fits, SelectionStep
 from .scores import Score
-from .selection import Fits, ForwardSelection, SelectionStep, forward_selection
+from .selection import ForwardSelection, forward_selection
 from .verdict import TermClass, Verdict, judge, why_failed
 
 Status = Literal["confirmed", "partial"]

@@ -32,8 +32,9 @@ from .budget import DETECTABLE_SNR
 from .fit_tests import FitTests, Rules, is_clear
 from .goodness import Agreement, agreement, partitions
 from .problem import FitResult, Problem, Signatures
+from .rung import FitCache, Fits
 from .scores import Projected, baseline, project
-from .selection import FitCache, Fits, ForwardSelection
+from .selection import ForwardSelection
 
 Verdict = Literal["adequate", "effect", "class", "unknown", "fit_failed"]
 #: Rms of the residual, relative to the largest possible noise level, above which a misfit is certain.  Without it a Silverbox

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.arrays import FloatArray
-from pipeline.criticism.fit_tests import paired_difference
+from pipeline.criticism.held_out import paired_difference
 from pipeline.criticism.problem import ResidualBlock
 
 

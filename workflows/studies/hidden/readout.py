@@ -18,7 +18,8 @@ from numba import njit
 
 from pipeline.arrays import FloatArray
 
-from .integrator import Physics, knots, lagged
+from .integrator import knots, lagged
+from .physics import Physics
 
 #: Library effects that are stated here for linear devices only.
 PER_DRIVE = ("drive_delay", "drive_pole")

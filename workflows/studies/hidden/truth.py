@@ -23,7 +23,8 @@ from pipeline.arrays import FloatArray
 from pipeline.errors import ConfigError
 from pipeline.experiment.instrument import Instrument
 
-from .integrator import COORDINATES, Physics, integrate
+from .integrator import COORDINATES, integrate
+from .physics import Physics
 from .readout import is_apart, read_out
 
 #: Integration steps per sample; at 10 kHz the error of a record is below 1e-8 of its signal.
