@@ -100,7 +100,8 @@ def steps_of(mechanics: Mechanics, step_s: float, hold: Hold, substeps: int) -> 
     augmented[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0]
     augmented[2 * n : 2 * n + drives, 2 * n + drives :] = np.eye(drives)
     propagator = expm(augmented * (0.5 * step_s / substeps))
-    half_size = n if n <= 4 else 1 << (n - 1).bit_length()
+    # Five coordinates in six places take 0.7 of their time in eight.
+    half_size = n if n <= 4 else n + n % 2
     index = np.concatenate([np.arange(n), half_size + np.arange(n)])
     rows = np.zeros((2 * n + 2 * drives, 2 * half_size))
     rows[:, index] = propagator[: 2 * n].T
