@@ -12,6 +12,19 @@ from workflows.screening.guard import Begin
 from workflows.screening.parts import BlockItem
 from workflows.screening.settings import population
 
+#: A file with an irregularity of the user, which scales with ``factor``.
+IRREGULARITY = """
+from populations.irregularity import Change, Irregularity, IrregularityParameter
+
+def act(p, site):
+    return Change(anisotropy={factor} * 0.01 * p["die_pct"] * site.complex_normal("die"))
+
+IRREGULARITY = Irregularity(
+    name="own", stage="fabrication", source="a test", act=act,
+    parameters=(IrregularityParameter("die_pct", "%", 0.0, 20.0, "leaf mass, relative"),),
+)
+"""
+
 
 def drawn_block(source: Any, at: DeviceBlock) -> BlockTables:
     """The frequencies of the devices; each passes."""

@@ -33,6 +33,7 @@ from .parts import (
 from .plan import RunPlan
 from .progress import progress
 from .scheduler import Scheduler
+from .shipped_code import shipped
 
 BlockTask = Callable[[RunConfig, BlockItem, Begin], BlockTables]
 
@@ -60,7 +61,13 @@ def run_blocks(
     count = min(count, len(left)) if examined else count
     address = None if scheduler is None else scheduler.address
     store.log({"event": "start", "workers": count, "scheduler": address, "blocks": len(left)})
-    with cluster(count, scheduler) as client, progress(planned.devices, finished, quiet) as advance:
+    config, copies = with_own_code(planned.config, planned.inputs)
+    remote = {} if scheduler is None else copies
+    with (
+        cluster(count, scheduler) as client,
+        shipped(client, remote),
+        progress(planned.devices, finished, quiet) as advance,
+    ):
         limit_s = config.run.device_limit_s
         items, whole = block_items(left, planned.campaigns), Assembly({block.index: block for block in left})
         for item, part in guarded_in_parallel(client, task or block_task, config, items, BLOCK_FAULTS, limit_s):
@@ -75,12 +82,7 @@ def run_blocks(
             # It imports the learning half, which blocks do without.
             from .lot.run import examine_run
 
-            examine_run(planned, store, client, quiet)
-
-
-def _with_own_code(planned: RunPlan) -> RunPlan:
-    """The plan with copies of the user's code; workers on other machines would not find them."""
-    return replace(planned, config=with_own_code(planned.config, planned.inputs))
+            examine_run(replace(planned, config=config), store, client, quiet)
 
 
 def run_batch(
@@ -110,7 +112,7 @@ def run_batch(
     started = time.monotonic()
     with one_writer(store.folder):
         try:
-            run_blocks(planned if scheduler is not None else _with_own_code(planned), store, workers, scheduler, quiet)
+            run_blocks(planned, store, workers, scheduler, quiet)
         except (KeyboardInterrupt, IncompleteError):
             store.log({"event": "stopped"})
             if store.committed_blocks():

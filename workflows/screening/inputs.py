@@ -160,20 +160,23 @@ def with_stored_code(config: RunConfig, inputs: Inputs) -> RunConfig:
 
     The copies are written to a temporary folder that lives as long as the process.
     """
-    return _moved(config, inputs, _changed_folders(config, inputs))
+    return _moved(config, inputs, _changed_folders(config, inputs), {})
 
 
-def with_own_code(config: RunConfig, inputs: Inputs) -> RunConfig:
-    """``config`` with copies of all of the user's effects and irregularities.
+def with_own_code(config: RunConfig, inputs: Inputs) -> tuple[RunConfig, dict[str, str]]:
+    """``config`` with copies of all of the user's effects and irregularities, and the copies (path -> text).
 
     A worker that starts hours later would otherwise load what the user has changed since: half of a night would have had
     another effect than the rest.
     """
-    return _moved(config, inputs, dict.fromkeys(str(Path(one.path).parent) for one in inputs.of(*_CODE)))
+    copies: dict[str, str] = {}
+    folders = dict.fromkeys(str(Path(one.path).parent) for one in inputs.of(*_CODE))
+    return _moved(config, inputs, folders, copies), copies
 
 
-def _moved(config: RunConfig, inputs: Inputs, changed: Iterable[str]) -> RunConfig:
-    moved = {folder: _unpacked(folder, inputs) for folder in changed}
+def _moved(config: RunConfig, inputs: Inputs, changed: Iterable[str], copies: dict[str, str]) -> RunConfig:
+    """``config`` with copies of the ``changed`` folders; path and text of each file are added to ``copies``."""
+    moved = {folder: _unpacked(folder, inputs, copies) for folder in changed}
     if not moved:
         return config
     source = config.source
@@ -197,12 +200,13 @@ def _changed_folders(config: RunConfig, inputs: Inputs) -> list[str]:
     return changed
 
 
-def _unpacked(folder: str, inputs: Inputs) -> str:
+def _unpacked(folder: str, inputs: Inputs, copies: dict[str, str]) -> str:
     copy = Path(tempfile.mkdtemp(prefix="gyroscreen-inputs-"))
     atexit.register(shutil.rmtree, copy, ignore_errors=True)
     for file in inputs.of(*_CODE):
         text = inputs.text(file)
         if str(Path(file.path).parent) == folder and text is not None:
+            copies[str(copy / Path(file.path).name)] = text
             (copy / Path(file.path).name).write_bytes(text.encode())
     return str(copy)
 

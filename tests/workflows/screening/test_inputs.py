@@ -21,7 +21,7 @@ from pipeline.store.run import create_run
 from pipeline.store.schema import devices_table
 from populations.irregularity import find
 from populations.spec import DEFAULT
-from tests.drawn_devices import drawn_block
+from tests.drawn_devices import IRREGULARITY, drawn_block
 from tests.pipeline.experiment.checks.planted_faults import healthy
 from tests.stub_runs import CONFIG, stub_runs
 from workflows.cli import call
@@ -30,17 +30,6 @@ from workflows.screening.campaign_block import campaign_block
 from workflows.screening.virtual_device import _model
 
 Block = Callable[[Any, DeviceBlock], BlockTables]
-IRREGULARITY = """
-from populations.irregularity import Change, Irregularity, IrregularityParameter
-
-def act(p, site):
-    return Change(anisotropy={factor} * 0.01 * p["die_pct"] * site.complex_normal("die"))
-
-IRREGULARITY = Irregularity(
-    name="own", stage="fabrication", source="a test", act=act,
-    parameters=(IrregularityParameter("die_pct", "%", 0.0, 20.0, "leaf mass, relative"),),
-)
-"""
 EFFECT = '''
 """Damping of the user."""
 from pipeline.device.effect import Effect

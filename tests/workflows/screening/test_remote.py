@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,11 +15,13 @@ from pipeline.store import provenance
 from pipeline.store.digest import table_digest
 from pipeline.store.read import read_run
 from pipeline.store.run import create_run
+from populations.spec import DEFAULT
 from tests.dask_processes import scheduler_and_worker
-from tests.drawn_devices import drawn_block, drawn_task
+from tests.drawn_devices import IRREGULARITY, drawn_block, drawn_task
 from tests.stub_runs import run_arguments, stub_runs
 from workflows.cli import call
 from workflows.screening import batch, cluster
+from workflows.screening.inputs import with_own_code
 from workflows.screening.scheduler import Scheduler, scheduler_of
 
 _KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
@@ -67,6 +71,37 @@ def test_workers_behind_tls_give_the_table_of_a_local_run(encrypted, certificate
         assert call([*run_arguments(tmp_path / "tls", devices=12), *remote]) == 0
     tables = [read_run(folder / "results").devices for folder in (tmp_path, tmp_path / "tls")]
     assert tables[0].num_rows == 12
+    assert table_digest(tables[0]) == table_digest(tables[1])
+
+
+@pytest.mark.usefixtures("without_page")
+def test_workers_on_other_machines_get_the_code_of_the_user(encrypted, certificates, tmp_path, monkeypatch):
+    """The copies of the driver are removed before the run, as a worker on another machine would find it."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "own.py").write_text(IRREGULARITY.format(factor=1.0), encoding="utf-8")
+    own = (
+        'irregularity_folders = ["mine"]\n'
+        + DEFAULT.read_text(encoding="utf-8")
+        + "[irregularity.own]\ndie_pct = 3.0\n"
+    )
+    (tmp_path / "own.toml").write_text(own, encoding="utf-8")
+    arguments = run_arguments(tmp_path, devices=6, text='[source]\nspec = "own.toml"\n')
+    with monkeypatch.context() as patch:
+        stub_runs(patch, drawn_block)
+        assert call(arguments) == 0
+
+    def elsewhere(*given: Any) -> Any:
+        config, copies = with_own_code(*given)
+        assert [Path(path).name for path in copies] == ["own.py"]
+        for path in copies:
+            shutil.rmtree(Path(path).parent)
+        return config, copies
+
+    monkeypatch.setattr(batch, "with_own_code", elsewhere)
+    monkeypatch.setattr(batch, "block_task", drawn_task)
+    arguments[-1] = str(tmp_path / "remote")
+    assert call([*arguments, "--scheduler", encrypted, *options(certificates)]) == 0
+    tables = [read_run(tmp_path / name).devices for name in ("results", "remote")]
     assert table_digest(tables[0]) == table_digest(tables[1])
 
 
