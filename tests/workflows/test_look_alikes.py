@@ -16,7 +16,7 @@ from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.noise.level import NoiseLevel
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.general.fit import fit_campaign
-from workflows.studies.hidden.confusion import look_alikes
+from workflows.studies.hidden.confusion import look_alike
 
 #: Every declared look-alike at its example; one that always imitates the effect also at three times the example.
 CASES = [
@@ -29,10 +29,16 @@ RATE, SIGMA = 10_000.0, 1e-6
 NOISE = NoiseLevel(np.full(2, SIGMA), "silent", 10_000)
 
 
-def test_look_alikes_of_the_study_are_those_that_the_effects_declare() -> None:
-    assert look_alikes("loop_delay") == (frozenset({"pickoff_pole"}),)
-    assert frozenset({"pickoff_crosstalk", "electrode_mismatch"}) in look_alikes("electrode_misalignment")
-    assert look_alikes("gain_drift") == ()
+def test_an_answer_of_the_study_is_excused_only_where_what_it_leaves_is_below_5_sigma() -> None:
+    row = {
+        "kind": "left-out",
+        "hidden": ["cubic_damping"],
+        "refine": {"effects": ["nonlinear_damping"], "snr_left": 4.9},
+    }
+    assert look_alike(row)
+    assert not look_alike({**row, "refine": {"effects": ["nonlinear_damping"], "snr_left": 5.1}})
+    assert not look_alike({**row, "refine": {"effects": [], "snr_left": 4.9}})
+    assert look_alike({**row, "kind": "bench-foreign", "refine": {"effects": [], "snr_left": 4.9}})
 
 
 @pytest.mark.parametrize(("imitated", "like", "factor"), CASES)

@@ -14,7 +14,7 @@ from pipeline.learning.campaign.answers import campaign_answers
 from pipeline.learning.campaign.hold import hold_look_alikes
 from pipeline.learning.next_experiment.experiments import experiments
 from workflows.studies.hidden import study
-from workflows.studies.hidden.confusion import answer, figures, look_alikes
+from workflows.studies.hidden.confusion import answer, figures
 from workflows.studies.hidden.draw import effects_of, hide, inseparable
 from workflows.studies.hidden.effects import LIBRARY, Peak, draw_effect
 from workflows.studies.hidden.own_law import without_law
@@ -110,7 +110,6 @@ def test_the_study_hides_new_effects_in_turn_and_respects_their_look_alikes(mode
     names = [effects_of("one", n, random, model)[0] for n in range(len(LIBRARY) + 3)]
     assert names == list(model.candidates())
     assert {FILM, LINE, CLIP} == set(names) - set(LIBRARY)
-    assert look_alikes(FILM, model) == (frozenset({"gain_drift"}),)
     assert inseparable("gain_drift", FILM, model)
     pairs = [set(effects_of("two", n, random, model)) for n in range(2000)]
     assert {FILM, "gain_drift"} not in pairs

@@ -44,14 +44,14 @@ sense_nonlinearity squeeze_film_damping updown_tilt weakening_damping
 #: Library effects whose law is stated here.
 STATED: frozenset[str] = frozenset(_STATED.split())
 
-#: Physics outside the library: name -> (law, library effects that look like it).
-OUTSIDE: dict[str, tuple[str, tuple[str, ...]]] = {
-    "stiffness_step": ("K (1 + b (1 + tanh((t - t0)/w))/2): K steps within a record", ("frequency_drift",)),
-    "preload": ("psi'' -= P psi / sqrt(|psi|^2 + r^2)", ()),
-    "stop": ("psi'' -= k (1 - g/|psi|) psi where |psi| > g", ("cubic_stiffness",)),
-    "mode_coupling": ("potential c psi_x^2 psi_y", ("quadratic_stiffness",)),
-    "parametric_pumping": ("K (1 + h cos(2 pi f t))", ()),
-    "self_heating": ("K (1 + b T),  T' = |psi'|^2 - T/tau", ()),
+#: Physics outside the library: name -> law.
+OUTSIDE: dict[str, str] = {
+    "stiffness_step": "K (1 + b (1 + tanh((t - t0)/w))/2): K steps within a record",
+    "preload": "psi'' -= P psi / sqrt(|psi|^2 + r^2)",
+    "stop": "psi'' -= k (1 - g/|psi|) psi where |psi| > g",
+    "mode_coupling": "potential c psi_x^2 psi_y",
+    "parametric_pumping": "K (1 + h cos(2 pi f t))",
+    "self_heating": "K (1 + b T),  T' = |psi'|^2 - T/tau",
 }
 
 
