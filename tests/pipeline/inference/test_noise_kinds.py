@@ -115,6 +115,17 @@ def test_a_misfit_in_the_band_is_not_taken_for_dependent_noise(bench, clean, pap
     assert find_dependent_noise(wrong, clean, noise, 700.0) is None
 
 
+def test_clipping_is_not_taken_for_noise_that_grows_with_the_level(clean):
+    """Its harmonics fold back into the band that is free of signal, on ridges of time and frequency."""
+    noise = white_spectrum(np.full(2, SIGMA), RATE, 10_000)
+    level = 0.95 * float(np.abs(clean).max())
+    random = np.random.default_rng(8)
+    volts = SIGMA * random.standard_normal(clean.shape) + np.clip(clean, -level, level) - clean
+    plain = volts.std() / SIGMA
+    assert plain > 1.05
+    assert find_dependent_noise(volts, clean, noise, 700.0) is None
+
+
 def test_the_sd_grows_with_the_density_of_the_noise_at_the_resonance(bench, clean, paper_device):
     x = to_cartesian(np.asarray(paper_device)[None])[0]
     band = bench.shared.band
