@@ -34,7 +34,8 @@ class ForwardSelection:
     steps : terms added, in order.
     refused : term -> why it was not added although its score was significant.
     failed : why the first fit, or every fit with a term that was wanted first, failed.
-    unfinished : term -> why its fit failed, although its score promises more than the misfit that is left at the end.
+    unfinished : term -> why its fit failed, although its score promises more than the misfit that is left at the end, and more
+        than any term whose refit was judged.
     fits : every fit made, by its terms; the first entry is the first fit.
     """
 
@@ -80,7 +81,9 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
             promised = {score.name: score.delta_chi2 for score in tests[-1].scores}
             # chi2 of the noise scatters by sqrt(2 dof), and a score that expects the whole misfit by as much.
             left = tests[-1].fit.chi2 - tests[-1].fit.dof - 2.0 * np.sqrt(2.0 * tests[-1].fit.dof)
-            unfinished = {name: why for name, why in found.failed.items() if promised[name] > left}
+            # A term that promises less than one whose refit was judged would not have explained more than that one.
+            judged = max((promised.get(name, 0.0) for name in found.refused), default=0.0)
+            unfinished = {name: why for name, why in found.failed.items() if promised[name] > max(left, judged)}
             break
         current, dropped = _prune(cache, found.steps[-1].fit, rules)
         steps += [*found.steps[:-1], replace(found.steps[-1], fit=current, dropped=dropped)]
