@@ -33,13 +33,15 @@ class Term:
     ----------
     name : of the term.
     parameters : those with a null.
-    scanned : parameter that does not exist at the null -> values to try; a single value is not fitted.  A parameter that is among
-        ``parameters`` too, such as a clip level, has no slope at its null: its column is the change from there to each value.
+    scanned : parameter that does not exist at the null -> values to try.  A parameter that is among ``parameters`` too, such as a
+        clip level, has no slope at its null: its column is the change from there to each value.
+    fitted : scanned parameters that are fitted beyond the values that are tried; others stay between these.
     """
 
     name: str
     parameters: tuple[TermParameter, ...]
     scanned: Mapping[str, tuple[float, ...]] | None = None
+    fitted: frozenset[str] = frozenset()
 
     @property
     def has_slope(self) -> bool:
@@ -244,7 +246,8 @@ class Regression:
     def _bounds(self, chosen: Sequence[Term], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         sides = {p.name: (p.side, p.null) for term in chosen for p in term.parameters}
         scanned = [pair for term in chosen for pair in (term.scanned or {}).items()]
-        scans = {name: values for name, values in scanned if len(values) > 1 and name not in sides}
+        free = sides.keys() | {name for term in chosen for name in term.fitted}
+        scans = {name: values for name, values in scanned if len(values) > 1 and name not in free}
         limits = self.limits or {}
         lower = [sides[n][1] if n in sides and sides[n][0] > 0 else min(scans.get(n, (-np.inf,))) for n in names]
         upper = [sides[n][1] if n in sides and sides[n][0] < 0 else max(scans.get(n, (np.inf,))) for n in names]
@@ -281,7 +284,7 @@ class Regression:
 def _all_names(term: Term) -> list[str]:
     return [
         *(p.name for p in term.parameters if p.name not in (term.scanned or {})),
-        *(name for name, values in (term.scanned or {}).items() if len(values) > 1),
+        *(name for name, values in (term.scanned or {}).items() if len(values) > 1 or name in term.fitted),
     ]
 
 

@@ -71,9 +71,13 @@ def _acquired(path: Path) -> int:
                 break
         os.close(handle)
     me = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
-    with suppress(OSError):  # no space: the lock holds, only its holder is not named
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, json.dumps(me).encode(), 0)
+    try:
+        with suppress(OSError):  # no space: the lock holds, only its holder is not named
+            os.ftruncate(handle, 0)
+            os.pwrite(handle, json.dumps(me).encode(), 0)
+    except BaseException:  # an interrupt must not leave the run locked for the rest of this process
+        os.close(handle)
+        raise
     return handle
 
 

@@ -58,4 +58,5 @@ def _term(
     for m in plain:
         side = 1 if m.low == m.null or effect.full_name(m) in even else -1 if m.high == m.null else 0
         parameters.append(TermParameter(effect.full_name(m), m.unit, m.null, np.inf, side))
-    return Term(effect.name, tuple(parameters), scanned or None)
+    # Widths are tried at the resolution of the grid; a mode may be narrower.
+    return Term(effect.name, tuple(parameters), scanned or None, frozenset((effect.mode or ())[1:]))

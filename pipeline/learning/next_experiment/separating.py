@@ -169,14 +169,18 @@ class _RecordTrial:
 
 
 def separating_record(problem: RecordedProblem, terms: Sequence[str], found: TermClass) -> Proposal | None:
-    """The record that would separate the members of a class; ``None`` if fewer than two of them can be fitted.
+    """The record that would separate the members of a class.
+
+    ``None`` if fewer than two of them can be fitted, or if no record is driven: what a drive would do is not known then.
 
     Parameters
     ----------
-    problem : the campaign, with its fits; at least one of its records in time is driven.
+    problem : the campaign, with its fits.
     terms : effects in the fit at which the class was found.
     found : the class.
     """
+    if not any(np.any(record.drive_v) for record in problem.campaign.with_role("fit")):
+        return None
     announce(f"looking for a record that separates {', '.join(found.members)}")
     members = [m for term in found.members if (m := _member(problem, terms, found.term, term)) is not None]
     if len(members) < 2:
