@@ -138,10 +138,9 @@ class JointProblem:
     @property
     def _limits(self) -> dict[str, tuple[float, float]]:
         plant = {p.name for p in self.model.built.parameters}
-        limits = {n: (0.0, np.inf) for n in self.start if n.endswith("_hz")}
+        limits = {n: (0.0, np.inf) for n in self.start if n.endswith("_hz") or n.startswith("floor_")}
         limits |= {n: (1e-9, 0.95) for n in self.start if n.startswith("zeta") and n in plant}
         limits |= {effect.mode[1]: (1e-9, 0.95) for effect in self.model.library.values() if effect.mode is not None}
-        limits |= {n: (0.0, np.inf) for n in self.start if n.startswith("floor_")}
         return limits | {name: self._plain[0].full.bounds(name) for part in self._plain for name in part.ranged}
 
     @property
