@@ -31,8 +31,8 @@ def without_law(effects: Sequence[str]) -> tuple[str, ...]:
 
 
 def is_linear(name: str) -> bool:
-    """Whether a device with the effect ``name`` is linear and constant in time, so that its drives superpose."""
-    if name in OUTSIDE:
+    """Whether a device with the stated effect ``name`` is linear and constant in time, so that its drives superpose."""
+    if name not in STATED:
         return False
     return not set(Model().effect(name).stages) & {"drive", "force", "sense"}
 
