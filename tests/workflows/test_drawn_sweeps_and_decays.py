@@ -6,12 +6,12 @@ from pipeline.device.model import Model
 from pipeline.device.plant import PlantSpec
 from workflows.learning import refine
 from workflows.studies.decays import study_row
-from workflows.studies.sweeps import KINDS, drawn_sweep
+from workflows.studies.sweeps import drawn_sweep
 
 
 def test_a_second_mode_of_a_sweep_is_fitted_with_its_own_width() -> None:
     """It lies 2.3 half widths away, and is narrower than the step of the grid on which it is sought."""
-    campaign, truth = drawn_sweep(21, KINDS[KINDS.index("parasitic_mode")], 0)
+    campaign, truth = drawn_sweep(21, "parasitic_mode", 0)
     found = refine(campaign, Model(PlantSpec(kind="modal"))).answer
     assert found.verdict in ("effect", "adequate")
     assert list(found.effects) == ["parasitic_mode"]

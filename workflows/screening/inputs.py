@@ -11,7 +11,7 @@ from __future__ import annotations
 import atexit
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -160,7 +160,7 @@ def with_stored_code(config: RunConfig, inputs: Inputs) -> RunConfig:
 
     The copies are written to a temporary folder that lives as long as the process.
     """
-    return _moved(config, inputs, _changed_folders(config, inputs), {})
+    return _moved(config, {folder: _unpacked(folder, inputs)[0] for folder in _changed_folders(config, inputs)})
 
 
 def with_own_code(config: RunConfig, inputs: Inputs) -> tuple[RunConfig, dict[str, str]]:
@@ -169,14 +169,14 @@ def with_own_code(config: RunConfig, inputs: Inputs) -> tuple[RunConfig, dict[st
     A worker that starts hours later would otherwise load what the user has changed since: half of a night would have had
     another effect than the rest.
     """
-    copies: dict[str, str] = {}
     folders = dict.fromkeys(str(Path(one.path).parent) for one in inputs.of(*_CODE))
-    return _moved(config, inputs, folders, copies), copies
+    unpacked = {folder: _unpacked(folder, inputs) for folder in folders}
+    texts = {path: text for _, own in unpacked.values() for path, text in own.items()}
+    return _moved(config, {folder: copy for folder, (copy, _) in unpacked.items()}), texts
 
 
-def _moved(config: RunConfig, inputs: Inputs, changed: Iterable[str], copies: dict[str, str]) -> RunConfig:
-    """``config`` with copies of the ``changed`` folders; path and text of each file are added to ``copies``."""
-    moved = {folder: _unpacked(folder, inputs, copies) for folder in changed}
+def _moved(config: RunConfig, moved: Mapping[str, str]) -> RunConfig:
+    """``config`` with the copies ``moved`` (folder -> copy) in the place of the user's folders."""
     if not moved:
         return config
     source = config.source
@@ -200,15 +200,18 @@ def _changed_folders(config: RunConfig, inputs: Inputs) -> list[str]:
     return changed
 
 
-def _unpacked(folder: str, inputs: Inputs, copies: dict[str, str]) -> str:
+def _unpacked(folder: str, inputs: Inputs) -> tuple[str, dict[str, str]]:
+    """A copy of the code of ``folder``, which lives as long as the process, and its files (path -> text)."""
     copy = Path(tempfile.mkdtemp(prefix="gyroscreen-inputs-"))
     atexit.register(shutil.rmtree, copy, ignore_errors=True)
-    for file in inputs.of(*_CODE):
-        text = inputs.text(file)
-        if str(Path(file.path).parent) == folder and text is not None:
-            copies[str(copy / Path(file.path).name)] = text
-            (copy / Path(file.path).name).write_bytes(text.encode())
-    return str(copy)
+    texts = {
+        str(copy / Path(file.path).name): text
+        for file in inputs.of(*_CODE)
+        if str(Path(file.path).parent) == folder and (text := inputs.text(file)) is not None
+    }
+    for path, text in texts.items():
+        Path(path).write_bytes(text.encode())
+    return str(copy), texts
 
 
 def differences(stored: RunConfig, wanted: RunConfig) -> list[str]:
