@@ -75,6 +75,14 @@ class BadSamples(Answer, frozen=True, eq=False):
     reason: str
 
 
+class JumpRows(Answer, frozen=True, eq=False):
+    """Neighbouring rows of a sweep beside a jump of the response, which no fit uses: their frequencies and their number."""
+
+    record: str
+    band_hz: tuple[float, float]
+    rows: int
+
+
 class Place(Answer, frozen=True, eq=False):
     """A region of the residual, or one entry of a mode, and how badly the model does there.
 
@@ -129,7 +137,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     where_rest : the share of each family that is in no significant region.
     where_families : the kinds of each family.
     parameters : of the model.
-    bad_samples : of all records, left out of the fit.
+    bad_samples, jumps : of all records, left out of the fit.
     fit_ok : false where the fit failed; ``why`` gives the reason.
     status, status_reason : of a campaign, as ``identify`` gives them for this model: "ok", "misfit", "fit_failed"; and why.
     device_verdict, device_verdict_reason : pass, fail or undecided by the user's limits, and why; only with limits.
@@ -159,6 +167,7 @@ class ComparisonAnswer(Answer, frozen=True, eq=False):
     four_thetas_deg: Values | UnsetType = UNSET
     theta_spread_deg: float | UnsetType = UNSET
     bad_samples: tuple[BadSamples, ...] | UnsetType = UNSET
+    jumps: tuple[JumpRows, ...] | UnsetType = UNSET
 
 
 class TermTest(Answer, frozen=True, eq=False):
@@ -233,7 +242,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     noise_louder : error where nothing is missing although the gate of ``identify`` refuses it: the noise of the driven records
         is this many times as loud as measured.
     hints : doubts about the campaign rather than the model.
-    bad_samples : of all records, left out of every fit.
+    bad_samples, jumps : of all records, left out of every fit.
     """
 
     verdict: str
@@ -258,6 +267,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     dof: int | UnsetType = UNSET
     declared: tuple[str, ...] | UnsetType = UNSET
     bad_samples: tuple[BadSamples, ...] | UnsetType = UNSET
+    jumps: tuple[JumpRows, ...] | UnsetType = UNSET
 
 
 class RungAnswer(Answer, frozen=True, eq=False):
@@ -343,6 +353,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     noise: Noise | UnsetType = UNSET
     records_differ: RecordsDiffer | UnsetType = UNSET
     bad_samples: tuple[BadSamples, ...] | UnsetType = UNSET
+    jumps: tuple[JumpRows, ...] | UnsetType = UNSET
     theta_before_deg: Measured | UnsetType = UNSET
     split_before_hz: Measured | UnsetType = UNSET
     theta_deg: Measured | UnsetType = UNSET

@@ -27,6 +27,7 @@ from pipeline.quantities import AXES
 from ..words import campaign as words
 from ..words.campaign import ErrorChange
 from ..words.quantities import family_words, place_words, unit_of
+from ..words.records import record_sentences
 
 #: Families of a few places that cut the whole campaign or modal record.
 _WHOLE = ("level", "direction", "channel", "record", "entry")
@@ -206,7 +207,7 @@ def _notes(
         first.append(words.UNCONVERGED)
     if last is None and not comparison.error:
         first.append(words.failure_sentence(comparison.why or ""))
-    return (*first, *(words.notes(last) if last else words.record_sentences(comparison)))
+    return (*first, *(words.notes(last) if last else record_sentences(comparison)))
 
 
 def _places(comparison: ComparisonAnswer, refinement: RefinementAnswer | None) -> tuple[PlaceTable, ...]:

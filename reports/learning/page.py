@@ -17,7 +17,7 @@ from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Measure
 
 from ..html.rendering import environment, estimate, stylesheet
 from ..words import campaign as words
-from ..words import quantities
+from ..words import quantities, records
 from ..words.support import support_words
 from .content import LearningContent, learning_content
 from .figures.decays import decay_pictures
@@ -109,7 +109,7 @@ def _chi2_width(delta_chi2: float, largest: float) -> float:
 
 
 _WORDS: Mapping[str, Any] = {
-    "bad_words": words.BAD_WORDS,
+    "bad_words": records.BAD_WORDS,
     "support": support_words,
     "change_sentence": words.change_sentence,
     "chi2_width": _chi2_width,
@@ -119,7 +119,7 @@ _WORDS: Mapping[str, Any] = {
     "explained": quantities.explained_words,
     "family_words": quantities.family_words,
     "kind_words": quantities.kind_words,
-    "listed": words.listed,
+    "listed": quantities.listed,
     "noise_sentence": words.noise_sentence,
     "p_words": quantities.p_words,
     "parameter": words.parameter_words,

@@ -10,14 +10,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipeline.learning.answers import BadSamples, ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer
+from pipeline.learning.answers import DiagnosisAnswer, Noise, RefinementAnswer
 from pipeline.quantities import NAMES
 
 from .numbers import volts
-from .quantities import error_words, grouped, label, partition_words, percent
+from .quantities import error_words, grouped, label, listed, partition_words, percent
+from .records import record_sentences
 
 FIRST_MODEL = "first model"
-BAD_WORDS = {"spike": "spikes", "stuck": "stuck samples", "dropout": "dropouts", "full_scale": "the ADC at full scale"}
 UNCONVERGED = "The fit did not converge, or the records do not determine every parameter."
 #: How the text of a separating record begins where no such record exists.
 NO_RECORD = "none with this instrument"
@@ -67,11 +67,6 @@ def effect_words(name: str) -> str:
 def sentence(text: str) -> str:
     """``text`` with a capital first letter; the rest is unchanged (``capitalize`` would turn "ADC" into "Adc")."""
     return text[:1].upper() + text[1:]
-
-
-def listed(names: Sequence[str], last: str = "and") -> str:
-    """ "a, b and c"."""
-    return f"{', '.join(names[:-1])} {last} {names[-1]}" if len(names) > 1 else "".join(names)
 
 
 def effects_listed(names: Sequence[str], last: str = "and") -> str:
@@ -238,22 +233,6 @@ def notes(answer: DiagnosisAnswer | RefinementAnswer) -> list[str]:
     if answer.verdict == "unknown" and answer.left:
         found.append(f"Remaining structure: {remaining_words(answer.left)}.")
     return [*found, *record_sentences(answer), *(answer.hints or ())]
-
-
-def record_sentences(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAnswer) -> list[str]:
-    """How the records differ, where their variation was found and removed; which samples were left out."""
-    differ = answer.records_differ
-    found = [] if not differ else [f"The records differ, and the fit allows for it. {' '.join(differ.text)}"]
-    return [*found, bad_samples_sentence(answer.bad_samples)] if answer.bad_samples else found
-
-
-def bad_samples_sentence(found: Sequence[BadSamples]) -> str:
-    """How many samples of which records were left out of every fit, and why."""
-    records = listed(list(dict.fromkeys(one.record for one in found)))
-    reasons = listed([BAD_WORDS.get(name, name) for name in dict.fromkeys(one.reason for one in found)])
-    count = sum(one.samples for one in found)
-    are = "samples are" if count > 1 else "sample is"
-    return f"{count} bad {are} left out of every fit ({reasons} in {records}). Check cables, connectors and the logger."
 
 
 def reason_words(text: str) -> str:

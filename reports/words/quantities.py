@@ -292,3 +292,8 @@ def process_sentence(clusters: Sequence[Clustering]) -> str:
         f"For the process, with {best.by}s as independent draws ({best.groups} {best.by}s): "
         f"{percent_range(best.interval.low, best.interval.high)}."
     )
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """ "a, b and c"."""
+    return f"{', '.join(names[:-1])} {last} {names[-1]}" if len(names) > 1 else "".join(names)

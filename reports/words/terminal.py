@@ -24,10 +24,10 @@ from .campaign import (
     noise_sentence,
     notes,
     reason_words,
-    record_sentences,
 )
 from .numbers import number, volts, with_sd
 from .quantities import place_words
+from .records import record_sentences
 from .support import NO_LIMITS, support_words
 
 #: Lines of a list that are printed.

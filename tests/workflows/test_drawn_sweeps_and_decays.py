@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.device.model import Model
 from pipeline.device.plant import PlantSpec
+from reports.words.records import record_sentences
 from workflows.learning import refine
 from workflows.studies.decays import study_row
 from workflows.studies.sweeps import drawn_sweep
@@ -25,3 +26,15 @@ def test_a_class_of_a_free_decay_is_an_answer_without_a_proposed_record() -> Non
     row = study_row(2, ("cubic_stiffness", 9))
     assert row["failed"] == ""
     assert row["outcome"] == "correct"
+
+
+def test_a_jump_whose_row_belongs_to_no_branch_does_not_hide_the_stiffness() -> None:
+    """One row of each pass was caught while the motion left its branch; with it the fit ends 14 sd of noise away."""
+    campaign, truth = drawn_sweep(22, "cubic_stiffness", 4)
+    found = refine(campaign, Model(PlantSpec(kind="modal"))).answer
+    assert list(found.effects) == ["cubic_stiffness"]
+    assert found.verdict in ("effect", "adequate")
+    assert {one.record for one in found.jumps or ()} == {"sweep", "last passes"}
+    assert any("jumps there" in line for line in record_sentences(found))
+    f1, sd = found.parameters["f1_hz"]
+    assert abs(f1 - truth["f0"]) < 4.0 * sd

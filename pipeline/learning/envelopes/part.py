@@ -17,6 +17,7 @@ from ...criticism.regression import Term
 from ...device.model import Model
 from ...errors import MeasurementError
 from ...experiment.envelopes import EnvelopeRecord, settled_rows
+from ...experiment.jumps import Jump
 from ...experiment.noise.envelopes import EnvelopeNoise, envelope_noise
 from ...experiment.tones import ToneCampaign
 from ...inference.envelopes.model import EnvelopeModel, Predicted, floor_name
@@ -77,6 +78,11 @@ class EnvelopePart:
     def measured(self) -> tuple[ResidualBlock, ...]:
         """The stretches."""
         return self.rows.measured
+
+    @property
+    def jumps(self) -> tuple[Jump, ...]:
+        """None: these are no sweeps."""
+        return ()
 
     @property
     def held(self) -> int:

@@ -19,7 +19,7 @@ from ...criticism.selection import ForwardSelection
 from ...criticism.verdict import TermClass
 from ...device.model import DEFAULT_COMPARE_MODEL, Model
 from ...experiment.tones import ToneCampaign
-from ..answers import ComparisonAnswer, DiagnosisAnswer, Noise, RecordErrors, RecordsDiffer, RefinementAnswer
+from ..answers import ComparisonAnswer, DiagnosisAnswer, JumpRows, Noise, RecordErrors, RecordsDiffer, RefinementAnswer
 from ..campaign.answers import separating_text
 from ..campaign.variation_text import records_differ_answer
 from ..common import RegressionAnswers, diagnosis_answer, misfit, refinement_answer
@@ -64,6 +64,12 @@ class JointAnswers(RegressionAnswers[JointProblem]):
         """How the records in time differ, where that was found."""
         return UNSET if self.problem.variation is None else records_differ_answer(self.problem.variation)
 
+    @property
+    def jumps(self) -> tuple[JumpRows, ...] | UnsetType:
+        """Rows of sweeps beside a jump, where there are any."""
+        every = [jump for part in self.problem.parts for jump in part.jumps]
+        return tuple(JumpRows(j.record, (j.first_hz, j.last_hz), j.rows) for j in every) or UNSET
+
     @cached_property
     def comparison(self) -> ComparisonAnswer:
         """How well the given model explains the records, and where it fails."""
@@ -80,6 +86,7 @@ class JointAnswers(RegressionAnswers[JointProblem]):
             misfit={role: misfit(value) for role, value in error.items()},
             noise=self.noise,
             records_differ=self.records_differ,
+            jumps=self.jumps,
             where=where,
             where_by_kind=significant_places(by_kind(regions), self.problem.noise_dof),
             where_rest=remaining_shares(where),
@@ -102,6 +109,7 @@ class JointAnswers(RegressionAnswers[JointProblem]):
             invisible=(*answer.invisible, *self.problem.unseen, *gauges),
             noise=self.noise,
             records_differ=self.records_differ,
+            jumps=self.jumps,
             separating_record=separating_text(proposals, drive_files),
         )
 
@@ -131,6 +139,7 @@ class JointAnswers(RegressionAnswers[JointProblem]):
             regions_by_kind=significant_places(by_kind(first), dof, by_kind(last)),
             noise=self.noise,
             records_differ=self.records_differ,
+            jumps=self.jumps,
             separating_record=separating_text(proposals, drive_files),
         )
 

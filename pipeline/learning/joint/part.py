@@ -22,6 +22,7 @@ from ...arrays import FloatArray, IntArray
 from ...criticism.problem import Region, ResidualBlock, Signatures
 from ...criticism.regression import Term
 from ...device.model import Model
+from ...experiment.jumps import Jump
 
 Values = Mapping[str, float]
 
@@ -78,6 +79,11 @@ class Part(Protocol):
     @property
     def measured(self) -> tuple[ResidualBlock, ...]:
         """The measured rows in units of the noise."""
+        ...
+
+    @property
+    def jumps(self) -> tuple[Jump, ...]:
+        """Rows that are left out beside a jump of the response."""
         ...
 
     @property

@@ -21,6 +21,7 @@ from ...criticism.regression import Term
 from ...device.model import Model
 from ...errors import MeasurementError
 from ...experiment.forward.clip_levels import clip_levels
+from ...experiment.jumps import Jump
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign, Record
 from ...inference.general.fit import CampaignFit
@@ -74,6 +75,11 @@ class TimePart:
     def records(self) -> tuple[Record, ...]:
         """The fitted records, then those held out."""
         return self.beside.each
+
+    @property
+    def jumps(self) -> tuple[Jump, ...]:
+        """None: these are no sweeps."""
+        return ()
 
     @property
     def held(self) -> int:

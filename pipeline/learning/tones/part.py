@@ -15,6 +15,7 @@ from ...arrays import ComplexArray, FloatArray, IntArray
 from ...criticism.problem import Region, ResidualBlock, Signatures, TermParameter
 from ...criticism.regression import Term
 from ...device.model import Model
+from ...experiment.jumps import Jump
 from ...experiment.noise.tones import tone_noise
 from ...experiment.tones import ToneCampaign
 from ...inference.modal.model import starting_values
@@ -47,7 +48,10 @@ class TonePart:
     @cached_property
     def rows(self) -> ToneRows:
         """The records as rows."""
-        return ToneRows(self.campaign, tone_noise(self.campaign.records))
+        modes = self.linear.record
+        return ToneRows(
+            self.campaign, tone_noise(self.campaign.records), float(np.min(modes.zeta * modes.frequency_hz))
+        )
 
     @cached_property
     def tone(self) -> ToneModel:
@@ -64,6 +68,11 @@ class TonePart:
     def measured(self) -> tuple[ResidualBlock, ...]:
         """The passes."""
         return self.rows.measured
+
+    @property
+    def jumps(self) -> tuple[Jump, ...]:
+        """Of the sweeps."""
+        return self.rows.jumps
 
     @property
     def held(self) -> int:
@@ -203,9 +212,11 @@ class TonePart:
     def left(self, values: Values) -> list[RecordLeft]:
         """Of every record, X and Y together."""
         found = []
-        for record, y, sd in zip(self.campaign.records, self.predicted(values), self.rows.noise.sd_v):
-            rest = record.sense_v - y
-            error = float(np.sqrt(np.mean(np.abs(rest / sd) ** 2) / 2.0))
-            left, power = (float(np.mean(np.abs(each) ** 2)) for each in (rest, record.sense_v))
-            found.append(RecordLeft(record.name, str(record.role or "fit"), error, left, power, record.sense_v.size))
+        for k, (record, y, sd) in enumerate(zip(self.campaign.records, self.predicted(values), self.rows.noise.sd_v)):
+            rows = self.rows.kept_of(k)
+            measured = record.sense_v[rows]
+            rest = measured - y[rows]
+            error = float(np.sqrt(np.mean(np.abs(rest / sd[rows]) ** 2) / 2.0))
+            left, power = (float(np.mean(np.abs(each) ** 2)) for each in (rest, measured))
+            found.append(RecordLeft(record.name, str(record.role or "fit"), error, left, power, measured.size))
         return found

@@ -1,7 +1,7 @@
 """Frequency-domain records as rows: the real and the imaginary part of every row and channel, in units of its sd.
 
 One block for each pass of a sweep (rows of one level and direction) and for each drive of a frequency response; fitted passes
-first, then those held out.
+first, then those held out.  Rows beside a jump of the response are left out (``experiment.jumps``).
 
 Shapes: N rows of a record, n rows of a pass, S senses; a block is (n, 2 S): real parts of the senses, then imaginary ones.
 """
@@ -14,8 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ...arrays import ComplexArray, FloatArray, IntArray
+from ...arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...criticism.problem import Candidate, Region, ResidualBlock, Signatures, TermParameter
+from ...experiment.jumps import Jump, jump_rows, jumps_of
 from ...experiment.noise.tones import ToneNoise
 from ...experiment.tones import SweepPass, ToneCampaign, passes_of
 from ...inference.general.resonances import resonances_of
@@ -28,10 +29,11 @@ _SHAPES = 3
 
 @dataclass(frozen=True, eq=False)
 class ToneRows:
-    """The rows of a campaign at a noise level."""
+    """The rows of a campaign at a noise level; ``width_hz`` is zeta f0 of its narrowest resonance."""
 
     campaign: ToneCampaign
     noise: ToneNoise
+    width_hz: float
 
     @cached_property
     def passes(self) -> tuple[SweepPass, ...]:
@@ -50,11 +52,34 @@ class ToneRows:
         """The fitted passes."""
         return self.passes[: len(self.passes) - self.held]
 
+    @cached_property
+    def jumping(self) -> tuple[BoolArray, ...]:
+        """For each pass (rows of the pass,) whether a row is beside a jump."""
+        records = self.campaign.records
+        return tuple(
+            jump_rows(records[one.record], one, self.width_hz, self.noise.sd_v[one.record]) for one in self.passes
+        )
+
+    @property
+    def jumps(self) -> tuple[Jump, ...]:
+        """The rows that are left out."""
+        every = (jumps_of(self.campaign.records[p.record], p, own) for p, own in zip(self.passes, self.jumping))
+        return tuple(jump for own in every for jump in own)
+
+    @cached_property
+    def kept(self) -> tuple[IntArray, ...]:
+        """For each pass (n,) its rows in the record."""
+        return tuple(one.first + np.flatnonzero(~own) for one, own in zip(self.passes, self.jumping))
+
+    def kept_of(self, record: int) -> IntArray:
+        """(n,) the rows of a record."""
+        return np.concatenate([own for one, own in zip(self.passes, self.kept) if one.record == record])
+
     def whitened(self, y: Sequence[ComplexArray]) -> tuple[FloatArray, ...]:
         """For each pass (n, 2 S) [sigma] of values (N, S) [V] of every record."""
         found = []
-        for one in self.passes:
-            own, sd = y[one.record][one.rows], self.noise.sd_v[one.record][one.rows]
+        for one, rows in zip(self.passes, self.kept):
+            own, sd = y[one.record][rows], self.noise.sd_v[one.record][rows]
             found.append(np.concatenate([own.real / sd, own.imag / sd], axis=1))
         return tuple(found)
 
@@ -110,7 +135,9 @@ class ToneRows:
     @cached_property
     def bands_hz(self) -> FloatArray:
         """Edges (B + 1,) [Hz] of the bands of the fitted rows; the same for all passes, whose residuals add up by band."""
-        f = np.concatenate([self.campaign.records[one.record].frequency_hz[one.rows] for one in self.fitted])
+        f = np.concatenate(
+            [self.campaign.records[p.record].frequency_hz[rows] for p, rows in zip(self.fitted, self.kept)]
+        )
         edges = np.unique(np.quantile(f, np.linspace(0.0, 1.0, _BANDS + 1)))
         edges[-1] = np.nextafter(edges[-1], np.inf)
         return np.asarray(edges)
@@ -120,8 +147,8 @@ class ToneRows:
         modes = resonances_of(values)
         edges = self.bands_hz
         found: list[Region] = []
-        for one, block in zip(self.fitted, blocks):
-            f = self.campaign.records[one.record].frequency_hz[one.rows]
+        for one, rows, block in zip(self.fitted, self.kept, blocks):
+            f = self.campaign.records[one.record].frequency_hz[rows]
             band = np.searchsorted(edges, f, side="right") - 1
             for k in np.unique(band).tolist():
                 part, low, high = np.flatnonzero(band == k), float(edges[k]), float(edges[k + 1])

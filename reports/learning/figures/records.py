@@ -18,8 +18,8 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from pipeline.arrays import FloatArray
 
 from ...html.style import AFTER, BEFORE, INK, MUTED, RULE, WIDTH, literal, log_ticks, panels, style, to_svg
-from ...words.campaign import listed
 from ...words.numbers import number
+from ...words.quantities import listed
 from ..record_view import (
     FrequencyWindow,
     RecordPair,
