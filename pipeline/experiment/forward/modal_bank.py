@@ -25,6 +25,8 @@ from ..instrument import Hold
 _OVERSAMPLING = 16
 #: Half-length of the interpolating filter, in drive samples: its ripple stays below 1e-6.
 _REACH = 64
+#: States of a vector of the processor.
+_LANES = 8
 
 
 def hold_gains(poles: ComplexArray, step_s: float, hold: Hold) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -53,41 +55,38 @@ def _interpolator() -> FloatArray:
 def _run_bank(
     z_re: FloatArray,
     z_im: FloatArray,
-    a_re: FloatArray,
-    a_im: FloatArray,
-    b_re: FloatArray,
-    b_im: FloatArray,
+    gain_re: FloatArray,
+    gain_im: FloatArray,
+    x_re: FloatArray,
+    x_im: FloatArray,
     drive: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (N, S); z (J,), a and b (D, J) for J = S * P states in the order (sense, pole); drive (N, D)."""
+    """Fill ``out`` (N, S) with 2 Re sum_k x_k; x[n+1] = z x[n] + gain drive[n].
+
+    z, x (J,) and gain (D, J) for J = S * P states in the order (sense, pole); drive (N, D), D even; x is moved to its end.
+    The first two drives are part of the step of the states: a loop of their own takes 1.8 times as long.
+    """
     states = z_re.size
     samples, drives = drive.shape
     senses = out.shape[1]
     per_sense = states // senses
-    x_re = np.zeros(states)
-    x_im = np.zeros(states)
-    f_re = np.empty(states)
-    f_im = np.empty(states)
     for n in range(samples):
         for i in range(senses):
             total = 0.0
             for j in range(i * per_sense, (i + 1) * per_sense):
                 total += x_re[j]
             out[n, i] = 2.0 * total
-        if n + 1 == samples:
-            break
+        one, two = drive[n, 0], drive[n, 1]
         for j in range(states):
-            f_re[j] = z_re[j] * x_re[j] - z_im[j] * x_im[j]
-            f_im[j] = z_re[j] * x_im[j] + z_im[j] * x_re[j]
-        for d in range(drives):
-            now, following = drive[n, d], drive[n + 1, d]
+            re, im = x_re[j], x_im[j]
+            x_re[j] = z_re[j] * re - z_im[j] * im + gain_re[0, j] * one + gain_re[1, j] * two
+            x_im[j] = z_re[j] * im + z_im[j] * re + gain_im[0, j] * one + gain_im[1, j] * two
+        for d in range(2, drives, 2):
+            one, two = drive[n, d], drive[n, d + 1]
             for j in range(states):
-                f_re[j] += a_re[d, j] * now + b_re[d, j] * following
-                f_im[j] += a_im[d, j] * now + b_im[d, j] * following
-        for j in range(states):
-            x_re[j] = f_re[j]
-            x_im[j] = f_im[j]
+                x_re[j] += gain_re[d, j] * one + gain_re[d + 1, j] * two
+                x_im[j] += gain_im[d, j] * one + gain_im[d + 1, j] * two
 
 
 def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) -> FloatArray:
@@ -110,20 +109,20 @@ def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) 
         step_s /= _OVERSAMPLING
     z, g0, g1 = hold_gains(bank.poles, step_s, hold)
     batch, poles, senses, drives = bank.residues.shape
+    # Whole vectors of eight states take 0.6 of the time of fourteen states.
+    width, even = -(-poles // _LANES) * _LANES, drives + drives % 2
+    padded_drive = np.zeros((drive.shape[0], even))
+    padded_drive[:, :drives] = drive
     out = np.empty((batch, drive.shape[0], senses))
     for i in range(batch):
-        zz = np.tile(z[i], senses)
-        order = np.transpose(bank.residues[i], (2, 1, 0))
-        a = (order * g0[i]).reshape(drives, senses * poles)
-        b = (order * g1[i]).reshape(drives, senses * poles)
-        _run_bank(
-            np.ascontiguousarray(zz.real),
-            np.ascontiguousarray(zz.imag),
-            np.ascontiguousarray(a.real),
-            np.ascontiguousarray(a.imag),
-            np.ascontiguousarray(b.real),
-            np.ascontiguousarray(b.imag),
-            drive,
-            out[i],
-        )
+        residues = np.transpose(bank.residues[i], (2, 1, 0))
+        # x[n] - g1 v[n] needs v[n] alone: x[n+1] - g1 v[n+1] = z (x[n] - g1 v[n]) + (g0 + z g1) v[n].
+        states = np.zeros((even + 2, senses, width), dtype=np.complex128)
+        states[:drives, :, :poles] = residues * (g0[i] + z[i] * g1[i])
+        states[even, :, :poles] = -np.tensordot(drive[0], residues * g1[i], axes=1)
+        states[even + 1, :, :poles] = z[i]
+        re, im = (np.ascontiguousarray(part.reshape(even + 2, -1)) for part in (states.real, states.imag))
+        _run_bank(re[-1], im[-1], re[:even], im[:even], re[even], im[even], padded_drive, out[i])
+        if hold != "zoh":
+            out[i] += drive @ (2.0 * np.sum(residues * g1[i], axis=2).real)
     return out[:, ::_OVERSAMPLING] if hold == "bandlimited" else out

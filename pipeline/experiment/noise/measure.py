@@ -9,6 +9,7 @@ Shapes: S (N, senses) with N samples.  Units: volts, hertz.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
@@ -41,7 +42,16 @@ def hum_volts(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random
     amplitude = np.array(hum.amplitude_v)[:, None]
     phases = random.uniform(0.0, 2.0 * np.pi, (amplitude.size, senses))
     weights = np.concatenate([amplitude * np.cos(phases), -amplitude * np.sin(phases)])
-    return _waves(samples, sample_rate_hz, hum.frequency_hz, amplitude.size) @ weights
+    period = min(_period(sample_rate_hz, hum.frequency_hz, samples), samples)
+    one = _waves(period, sample_rate_hz, hum.frequency_hz, amplitude.size) @ weights
+    return np.tile(one, (-(-samples // period), 1))[:samples]
+
+
+@lru_cache(maxsize=8)
+def _period(sample_rate_hz: float, frequency_hz: float, most: int) -> int:
+    """Fewest samples that hold whole periods of ``frequency_hz``, exactly; ``most`` where there are none below it."""
+    samples = (Fraction(sample_rate_hz) / Fraction(frequency_hz)).numerator
+    return samples if samples < most else most
 
 
 def convert(volts: FloatArray, adc: Adc | None) -> FloatArray:

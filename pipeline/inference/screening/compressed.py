@@ -29,7 +29,7 @@ from scipy.linalg import qr
 
 from ...arrays import ComplexArray, FloatArray
 from ...experiment.noise.lines import MOST_HARMONICS
-from .inband import Band, features
+from .inband import Band, end_states, features
 from .likelihood import FEATURES, ORDER
 from .mismatch import MismatchPrior
 from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
@@ -71,8 +71,10 @@ def _columns(band: Band, expansion: ComplexArray) -> FloatArray:
     width = band.bins.size
     out = np.empty((3, 2, ORDER + 1, 2, 2, width))
     for k in range(3):
-        plus = np.swapaxes(features(band, complex(expansion[k]), ORDER), 0, 1)
-        minus = np.swapaxes(features(band, complex(np.conj(expansion[k])), ORDER), 0, 1)
+        pole = complex(expansion[k])
+        ends = end_states(band, pole, ORDER)
+        plus = np.swapaxes(features(band, pole, ORDER, ends), 0, 1)
+        minus = np.swapaxes(features(band, pole.conjugate(), ORDER, ends.conj()), 0, 1)
         real, imag = plus + minus, 1j * (plus - minus)
         out[k, :, :, 0, 0], out[k, :, :, 0, 1] = real.real, real.imag
         out[k, :, :, 1, 0], out[k, :, :, 1, 1] = imag.real, imag.imag
@@ -163,10 +165,12 @@ def compress(
     root, offset = (np.zeros((0, 2)), np.zeros(0)) if prior is None else prior.rows()
     real = 2 * rows + offset.size
     if all(record.noise is None for record in records):
-        y = np.concatenate(targets) / sigma_v
-        q, triangle = qr(np.concatenate(blocks), mode="economic", overwrite_a=True, check_finite=False)
-        data = q.T @ y
-        rest = np.maximum(np.sum(y**2, axis=0) - np.sum(data**2, axis=0), 0.0)
+        size = columns[0].shape[1]
+        both = np.concatenate([np.concatenate(blocks), np.concatenate(targets) / sigma_v], axis=1)
+        # [A, y] = Q [[T, Q^T y], [0, r]] with |r|^2 = rest: Q itself would take twice the time.
+        _, corner = qr(np.asfortranarray(both), mode="raw", overwrite_a=True, check_finite=False)
+        triangle, data, left = corner[:size, :size], corner[:size, size:], corner[size:, size:]
+        rest = np.sum(left**2, axis=0)
         scaled = np.ascontiguousarray(triangle / sigma_v[:, None, None])
         none = np.zeros((0, triangle.shape[1]))
         return Compressed(

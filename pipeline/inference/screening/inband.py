@@ -20,6 +20,7 @@ Shapes: W bins, D drives, M Taylor orders.  Units: rad/s, volts.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 from numba import njit
@@ -33,6 +34,8 @@ from ...experiment.instrument import AntiAlias, Instrument
 #: Longest record that is treated as a whole, and whose parts are kept for the next device [samples]: 26 s at 10 kHz.  Longer
 #: ones are treated in parts where that saves memory, at the cost of time.
 SHORT = 2**18
+#: Samples of a block of the end sums.
+_BLOCK = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,50 +140,32 @@ def make_band(drive_v: FloatArray, instrument: Instrument, low_hz: float, high_h
     )
 
 
-@njit(cache=True)
 def _end_sums(drive: FloatArray, log_z: complex, orders: int) -> ComplexArray:
-    """sum_n ((N-1-n))^m / m! z^{N-1-n} v[n], (M, D): Taylor coefficients of the end sum in log z."""
+    """sum_n ((N-1-n))^m / m! z^{N-1-n} v[n], (M, D): Taylor coefficients of the end sum in log z, for v (N, D).
+
+    N-1-n = B i + k:  z^{B i} sum_l C(m, l) (B i)^{m-l} sum_k k^l z^k v, so that the sum over k < B is a matrix product.
+    """
     samples, drives = drive.shape
-    block = 256
-    table = np.empty(block, dtype=np.complex128)
-    for k in range(block):
-        table[k] = np.exp(log_z * k)
+    power, k = np.arange(orders), np.arange(_BLOCK)
+    table = np.exp(log_z * k)[:, None] * k[:, None] ** power
+    real_table = np.concatenate([table.real, table.imag], axis=1)
     sums = np.zeros((orders, drives), dtype=np.complex128)
-    re = np.empty((orders, drives))
-    im = np.empty((orders, drives))
-    blocks = (samples + block - 1) // block
-    for i in range(blocks):
-        shift = i * block
-        if log_z.real * shift < -60.0:
+    # A long record in parts, so that its reversed copy stays small.
+    for first in range(0, samples, SHORT):
+        if log_z.real * first < -60.0:
             break
-        re[:] = 0.0
-        im[:] = 0.0
-        for k in range(min(block, samples - shift)):
-            n = samples - 1 - shift - k
-            w = table[k]
-            for d in range(drives):
-                t_re, t_im = w.real * drive[n, d], w.imag * drive[n, d]
-                for m in range(orders):
-                    re[m, d] += t_re
-                    im[m, d] += t_im
-                    t_re *= k
-                    t_im *= k
-        # (shift + k)^m = sum_l C(m, l) shift^(m-l) k^l
-        scale = np.exp(log_z * shift)
-        for d in range(drives):
-            for m in range(orders):
-                binomial = 1.0
-                total = 0j
-                for l in range(m, -1, -1):
-                    total += binomial * float(shift) ** (m - l) * complex(re[l, d], im[l, d])
-                    binomial = binomial * l / (m - l + 1)
-                sums[m, d] += scale * total
-    factorial = 1.0
-    for m in range(1, orders):
-        factorial *= m
-        for d in range(drives):
-            sums[m, d] /= factorial
-    return sums
+        own = drive[max(samples - first - SHORT, 0) : samples - first][::-1]
+        blocks = -(-own.shape[0] // _BLOCK)
+        reversed_drive = np.zeros((drives, blocks * _BLOCK))
+        reversed_drive[:, : own.shape[0]] = own.T
+        inner = reversed_drive.reshape(drives * blocks, _BLOCK) @ real_table
+        inner_sums = (inner[:, :orders] + 1j * inner[:, orders:]).reshape(drives, blocks, orders)
+        shift = float(first) + _BLOCK * np.arange(blocks)
+        weighted = inner_sums * np.exp(log_z * shift)[:, None]
+        for m in range(orders):
+            for l in range(m + 1):
+                sums[m] += comb(m, l) * (weighted[:, :, l] @ shift ** (m - l))
+    return np.asarray(sums / np.cumprod(np.maximum(power, 1))[:, None])
 
 
 @njit(cache=True)
@@ -231,30 +216,39 @@ def _divide(series: ComplexArray, pole: complex) -> ComplexArray:
     return out
 
 
-def _free_features(band: Band, pole: complex, orders: int) -> ComplexArray:
-    """X(w; p) and its Taylor coefficients, (M, D, W), without the filter."""
+def end_states(band: Band, pole: complex, order: int) -> ComplexArray:
+    """Taylor coefficients in the shift of ``pole`` [rad/s] of sum_n z^{N-1-n} v[n], (I, M, D) [V].
+
+    I is 1 for zero-order hold; with first-order hold the second is that of v[n+1].  That of the conjugate pole is the conjugate.
+    """
+    step = 1.0 / band.sample_rate_hz
+    drives = [band.drive_v]
+    if band.first_order_hold:
+        drives.append(np.ascontiguousarray(np.concatenate([band.drive_v[1:], band.drive_v[-1:]])))
+    scaling = step ** np.arange(order + 1)
+    return np.stack([_end_sums(drive, complex(pole * step), order + 1) for drive in drives]) * scaling[:, None]
+
+
+def _free_features(band: Band, pole: complex, orders: int, ends: ComplexArray) -> ComplexArray:
+    """X(w; p) and its Taylor coefficients, (M, D, W), without the filter, from the ``end_states`` of the pole."""
     step = 1.0 / band.sample_rate_hz
     z = _exp_series(pole * step, step, orders)
     minus_one = z.copy()
     minus_one[0] = np.expm1(pole * step)
     integrates = pole == 0.0  # the filter's own pole, which is never expanded
     whole = np.full(1, step + 0j) if integrates else _divide(minus_one, pole)
-    scaling = step ** np.arange(orders)
-    ends = _end_sums(band.drive_v, complex(pole * step), orders) * scaling[:, None]
     if not band.first_order_hold:
-        return _quotient(band.e_iw, band.now, z, ends, whole)
+        return _quotient(band.e_iw, band.now, z, ends[0], whole)
     linear = minus_one.copy()
     linear[0] -= pole * step
     if orders > 1:
         linear[1] -= step
     g1 = np.full(1, step / 2.0 + 0j) if integrates else _divide(_divide(linear, pole), pole) / step
-    ahead = np.ascontiguousarray(np.concatenate([band.drive_v[1:], band.drive_v[-1:]]))
-    ends_ahead = _end_sums(ahead, complex(pole * step), orders) * scaling[:, None]
-    first = _quotient(band.e_iw, band.now, z, ends, whole - g1)
-    return first + _quotient(band.e_iw, band.following, z, ends_ahead, g1)
+    first = _quotient(band.e_iw, band.now, z, ends[0], whole - g1)
+    return first + _quotient(band.e_iw, band.following, z, ends[1], g1)
 
 
-def features(band: Band, pole: complex, order: int) -> ComplexArray:
+def features(band: Band, pole: complex, order: int, ends: ComplexArray | None = None) -> ComplexArray:
     """Taylor coefficients Phi_m(w; p), m = 0..order, of the response to a pole of unit residue, (order + 1, D, W).
 
     Parameters
@@ -262,9 +256,10 @@ def features(band: Band, pole: complex, order: int) -> ComplexArray:
     band : bins and drive.
     pole : p [rad/s].
     order : highest power of the shift of the pole.
+    ends : its ``end_states``, which a pole and its conjugate share; computed if left out.
     """
     orders = order + 1
-    free = _free_features(band, pole, orders)
+    free = _free_features(band, pole, orders, end_states(band, pole, order) if ends is None else ends)
     if band.antialias is None:
         return free
     # G(p + h) as a Taylor series: G = prod -q_j / (p - q_j), and r_j/(q_j - p - h) term by term.
@@ -273,10 +268,8 @@ def features(band: Band, pole: complex, order: int) -> ComplexArray:
     sums = [np.sum(-1.0 / (pole - band.q) ** (m + 1) * (-1.0) ** m) for m in range(orders)]
     for m in range(1, orders):
         gain[m] = sum(gain[m - 1 - l] * sums[l] for l in range(m)) / m
-    out = np.zeros_like(free)
-    for m in range(orders):
-        for l in range(m + 1):
-            out[m] += gain[l] * free[m - l]
-        weights = 1.0 / (band.q - pole) ** (m + 1)
-        out[m] += np.tensordot(weights, band.filter_part, axes=(0, 0))
-    return out
+    shift = np.subtract.outer(np.arange(orders), np.arange(orders))
+    series = np.where(shift >= 0, gain[np.abs(shift)], 0.0)
+    weights = 1.0 / (band.q - pole) ** np.arange(1, orders + 1)[:, None]
+    out = series @ free.reshape(orders, -1) + weights @ band.filter_part.reshape(band.q.size, -1)
+    return np.asarray(out.reshape(free.shape))
