@@ -116,6 +116,26 @@ def decays(
 
 
 @app.command()
+def efficiency(
+    cell: Annotated[str, typer.Option(help="As 60dB-1Hz, or all.")] = "all",
+    devices: Annotated[int, typer.Option(help="Devices per cell.")] = 5000,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "efficiency"
+    ),
+    json: Json = False,
+) -> None:
+    """Errors of theta and split over their Cramer-Rao bounds.
+
+    The cells are splits of 0.1 to 10 Hz at 40, 60 and 80 dB.
+    """
+    from ..efficiency import efficiency as command
+
+    command(cell, devices, seed, workers, out, json)
+
+
+@app.command()
 def throughput(devices: Devices = 100, json: Json = False) -> None:
     """Devices per second on one core, and peak memory.
 
