@@ -29,6 +29,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.layout import layout_of
 from pipeline.experiment.record import Campaign, Record
 from pipeline.inference.identify import identify
 
@@ -39,6 +40,30 @@ KINDS: dict[str, str] = {
     "both": "both drives sweep at once, in opposite directions; swapped in the second record",
     "alternate": "each record drives one electrode, and the other is at zero",
     "displacement": "as both, with pick-offs that sense displacement",
+    "pairs": "as both, with a differential pair of electrodes on each axis, which neither sense nor drive the up-down mode",
+    "four": "as both, with four electrodes at +-x and +-y that sense, and four that drive; two of them are driven",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Electrodes:
+    """What sense columns measure, and drive columns act on: rows (x, y, z) of each column."""
+
+    senses: FloatArray
+    drives: FloatArray
+
+    def gains(self, imbalance: float) -> FloatArray:
+        """Relative gain (n,) of n columns: 1 - k for the first of two axes, 1 + k for the second."""
+        count = len(self.senses)
+        return np.where(np.arange(count) < count // 2, 1.0 - imbalance, 1.0 + imbalance)
+
+
+_PAPER = Electrodes(np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0]]), np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]))
+_CROSS = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
+#: Electrodes of the kinds that are not laid out as the paper's.
+LAYOUTS: dict[str, Electrodes] = {
+    "pairs": Electrodes(np.eye(2, 3), np.eye(2, 3)),
+    "four": Electrodes(_CROSS, _CROSS),
 }
 #: Noise of 60 dB: a thousandth of the rms of the signal.
 _NOISE = 1e-3
@@ -131,18 +156,18 @@ def _held(x: complex, drive: FloatArray, hold: str) -> ComplexArray:
     return np.asarray(lfilter([ramp, (z - 1.0) / x - ramp], [1.0, -z], drive))
 
 
-def response(gyro: ForeignGyro, drive_v: FloatArray, displacement: bool) -> FloatArray:
-    """Noise-free sense samples (N, 2) [V] of a device at rest before the record: its velocity or its displacement."""
+def response(gyro: ForeignGyro, drive_v: FloatArray, displacement: bool, electrodes: Electrodes = _PAPER) -> FloatArray:
+    """Noise-free sense samples (N, n) [V] of a device at rest before the record: its velocity or its displacement."""
     (k_s, k_d), (rocking, updown) = gyro.imbalances, gyro.gains
     angle = math.radians(gyro.theta_deg)
-    sense_gain, drive_gain = np.diag([1.0 - k_s, 1.0 + k_s]), np.diag([1.0 - k_d, 1.0 + k_d])
-    rock_sense, rock_drive = np.array([[-1.0, -1.0], [1.0, -1.0]]), np.array([[-1.0, 1.0], [1.0, 1.0]])
-    shapes = []
+    sense, drive = (
+        electrodes.gains(k_s)[:, None] * electrodes.senses,
+        electrodes.gains(k_d)[:, None] * electrodes.drives,
+    )
     c, s = math.cos(angle), math.sin(angle)
-    for axis in (np.array([c, s]), np.array([-s, c])):
-        shapes.append((sense_gain @ rock_sense @ axis, rocking * (axis @ rock_drive @ drive_gain)))
-    shapes.append((sense_gain @ np.ones(2), updown * drive_gain @ np.ones(2)))
-    volts = np.zeros_like(drive_v)
+    axes = (np.array([c, s, 0.0]), np.array([-s, c, 0.0]), np.array([0.0, 0.0, 1.0]))
+    shapes = [(sense @ axis, gain * (drive @ axis)) for axis, gain in zip(axes, (rocking, rocking, updown))]
+    volts = np.zeros((drive_v.shape[0], len(sense)))
     for f, q, (a, b) in zip(gyro.frequency_hz, gyro.quality, shapes):
         p = math.pi * f * complex(-1.0 / q, math.sqrt(4.0 - 1.0 / q**2))
         residue = (1.0 if displacement else p) / (p - p.conjugate())
@@ -152,19 +177,31 @@ def response(gyro: ForeignGyro, drive_v: FloatArray, displacement: bool) -> Floa
 
 def foreign_campaign(gyro: ForeignGyro, kind: str, random: np.random.Generator) -> Campaign:
     """The campaign of a gyro: silence, two records to fit, one held out."""
-    drives = drives_of(gyro, kind)
+    electrodes = LAYOUTS.get(kind, _PAPER)
+    drives = list(drives_of(gyro, kind))
+    if kind == "four":
+        drives = [np.insert(drive, (1, 2), 0.0, axis=1) for drive in drives]
     displacement = kind == "displacement"
-    clean = [response(gyro, drive, displacement) for drive in drives]
+    clean = [response(gyro, drive, displacement, electrodes) for drive in drives]
     sigma = _NOISE * np.sqrt(np.mean(clean[0] ** 2 + clean[1] ** 2, axis=0) / 2.0)
     silent = min(drives[0].shape[0], 20_000)
     records = [
-        Record("silence", gyro.rate_hz, np.zeros((silent, 2)), sigma * random.standard_normal((silent, 2)), "noise")
+        Record(
+            "silence",
+            gyro.rate_hz,
+            np.zeros((silent, len(electrodes.drives))),
+            sigma * random.standard_normal((silent, len(electrodes.senses))),
+            "noise",
+        )
     ]
     for name, role, drive, volts in zip(("a", "b", "c"), ("fit", "fit", "validate"), drives, clean):
         noisy = volts + sigma * random.standard_normal(volts.shape)
         records.append(Record(name, gyro.rate_hz, drive, noisy, role))  # type: ignore[arg-type]
     instrument = Instrument(gyro.rate_hz, gyro.hold, 5.0).with_pickoff("displacement" if displacement else "velocity")
-    return Campaign("foreign", tuple(records), instrument)
+    if kind not in LAYOUTS:
+        return Campaign("foreign", tuple(records), instrument)
+    layout = layout_of(electrodes.senses.tolist(), electrodes.drives.tolist())
+    return Campaign("foreign", tuple(layout.applied(one) for one in records), instrument, frame=layout.frame)
 
 
 def drawn(seed: int, kind: str, number: int) -> tuple[ForeignGyro, np.random.Generator]:

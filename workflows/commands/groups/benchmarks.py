@@ -57,7 +57,7 @@ def undetected(
 
 @app.command("foreign-gyros")
 def foreign_gyros(
-    kind: Annotated[str, typer.Option(help="both, alternate, displacement, or all.")] = "all",
+    kind: Annotated[str, typer.Option(help="both, alternate, displacement, pairs, four, or all.")] = "all",
     devices: Annotated[int, typer.Option(help="Devices per kind.")] = 100,
     seed: Seed = 1,
     workers: Workers = 0,
