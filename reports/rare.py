@@ -11,8 +11,9 @@ Source: Owen, Monte Carlo theory, methods and examples (2013), ch. 9.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import ndtri
@@ -58,6 +59,61 @@ class Loss:
     relative_sd: float
     ess: float
     undecided: Undecided | None
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A latent normal of lost devices: its name, mean and rms; 0 and 1 in the population."""
+
+    latent: str
+    mean: float
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class RareLosses:
+    """Losses to each limit and in total, what drives each, and how they were estimated.
+
+    Parameters
+    ----------
+    losses : of each limit, then "total".
+    drivers : limit -> the latent normals of lost devices that differ most from the population's, the strongest first.
+    method : "importance" or "plain".
+    devices, seed, dimension : devices that were computed, seed, number of latent normals.
+    """
+
+    losses: tuple[Loss, ...]
+    drivers: Mapping[str, tuple[Driver, ...]]
+    method: str
+    devices: int
+    seed: int
+    dimension: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; nan is null."""
+        return {
+            "losses": [{**_plain(loss), "drivers": [asdict(d) for d in self.drivers[loss.limit]]} for loss in self.losses],
+            "method": self.method,
+            "devices": self.devices,
+            "seed": self.seed,
+            "latent_normals": self.dimension,
+        }
+
+
+def _plain(loss: Loss) -> dict[str, Any]:
+    return {
+        "limit": loss.limit,
+        "probability": loss.probability,
+        "interval": [loss.low, loss.high],
+        "relative_sd": None if math.isnan(loss.relative_sd) else loss.relative_sd,
+        "ess": loss.ess,
+        "undecided": None if loss.undecided is None else asdict(loss.undecided),
+    }
+
+
+def driver_of(latent: str, weight: FloatArray, z: FloatArray) -> Driver:
+    """Mean and rms of the values z (N,) of a latent normal of lost devices, whose weights (N,) add up to one."""
+    return Driver(latent, float(weight @ z), math.sqrt(float(weight @ (z * z))))
 
 
 def loss_of(limit: str, weight: FloatArray, lost: BoolArray, precision: float, doubt: Undecided | None) -> Loss:

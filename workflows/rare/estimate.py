@@ -1,8 +1,8 @@
 """Probabilities of rare losses: subset simulation finds the regions, importance sampling estimates.
 
-    1. search      subset simulation towards each limit                                         at most half of the devices
-    2. improve     three batches from the mixture fitted to what was found, fitted again after each      a fifth of the devices
-    3. estimate    an independent batch z_i ~ q                                                         all others
+    1. search      subset simulation towards each limit, and slopes at lost devices             at most half of the devices
+    2. improve     four batches from the mixture fitted to what was found, fitted again after each    a quarter of them
+    3. estimate    an independent batch z_i ~ q                                                       all others
 
     p = 1/N sum_i w_i [z_i is lost],   w = N(z; 0, I) / q(z),   var p = 1/N (mean of (w [lost])^2 - p^2)
 
@@ -25,19 +25,20 @@ import numpy as np
 from pipeline.arrays import BoolArray, FloatArray
 from reports.rare import Loss, Undecided, loss_of
 
+from .directions import fitted_directions, gradients
 from .proposal import Proposal, defensive, fitted
-from .subset import FLOOR, SHARE, Subset, search
+from .subset import FLOOR, SHARE, Response, Subset, search
 
 #: z (B, d) -> g (B, S): a device is beyond side s of a limit where g[:, s] > 0.
 Responses = Callable[[FloatArray], FloatArray]
 
-_SEARCH, _IMPROVE, _ROUNDS = 0.5, 0.2, 3
-#: Fewest lost devices of a batch to which a part is fitted.
+_SEARCH, _SLOPES, _IMPROVE, _ROUNDS = 0.45, 0.05, 0.25, 4
+#: Fewest independent lost devices to which a part is fitted.
 _FEWEST = 20
 #: Levels of a search that reaches ``FLOOR``, and one more for the devices beyond the limit.
 _LEVELS = 1 + round(math.log(FLOOR) / math.log(SHARE))
-#: Fewest devices of a level: ten chains of ten devices.
-_LEAST_LEVEL = 100
+#: Fewest devices of a level: twenty chains of ten devices.
+_LEAST_LEVEL = 200
 #: The estimates of both methods disagree if they differ by more than this many sds of their ratio.
 _DISAGREE = 4.0
 
@@ -60,20 +61,20 @@ class Problem:
 class Losses:
     """Loss to each limit and to any of them ("total"), the devices that were computed, and the batch behind the losses.
 
-    ``z`` (N, d) with ``weight`` (N,) and ``lost`` (N,): a lost device of the population is one of these with probability
-    proportional to its weight.
+    ``z`` (N, d) with ``weight`` (N,) and ``beyond`` (N, S): a lost device of the population is one of the lost ones of these with
+    probability proportional to its weight.
     """
 
     losses: tuple[Loss, ...]
     devices: int
     z: FloatArray
     weight: FloatArray
-    lost: BoolArray
+    beyond: BoolArray
 
 
 def least_devices(sides: int) -> int:
-    """Fewest devices with which :func:`rare_losses` can search for ``sides`` sides."""
-    return round(_LEAST_LEVEL * _LEVELS * sides / _SEARCH)
+    """Fewest devices with which :func:`rare_losses` can search for ``sides`` sides: two levels of each."""
+    return round(2 * _LEAST_LEVEL * (sides + 1) / _SEARCH)
 
 
 def rare_losses(problem: Problem, devices: int, precision: float, random: np.random.Generator) -> Losses:
@@ -81,28 +82,42 @@ def rare_losses(problem: Problem, devices: int, precision: float, random: np.ran
 
     ``precision`` is the half-width of the 95 % interval, relative to the loss, above which a loss is undecided.
     """
-    level = max(int(_SEARCH * devices / (_LEVELS * problem.count)), _LEAST_LEVEL)
+    level = max(int(_SEARCH * devices / (_LEVELS * problem.count + 1)), _LEAST_LEVEL)
     start = random.standard_normal((level, problem.dimension))
     first = problem.responses(start)
-    found = [
-        search(lambda z, s=s: problem.responses(z)[:, s], start, first[:, s], random) for s in range(problem.count)
-    ]
+    most = int(_SEARCH * devices - level) // problem.count
+    found = [search(_side(problem, s), start, first[:, s], most, random) for s in range(problem.count)]
     spent = level + sum(one.devices for one in found)
 
+    points = int(_SLOPES * devices) // (problem.count * (problem.dimension + 1))
+    slopes = {}
+    for s, one in enumerate(found):
+        chosen = random.permutation(len(one.lost))[:points]
+        slopes[s] = gradients(_side(problem, s), one.lost[chosen]) if len(chosen) else np.empty((0, problem.dimension))
+        spent += len(chosen) * (problem.dimension + 1)
     parts = {
-        s: fitted(one.lost, np.ones(len(one.lost)), one.independent, random)
+        s: _fitted(one.lost, np.ones(len(one.lost)), one.independent, slopes[s], random)
         for s, one in enumerate(found)
         if len(one.lost)
     }
     batch = int(_IMPROVE * devices / _ROUNDS)
+    known = {s: _NOTHING for s in parts}
     for _ in range(_ROUNDS):
-        parts = _improved(parts, problem, batch, random)
+        proposal = defensive(list(parts.values()), problem.dimension)
+        z = proposal.drawn(batch, random)
+        weight, g = proposal.weights(z), problem.responses(z)
+        known = {s: _with_batch(known[s], z, weight, g[:, s] > 0.0) for s in parts}
+        parts = {s: _refitted(part, known[s], slopes[s], random) for s, part in parts.items()}
     proposal = defensive(list(parts.values()), problem.dimension)
     z = proposal.drawn(devices - spent - batch * _ROUNDS, random)
     weight, beyond = proposal.weights(z), problem.responses(z) > 0.0
     losses = [_judged(name, weight, beyond, list(own), found, precision) for name, own in problem.sides.items()]
     losses.append(_judged("total", weight, beyond, list(range(problem.count)), found, precision))
-    return Losses(tuple(losses), devices, z, weight, np.any(beyond, axis=1))
+    return Losses(tuple(losses), devices, z, weight, beyond)
+
+
+def _side(problem: Problem, s: int) -> Response:
+    return lambda z: problem.responses(z)[:, s]
 
 
 def plain_losses(problem: Problem, devices: int, precision: float, random: np.random.Generator) -> Losses:
@@ -113,32 +128,47 @@ def plain_losses(problem: Problem, devices: int, precision: float, random: np.ra
     losses = tuple(
         loss_of(name, weight, np.any(beyond[:, list(own)], axis=1), precision, None) for name, own in named.items()
     )
-    return Losses(losses, devices, z, weight, np.any(beyond, axis=1))
+    return Losses(losses, devices, z, weight, beyond)
 
 
-def _improved(
-    parts: Mapping[int, Proposal], problem: Problem, batch: int, random: np.random.Generator
-) -> dict[int, Proposal]:
-    """The parts fitted again to the weighted lost devices of a batch from all of them.
+def _fitted(
+    z: FloatArray, weight: FloatArray, independent: float, slopes: FloatArray, random: np.random.Generator
+) -> Proposal:
+    directions = fitted_directions(z, weight / np.sum(weight), independent, slopes)
+    return fitted(z, weight, independent, directions, random)
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Lost devices of all batches so far: z, and weights that add up to the number of independent devices they are worth."""
+
+    z: tuple[FloatArray, ...] = ()
+    weight: tuple[FloatArray, ...] = ()
+
+
+_NOTHING = _Known()
+
+
+def _with_batch(known: _Known, z: FloatArray, weight: FloatArray, lost: BoolArray) -> _Known:
+    """``known`` and the lost devices of a batch z (n, d) with weights (n,).
 
     The largest weights are clipped to the sqrt(n)-th of n, so that a few devices in the tail of a poor proposal do not
     determine the next one (Koblents, Miguez, Statistics and Computing 25 (2015) 407).
     """
-    proposal = defensive(list(parts.values()), problem.dimension)
-    z = proposal.drawn(batch, random)
-    weight, g = proposal.weights(z), problem.responses(z)
-    out = dict(parts)
-    for s in parts:
-        lost = g[:, s] > 0.0
-        own, count = weight[lost], int(np.count_nonzero(lost))
-        if count < _FEWEST:
-            continue
-        clip = math.isqrt(count)
-        own = np.minimum(own, np.partition(own, -clip)[-clip])
-        independent = float(np.sum(own) ** 2 / np.sum(own**2))
-        if independent > _FEWEST:
-            out[s] = fitted(z[lost], own, independent, random)
-    return out
+    own, count = weight[lost], int(np.count_nonzero(lost))
+    if not count:
+        return known
+    clip = math.isqrt(count)
+    own = np.minimum(own, np.partition(own, -clip)[-clip])
+    total = float(np.sum(own))
+    return _Known((*known.z, z[lost]), (*known.weight, own * (total / float(np.sum(own**2)))))
+
+
+def _refitted(part: Proposal, known: _Known, slopes: FloatArray, random: np.random.Generator) -> Proposal:
+    """The part of a side, fitted again to the lost devices of all batches if they are enough."""
+    weight = np.concatenate([np.empty(0), *known.weight])
+    independent = float(np.sum(weight))
+    return part if independent < _FEWEST else _fitted(np.concatenate(known.z), weight, independent, slopes, random)
 
 
 def _judged(

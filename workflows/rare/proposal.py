@@ -2,11 +2,12 @@
 
     q(z) = a N(z; 0, I) + (1 - a) sum_k c_k N(z; m_k, I + U_k diag(v_k) U_k^T),   a = ``DEFENSIVE``, v_k >= 0
 
-fitted by weighted expectation maximisation, which minimises the cross entropy from the distribution of lost devices.  One
-component is a guard, N(0, E z z^T) of the lost devices: it covers what lies between and opposite the others.  No covariance is
+fitted by weighted expectation maximisation, which minimises the cross entropy from the distribution of lost devices.  Two
+components are guards, N(0, S) with S = E z z^T of the lost devices and N(0, tr S / a): they cover what lies between, opposite and
+beside the others.  No covariance is
 below I and the nominal population is a part of q, so the weight N(z; 0, I) / q(z) is at most 1 / a and the variance of an
-estimate is finite.  Only latent normals whose mean or variance among the lost devices differs significantly from the population's
-take part in the fit, and covariances are shrunk, so that latent normals without influence cost nothing.
+estimate is finite.  The fit takes place in a few ``directions``, and covariances are shrunk, so that latent normals without
+influence cost nothing.
 
 Shapes: n devices, d latent normals, K components.
 Source: Rubinstein, Kroese, The Cross-Entropy Method (2004); Kurtz, Song, Structural Safety 42 (2013) 35 (mixtures); Owen, Zhou,
@@ -24,13 +25,11 @@ from scipy.special import logsumexp
 
 from pipeline.arrays import FloatArray, IntArray
 
-#: Share of the nominal population in the proposal, and of the guard in what is fitted to a side.
+#: Share of the nominal population in the proposal, and of the guards in what is fitted to a side.
 DEFENSIVE, GUARD = 0.1, 0.2
 #: Numbers of components that are tried; a ring of loss at 5 sd needs about ten.
 _COMPONENTS = (1, 2, 3, 4, 6, 8, 12, 16)
 _ITERATIONS = 30
-#: A mean or variance differs from that of the population beyond this many of its standard errors.
-_SIGNIFICANT = 3.0
 #: Fewest independent devices of a component.
 _OWN = 5
 
@@ -95,7 +94,9 @@ def defensive(parts: Sequence[Proposal], dimension: int) -> Proposal:
     return Proposal((nominal(dimension), *components), np.concatenate(share))
 
 
-def fitted(z: FloatArray, weight: FloatArray, independent: float, random: np.random.Generator) -> Proposal:
+def fitted(
+    z: FloatArray, weight: FloatArray, independent: float, directions: FloatArray, random: np.random.Generator
+) -> Proposal:
     """The mixture, of the number of components that minimises BIC, of lost devices.
 
     Parameters
@@ -103,11 +104,11 @@ def fitted(z: FloatArray, weight: FloatArray, independent: float, random: np.ran
     z : lost devices (n, d).
     weight : of each (n,); any scale.
     independent : number of independent devices that they are worth.
+    directions : orthonormal (d, a); across them the devices are those of the population.
     random : chooses where the components start.
     """
     share = weight / np.sum(weight)
-    active = _active(z, share, independent)
-    own = np.ascontiguousarray(z[:, active])
+    own = z @ directions
     found: list[tuple[float, Proposal]] = []
     for count in _COMPONENTS:
         # A component needs a few devices of its own.
@@ -117,28 +118,19 @@ def fitted(z: FloatArray, weight: FloatArray, independent: float, random: np.ran
         if len(found) > 2 and found[-1][0] > found[-2][0] > found[-3][0]:
             break
     best = min(found, key=lambda one: one[0])[1]
-    guard = Component(np.zeros(own.shape[1]), *_extra((own * share[:, None]).T @ own, independent))
-    components = (*best.components, guard)
-    shares = np.append((1.0 - GUARD) * best.share, GUARD)
-    return Proposal(tuple(_embedded(one, active, z.shape[1]) for one in components), shares)
+    second = (own * share[:, None]).T @ own
+    nothing, everywhere = np.zeros(len(second)), np.trace(second) / len(second) * np.eye(len(second))
+    guards = tuple(Component(nothing, *_extra(one, independent)) for one in (second, everywhere))
+    components = (*best.components, *guards)
+    shares = np.concatenate([(1.0 - GUARD) * best.share, [0.5 * GUARD, 0.5 * GUARD]])
+    return Proposal(tuple(_embedded(one, directions) for one in components), shares)
 
 
-def _active(z: FloatArray, weight: FloatArray, independent: float) -> IntArray:
-    """The latent normals whose mean or variance among the lost devices differs from that of the population."""
-    mean = weight @ z
-    variance = weight @ (z - mean) ** 2
-    error = 1.0 / math.sqrt(independent)
-    different = (np.abs(mean) > _SIGNIFICANT * error) | (variance > 1.0 + _SIGNIFICANT * math.sqrt(2.0) * error)
-    # A search always has a direction: at least the largest mean.
-    different[np.argmax(np.abs(mean))] = True
-    return np.flatnonzero(different).astype(np.int64)
-
-
-def _embedded(component: Component, active: IntArray, dimension: int) -> Component:
-    """A component of the latent normals ``active`` as one of all d."""
-    mean, basis = np.zeros(dimension), np.zeros((dimension, component.extra.size))
-    mean[active], basis[active] = component.mean, component.basis
-    return Component(mean, basis, component.extra)
+def _embedded(component: Component, directions: FloatArray) -> Component:
+    """A component in the ``directions`` (d, a) as one of all d latent normals."""
+    return Component(
+        directions @ component.mean, np.ascontiguousarray(directions @ component.basis), component.extra
+    )
 
 
 def _mixture(
@@ -201,7 +193,7 @@ def _extra(covariance: FloatArray, independent: float) -> tuple[FloatArray, Floa
     trace, size = float(np.trace(covariance)), len(covariance)
     square = float(np.sum(covariance**2))
     spread = square - trace * trace / size
-    shrink = min(1.0, (square + trace * trace) / max(independent * spread, 1e-300))
+    shrink = min(1.0, (square + trace * trace) / max(independent * spread, 1e-12))
     values, vectors = np.linalg.eigh((1.0 - shrink) * covariance + shrink * trace / size * np.eye(size))
     wide = values > 1.0
     return np.ascontiguousarray(vectors[:, wide]), values[wide] - 1.0

@@ -66,8 +66,8 @@ class _Level:
     step: float
 
 
-def search(response: Response, z: FloatArray, g: FloatArray, random: np.random.Generator) -> Subset:
-    """Find lost devices, from independent devices ``z`` (n, d) with ``g`` (n,); each level has n devices."""
+def search(response: Response, z: FloatArray, g: FloatArray, most: int, random: np.random.Generator) -> Subset:
+    """Find lost devices, from independent devices ``z`` (n, d) with ``g`` (n,); each level has n devices, all at most ``most``."""
     n, dimension = z.shape
     probability, variance, devices, step = 1.0, 0.0, 0, 0.6
     level = _Level(z[None], g[None], step)
@@ -81,7 +81,7 @@ def search(response: Response, z: FloatArray, g: FloatArray, random: np.random.G
         correlation = _correlation(above)
         probability *= share
         variance += (1.0 - share) / (share * flat.size) * (1.0 + correlation)
-        if threshold < 0.0 and probability < FLOOR:
+        if threshold < 0.0 and (probability < FLOOR or devices + 2 * n > most):
             return Subset(np.empty((0, dimension)), probability, math.nan, 0.0, devices, False)
         seeds = random.permutation(np.argwhere(above))
         # Chains of equal length; a few seeds of the largest levels are left out.
