@@ -7,7 +7,7 @@ of the wafer.  The distribution of one device is that of ``draw``; devices are i
 
     normal     its own entries of z
     uniform    Phi(z)
-    field      at the die of the device: L(die) z, L L^T the correlation of the fields of all lengths of the stream at this die
+    field      at the die of the device: R z, R R^T the correlation there of the fields of all lengths of the stream
     die        the floor(D Phi(z))-th die of the wafer, counted by the distance from its centre
     fixed      those of the seed: all devices share them, so they are no property of a device
 
@@ -98,12 +98,7 @@ class LatentNumbers:
 
     def _entries(self, stream: str, size: int) -> FloatArray:
         if size > self.space.size.get(stream, 0):
-            raise ConfigError(
-                "an irregularity reads other random numbers for some devices than for others",
-                value=stream,
-                allowed="the same levels, labels and sizes for all devices",
-                next_step="read them always, and use them where needed (docs/add-an-irregularity.md)",
-            )
+            raise _unread(stream)
         first = self.space.first[stream]
         return self.z[first : first + size]
 
@@ -123,10 +118,18 @@ class LatentNumbers:
         """The fields of all lengths of the stream are jointly normal at a die; this is the one of ``length_mm``, (B,) [1]."""
         lengths = self.space.lengths.get(stream, ())
         if length_mm not in lengths:
-            return self._entries(f"{stream} of {length_mm} mm", 1)[0]
-        k = lengths.index(length_mm)
-        rows = _field_rows(wafer, lengths)[die, k, : k + 1]
-        return np.asarray(np.sum(rows.T * self._entries(stream, k + 1), axis=0))
+            raise _unread(f"{stream}, {length_mm} mm")
+        rows = _field_roots(wafer, lengths)[die, lengths.index(length_mm)]
+        return np.asarray(np.sum(rows.T * self._entries(stream, len(lengths)), axis=0))
+
+
+def _unread(stream: str) -> ConfigError:
+    return ConfigError(
+        "an irregularity reads other random numbers for some devices than for others",
+        value=stream,
+        allowed="the same levels, labels, sizes and lengths for all devices",
+        next_step="read them always, and use them where needed (docs/add-an-irregularity.md)",
+    )
 
 
 def _uniform(normal: FloatArray) -> FloatArray:
@@ -135,10 +138,14 @@ def _uniform(normal: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=32)
-def _field_rows(wafer: Wafer, lengths: tuple[float, ...]) -> FloatArray:
-    """Cholesky factors (D, L, L) [1] of the correlation of the fields of L lengths [mm] at each die."""
+def _field_roots(wafer: Wafer, lengths: tuple[float, ...]) -> FloatArray:
+    """Roots R (D, L, L) [1] of the correlation R R^T of the fields of L lengths [mm] at each die.
+
+    It is singular at the first die, where a seeded field is its first normal for any length.
+    """
     rows = np.stack([field_factor(wafer, length) for length in lengths], axis=1)
-    return np.linalg.cholesky(rows @ rows.transpose(0, 2, 1))
+    values, vectors = np.linalg.eigh(rows @ rows.transpose(0, 2, 1))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :], dtype=np.float64)
 
 
 @lru_cache(maxsize=32)

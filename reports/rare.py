@@ -92,7 +92,9 @@ class RareLosses:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; nan is null."""
         return {
-            "losses": [{**_plain(loss), "drivers": [asdict(d) for d in self.drivers[loss.limit]]} for loss in self.losses],
+            "losses": [
+                {**_plain(loss), "drivers": [asdict(d) for d in self.drivers[loss.limit]]} for loss in self.losses
+            ],
             "method": self.method,
             "devices": self.devices,
             "seed": self.seed,

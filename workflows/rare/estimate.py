@@ -26,7 +26,7 @@ from pipeline.arrays import BoolArray, FloatArray
 from reports.rare import Loss, Undecided, loss_of
 
 from .directions import fitted_directions, gradients
-from .proposal import Proposal, defensive, fitted
+from .proposal import Mixture, defensive, fitted
 from .subset import FLOOR, SHARE, Response, Subset, search
 
 #: z (B, d) -> g (B, S): a device is beyond side s of a limit where g[:, s] > 0.
@@ -44,7 +44,7 @@ _DISAGREE = 4.0
 
 
 @dataclass(frozen=True)
-class Problem:
+class LimitProblem:
     """Limits on devices with ``dimension`` latent normals; ``sides`` gives the columns of the responses for each limit."""
 
     dimension: int
@@ -77,7 +77,7 @@ def least_devices(sides: int) -> int:
     return round(2 * _LEAST_LEVEL * (sides + 1) / _SEARCH)
 
 
-def rare_losses(problem: Problem, devices: int, precision: float, random: np.random.Generator) -> Losses:
+def rare_losses(problem: LimitProblem, devices: int, precision: float, random: np.random.Generator) -> Losses:
     """Loss to each limit from at most ``devices`` devices.
 
     ``precision`` is the half-width of the 95 % interval, relative to the loss, above which a loss is undecided.
@@ -101,7 +101,7 @@ def rare_losses(problem: Problem, devices: int, precision: float, random: np.ran
         if len(one.lost)
     }
     batch = int(_IMPROVE * devices / _ROUNDS)
-    known = {s: _NOTHING for s in parts}
+    known = dict.fromkeys(parts, _NOTHING)
     for _ in range(_ROUNDS):
         proposal = defensive(list(parts.values()), problem.dimension)
         z = proposal.drawn(batch, random)
@@ -116,11 +116,11 @@ def rare_losses(problem: Problem, devices: int, precision: float, random: np.ran
     return Losses(tuple(losses), devices, z, weight, beyond)
 
 
-def _side(problem: Problem, s: int) -> Response:
+def _side(problem: LimitProblem, s: int) -> Response:
     return lambda z: problem.responses(z)[:, s]
 
 
-def plain_losses(problem: Problem, devices: int, precision: float, random: np.random.Generator) -> Losses:
+def plain_losses(problem: LimitProblem, devices: int, precision: float, random: np.random.Generator) -> Losses:
     """The same by plain Monte Carlo: all weights are one."""
     z = random.standard_normal((devices, problem.dimension))
     beyond, weight = problem.responses(z) > 0.0, np.ones(devices)
@@ -133,7 +133,7 @@ def plain_losses(problem: Problem, devices: int, precision: float, random: np.ra
 
 def _fitted(
     z: FloatArray, weight: FloatArray, independent: float, slopes: FloatArray, random: np.random.Generator
-) -> Proposal:
+) -> Mixture:
     directions = fitted_directions(z, weight / np.sum(weight), independent, slopes)
     return fitted(z, weight, independent, directions, random)
 
@@ -164,7 +164,7 @@ def _with_batch(known: _Known, z: FloatArray, weight: FloatArray, lost: BoolArra
     return _Known((*known.z, z[lost]), (*known.weight, own * (total / float(np.sum(own**2)))))
 
 
-def _refitted(part: Proposal, known: _Known, slopes: FloatArray, random: np.random.Generator) -> Proposal:
+def _refitted(part: Mixture, known: _Known, slopes: FloatArray, random: np.random.Generator) -> Mixture:
     """The part of a side, fitted again to the lost devices of all batches if they are enough."""
     weight = np.concatenate([np.empty(0), *known.weight])
     independent = float(np.sum(weight))

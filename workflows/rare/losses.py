@@ -25,7 +25,7 @@ from ..config import RunConfig
 from ..config_tables import SamplingTable
 from ..screening.block import true_quantities
 from ..screening.settings import population
-from .estimate import Losses, Problem, least_devices, plain_losses, rare_losses
+from .estimate import LimitProblem, Losses, least_devices, plain_losses, rare_losses
 
 #: Random stream of the sampling.
 _STREAM = 131
@@ -37,7 +37,7 @@ _DRIVERS, _EXCESS = 4, 0.5
 class LimitStates:
     """The limits towards which a run samples: the problem, and the names of the latent normals (d,)."""
 
-    problem: Problem
+    problem: LimitProblem
     names: tuple[str, ...]
 
 
@@ -80,7 +80,7 @@ def limit_states(config: RunConfig) -> LimitStates:
             values = true_quantities(config, drawn.true, gain)
             return np.stack([side for limit in limits for side in limit.beyond(values[limit.quantity])], axis=1)
 
-    return LimitStates(Problem(space.dimension, responses, sides), space.names)
+    return LimitStates(LimitProblem(space.dimension, responses, sides), space.names)
 
 
 def _sides(limits: list[Limit]) -> dict[str, tuple[int, ...]]:
@@ -103,9 +103,7 @@ def estimated_losses(config: RunConfig) -> RareLosses:
     random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM,)))
     method = rare_losses if table.method == "importance" else plain_losses
     found = method(states.problem, table.devices, table.precision, random)
-    drivers = {
-        loss.limit: _drivers(found, states.problem.sides.get(loss.limit), states.names) for loss in found.losses
-    }
+    drivers = {loss.limit: _drivers(found, states.problem.sides.get(loss.limit), states.names) for loss in found.losses}
     return RareLosses(found.losses, drivers, table.method, found.devices, config.run.seed, len(states.names))
 
 

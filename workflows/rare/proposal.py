@@ -56,7 +56,7 @@ class Component:
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class Mixture:
     """A mixture: components and their shares (K,), which add up to one."""
 
     components: tuple[Component, ...]
@@ -85,18 +85,18 @@ def nominal(dimension: int) -> Component:
     return Component(np.zeros(dimension), np.empty((dimension, 0)), np.empty(0))
 
 
-def defensive(parts: Sequence[Proposal], dimension: int) -> Proposal:
+def defensive(parts: Sequence[Mixture], dimension: int) -> Mixture:
     """The nominal population and, in equal shares, ``parts``."""
     if not parts:
-        return Proposal((nominal(dimension),), np.ones(1))
+        return Mixture((nominal(dimension),), np.ones(1))
     share = [np.array([DEFENSIVE]), *((1.0 - DEFENSIVE) / len(parts) * part.share for part in parts)]
     components = [component for part in parts for component in part.components]
-    return Proposal((nominal(dimension), *components), np.concatenate(share))
+    return Mixture((nominal(dimension), *components), np.concatenate(share))
 
 
 def fitted(
     z: FloatArray, weight: FloatArray, independent: float, directions: FloatArray, random: np.random.Generator
-) -> Proposal:
+) -> Mixture:
     """The mixture, of the number of components that minimises BIC, of lost devices.
 
     Parameters
@@ -109,7 +109,7 @@ def fitted(
     """
     share = weight / np.sum(weight)
     own = z @ directions
-    found: list[tuple[float, Proposal]] = []
+    found: list[tuple[float, Mixture]] = []
     for count in _COMPONENTS:
         # A component needs a few devices of its own.
         if count > 1 and count * _OWN > independent:
@@ -123,19 +123,17 @@ def fitted(
     guards = tuple(Component(nothing, *_extra(one, independent)) for one in (second, everywhere))
     components = (*best.components, *guards)
     shares = np.concatenate([(1.0 - GUARD) * best.share, [0.5 * GUARD, 0.5 * GUARD]])
-    return Proposal(tuple(_embedded(one, directions) for one in components), shares)
+    return Mixture(tuple(_embedded(one, directions) for one in components), shares)
 
 
 def _embedded(component: Component, directions: FloatArray) -> Component:
     """A component in the ``directions`` (d, a) as one of all d latent normals."""
-    return Component(
-        directions @ component.mean, np.ascontiguousarray(directions @ component.basis), component.extra
-    )
+    return Component(directions @ component.mean, np.ascontiguousarray(directions @ component.basis), component.extra)
 
 
 def _mixture(
     z: FloatArray, weight: FloatArray, count: int, independent: float, random: np.random.Generator
-) -> tuple[float, Proposal]:
+) -> tuple[float, Mixture]:
     """BIC and the mixture of ``count`` components by expectation maximisation; ``weight`` (n,) adds up to one."""
     part = _start(z, weight, count, random)
     mixture, before = _maximised(z, weight, part, independent), -math.inf
@@ -166,7 +164,7 @@ def _start(z: FloatArray, weight: FloatArray, count: int, random: np.random.Gene
     return np.asarray(nearest == np.arange(len(chosen))[:, None], dtype=np.float64)
 
 
-def _maximised(z: FloatArray, weight: FloatArray, part: FloatArray, independent: float) -> Proposal:
+def _maximised(z: FloatArray, weight: FloatArray, part: FloatArray, independent: float) -> Mixture:
     """The components that maximise the likelihood, given the part (K, n) of each device in each."""
     owned = part * weight
     share = np.sum(owned, axis=1)
@@ -175,7 +173,7 @@ def _maximised(z: FloatArray, weight: FloatArray, part: FloatArray, independent:
     if not len(kept):
         kept = np.array([int(np.argmax(share))])
     components = [_component(z, owned[k] / share[k], share[k] * independent) for k in kept]
-    return Proposal(tuple(components), share[kept] / np.sum(share[kept]))
+    return Mixture(tuple(components), share[kept] / np.sum(share[kept]))
 
 
 def _component(z: FloatArray, weight: FloatArray, independent: float) -> Component:
@@ -188,7 +186,7 @@ def _component(z: FloatArray, weight: FloatArray, independent: float) -> Compone
 def _extra(covariance: FloatArray, independent: float) -> tuple[FloatArray, FloatArray]:
     """Basis and extra variance of a sample covariance S (a, a) of ``independent`` devices, shrunk towards m I, m = tr S / a.
 
-        (1 - t) S + t m I,   t = min(1, (tr S^2 + (tr S)^2) / (independent |S - m I|^2))        of normal devices
+    (1 - t) S + t m I,   t = min(1, (tr S^2 + (tr S)^2) / (independent |S - m I|^2))        of normal devices
     """
     trace, size = float(np.trace(covariance)), len(covariance)
     square = float(np.sum(covariance**2))

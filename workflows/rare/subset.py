@@ -58,7 +58,7 @@ class Subset:
 
 
 @dataclass(frozen=True, eq=False)
-class _Level:
+class _Chains:
     """Chains of a level: z (steps, chains, d), g (steps, chains), next step size."""
 
     z: FloatArray
@@ -67,10 +67,10 @@ class _Level:
 
 
 def search(response: Response, z: FloatArray, g: FloatArray, most: int, random: np.random.Generator) -> Subset:
-    """Find lost devices, from independent devices ``z`` (n, d) with ``g`` (n,); each level has n devices, all at most ``most``."""
+    """Find lost devices with at most ``most`` devices in levels of n, the first of which is ``z`` (n, d) with ``g`` (n,)."""
     n, dimension = z.shape
     probability, variance, devices, step = 1.0, 0.0, 0, 0.6
-    level = _Level(z[None], g[None], step)
+    level = _Chains(z[None], g[None], step)
     while True:
         flat = level.g.ravel()
         threshold = min(float(np.partition(flat, -round(SHARE * n))[-round(SHARE * n)]), 0.0)
@@ -106,7 +106,7 @@ def _moved(
     steps: int,
     step: float,
     random: np.random.Generator,
-) -> _Level:
+) -> _Chains:
     """Chains of ``steps`` devices above ``threshold`` from the seeds ``z`` (chains, d) with ``g`` (chains,)."""
     all_z, all_g = [z], [g]
     for k in range(1, steps):
@@ -118,7 +118,7 @@ def _moved(
         all_g.append(g)
         # Robbins-Monro with the weights of the source.
         step = min(1.0, step * math.exp((float(np.mean(accepted)) - ACCEPTED) / math.sqrt(k)))
-    return _Level(np.stack(all_z), np.stack(all_g), step)
+    return _Chains(np.stack(all_z), np.stack(all_g), step)
 
 
 def _independent(z: FloatArray, chains: int) -> float:

@@ -116,10 +116,8 @@ def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[s
     return out
 
 
-def true_quantities(
-    config: RunConfig, values: Mapping[str, FloatArray], angular_gain: float
-) -> dict[str, FloatArray]:
-    """All result quantities (B,) of devices with the parameters ``values`` (B,) by name, as the run would find them without error."""
+def true_quantities(config: RunConfig, values: Mapping[str, FloatArray], angular_gain: float) -> dict[str, FloatArray]:
+    """All result quantities (B,) of devices with the parameters ``values`` (B,) by name, without an error of measurement."""
     rate = with_true_noise(config, rate_of(config, angular_gain))
     return quantities(physical_of(values), rate, values["split_hz"])
 

@@ -23,7 +23,7 @@ from reports.limits import BoundsTable
 
 from ..config import RunConfig, load_config
 from ..config_tables import SamplingTable
-from ..rare.estimate import Problem
+from ..rare.estimate import LimitProblem
 
 _DIMENSION = 60
 #: A jump: share of devices with a leak, mean and sd of ln(rise) with one, sd without.
@@ -41,15 +41,17 @@ class ClosedForm:
     sides: int = 1
 
     @property
-    def problem(self) -> Problem:
+    def problem(self) -> LimitProblem:
         """As one limit, "g"."""
-        return Problem(_DIMENSION, self.responses, {"g": tuple(range(self.sides))})
+        return LimitProblem(_DIMENSION, self.responses, {"g": tuple(range(self.sides))})
 
 
 def _linear(probability: float) -> ClosedForm:
     beta = -float(ndtri(probability))
     return ClosedForm(
-        f"sum of four latent normals, {probability:g}", probability, lambda z: 0.5 * np.sum(z[:, :4], axis=1)[:, None] - beta
+        f"sum of four latent normals, {probability:g}",
+        probability,
+        lambda z: 0.5 * np.sum(z[:, :4], axis=1)[:, None] - beta,
     )
 
 

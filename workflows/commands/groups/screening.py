@@ -40,7 +40,9 @@ def run(
 
 
 def rare(
-    config: Annotated[Path | None, typer.Argument(help="Run configuration (TOML) with [sampling] and [limits].")] = None,
+    config: Annotated[
+        Path | None, typer.Argument(help="Run configuration (TOML) with [sampling] and [limits].")
+    ] = None,
     devices: Annotated[int | None, typer.Option(help="Virtual devices; default: sampling.devices.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random streams.")] = None,
     json: Json = False,
