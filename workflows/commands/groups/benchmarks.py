@@ -127,9 +127,10 @@ def rare(
     ),
     json: Json = False,
 ) -> None:
-    """Bias and intervals of rare losses, from 20,000 devices each.
+    """Bias and intervals of rare losses.
 
-    The limit states are closed forms, and limits of the default population that plain Monte Carlo sees or that are lost at 1 ppm.
+    Each is estimated from 20,000 devices.  The limit states are closed forms, and limits of the default population that plain
+    Monte Carlo sees or that are lost at 1 ppm.
     """
     from ..rare_study import rare_study as command
 
