@@ -19,7 +19,8 @@ from pipeline.errors import UsageError
 
 from .assembly import Structure, combine, effects, inverse_quality, parameters, stiffness
 from .irregularity import Change, Stage
-from .layout import places
+from .layout import Places, places
+from .numbers import Numbers, SeededNumbers
 from .site import Site
 from .spec import PopulationSpec
 
@@ -66,12 +67,21 @@ def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
     for name, value, least in (("seed", seed, 0), ("first", first, 0), ("count", count, 1)):
         if value < least:
             raise UsageError(f"{name} is too small", value=value, allowed=f"{least} or more", next_step=f"raise {name}")
-    device, operating = spec.device, spec.operating
     index = np.arange(first, first + count, dtype=np.int64)
-    placed = places(spec.wafer, index)
+    return draw_with(spec, index, places(spec.wafer, index), SeededNumbers(seed))
+
+
+def draw_with(spec: PopulationSpec, index: IntArray, placed: Places, numbers: Numbers) -> Draw:
+    """The devices ``index`` (B,) at the places ``placed``, with random numbers from ``numbers``.
+
+    Raises
+    ------
+    ConfigError : as :func:`draw`.
+    """
+    device, operating, count = spec.device, spec.operating, len(index)
     changes: list[tuple[str, Stage, Change]] = []
     for irregularity, values in spec.found():
-        site = Site(irregularity.name, seed, index, placed, device, spec.wafer, operating)
+        site = Site(irregularity.name, numbers, index, placed, device, spec.wafer, operating)
         changes.append((irregularity.name, irregularity.stage, irregularity.act(values, site)))
 
     springs = len(device.spring_azimuth_deg)

@@ -1,42 +1,26 @@
 """The places of a batch of devices, and random numbers for each level of the hierarchy.
 
-A random stream is identified by (irregularity, level, label) and the number k of the lot, wafer or device:
+A random number belongs to a stream "irregularity/level/label" and to the lot, wafer or device with number k, so a new
+irregularity changes no other draw.  ``numbers`` says where the streams come from.
 
-    SeedSequence(seed, spawn_key=(crc32("irregularity/level/label"), k))
-
-so a draw depends only on the seed and these names, and a new irregularity changes no other draw.
-
-Shapes: B devices, J springs, D dies per wafer.  Random numbers have the shape (size, B) with contiguous rows, because numpy's
-elementary functions may round differently on strided memory and a device must not depend on its batch.
+Shapes: B devices, J springs.  Random numbers have the shape (size, B).
 """
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from pipeline.arrays import ComplexArray, FloatArray, IntArray
 
-from .layout import Places, die_centres
+from .layout import Places
 from .nominal import NominalDevice, Operating, Wafer
+from .numbers import Numbers
 from .symmetric import as_complex
 
 Level = Literal["lot", "wafer", "die", "package"]
-
-
-@lru_cache(maxsize=32)
-def field_factor(wafer: Wafer, length_mm: float) -> FloatArray:
-    """Cholesky factor (D, D) [1] of exp(-d / length) over the dies of a wafer; d and ``length_mm`` [mm]."""
-    centres = die_centres(wafer)
-    offset = centres[:, None, :] - centres[None, :, :]
-    distance = np.hypot(offset[..., 0], offset[..., 1])
-    factor: FloatArray = np.linalg.cholesky(np.exp(-distance / length_mm))
-    factor.setflags(write=False)
-    return factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,37 +31,27 @@ class Site:
     """
 
     irregularity: str
-    seed: int
+    numbers: Numbers
     index: IntArray
     places: Places
     device: NominalDevice
     wafer: Wafer
     operating: Operating
 
-    def _generator(self, kind: str, key: int) -> np.random.Generator:
-        stream = zlib.crc32(f"{self.irregularity}/{kind}".encode())
-        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=(stream, key))))
-
-    def _numbers(self, level: Level) -> IntArray:
+    def _keys(self, level: Level) -> IntArray:
         return {"lot": self.places.lot, "wafer": self.places.wafer}.get(level, self.index)
 
     def normal(self, level: Level, size: int = 1, label: str = "") -> FloatArray:
         """Standard normals (size, B) [1]; at level "lot" or "wafer", devices of the same lot or wafer share them."""
-        keys, back = np.unique(self._numbers(level), return_inverse=True)
-        drawn = np.empty((size, len(keys)))
-        for column, key in enumerate(keys.tolist()):
-            drawn[:, column] = self._generator(f"{level}/{label}", key).standard_normal(size)
-        return np.take(drawn, back, axis=1)
+        return self.numbers.normal(f"{self.irregularity}/{level}/{label}", self._keys(level), size)
 
     def fixed(self, size: int = 1, label: str = "") -> FloatArray:
         """Standard normals (size,) [1], the same for all devices of the seed."""
-        return self._generator(f"fixed/{label}", 0).standard_normal(size)
+        return self.numbers.fixed(f"{self.irregularity}/fixed/{label}", size)
 
     def uniform(self, level: Level, label: str = "") -> FloatArray:
         """Uniform numbers (B,) [1] in [0, 1)."""
-        keys, back = np.unique(self._numbers(level), return_inverse=True)
-        drawn = np.array([self._generator(f"{level}/{label}/uniform", key).random() for key in keys.tolist()])
-        return np.take(drawn, back)
+        return self.numbers.uniform(f"{self.irregularity}/{level}/{label}", self._keys(level))
 
     def complex_normal(self, level: Level, label: str = "") -> ComplexArray:
         """A 2-theta quantity (B,) [1] without preferred axis: a complex normal with unit sd in each component."""
@@ -86,11 +60,8 @@ class Site:
 
     def field(self, length_mm: float) -> FloatArray:
         """Gaussian process (B,) [1] on each wafer: unit variance, correlation exp(-d / length), lengths [mm]."""
-        factor = field_factor(self.wafer, length_mm)
-        keys, back = np.unique(self.places.wafer, return_inverse=True)
-        # One product per wafer: the rounding of BLAS depends on the shape of the matrices.
-        maps = [factor @ self._generator("wafer/field", key).standard_normal(len(factor)) for key in keys.tolist()]
-        return np.ascontiguousarray(np.stack(maps)[back, self.places.die])
+        stream = f"{self.irregularity}/wafer/field"
+        return self.numbers.field(stream, self.places.wafer, self.places.die, self.wafer, length_mm)
 
     def spring_azimuth(self) -> FloatArray:
         """Nominal azimuths (J, 1) [rad] of the springs."""

@@ -75,6 +75,20 @@ class Limit:
             return in_arc(values, self.low, self.high)
         return np.asarray((values >= self.low) & (values <= self.high))
 
+    def beyond(self, values: FloatArray) -> tuple[FloatArray, ...]:
+        """How far values (...) lie beyond each finite end, low first [unit of the quantity]: positive outside, inf for nan.
+
+        For an axis: beyond the low and the high end of the arc, by the shorter way round from its middle.
+        """
+        if self.axis:
+            half = 0.5 * (self.high - self.low)
+            away = np.mod(values - (self.low + half) + 0.5 * PERIOD_DEG, PERIOD_DEG) - 0.5 * PERIOD_DEG
+            found = [-away - half, away - half]
+        else:
+            ends = ((self.low, self.low - values), (self.high, values - self.high))
+            found = [excess for end, excess in ends if math.isfinite(end)]
+        return tuple(np.where(np.isnan(excess), np.inf, excess) for excess in found)
+
     def margin(self, values: FloatArray) -> FloatArray:
         """Distance (...) to the nearest limit, in half-widths of the tolerance or in units of a single limit.
 

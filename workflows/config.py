@@ -20,7 +20,7 @@ from pipeline.inference.gate import Gate
 from pipeline.input_limits import RECORD_VALUES
 from pipeline.performance.figure import by_table, find_figures
 from pipeline.performance.operating_point import OperatingPoint
-from pipeline.toml_files import converted, decode, load
+from pipeline.toml_files import check_known, converted, decode, load
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
 
 from .config_tables import (
@@ -35,6 +35,7 @@ from .config_tables import (
     RunDemodulationTable,
     RunInstrumentTable,
     RunTable,
+    SamplingTable,
     SourceTable,
     TargetsTable,
     TrimTable,
@@ -66,6 +67,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     gate: GateTable = GateTable()
     targets: TargetsTable = TargetsTable()
     trim: TrimTable | None = None
+    sampling: SamplingTable | None = None
     effects: dict[str, EffectTable] = {}
     diagnosis: DiagnosisTable = DiagnosisTable()
     rule: Rule = Rule()
@@ -194,6 +196,8 @@ def _check(config: RunConfig, where: str) -> None:
             next_step="raise posterior.stored_draws or leave it out",
         )
     _check_figures(config, where)
+    for name in config.sampling.limits if config.sampling is not None else ():
+        check_known(name, config.judged_by(where).quantities, f"{where}: [sampling] limits", "limit")
     if config.trim is not None:
         config.trim.electrodes()
         config.trim.target()

@@ -253,3 +253,17 @@ class TargetsTable(Struct, frozen=True, forbid_unknown_fields=True):
 
     yield_min: Share | None = None
     strict_convergence: bool = False
+
+
+class SamplingTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Sampling towards rare losses: ``gyroscreen rare``.
+
+    ``limits`` are the limited quantities whose loss is estimated (absent: all), from at most ``devices`` virtual devices.  A loss
+    is decided if the half-width of its 95 % interval is at most ``precision`` of it.  ``method`` "plain" draws the devices of the
+    population instead, to compare.
+    """
+
+    limits: tuple[str, ...] = ()
+    devices: Annotated[int, Meta(ge=1, le=100_000_000)] = 20_000
+    precision: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.2
+    method: Literal["importance", "plain"] = "importance"

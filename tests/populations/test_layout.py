@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.errors import ConfigError
 from populations.layout import die_centres, places, visiting_order
-from populations.site import field_factor
+from populations.numbers import field_factor
 from populations.spec import load_spec
 
 WAFER = load_spec().wafer

@@ -163,12 +163,13 @@ def test_the_version_is_that_of_the_distribution(capfd):
     [
         (
             [],
-            "run query report verify identify paper init check simulate compare diagnose refine demo effects model benchmark",
+            "run rare query report verify identify paper init check simulate compare diagnose refine demo effects model "
+            "benchmark",
         ),
         (["model"], "show add drop export"),
         (
             ["benchmark"],
-            "coverage undetected foreign-gyros sweeps decays throughput faults sequential lattice silverbox hidden-effects",
+            "coverage undetected foreign-gyros sweeps decays rare throughput faults sequential lattice silverbox hidden-effects",
         ),
     ],
 )

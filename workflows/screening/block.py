@@ -110,11 +110,16 @@ def _results(
 def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[str, FloatArray]:
     """fab_<q> and true_<q>, each (B,) in the unit of its column, of a draw: as fabricated and as packaged."""
     out: dict[str, FloatArray] = {}
-    rate = with_true_noise(config, rate_of(config, angular_gain))
     for prefix, values in (("fab", drawn.fab), ("true", drawn.true)):
-        all_q = quantities(physical_of(values), rate, values["split_hz"])
+        all_q = true_quantities(config, values, angular_gain)
         out |= {f"{prefix}_{name}": all_q[name] for name in NAMES}
     return out
+
+
+def true_quantities(config: RunConfig, values: Mapping[str, FloatArray], angular_gain: float) -> dict[str, FloatArray]:
+    """All result quantities (B,) of devices with the parameters ``values`` (B,) by name, without an error of measurement."""
+    rate = with_true_noise(config, rate_of(config, angular_gain))
+    return quantities(physical_of(values), rate, values["split_hz"])
 
 
 def _causes(limits: Limits, truth: Mapping[str, FloatArray]) -> list[str | None]:

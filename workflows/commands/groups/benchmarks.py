@@ -115,6 +115,28 @@ def decays(
     command(kind, campaigns, seed, workers, out, json)
 
 
+@app.command("rare")
+def rare(
+    kind: Annotated[str, typer.Option(help="A limit state, such as linear-1e-6 or split-1ppm, or all.")] = "all",
+    count: Annotated[int, typer.Option(help="Estimates per kind.")] = 400,
+    plain: Annotated[int, typer.Option(help="Rows of 100,000 devices of plain Monte Carlo.")] = 100,
+    seed: Seed = 1,
+    workers: Workers = 0,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "rare"
+    ),
+    json: Json = False,
+) -> None:
+    """Bias and intervals of rare losses.
+
+    Each is estimated from 20,000 devices.  The limit states are closed forms, and limits of the default population that plain
+    Monte Carlo sees or that are lost at 1 ppm.
+    """
+    from ..rare_study import rare_study as command
+
+    command(kind, count, plain, seed, workers, out, json)
+
+
 @app.command()
 def efficiency(
     cell: Annotated[str, typer.Option(help="As 60dB-1Hz, or all.")] = "all",

@@ -1,4 +1,4 @@
-"""Declaration of the commands of the screening run: run, query, report, verify."""
+"""Declaration of the commands of the screening run: run, rare, query, report, verify."""
 
 from __future__ import annotations
 
@@ -37,6 +37,23 @@ def run(
 
     chosen = scheduler_of(scheduler, tls_ca, tls_cert, tls_key, insecure)
     command(config, devices, seed, out, workers, chosen, resume, dry_run, json)
+
+
+def rare(
+    config: Annotated[
+        Path | None, typer.Argument(help="Run configuration (TOML) with [sampling] and [limits].")
+    ] = None,
+    devices: Annotated[int | None, typer.Option(help="Virtual devices; default: sampling.devices.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all random streams.")] = None,
+    json: Json = False,
+) -> None:
+    """Estimate rare losses of the population to the limits.
+
+    Devices beyond each limit are searched for and weighted, so that losses of a few ppm need some ten thousand devices.
+    """
+    from ..rare import rare as command
+
+    command(config, devices, seed, json)
 
 
 def query(
@@ -89,4 +106,4 @@ def verify(
     command(results, json, repair)
 
 
-COMMANDS = (run, query, report, verify)
+COMMANDS = (run, rare, query, report, verify)
