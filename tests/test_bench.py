@@ -16,8 +16,8 @@ def entry(name, role, least, **info):
     return {"extra_info": {"name": name, "role": role, **info}, "stats": {"min": least}}
 
 
-def part(name, least, limit, inside="device", devices=1, reference=1e-3):
-    return entry(name, "part", least, limit=limit, formula="f", inside=inside, devices=devices, reference_s=reference)
+def part(name, least, limit, inside="device", devices=1):
+    return entry(name, "part", least, limit=limit, formula="f", inside=inside, devices=devices, ratio=least / 1e-3)
 
 
 @pytest.fixture

@@ -92,13 +92,14 @@ def main(arguments: list[str]) -> int:
     group = parser.add_mutually_exclusive_group()
     group.add_argument("-k", default="", dest="only", help="as pytest -k; prints the table and writes nothing")
     group.add_argument("--accept", type=int, default=0, metavar="RUNS", help="store the ratios of so many runs")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="processor time for each benchmark [s]")
     chosen = parser.parse_args(arguments)
     if chosen.accept:
-        stored = Stored(blas_kernel(), spreads([measured("part") for _ in range(chosen.accept)]))
+        stored = Stored(blas_kernel(), spreads([measured("part", chosen.seconds) for _ in range(chosen.accept)]))
         write_stored(RATIOS, stored)
         write_table("spreads", spread_table(stored))
         return 0
-    results, blas = measured(chosen.only), blas_kernel()
+    results, blas = measured(chosen.only, chosen.seconds), blas_kernel()
     table = f"BLAS kernel {blas}.\n\n{table_of(results)}"
     if chosen.only:
         print(table)

@@ -1,7 +1,7 @@
 """Results of pytest-benchmark as rows, and the table of docs/parts.md.
 
-All times are least processor times of one run.  A ratio is a part's time per device over that of the reference loop in the rounds
-between.
+All times are least processor times of one run.  A ratio is a part's time per device over that of the reference loop in the round
+before, median over the rounds.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def results_of(benchmarks: Sequence[Mapping[str, Any]]) -> Results:
         seconds = least / info["devices"]
         limit = sum(count * units[name] for name, count in info["limit"].items())
         own = tuple(peer for name, peer in peers if name == info["name"])
-        ratio = seconds / info["reference_s"]
+        ratio = info["ratio"] / info["devices"]
         parts.append(Part(info["name"], seconds, ratio, limit, info["formula"], info["inside"], own))
     return Results(tuple(_summed(parts)), units)
 

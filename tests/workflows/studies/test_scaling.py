@@ -39,7 +39,8 @@ def test_stub_rows_have_the_schema_and_sites_of_the_draw_and_do_not_repeat():
     assert first.posterior.schema == posterior_schema()
     assert first.posterior.num_rows == 60 * 100
     drawn = draw(population(CONFIG), CONFIG.run.seed, 0, 60)
-    assert first.devices.column("device_id").to_pylist() == list(drawn.device_id)
+    for name in ("device_id", "lot", "wafer", "package", "die_x_mm", "die_y_mm"):
+        assert first.devices.column(name).to_pylist() == list(getattr(drawn, name)), name
     theta = np.concatenate([one.devices.column("theta_deg").to_numpy() for one in (first, second)])
     assert np.unique(theta).size == theta.size
     again = block(0, 0, 60)

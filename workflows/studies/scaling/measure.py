@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
+from pipeline.experiment.noise.measure import measured as measured_volts
 from pipeline.experiment.record import Campaign, Record
 from pipeline.experiment.write_campaign import write_campaign
 from pipeline.store.query import query
@@ -34,11 +35,11 @@ from ...screening.inputs import Inputs
 from ...screening.outcome import rendered_report
 from ...screening.plan import RunPlan, plan, without_none
 from ...screening.settings import population
-from ...screening.virtual_device import shared_record, virtual_records
+from ...screening.virtual_device import shared_record, virtual_records, virtual_volts
 from .points import DEVICE, RECORDS, Point, config_of_point
 from .stub import StubRows
 
-_RUN = "scaling"
+_RUN, _STREAM = "scaling", 113
 _SQL = "SELECT wafer, avg(split_hz) AS split, sum(CAST(verdict = 'pass' AS INT)) AS passed FROM devices GROUP BY wafer"
 #: The process of a query may take so long [s] and so much: a run of a million devices has 2 GB of rows.
 _QUERY_S, _QUERY_MEMORY = 1800.0, "4GB"
@@ -140,14 +141,13 @@ def _write_campaigns(config: RunConfig, devices: int, records: int, folder: Path
     spec = population(config)
     drawn, gain = draw(spec, config.run.seed, 0, devices), float(spec.angular_gain)
     instrument, drive = config.instrument.instrument(), shared_record(config).record.drive_v
+    hum, kind = config.hum_source(), config.noise.noise_kind()
     for i in range(devices):
         silent, first, sigma_v = virtual_records(config, drawn, i)
-        random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(113, i)))
-        quiet = Record("silence", instrument.sample_rate_hz, np.zeros_like(silent), silent, role="noise")
-        # Further chirps differ from the first one by independent noise of twice its variance: only their cost matters.
-        more = [first + sigma_v * random.standard_normal(first.shape) for _ in range(records - 1)]
-        chirps = [
-            Record(f"chirp {k}", instrument.sample_rate_hz, drive, sensed, role="fit")
-            for k, sensed in enumerate([first, *more], start=1)
-        ]
+        volts = virtual_volts(config, drawn, i)
+        random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM, i)))
+        rate = instrument.sample_rate_hz
+        more = [measured_volts(volts, rate, sigma_v, hum, instrument.adc, random, kind) for _ in range(records - 1)]
+        quiet = Record("silence", rate, np.zeros_like(silent), silent, role="noise")
+        chirps = [Record(f"chirp {k}", rate, drive, v, role="fit") for k, v in enumerate([first, *more], start=1)]
         write_campaign(Campaign(f"device-{i}", (quiet, *chirps), instrument, gain), folder / f"device-{i}")

@@ -1,4 +1,4 @@
-"""Stub devices with the rows of real ones: site and name by the draw, values by 25 identified devices, each varied at random.
+"""Stub devices with the rows of real ones: name and site as drawn, values of 25 identified devices, each varied at random.
 
 Every number of a row is multiplied by 1 + 1e-3 e with a normal e, so that rows cost as many bytes as real ones and no encoding
 profits from their repetition.  Probabilities, counts and words are those of the device that a row is taken from.
@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 import pyarrow as pa
 
-from populations.draw import draw
+from populations.layout import places
 
 from ...config import RunConfig
 from ...screening.block import BlockTables, DeviceBlock, virtual_block
@@ -61,22 +61,25 @@ class StubRows:
         """The tables of the block."""
         block, real = item.block, _real()
         random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM, block.index)))
-        drawn = draw(population(config), config.run.seed, block.first, block.count)
+        index = np.arange(block.first, block.first + block.count)
+        placed = places(population(config).wafer, index)
+        lots = [f"L{lot + 1:02d}" for lot in placed.lot.tolist()]
+        names = [f"D{n:06d}" for n in index.tolist()]
         begin(block.first)
-        of = np.arange(block.first, block.first + block.count) % _REAL
+        of = index % _REAL
         site = {
-            "device_id": list(drawn.device_id),
-            "lot": list(drawn.lot),
-            "wafer": list(drawn.wafer),
-            "die_x_mm": drawn.die_x_mm,
-            "die_y_mm": drawn.die_y_mm,
-            "package": list(drawn.package),
+            "device_id": names,
+            "lot": lots,
+            "wafer": [f"{lot}-W{wafer + 1:02d}" for lot, wafer in zip(lots, placed.wafer_in_lot.tolist())],
+            "die_x_mm": placed.x_mm,
+            "die_y_mm": placed.y_mm,
+            "package": [f"P{n:06d}" for n in index.tolist()],
         }
         devices = _replaced(_varied(real.devices.take(pa.array(of)), random), site)
         draws = config.posterior.stored_draws
         posterior = None
         if draws and real.posterior is not None:
             rows = (of[:, None] * draws + np.arange(draws)).ravel()
-            names = np.repeat(np.array(drawn.device_id, dtype=object), draws)
-            posterior = _replaced(_varied(real.posterior.take(pa.array(rows)), random), {"device_id": names})
+            each = np.repeat(np.array(names, dtype=object), draws)
+            posterior = _replaced(_varied(real.posterior.take(pa.array(rows)), random), {"device_id": each})
         return BlockTables(block.index, devices, posterior, {"ok": block.count})
