@@ -90,12 +90,19 @@ def test_the_cost_of_a_night_is_what_the_formulas_say():
     ]
     found = {cost.name: cost for cost in cost_of(rows, 10_000_000)}
     assert (found["core hours"].low, found["core hours"].high) == pytest.approx((4e5 / 3600, 5e5 / 3600))
-    assert found["workers that a driver feeds"].low == pytest.approx(400.0)
-    assert found["workers that a driver feeds"].high == pytest.approx(500.0)
+    assert found["workers that it feeds"].low == pytest.approx(400.0)
+    assert found["workers that it feeds"].high == pytest.approx(500.0)
     assert found["rows"].high == pytest.approx(15.0)
     assert found["posterior draws, 100 a device"].low == pytest.approx(120.0)
     assert found["memory of the report"].low == pytest.approx(10.3)
     assert "| core hours | 111 | 139 | h |" in cost_table(cost_of(rows, 10_000_000), 10_000_000)
+
+
+def test_slopes_are_those_of_the_largest_runs_alone():
+    rows = [row(STUB, n, w, bytes=1e6 + 1500 * n) for n, w in ((1000, 1), (10_000, 1), (100_000, 1), (1000, 2))]
+    rows.append(row(STUB, 10_000, 2, bytes=0.0))
+    (found,) = [cost for cost in cost_of(rows, 10_000_000) if cost.name == "rows"]
+    assert (found.low, found.high) == pytest.approx((15.0, 15.0))
 
 
 def test_what_was_not_measured_is_left_out():

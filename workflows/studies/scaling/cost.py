@@ -58,7 +58,11 @@ def cost_of(rows: Sequence[Row], devices: int) -> list[Cost]:
     found.append(_range(f"driver, of a block of {STUB_BLOCK} stubs", driver, 1e3 * STUB_BLOCK, "ms"))
     found.append(_range("driver, the whole night", driver, devices / 3600.0, "h"))
     fed = [t / b for t in real for b in driver]
-    found.append(_range("workers that a driver feeds", fed, 1.0, ""))
+    found.append(_range("workers that it feeds", fed, 1.0, ""))
+    small = _slopes(rows, DEVICE, "run_cpu_s")
+    found.append(_range("driver, blocks of 25 real devices with draws, the whole night", small, devices / 3600.0, "h"))
+    found.append(_range("workers that it then feeds", [t / b for t, b in zip(real, small) if b > 0.0], 1.0, ""))
+    found.append(_range("rows and draws of real devices", _slopes(rows, DEVICE, "bytes"), devices / 1e9, "GB"))
     found.append(_range("rows", _slopes(rows, STUB, "bytes"), devices / 1e9, "GB"))
     found.append(_range("posterior draws, 100 a device", _of_draws(rows, "bytes"), devices / 1e9, "GB"))
     found.append(_range("driver, for the draws", _of_draws(rows, "run_cpu_s"), devices / 3600.0, "h"))
@@ -81,15 +85,17 @@ def _range(name: str, values: Sequence[float], factor: float, unit: str) -> Cost
 
 
 def _largest(rows: Sequence[Row], kind: str) -> list[tuple[Row, Row]]:
-    """The two largest runs of a kind, for each number of workers."""
-    pairs = []
-    for workers in VALUES[kind][1]:
-        own = sorted(
-            (r for r in rows if r["kind"] == kind and r["workers"] == workers), key=lambda r: float(r["value"])
-        )
-        if len(own) > 1:
-            pairs.append((own[-2], own[-1]))
-    return pairs
+    """The two largest runs of a kind, for each number of workers that has both."""
+    own = {(float(row["value"]), int(row["workers"])): row for row in rows if row["kind"] == kind}
+    values = sorted({value for value, _ in own})[-2:]
+    if len(values) < 2:
+        return []
+    small, large = values
+    return [
+        (own[small, workers], own[large, workers])
+        for workers in VALUES[kind][1]
+        if (small, workers) in own and (large, workers) in own
+    ]
 
 
 def _slopes(rows: Sequence[Row], kind: str, key: str) -> list[float]:
