@@ -1,7 +1,7 @@
 """Time each part of a device beside its peers, write the table, and report parts that became slower.
 
     python -m tests.bench                  docs/parts.md anew; exit code 1 if a part became slower than docs/parts.json allows
-    python -m tests.bench --accept 8       time the parts 8 times and store their ratios: docs/parts.json and its table
+    python -m tests.bench --accept 3       time the parts 3 times and store their ratios: docs/parts.json and its table
     python -m tests.bench -k arx           some benchmarks only, to the terminal; nothing is written
 
 Needs the extra "bench"; peers that are not installed are left out.
