@@ -169,6 +169,26 @@ def throughput(devices: Devices = 100, json: Json = False) -> None:
 
 
 @app.command()
+def scaling(
+    kind: Annotated[str, typer.Option(help="device, order, duration, records, block, draws, stub, or all.")] = "all",
+    largest: Annotated[int, typer.Option(help="Most devices of a run.")] = 1_000_000,
+    devices: Annotated[int, typer.Option(help="Devices of the night whose cost is derived.")] = 10_000_000,
+    seed: Seed = 1,
+    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
+        "scaling"
+    ),
+    json: Json = False,
+) -> None:
+    """Time, memory, files, query and report against the size.
+
+    Runs of real devices and of stubs with the rows of real ones; derives the cost of a large night on a cluster.
+    """
+    from ..scaling import scaling as command
+
+    command(kind, largest, devices, seed, out, json)
+
+
+@app.command()
 def faults(
     blocks: Annotated[int, typer.Option(help="Blocks of four stub devices.")] = 1000,
     kills: Annotated[int, typer.Option(help="Workers killed at random moments.")] = 60,

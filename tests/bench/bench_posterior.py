@@ -1,0 +1,83 @@
+"""Posterior of a device: E ensembles of n walkers, L + B steps, P = 14 parameters, S senses, J = 48 rows of the triangle."""
+
+import numpy as np
+from bench.device import device
+from bench.naive import log_posterior
+
+from pipeline.inference.screening.likelihood import FEATURES, log_likelihood
+from pipeline.inference.screening.sample import sample
+from workflows.screening.settings import POSTERIOR_STREAM, device_seed
+
+PART = "posterior"
+WALKERS, STEPS, SHORT = 32, 2000, 10
+
+
+def of_device():
+    d, one = device(), device().fitted[0]
+    return d, one.scoring, one.sampler
+
+
+def start_points(fit, random):
+    return random.multivariate_normal(fit.x, fit.covariance, size=WALKERS, method="eigh")
+
+
+def test_part_posterior(timed):
+    d, scoring, sampler = of_device()
+    fit, size = scoring.fit, scoring.fit.x.size
+    points = sampler.ensembles * sampler.walkers
+    moves = points * (sampler.steps + sampler.burn)
+    calls = moves + 2 * points + 256
+    found = timed.part(
+        PART,
+        lambda: sample(fit, sampler, device_seed(d.config, POSTERIOR_STREAM, 0)),
+        {"normal": size * (moves + points + 256), "flop": calls * 2 * FEATURES * (FEATURES + 1)},
+        "(E n (L + B + 1) + 256) P normals; (E n (L + B + 2) + 256) calls of S J (J + 1) flops",
+    )
+    assert found.move == "laplace"
+    assert found.ess > 1000.0
+
+
+def test_peer_emcee(timed):
+    import emcee
+
+    d, scoring, _ = of_device()
+    (data,) = scoring.data
+    start = start_points(scoring.fit, np.random.default_rng(4))
+    fit = scoring.fit
+    # The plain likelihood is that of the compressed one, up to a constant.
+    moved = fit.x + 2.0 * np.sqrt(np.diag(fit.covariance)) * np.eye(fit.x.size)[0]
+    ours = np.diff(log_likelihood(np.stack([fit.x, moved]), *fit.likelihood.arrays))[0]
+    plain = [log_posterior(x, data, d.noise.sigma_v, scoring.prior) for x in (fit.x, moved)]
+    assert abs(ours - (plain[1] - plain[0])) < 1e-3 * abs(ours)
+
+    def work():
+        sampler = emcee.EnsembleSampler(WALKERS, fit.x.size, log_posterior, args=(data, d.noise.sigma_v, scoring.prior))
+        sampler.run_mcmc(start, SHORT, skip_initial_state_check=True)
+
+    timed.peer(
+        PART,
+        "emcee, 32 walkers, plain numpy likelihood",
+        work,
+        STEPS / SHORT,
+        f"{SHORT} of {STEPS} steps timed; still too short to converge",
+    )
+
+
+def test_peer_emcee_compiled(timed):
+    import emcee
+
+    _, scoring, _ = of_device()
+    fit = scoring.fit
+    start, steps = start_points(fit, np.random.default_rng(4)), 100
+
+    def work():
+        sampler = emcee.EnsembleSampler(WALKERS, fit.x.size, log_likelihood, args=fit.likelihood.arrays, vectorize=True)
+        sampler.run_mcmc(start, steps, skip_initial_state_check=True)
+
+    timed.peer(
+        PART,
+        "emcee, 32 walkers, this project's likelihood",
+        work,
+        STEPS / steps,
+        f"{steps} of {STEPS} steps timed; still too short to converge",
+    )
