@@ -24,9 +24,10 @@ from scipy import special
 from pipeline.arrays import BoolArray, FloatArray
 
 from .clusters import Clustering, effective_number
+from .coded import IntArray, coded
 from .devices import ColumnSource, Devices
 from .limits import Rule
-from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, poisson_binomial
+from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, groups_of, poisson_binomial
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +47,8 @@ class GivenCommon:
         """(K, B) whether the rule does not fail the device: passed or undecided."""
         return ~np.asarray(self.p_pass <= self.rule.fail_at)
 
-    def of(self, members: BoolArray) -> GivenCommon:
-        """The devices ``members`` (B,) alone."""
+    def of(self, members: IntArray) -> GivenCommon:
+        """The devices with the numbers ``members`` alone."""
         return GivenCommon(self.p_pass[:, members], self.rule)
 
 
@@ -137,7 +138,7 @@ def clustering_with_common(found: Clustering, groups: Sequence[str], given: Give
     """``found`` with an interval that contains the common errors; ``groups``: B names."""
     if given is None or found.interval is None:
         return found
-    names, index = np.unique(np.asarray(groups), return_inverse=True)
+    names, index = np.unique(coded(groups).codes, return_inverse=True)
     parts = [effective_number(passed.astype(np.float64), index, names.size) for passed in given.passed]
     share, n = np.array([part.share for part in parts]), np.array([part.effective for part in parts])
     mixed = mixed_clopper_pearson(share * n, n, f"{found.interval.method}, common errors included")
@@ -150,11 +151,12 @@ def groups_with_common(
     """The yield of each lot or wafer with intervals that contain the common errors; names as for ``by_group``."""
     if given is None:
         return tuple(found)
-    keys = np.array(list(zip(lots, wafers if wafers is not None else [""] * len(lots), strict=True)))
-    return tuple(
-        replace(row, result=with_common(row.result, given.of(np.all(keys == (row.lot, row.wafer), axis=1))))
-        for row in found
-    )
+    names, index = groups_of(lots, wafers)
+    # The devices of a group are those between two bounds, once they are in the order of their groups.
+    order = np.argsort(index, kind="stable")
+    bounds = np.searchsorted(index[order], np.arange(len(names) + 1))
+    members = {name: order[low:high] for name, low, high in zip(names, bounds[:-1], bounds[1:], strict=True)}
+    return tuple(replace(row, result=with_common(row.result, given.of(members[row.lot, row.wafer]))) for row in found)
 
 
 def measurement_given_common(given: GivenCommon, level: float = LEVEL) -> Measurement:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +17,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.arrays import BoolArray, FloatArray
+
+from .coded import CodedText, coded, paired
 
 
 class ColumnSource(Protocol):
@@ -67,22 +70,23 @@ class Devices:
             return np.full(len(self), np.nan)
         return np.array(self.table[name].cast(pa.float64()).to_numpy())
 
-    def text(self, name: str, rows: Sequence[int] | None = None) -> tuple[str, ...]:
+    def text(self, name: str, rows: Sequence[int] | None = None) -> CodedText:
         """B values of a text column, or those of ``rows``; "" where null or absent."""
         if name not in self.table.column_names:
-            return ("",) * (len(self) if rows is None else len(rows))
+            return CodedText(("",), np.zeros(len(self) if rows is None else len(rows), dtype=np.int64))
         whole = self.table[name] if rows is None else self.table[name].take(pa.array(rows, pa.int64()))
-        column = pc.fill_null(whole.cast(pa.string()), "")
-        words: list[str] = []
-        for chunk in column.chunks:
-            coded = chunk.dictionary_encode()  # equal words share their memory
-            known = coded.dictionary.to_pylist()
-            words += [known[place] for place in coded.indices.to_numpy()]
-        return tuple(words)
+        column = pc.fill_null(whole.cast(pa.string()), "").combine_chunks().dictionary_encode()
+        return CodedText(tuple(column.dictionary.to_pylist()), column.indices.to_numpy().astype(np.int64))
 
     def is_ok(self) -> BoolArray:
-        """(B,) whether the identification is ok."""
-        return self._equals("status", "ok")
+        """(B,) whether the identification is ok; read-only."""
+        return self._ok
+
+    @cached_property
+    def _ok(self) -> BoolArray:
+        found = self._equals("status", "ok")
+        found.flags.writeable = False  # every caller gets the same array
+        return found
 
     def identified(self) -> bool:
         """Whether any device could be judged; without one there is no yield."""
@@ -97,7 +101,8 @@ class Devices:
             return np.zeros(len(self), dtype=np.bool_)
         return np.array(pc.fill_null(pc.equal(self.table[name].cast(pa.string()), word), False).to_numpy(), np.bool_)
 
-    def wafers(self) -> tuple[str, ...]:
+    def wafers(self) -> CodedText:
         """B names of wafers, unique over lots; "" where unknown."""
-        pairs = zip(self.text("lot"), self.text("wafer"), strict=True)
-        return tuple(wafer_name(lot, wafer) if wafer else "" for lot, wafer in pairs)
+        pairs, index = paired(self.text("lot"), self.text("wafer"))
+        names = coded([wafer_name(lot, wafer) if wafer else "" for lot, wafer in pairs])
+        return CodedText(names.words, names.codes[index])

@@ -25,6 +25,8 @@ from scipy.special import betaincinv, ndtri
 from pipeline.arrays import FloatArray
 from pipeline.errors import UsageError
 
+from .coded import CodedText, IntArray, coded, paired
+
 LEVEL = 0.95
 
 
@@ -156,7 +158,8 @@ def yield_of(passed: int, failed: int, undecided: int = 0, level: float = LEVEL)
 
 def yield_of_verdicts(verdicts: Sequence[str], level: float = LEVEL) -> Yield:
     """The yield of a list of verdicts; any other value than "pass" or "fail" counts as undecided."""
-    passed, failed = verdicts.count("pass"), verdicts.count("fail")
+    counts = coded(verdicts).counts()
+    passed, failed = counts.get("pass", 0), counts.get("fail", 0)
     return yield_of(passed, failed, len(verdicts) - passed - failed, level)
 
 
@@ -194,12 +197,24 @@ def by_group(
     verdicts: Sequence[str], lots: Sequence[str], wafers: Sequence[str] | None = None
 ) -> tuple[GroupYield, ...]:
     """The yield of each lot, or of each wafer of each lot where ``wafers`` are given, in order of name."""
-    keys = list(zip(lots, wafers if wafers is not None else [""] * len(lots), strict=True))
-    members: dict[tuple[str, str], list[str]] = {}
-    for key, verdict in zip(keys, verdicts, strict=True):
-        members.setdefault(key, []).append(verdict)
-    order = sorted(members, key=lambda key: (natural(key[0]), natural(key[1])))
-    return tuple(GroupYield(lot, wafer, yield_of_verdicts(members[lot, wafer])) for lot, wafer in order)
+    keys, index = groups_of(lots, wafers)
+    found = coded(verdicts)
+    number, passed, failed = (
+        np.bincount(index[rows], minlength=len(keys))
+        for rows in (np.ones(len(found), dtype=np.bool_), found.equals("pass"), found.equals("fail"))
+    )
+    order = sorted(range(len(keys)), key=lambda k: (natural(keys[k][0]), natural(keys[k][1])))
+    return tuple(
+        GroupYield(*keys[k], yield_of(int(passed[k]), int(failed[k]), int(number[k] - passed[k] - failed[k])))
+        for k in order
+    )
+
+
+def groups_of(lots: Sequence[str], wafers: Sequence[str] | None) -> tuple[tuple[tuple[str, str], ...], IntArray]:
+    """Names of the groups, (lot, wafer) or (lot, "") without ``wafers``, and the number (B,) of each device's group."""
+    return paired(
+        coded(lots), CodedText(("",), np.zeros(len(lots), dtype=np.int64)) if wafers is None else coded(wafers)
+    )
 
 
 def natural(name: str) -> tuple[tuple[int, str], ...]:

@@ -23,6 +23,8 @@ from workflows.screening.outcome import rendered_report
 from workflows.screening.plan import without_none
 
 _ROWS = 12_800
+# The 100 devices of a wafer: dies of 8 mm pitch.
+_DIE = {"die_x_mm": 8.0 * (np.arange(100) % 10) - 36.0, "die_y_mm": 8.0 * (np.arange(100) // 10) - 36.0}
 
 
 def table(first: int) -> pa.Table:
@@ -40,6 +42,8 @@ def table(first: int) -> pa.Table:
     for field in devices_schema():
         if field.name in text:
             columns.append(pa.array(text[field.name]))
+        elif field.name in _DIE:
+            columns.append(pa.array(_DIE[field.name][number % 100]))
         elif field.name.startswith("p_pass"):
             columns.append(pa.array(np.where(random.random(_ROWS) < 0.9, 1.0, random.random(_ROWS))))
         elif pa.types.is_floating(field.type):

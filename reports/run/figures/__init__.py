@@ -169,14 +169,13 @@ def _stages(content: RunContent) -> str:
 
 def _maps(devices: Devices) -> dict[str, str]:
     x, y, wafers = devices.number("die_x_mm"), devices.number("die_y_mm"), devices.wafers()
-    placed = np.isfinite(x) & np.isfinite(y) & np.array([bool(wafer) for wafer in wafers], dtype=np.bool_)
+    placed = np.isfinite(x) & np.isfinite(y) & ~wafers.equals("")
     if not placed.any():
         return {"wafer-maps": "", "stacked-map": ""}
-    chosen = np.flatnonzero(placed)
     verdicts = devices.text("verdict")
     return {
-        "wafer-maps": wafer_maps(x[chosen], y[chosen], [verdicts[k] for k in chosen], [wafers[k] for k in chosen]),
-        "stacked-map": stacked_map(x[chosen], y[chosen], devices.has("pass")[chosen]),
+        "wafer-maps": wafer_maps(x[placed], y[placed], verdicts.at(placed), wafers.at(placed)),
+        "stacked-map": stacked_map(x[placed], y[placed], devices.has("pass")[placed]),
     }
 
 
