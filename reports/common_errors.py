@@ -18,10 +18,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pyarrow.compute as pc
+import pyarrow as pa
 from scipy import special
 
 from pipeline.arrays import BoolArray, FloatArray
+from pipeline.store.column import number_values, text_codes
 
 from .clusters import Clustering, effective_number
 from .coded import IntArray, coded
@@ -59,15 +60,18 @@ def given_common(devices: Devices, posterior: ColumnSource | None, rule: Rule) -
     known = posterior.select(["p_pass_given_common"]).to_batches()
     if all(batch.column(0).null_count == batch.num_rows for batch in known):
         return None
-    last = max(pc.max(batch.column(0)).as_py() or 0 for batch in posterior.select(["draw"]).to_batches())
+    last = max(int(_numbers(batch, 0).max(initial=0)) for batch in posterior.select(["draw"]).to_batches())
     place = {name: i for i, name in enumerate(devices.text("device_id"))}
     p_pass = np.full((last + 1, len(devices)), np.nan)
     for batch in posterior.select(["device_id", "draw", "p_pass_given_common"]).to_batches():
-        encoded = batch.column(0).dictionary_encode()
-        places = np.array([place[name] for name in encoded.dictionary.to_pylist()], dtype=np.int64)
-        chances = batch.column(2).to_numpy(zero_copy_only=False)
-        p_pass[batch.column(1).to_numpy(), places[encoded.indices.to_numpy()]] = chances
+        words, codes = text_codes(pa.chunked_array([batch.column(0)]))
+        places = np.array([place[name] for name in words], dtype=np.int64)
+        p_pass[_numbers(batch, 1).astype(np.int64), places[codes]] = _numbers(batch, 2)
     return GivenCommon(p_pass, rule)
+
+
+def _numbers(batch: pa.RecordBatch, column: int) -> FloatArray:
+    return number_values(pa.chunked_array([batch.column(column)]))
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:

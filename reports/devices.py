@@ -14,9 +14,10 @@ from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from pipeline.arrays import BoolArray, FloatArray
+from pipeline.store.column import column_array, number_values, rows_equal, text_codes
+from pipeline.store.columns import StoredTable
 
 from .coded import CodedText, coded, paired
 
@@ -38,9 +39,6 @@ class ColumnSource(Protocol):
     def slice(self, offset: int, length: int) -> pa.Table:
         """Some rows, all columns."""
 
-    def filter(self, wanted: pc.Expression) -> pa.Table:
-        """The rows that fulfil an expression."""
-
     def select(self, names: Sequence[str]) -> Any:
         """Some columns, with ``to_batches``."""
 
@@ -53,6 +51,13 @@ def wafer_name(lot: str, wafer: str) -> str:
     rest = wafer.removeprefix(lot)
     named = rest != wafer and not rest[:1].isalnum()
     return wafer if named else f"{lot} {wafer}".strip()
+
+
+def rows_of(source: ColumnSource, device_id: str) -> pa.Table:
+    """The rows of a device."""
+    if isinstance(source, StoredTable):  # skips parts that cannot hold them, unread
+        return source.rows_equal("device_id", device_id)
+    return rows_equal(pa.Table.from_batches(source.to_batches()), "device_id", device_id)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +73,16 @@ class Devices:
         """(B,) values of a numeric column, in its unit; nan where null or absent."""
         if name not in self.table.column_names:
             return np.full(len(self), np.nan)
-        return np.array(self.table[name].cast(pa.float64()).to_numpy())
+        return number_values(self.table[name])
 
     def text(self, name: str, rows: Sequence[int] | None = None) -> CodedText:
         """B values of a text column, or those of ``rows``; "" where null or absent."""
         if name not in self.table.column_names:
             return CodedText(("",), np.zeros(len(self) if rows is None else len(rows), dtype=np.int64))
-        whole = self.table[name] if rows is None else self.table[name].take(pa.array(rows, pa.int64()))
-        column = pc.fill_null(whole.cast(pa.string()), "").combine_chunks().dictionary_encode()
-        return CodedText(tuple(column.dictionary.to_pylist()), column.indices.to_numpy().astype(np.int64))
+        whole = self.table[name]
+        if rows is not None:
+            whole = whole.take(column_array(np.asarray(rows, dtype=np.int64), pa.int64(), len(rows), "rows"))
+        return CodedText(*text_codes(whole))
 
     def is_ok(self) -> BoolArray:
         """(B,) whether the identification is ok; read-only."""
@@ -97,9 +103,7 @@ class Devices:
         return self._equals("verdict", verdict)
 
     def _equals(self, name: str, word: str) -> BoolArray:
-        if name not in self.table.column_names:
-            return np.zeros(len(self), dtype=np.bool_)
-        return np.array(pc.fill_null(pc.equal(self.table[name].cast(pa.string()), word), False).to_numpy(), np.bool_)
+        return self.text(name).equals(word)
 
     def wafers(self) -> CodedText:
         """B names of wafers, unique over lots; "" where unknown."""

@@ -28,6 +28,8 @@ from pipeline.errors import UsageError
 from .coded import CodedText, IntArray, coded, paired
 
 LEVEL = 0.95
+# Products of polynomials up to this length are computed for all pairs at once: one by one, calls outweigh the arithmetic.
+_SHORT = 33
 
 
 @dataclass(frozen=True)
@@ -164,13 +166,36 @@ def yield_of_verdicts(verdicts: Sequence[str], level: float = LEVEL) -> Yield:
 
 
 def poisson_binomial(probability: FloatArray) -> FloatArray:
-    """(n + 1,) P(K = k) of a sum K of independent Bernoulli(p_i), p (n,): coefficients of prod (1 - p_i + p_i x)."""
-    factors = [np.array([1.0 - p, p]) for p in probability]
-    while len(factors) > 1:
-        # Products of equal degree are cheap and accurate.
-        pairs = [np.convolve(a, b) for a, b in zip(factors[::2], factors[1::2], strict=False)]
-        factors = pairs + ([factors[-1]] if len(factors) % 2 else [])
-    return np.clip(factors[0], 0.0, 1.0) if factors else np.ones(1)
+    """(n + 1,) P(K = k) of a sum K of independent Bernoulli(p_i), p (n,): coefficients of prod (1 - p_i + p_i x).
+
+    Probabilities below 1e-40 are given as 0; those of all k beyond are then below n 1e-40 together.
+    """
+    n = probability.size
+    # Products of equal degree are cheap and accurate; a device that never conforms (p = 0) changes no product.
+    whole = np.zeros(max(1, 1 << max(n - 1, 0).bit_length()))
+    whole[:n] = probability
+    factors = np.stack([1.0 - whole, whole], axis=1)
+    while len(factors) > 1 and factors.shape[1] <= _SHORT:
+        a, b = factors[::2], factors[1::2]
+        factors = np.zeros((len(a), 2 * a.shape[1] - 1))
+        for k in range(a.shape[1]):
+            factors[:, k : k + a.shape[1]] += a[:, k : k + 1] * b
+    parts = [_trimmed(0, row) for row in factors]
+    while len(parts) > 1:
+        parts = [
+            _trimmed(low + other, np.convolve(a, b))
+            for (low, a), (other, b) in zip(parts[::2], parts[1::2], strict=True)
+        ]
+    first, found = parts[0]
+    pmf = np.zeros(max(n + 1, first + found.size))
+    pmf[first : first + found.size] = found
+    return np.clip(pmf[: n + 1], 0.0, 1.0)
+
+
+def _trimmed(first: int, pmf: FloatArray) -> tuple[int, FloatArray]:
+    """P(K = k) from k = ``first`` on without the negligible ends: of 10^5 devices some 10^4 values of k are left."""
+    kept = np.flatnonzero(pmf > 1e-40)
+    return first + int(kept[0]), pmf[kept[0] : kept[-1] + 1]
 
 
 def measurement_uncertainty(p_pass: FloatArray, level: float = LEVEL) -> Measurement:

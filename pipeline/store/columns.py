@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import TypeVar
 
 import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
-from pyarrow.fs import LocalFileSystem
 
 from ..errors import IntegrityError
+from .column import rows_equal
 from .manifest import Kind, Manifest
 from .read import find_run, read_config, read_file, settled
 from .schema import devices_schema, posterior_schema
@@ -73,18 +71,23 @@ class StoredTable:
 
     def slice(self, offset: int, length: int) -> pa.Table:
         """Rows from ``offset`` on."""
-        parts, first = [self._schema().empty_table()], 0
+        parts, first = [self._empty()], 0
         for k, rows in enumerate(self.rows):
             low, high = max(offset - first, 0), min(offset + length - first, rows)
             if low < high:
                 columns = [self._column(k, name).slice(low, high - low) for name in self.column_names]
-                parts.append(pa.table(columns, schema=self._schema()))
+                parts.append(pa.Table.from_arrays(columns, schema=self._schema()))
             first += rows
         return pa.concat_tables(parts)
 
-    def filter(self, wanted: pc.Expression) -> pa.Table:
-        """The rows that fulfil an expression."""
-        return _read(lambda: self._dataset().to_table(columns=list(self.column_names), filter=wanted))
+    def rows_equal(self, name: str, word: str) -> pa.Table:
+        """The rows whose text in the column ``name`` is ``word``; parts that cannot hold it are not read."""
+        parts = [self._empty()]
+        for k, path in enumerate(self.files):
+            if _may_hold(self._opened(path).reader.metadata, name, word):
+                columns = [self._column(k, column) for column in self.column_names]
+                parts.append(rows_equal(pa.Table.from_arrays(columns, schema=self._schema()), name, word))
+        return pa.concat_tables(parts)
 
     def select(self, names: Sequence[str]) -> StoredTable:
         """The table with these columns alone."""
@@ -92,25 +95,16 @@ class StoredTable:
 
     def to_batches(self) -> Iterator[pa.RecordBatch]:
         """The rows in parts, in order; few are in memory at a time."""
-        columns = list(self.column_names)
-        batches = self._dataset().to_batches(columns=columns, batch_readahead=1, fragment_readahead=1)
-        while True:
-            batch = _read(lambda: next(batches, None))
-            if batch is None:
-                return
-            yield batch
+        for k in range(len(self.files)):
+            columns = [self._column(k, name) for name in self.column_names]
+            yield from pa.Table.from_arrays(columns, schema=self._schema()).to_batches()
 
     def _schema(self) -> pa.Schema:
         return pa.schema([self.schema.field(name) for name in self.column_names])
 
-    def _dataset(self) -> ds.Dataset:
-        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-        return ds.FileSystemDataset.from_paths(
-            [str(path.resolve()) for path in self.files],
-            schema=self.schema,
-            format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
-            filesystem=LocalFileSystem(),
-        )
+    def _empty(self) -> pa.Table:
+        columns = [pa.nulls(0, self.schema.field(name).type) for name in self.column_names]
+        return pa.Table.from_arrays(columns, schema=self._schema())
 
     def _column(self, k: int, name: str) -> pa.ChunkedArray:
         """A column of file ``k``; null where it was registered after the file was written."""
@@ -174,6 +168,16 @@ def _table(folder: Path, manifest: Manifest, kind: Kind) -> StoredTable:
     schema = devices_schema() if kind == "devices" else posterior_schema()
     files = tuple(folder / entry.name for entry in entries)
     return StoredTable(files, tuple(entry.rows or 0 for entry in entries), schema, tuple(schema.names))
+
+
+def _may_hold(footer: pq.FileMetaData, name: str, word: str) -> bool:
+    """Whether the statistics of a file leave room for ``word`` in the column ``name``."""
+    places = [k for k in range(footer.num_columns) if footer.schema.column(k).name == name]
+    for group in range(footer.num_row_groups):
+        for found in (footer.row_group(group).column(k).statistics for k in places):
+            if found is None or not found.has_min_max or found.min <= word <= found.max:
+                return True
+    return False
 
 
 def _read(read: Callable[[], T]) -> T:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pyarrow.compute as pc
 
 from pipeline.arrays import FloatArray
 from pipeline.axial import difference, mean_axis
 from pipeline.quantities import AXES
 
-from ...devices import ColumnSource, Devices
+from ...devices import ColumnSource, Devices, rows_of
 from ...limits import Limit
 from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
 from ..calibration import z_scores
@@ -55,7 +54,7 @@ def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -
 
 
 def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> str:
-    rows = Devices(posterior.filter(pc.field("device_id") == device.device_id))
+    rows = Devices(rows_of(posterior, device.device_id))
     truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
     columns: list[FloatArray] = []
     shown: list[float] = []
