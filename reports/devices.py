@@ -57,7 +57,7 @@ def rows_of(source: ColumnSource, device_id: str) -> pa.Table:
     """The rows of a device."""
     if isinstance(source, StoredTable):  # skips parts that cannot hold them, unread
         return source.rows_equal("device_id", device_id)
-    return rows_equal(pa.Table.from_batches(source.to_batches()), "device_id", device_id)
+    return rows_equal(source.select(source.column_names), "device_id", device_id)
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,14 +41,28 @@ def number_values(column: pa.ChunkedArray) -> FloatArray:
     out = np.full(len(column), np.nan)
     first = 0
     for chunk in column.cast(pa.float64()).chunks:
-        valid, data = chunk.buffers()
-        rows = slice(chunk.offset, chunk.offset + len(chunk))
         if chunk.null_count < len(chunk):
-            here = np.frombuffer(data, np.float64)[rows]
-            known = _bits(valid, rows) if chunk.null_count else True
-            out[first : first + len(chunk)] = np.where(known, here, np.nan)
+            out[first : first + len(chunk)] = np.where(validity(chunk), raw_values(chunk), np.nan)
         first += len(chunk)
     return out
+
+
+def validity(chunk: pa.Array) -> npt.NDArray[np.bool_]:
+    """(n,) whether a value is not null."""
+    if chunk.null_count in (0, len(chunk)):
+        return np.full(len(chunk), chunk.null_count == 0)
+    return _bits(chunk.buffers()[0], chunk)
+
+
+def raw_values(chunk: pa.Array) -> np.ndarray[Any, Any]:
+    """(n,) values of an array of numbers or booleans, 0 where null."""
+    if chunk.null_count == len(chunk):
+        return np.zeros(len(chunk), dtype=chunk.type.to_pandas_dtype())
+    data = chunk.buffers()[1]
+    if pa.types.is_boolean(chunk.type):
+        return _bits(data, chunk) & validity(chunk)
+    values = np.frombuffer(data, chunk.type.to_pandas_dtype())[chunk.offset : chunk.offset + len(chunk)]
+    return np.where(validity(chunk), values, values.dtype.type(0)) if chunk.null_count else values
 
 
 def text_codes(column: pa.ChunkedArray) -> tuple[tuple[str, ...], npt.NDArray[np.int64]]:
@@ -56,11 +70,11 @@ def text_codes(column: pa.ChunkedArray) -> tuple[tuple[str, ...], npt.NDArray[np
     encoded = column.cast(pa.string()).combine_chunks().dictionary_encode("encode")
     words = ["" if word is None else word for word in encoded.dictionary.to_pylist()]
     indices = encoded.indices
-    codes = np.frombuffer(indices.buffers()[1], np.int32)[indices.offset :][: len(indices)] if len(indices) else []
-    if "" in words and words.count("") > 1:  # null and "" are one word
+    codes = raw_values(indices).astype(np.int64)
+    if words.count("") > 1:  # null and "" are one word
         place = {word: k for k, word in enumerate(words)}
-        return tuple(words), np.array([place[word] for word in words])[np.asarray(codes, dtype=np.int64)]
-    return tuple(words), np.asarray(codes, dtype=np.int64)
+        codes = np.array([place[word] for word in words])[codes]
+    return tuple(words), codes
 
 
 def rows_equal(table: pa.Table, name: str, word: str) -> pa.Table:
@@ -70,8 +84,9 @@ def rows_equal(table: pa.Table, name: str, word: str) -> pa.Table:
     return table.filter(pa.Array.from_buffers(pa.bool_(), codes.size, [None, _packed(wanted)]))
 
 
-def _bits(bitmap: pa.Buffer, rows: slice) -> npt.NDArray[np.bool_]:
-    return np.unpackbits(np.frombuffer(bitmap, np.uint8), bitorder="little")[rows].astype(np.bool_)
+def _bits(bitmap: pa.Buffer, chunk: pa.Array) -> npt.NDArray[np.bool_]:
+    bits = np.unpackbits(np.frombuffer(bitmap, np.uint8), bitorder="little")
+    return bits[chunk.offset : chunk.offset + len(chunk)].astype(np.bool_)
 
 
 def _packed(bits: npt.NDArray[np.bool_]) -> pa.Buffer:
