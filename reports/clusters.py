@@ -20,6 +20,7 @@ from scipy.special import stdtrit
 
 from pipeline.arrays import FloatArray
 
+from .coded import coded
 from .yields import LEVEL, Interval, clopper_pearson
 
 
@@ -55,10 +56,9 @@ def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: f
     groups : B names of the group of each device.
     by : kind of group, "wafer" or "lot".
     """
-    names = sorted(set(groups))
-    passed = np.array([verdict == "pass" for verdict in verdicts], dtype=np.float64)
-    index = np.searchsorted(names, groups) if names else np.zeros(0, np.int64)
-    g = len(names)
+    passed = coded(verdicts).equals("pass").astype(np.float64)
+    present, index = np.unique(coded(groups).codes, return_inverse=True)
+    g = present.size
     if g < 2:
         return Clustering(by, g, None, None, None, None)
     found = effective_number(passed, index, g)

@@ -18,15 +18,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pyarrow.compute as pc
+import pyarrow as pa
 from scipy import special
 
 from pipeline.arrays import BoolArray, FloatArray
+from pipeline.store.column import number_values, text_codes
 
 from .clusters import Clustering, effective_number
+from .coded import IntArray, coded
 from .devices import ColumnSource, Devices
 from .limits import Rule
-from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, poisson_binomial
+from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, groups_of, poisson_binomial
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +48,8 @@ class GivenCommon:
         """(K, B) whether the rule does not fail the device: passed or undecided."""
         return ~np.asarray(self.p_pass <= self.rule.fail_at)
 
-    def of(self, members: BoolArray) -> GivenCommon:
-        """The devices ``members`` (B,) alone."""
+    def of(self, members: IntArray) -> GivenCommon:
+        """The devices with the numbers ``members`` alone."""
         return GivenCommon(self.p_pass[:, members], self.rule)
 
 
@@ -58,15 +60,18 @@ def given_common(devices: Devices, posterior: ColumnSource | None, rule: Rule) -
     known = posterior.select(["p_pass_given_common"]).to_batches()
     if all(batch.column(0).null_count == batch.num_rows for batch in known):
         return None
-    last = max(pc.max(batch.column(0)).as_py() or 0 for batch in posterior.select(["draw"]).to_batches())
+    last = max(int(_numbers(batch, 0).max(initial=0)) for batch in posterior.select(["draw"]).to_batches())
     place = {name: i for i, name in enumerate(devices.text("device_id"))}
     p_pass = np.full((last + 1, len(devices)), np.nan)
     for batch in posterior.select(["device_id", "draw", "p_pass_given_common"]).to_batches():
-        encoded = batch.column(0).dictionary_encode()
-        places = np.array([place[name] for name in encoded.dictionary.to_pylist()], dtype=np.int64)
-        chances = batch.column(2).to_numpy(zero_copy_only=False)
-        p_pass[batch.column(1).to_numpy(), places[encoded.indices.to_numpy()]] = chances
+        words, codes = text_codes(pa.chunked_array([batch.column(0)]))
+        places = np.array([place[name] for name in words], dtype=np.int64)
+        p_pass[_numbers(batch, 1).astype(np.int64), places[codes]] = _numbers(batch, 2)
     return GivenCommon(p_pass, rule)
+
+
+def _numbers(batch: pa.RecordBatch, column: int) -> FloatArray:
+    return number_values(pa.chunked_array([batch.column(column)]))
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
@@ -137,7 +142,7 @@ def clustering_with_common(found: Clustering, groups: Sequence[str], given: Give
     """``found`` with an interval that contains the common errors; ``groups``: B names."""
     if given is None or found.interval is None:
         return found
-    names, index = np.unique(np.asarray(groups), return_inverse=True)
+    names, index = np.unique(coded(groups).codes, return_inverse=True)
     parts = [effective_number(passed.astype(np.float64), index, names.size) for passed in given.passed]
     share, n = np.array([part.share for part in parts]), np.array([part.effective for part in parts])
     mixed = mixed_clopper_pearson(share * n, n, f"{found.interval.method}, common errors included")
@@ -150,11 +155,12 @@ def groups_with_common(
     """The yield of each lot or wafer with intervals that contain the common errors; names as for ``by_group``."""
     if given is None:
         return tuple(found)
-    keys = np.array(list(zip(lots, wafers if wafers is not None else [""] * len(lots), strict=True)))
-    return tuple(
-        replace(row, result=with_common(row.result, given.of(np.all(keys == (row.lot, row.wafer), axis=1))))
-        for row in found
-    )
+    names, index = groups_of(lots, wafers)
+    # The devices of a group are those between two bounds, once they are in the order of their groups.
+    order = np.argsort(index, kind="stable")
+    bounds = np.searchsorted(index[order], np.arange(len(names) + 1))
+    members = {name: order[low:high] for name, low, high in zip(names, bounds[:-1], bounds[1:], strict=True)}
+    return tuple(replace(row, result=with_common(row.result, given.of(members[row.lot, row.wafer]))) for row in found)
 
 
 def measurement_given_common(given: GivenCommon, level: float = LEVEL) -> Measurement:

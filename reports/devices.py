@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from pipeline.arrays import BoolArray, FloatArray
+from pipeline.store.column import column_array, number_values, rows_equal, text_codes
+from pipeline.store.columns import StoredTable
+
+from .coded import CodedText, coded, paired
 
 
 class ColumnSource(Protocol):
@@ -35,9 +39,6 @@ class ColumnSource(Protocol):
     def slice(self, offset: int, length: int) -> pa.Table:
         """Some rows, all columns."""
 
-    def filter(self, wanted: pc.Expression) -> pa.Table:
-        """The rows that fulfil an expression."""
-
     def select(self, names: Sequence[str]) -> Any:
         """Some columns, with ``to_batches``."""
 
@@ -50,6 +51,13 @@ def wafer_name(lot: str, wafer: str) -> str:
     rest = wafer.removeprefix(lot)
     named = rest != wafer and not rest[:1].isalnum()
     return wafer if named else f"{lot} {wafer}".strip()
+
+
+def rows_of(source: ColumnSource, device_id: str) -> pa.Table:
+    """The rows of a device."""
+    if isinstance(source, StoredTable):  # skips parts that cannot hold them, unread
+        return source.rows_equal("device_id", device_id)
+    return rows_equal(source.select(source.column_names), "device_id", device_id)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,24 +73,26 @@ class Devices:
         """(B,) values of a numeric column, in its unit; nan where null or absent."""
         if name not in self.table.column_names:
             return np.full(len(self), np.nan)
-        return np.array(self.table[name].cast(pa.float64()).to_numpy())
+        return number_values(self.table[name])
 
-    def text(self, name: str, rows: Sequence[int] | None = None) -> tuple[str, ...]:
+    def text(self, name: str, rows: Sequence[int] | None = None) -> CodedText:
         """B values of a text column, or those of ``rows``; "" where null or absent."""
         if name not in self.table.column_names:
-            return ("",) * (len(self) if rows is None else len(rows))
-        whole = self.table[name] if rows is None else self.table[name].take(pa.array(rows, pa.int64()))
-        column = pc.fill_null(whole.cast(pa.string()), "")
-        words: list[str] = []
-        for chunk in column.chunks:
-            coded = chunk.dictionary_encode()  # equal words share their memory
-            known = coded.dictionary.to_pylist()
-            words += [known[place] for place in coded.indices.to_numpy()]
-        return tuple(words)
+            return CodedText(("",), np.zeros(len(self) if rows is None else len(rows), dtype=np.int64))
+        whole = self.table[name]
+        if rows is not None:
+            whole = whole.take(column_array(np.asarray(rows, dtype=np.int64), pa.int64(), len(rows), "rows"))
+        return CodedText(*text_codes(whole))
 
     def is_ok(self) -> BoolArray:
-        """(B,) whether the identification is ok."""
-        return self._equals("status", "ok")
+        """(B,) whether the identification is ok; read-only."""
+        return self._ok
+
+    @cached_property
+    def _ok(self) -> BoolArray:
+        found = self._equals("status", "ok")
+        found.flags.writeable = False  # every caller gets the same array
+        return found
 
     def identified(self) -> bool:
         """Whether any device could be judged; without one there is no yield."""
@@ -93,11 +103,10 @@ class Devices:
         return self._equals("verdict", verdict)
 
     def _equals(self, name: str, word: str) -> BoolArray:
-        if name not in self.table.column_names:
-            return np.zeros(len(self), dtype=np.bool_)
-        return np.array(pc.fill_null(pc.equal(self.table[name].cast(pa.string()), word), False).to_numpy(), np.bool_)
+        return self.text(name).equals(word)
 
-    def wafers(self) -> tuple[str, ...]:
+    def wafers(self) -> CodedText:
         """B names of wafers, unique over lots; "" where unknown."""
-        pairs = zip(self.text("lot"), self.text("wafer"), strict=True)
-        return tuple(wafer_name(lot, wafer) if wafer else "" for lot, wafer in pairs)
+        pairs, index = paired(self.text("lot"), self.text("wafer"))
+        names = coded([wafer_name(lot, wafer) if wafer else "" for lot, wafer in pairs])
+        return CodedText(names.words, names.codes[index])

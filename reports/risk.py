@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline.arrays import BoolArray, FloatArray
 
+from .coded import coded
 from .yields import Interval, clopper_pearson
 
 
@@ -49,14 +50,15 @@ def expected_risk(p_pass: FloatArray, verdicts: Sequence[str]) -> Risk:
     n = int(known.sum())
     if n == 0:
         return Risk(float("nan"), float("nan"))
-    passed = np.array([verdict == "pass" for verdict in verdicts], dtype=np.bool_) & known
-    failed = np.array([verdict == "fail" for verdict in verdicts], dtype=np.bool_) & known
+    found = coded(verdicts)
+    passed, failed = found.equals("pass") & known, found.equals("fail") & known
     return Risk(float(np.sum(1.0 - p_pass[passed])) / n, float(np.sum(p_pass[failed])) / n)
 
 
 def counted_risk(verdicts: Sequence[str], conforming: BoolArray) -> CountedRisk:
     """Wrong passes and wrong fails against the truth, with B verdicts and ``conforming`` (B,)."""
     n = len(verdicts)
-    wrong_pass = sum(verdict == "pass" and not good for verdict, good in zip(verdicts, conforming, strict=True))
-    wrong_fail = sum(verdict == "fail" and bool(good) for verdict, good in zip(verdicts, conforming, strict=True))
+    found = coded(verdicts)
+    wrong_pass = int(np.sum(found.equals("pass") & ~conforming))
+    wrong_fail = int(np.sum(found.equals("fail") & conforming))
     return CountedRisk(n, wrong_pass, wrong_fail, clopper_pearson(wrong_pass, n), clopper_pearson(wrong_fail, n))

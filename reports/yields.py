@@ -25,7 +25,11 @@ from scipy.special import betaincinv, ndtri
 from pipeline.arrays import FloatArray
 from pipeline.errors import UsageError
 
+from .coded import CodedText, IntArray, coded, paired
+
 LEVEL = 0.95
+# Products of polynomials up to this length are computed for all pairs at once: one by one, calls outweigh the arithmetic.
+_SHORT = 33
 
 
 @dataclass(frozen=True)
@@ -156,18 +160,42 @@ def yield_of(passed: int, failed: int, undecided: int = 0, level: float = LEVEL)
 
 def yield_of_verdicts(verdicts: Sequence[str], level: float = LEVEL) -> Yield:
     """The yield of a list of verdicts; any other value than "pass" or "fail" counts as undecided."""
-    passed, failed = verdicts.count("pass"), verdicts.count("fail")
+    counts = coded(verdicts).counts()
+    passed, failed = counts.get("pass", 0), counts.get("fail", 0)
     return yield_of(passed, failed, len(verdicts) - passed - failed, level)
 
 
 def poisson_binomial(probability: FloatArray) -> FloatArray:
-    """(n + 1,) P(K = k) of a sum K of independent Bernoulli(p_i), p (n,): coefficients of prod (1 - p_i + p_i x)."""
-    factors = [np.array([1.0 - p, p]) for p in probability]
-    while len(factors) > 1:
-        # Products of equal degree are cheap and accurate.
-        pairs = [np.convolve(a, b) for a, b in zip(factors[::2], factors[1::2], strict=False)]
-        factors = pairs + ([factors[-1]] if len(factors) % 2 else [])
-    return np.clip(factors[0], 0.0, 1.0) if factors else np.ones(1)
+    """(n + 1,) P(K = k) of a sum K of independent Bernoulli(p_i), p (n,): coefficients of prod (1 - p_i + p_i x).
+
+    Probabilities below 1e-40 are given as 0; those of all k beyond are then below n 1e-40 together.
+    """
+    n = probability.size
+    # Products of equal degree are cheap and accurate; a device that never conforms (p = 0) changes no product.
+    whole = np.zeros(max(1, 1 << max(n - 1, 0).bit_length()))
+    whole[:n] = probability
+    factors = np.stack([1.0 - whole, whole], axis=1)
+    while len(factors) > 1 and factors.shape[1] <= _SHORT:
+        a, b = factors[::2], factors[1::2]
+        factors = np.zeros((len(a), 2 * a.shape[1] - 1))
+        for k in range(a.shape[1]):
+            factors[:, k : k + a.shape[1]] += a[:, k : k + 1] * b
+    parts = [_trimmed(0, row) for row in factors]
+    while len(parts) > 1:
+        parts = [
+            _trimmed(low + other, np.convolve(a, b))
+            for (low, a), (other, b) in zip(parts[::2], parts[1::2], strict=True)
+        ]
+    first, found = parts[0]
+    pmf = np.zeros(max(n + 1, first + found.size))
+    pmf[first : first + found.size] = found
+    return np.clip(pmf[: n + 1], 0.0, 1.0)
+
+
+def _trimmed(first: int, pmf: FloatArray) -> tuple[int, FloatArray]:
+    """P(K = k) from k = ``first`` on without the negligible ends: of 10^5 devices some 10^4 values of k are left."""
+    kept = np.flatnonzero(pmf > 1e-40)
+    return first + int(kept[0]), pmf[kept[0] : kept[-1] + 1]
 
 
 def measurement_uncertainty(p_pass: FloatArray, level: float = LEVEL) -> Measurement:
@@ -194,12 +222,24 @@ def by_group(
     verdicts: Sequence[str], lots: Sequence[str], wafers: Sequence[str] | None = None
 ) -> tuple[GroupYield, ...]:
     """The yield of each lot, or of each wafer of each lot where ``wafers`` are given, in order of name."""
-    keys = list(zip(lots, wafers if wafers is not None else [""] * len(lots), strict=True))
-    members: dict[tuple[str, str], list[str]] = {}
-    for key, verdict in zip(keys, verdicts, strict=True):
-        members.setdefault(key, []).append(verdict)
-    order = sorted(members, key=lambda key: (natural(key[0]), natural(key[1])))
-    return tuple(GroupYield(lot, wafer, yield_of_verdicts(members[lot, wafer])) for lot, wafer in order)
+    keys, index = groups_of(lots, wafers)
+    found = coded(verdicts)
+    number, passed, failed = (
+        np.bincount(index[rows], minlength=len(keys))
+        for rows in (np.ones(len(found), dtype=np.bool_), found.equals("pass"), found.equals("fail"))
+    )
+    order = sorted(range(len(keys)), key=lambda k: (natural(keys[k][0]), natural(keys[k][1])))
+    return tuple(
+        GroupYield(*keys[k], yield_of(int(passed[k]), int(failed[k]), int(number[k] - passed[k] - failed[k])))
+        for k in order
+    )
+
+
+def groups_of(lots: Sequence[str], wafers: Sequence[str] | None) -> tuple[tuple[tuple[str, str], ...], IntArray]:
+    """Names of the groups, (lot, wafer) or (lot, "") without ``wafers``, and the number (B,) of each device's group."""
+    return paired(
+        coded(lots), CodedText(("",), np.zeros(len(lots), dtype=np.int64)) if wafers is None else coded(wafers)
+    )
 
 
 def natural(name: str) -> tuple[tuple[int, str], ...]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from ..arrays import FloatArray
@@ -92,6 +91,8 @@ def _mixture(a: FloatArray, sd: FloatArray, w: FloatArray, share: float) -> tupl
 
     strong = np.abs(a) / sd >= np.quantile(np.abs(a) / sd, max(1.0 - share, 0.0))
     start = np.array([float(np.median(a[strong])), np.log(max(float(np.std(a[strong])), 1e-3))])
+    from scipy.optimize import minimize  # loading it takes a fifth of a second
+
     best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3, "maxfev": 120})
     spread = float(np.exp(best.x[1]))
     return -float(best.fun), float(best.x[0]), spread if spread > 1e-2 * float(np.median(sd)) else 0.0

@@ -117,17 +117,17 @@ class GyroPlant:
         return np.delete(self._smooth(full), self._absent(full.size))
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """The inverse of :meth:`to_internal`: values [declared units]."""
+        """The inverse of :meth:`to_internal`: values (.., P) [declared units]."""
         if self.updown:
             return self._values(internal)
-        size = internal.size + 3
+        size = internal.shape[-1] + 3
         absent = self._absent(size)
-        full = np.zeros(size)
-        full[[i for i in range(size) if i not in absent]] = internal
-        full[absent[:2]] = 1.0
+        full = np.zeros((*internal.shape[:-1], size))
+        full[..., [i for i in range(size) if i not in absent]] = internal
+        full[..., absent[:2]] = 1.0
         values = self._values(full)
         kept = [i for i in range(size) if i >= len(_GYRO_PARAMETERS) or _GYRO_PARAMETERS[i].name not in _UPDOWN]
-        return np.asarray(values[kept])
+        return np.asarray(values[..., kept])
 
     @staticmethod
     def _absent(size: int) -> list[int]:
@@ -147,13 +147,12 @@ class GyroPlant:
         return np.concatenate([x[:4], [delta], x[6:]])
 
     def _values(self, internal: FloatArray) -> FloatArray:
-        if internal.size == 12:
-            physical = to_physical(internal[None])[0]
-            return np.append(physical[list(_WITHOUT_C12)], physical[PHYSICAL.index(C12)])
-        split = np.hypot(internal[1], internal[2])
-        axis = -internal[1:3] / split if split > 0.0 else np.array([1.0, 0.0])
-        x = np.concatenate([internal[:4], internal[4] * axis, internal[5:]])
-        return np.asarray(to_physical(x[None])[0][list(_WITHOUT_C12)])
+        if internal.shape[-1] == 12:
+            return np.asarray(to_physical(internal)[..., [*_WITHOUT_C12, PHYSICAL.index(C12)]])
+        split = np.hypot(internal[..., 1:2], internal[..., 2:3])
+        axis = np.where(split > 0.0, -internal[..., 1:3] / np.where(split > 0.0, split, 1.0), [1.0, 0.0])
+        x = np.concatenate([internal[..., :4], internal[..., 4:5] * axis, internal[..., 5:]], axis=-1)
+        return np.asarray(to_physical(x)[..., list(_WITHOUT_C12)])
 
     def steps(self, internal: FloatArray) -> FloatArray:
         """(P,): 1e-4 [rad/s, 1/s], 1e-5 for gains and imbalances; a resonance is about 1 rad/s wide, a record 1 s long."""

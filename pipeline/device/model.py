@@ -16,12 +16,11 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
+from .available import available_effects
 from .effect import Effect, find_effects
-from .exact_null import with_exact_nulls
 from .model_toml import ModelFields, model_toml, read_model
 from .parameters import Parameter, read_prior
 from .plant import C12, Plant, PlantSpec
-from .several_modes import with_more_modes
 
 __all__ = ["DEFAULT_COMPARE_MODEL", "SCREENING_MODEL", "Model", "PlantSpec", "load_model", "mains_effects"]
 
@@ -67,7 +66,7 @@ class Model:
     @cached_property
     def library(self) -> dict[str, Effect]:
         """All available effects by name: those of the package and of ``effect_folders``; modes, several times."""
-        return with_more_modes(with_exact_nulls(find_effects(tuple(Path(folder) for folder in self.effect_folders))))
+        return available_effects(self.effect_folders)
 
     @cached_property
     def built(self) -> Plant:
@@ -230,11 +229,12 @@ class Model:
 
     def to_values(self, x: FloatArray) -> dict[str, float]:
         """Values [declared units] by name from smooth coordinates ``x`` (P,); ConfigError where one is not finite."""
-        free = x.copy()
-        if self._smooth:
-            n = len(self._plant_names)
-            free[:n] = self.built.to_external(x[:n])
-        return self.complete(dict(zip(self.free, free.tolist())))
+        return self.complete(dict(zip(self.free, self.declared(x).tolist())))
+
+    def declared(self, x: FloatArray) -> FloatArray:
+        """Values (.., P) [declared units] of ``free`` from smooth coordinates ``x`` (.., P)."""
+        n = len(self._plant_names) if self._smooth else 0
+        return np.concatenate([self.built.to_external(x[..., :n]), x[..., n:]], axis=-1) if n else x
 
     def steps(self, x: FloatArray) -> FloatArray:
         """Steps (P,) for finite differences at ``x`` (P,), in the units of ``x``; 1e-2 of ``scale`` for effects."""

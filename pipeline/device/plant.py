@@ -62,7 +62,7 @@ class Plant(Protocol):
         ...
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """Values (P,) of ``names`` [declared units] from smooth coordinates (P,)."""
+        """Values (.., P) of ``names`` [declared units] from smooth coordinates (.., P)."""
         ...
 
     def steps(self, internal: FloatArray) -> FloatArray:
@@ -145,7 +145,7 @@ class ModalPlant:
         return physical
 
     def to_external(self, internal: FloatArray) -> FloatArray:
-        """The identity on (P,), units as in :meth:`to_internal`."""
+        """The identity on (.., P), units as in :meth:`to_internal`."""
         return internal
 
     def steps(self, internal: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
-"""Values as an Arrow column; NaN and ``None`` become null (see ``schema``).
+"""Values as an Arrow column and back; NaN and ``None`` become null (see ``schema``).
 
-The arrays are made from their buffers, because ``pa.array`` loads pandas, which takes 0.4 s and 50 MB in every worker.
+Arrays are made from their buffers and taken from them, because ``pa.array``, ``to_numpy`` and scalars load pandas, which takes
+0.4 s and 50 MB in every worker.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
+from ..arrays import FloatArray
 from ..errors import UsageError
 
 Values = Sequence[Any] | np.ndarray[Any, Any]
@@ -31,6 +34,63 @@ def column_array(values: Values | None, kind: pa.DataType, rows: int, name: str)
         return _text_array(values) if pa.types.is_string(kind) else _number_array(values, kind)
     except (TypeError, ValueError, OverflowError) as error:
         raise UsageError(f"column {name} holds values of the wrong type ({error})", allowed=str(kind)) from None
+
+
+def number_values(column: pa.ChunkedArray) -> FloatArray:
+    """(n,) values of a numeric column; NaN where null."""
+    out = np.full(len(column), np.nan)
+    first = 0
+    for chunk in column.cast(pa.float64()).chunks:
+        if chunk.null_count < len(chunk):
+            out[first : first + len(chunk)] = np.where(validity(chunk), raw_values(chunk), np.nan)
+        first += len(chunk)
+    return out
+
+
+def validity(chunk: pa.Array) -> npt.NDArray[np.bool_]:
+    """(n,) whether a value is not null."""
+    if chunk.null_count in (0, len(chunk)):
+        return np.full(len(chunk), chunk.null_count == 0)
+    return _bits(chunk.buffers()[0], chunk)
+
+
+def raw_values(chunk: pa.Array) -> np.ndarray[Any, Any]:
+    """(n,) values of an array of numbers or booleans, 0 where null."""
+    if chunk.null_count == len(chunk):
+        return np.zeros(len(chunk), dtype=chunk.type.to_pandas_dtype())
+    data = chunk.buffers()[1]
+    if pa.types.is_boolean(chunk.type):
+        return _bits(data, chunk) & validity(chunk)
+    values = np.frombuffer(data, chunk.type.to_pandas_dtype())[chunk.offset : chunk.offset + len(chunk)]
+    return np.where(validity(chunk), values, values.dtype.type(0)) if chunk.null_count else values
+
+
+def text_codes(column: pa.ChunkedArray) -> tuple[tuple[str, ...], npt.NDArray[np.int64]]:
+    """The different words of a text column, "" for null, and the number (n,) of the word of each row."""
+    encoded = column.cast(pa.string()).combine_chunks().dictionary_encode("encode")
+    words = ["" if word is None else word for word in encoded.dictionary.to_pylist()]
+    indices = encoded.indices
+    codes = raw_values(indices).astype(np.int64)
+    if words.count("") > 1:  # null and "" are one word
+        place = {word: k for k, word in enumerate(words)}
+        codes = np.array([place[word] for word in words])[codes]
+    return tuple(words), codes
+
+
+def rows_equal(table: pa.Table, name: str, word: str) -> pa.Table:
+    """The rows of a table whose text in the column ``name`` is ``word``."""
+    words, codes = text_codes(table[name])
+    wanted = np.array([one == word for one in (*words, None)])[codes]
+    return table.filter(pa.Array.from_buffers(pa.bool_(), codes.size, [None, _packed(wanted)]))
+
+
+def _bits(bitmap: pa.Buffer, chunk: pa.Array) -> npt.NDArray[np.bool_]:
+    bits = np.unpackbits(np.frombuffer(bitmap, np.uint8), bitorder="little")
+    return bits[chunk.offset : chunk.offset + len(chunk)].astype(np.bool_)
+
+
+def _packed(bits: npt.NDArray[np.bool_]) -> pa.Buffer:
+    return pa.py_buffer(np.packbits(bits, bitorder="little"))
 
 
 def _text_array(values: Values) -> pa.Array:
@@ -54,4 +114,4 @@ def _number_array(values: Values, kind: pa.DataType) -> pa.Array:
 
 
 def _bitmap(known: np.ndarray[Any, Any]) -> pa.Buffer | None:
-    return None if known.all() else pa.py_buffer(np.packbits(known, bitorder="little"))
+    return None if known.all() else _packed(known)

@@ -13,9 +13,9 @@ import hashlib
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ..errors import UsageError
+from .column import raw_values, validity
 
 _VERSION = "v2-"
 
@@ -42,7 +42,7 @@ class _ColumnHash:
     def add(self, column: pa.Array, field: pa.Field) -> None:
         self.filled += len(column) - column.null_count
         valid, values, words = self.parts
-        valid.update(pc.is_valid(column).to_numpy(zero_copy_only=False).tobytes())
+        valid.update(validity(column).tobytes())
         numbers, text = _values(column, field)
         values.update(numbers)
         words.update(text)
@@ -79,11 +79,11 @@ class TableDigest:
 
 def _values(column: pa.Array, field: pa.Field) -> tuple[bytes, bytes]:
     if pa.types.is_string(field.type) or pa.types.is_large_string(field.type):
-        words = [word.encode() for word in pc.fill_null(column, "").to_pylist()]
+        words = [(word or "").encode() for word in column.to_pylist()]
         return np.array([len(word) for word in words], dtype="<i8").tobytes(), b"".join(words)
     if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
-        values = pc.fill_null(column, pa.scalar(0, field.type)).to_numpy(zero_copy_only=False)
+        values = raw_values(column)
         return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes(), b""
     if pa.types.is_boolean(field.type):
-        return pc.fill_null(column, False).to_numpy(zero_copy_only=False).tobytes(), b""
+        return raw_values(column).tobytes(), b""
     raise UsageError(f"no digest for column {field.name}", value=str(field.type), allowed="numbers, booleans or text")

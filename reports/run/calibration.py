@@ -8,6 +8,7 @@ identification is ok are counted.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,17 +105,21 @@ def _coverage(devices: Devices, quantity: str) -> Coverage | None:
         return None
     within = in_arc(truth, low, high) if quantity in AXES else (truth >= low) & (truth <= high)
     inside = int(np.sum(within & usable))
-    expected = np.searchsorted(bdtr(np.arange(n + 1), n, NOMINAL), [0.025, 0.975])
     return Coverage(
         quantity,
         n,
         inside,
         clopper_pearson(inside, n),
-        (float(expected[0]) / n, float(expected[1]) / n),
+        (_binomial_quantile(0.025, n) / n, _binomial_quantile(0.975, n) / n),
         float(np.median(z)),
         float(np.sqrt(np.mean(z**2))),
         float(np.mean(np.abs(z) > 3.0)),
     )
+
+
+def _binomial_quantile(q: float, n: int) -> int:
+    """The least count k with P(K <= k) >= q, K binomial of n at ``NOMINAL``, by bisection."""
+    return bisect_left(range(n + 1), q, key=lambda k: float(bdtr(k, n, NOMINAL)))
 
 
 def check_verdicts(devices: Devices, limits: Limits) -> VerdictCheck | None:
@@ -124,10 +129,9 @@ def check_verdicts(devices: Devices, limits: Limits) -> VerdictCheck | None:
     if not known.any():
         return None
     good = np.logical_and.reduce([limit.admits(truth[limit.quantity]) for limit in limits.limits])
-    verdicts = devices.text("verdict")
+    verdicts = devices.text("verdict").at(known)
     p_pass = devices.number("p_pass")
     judged = known & np.isfinite(p_pass)
-    chosen = np.flatnonzero(known)
     return VerdictCheck(
         tuple(
             (
@@ -140,6 +144,6 @@ def check_verdicts(devices: Devices, limits: Limits) -> VerdictCheck | None:
         float(np.sum(p_pass[judged])),
         float(np.sqrt(np.sum(p_pass[judged] * (1.0 - p_pass[judged])))),
         int(np.sum(good[judged])),
-        counted_risk([verdicts[k] for k in chosen], good[chosen]),
-        expected_risk(p_pass[chosen], [verdicts[k] for k in chosen]),
+        counted_risk(verdicts, good[known]),
+        expected_risk(p_pass[known], verdicts),
     )

@@ -72,14 +72,17 @@ class StageLoss:
 def pareto(devices: Devices, limits: Limits) -> Pareto:
     """How often each limit fails among the failed devices."""
     fails = devices.has("fail")
-    broken = [tuple(filter(None, names.split(","))) for names in devices.text("failed_limits")]
-    chosen = [names for names, failed in zip(broken, fails, strict=True) if failed]
-    total = len(chosen)
-    count = Counter(name for names in chosen for name in names)
-    alone = Counter(names[0] for names in chosen if len(names) == 1)
+    cells = devices.text("failed_limits")
+    broken = [tuple(filter(None, names.split(","))) for names in cells.words]
+    number = [int(n) for n in np.bincount(cells.codes[fails], minlength=len(broken))]
+    total = sum(number)
+    count, alone = Counter[str](), Counter[str]()
+    for names, n in zip(broken, number, strict=True):
+        count.update(dict.fromkeys(names, n))
+        alone.update({names[0]: n} if len(names) == 1 else {})
     rows = []
     for limit in limits.limits:
-        breaks = fails & np.array([limit.quantity in names for names in broken], dtype=np.bool_)
+        breaks = fails & cells.each([limit.quantity in names for names in broken])
         values = devices.number(limit.quantity)[breaks]
         k = count[limit.quantity]
         rows.append(
@@ -93,7 +96,7 @@ def pareto(devices: Devices, limits: Limits) -> Pareto:
             )
         )
     rows.sort(key=lambda row: (-row.failed, -row.alone))
-    return Pareto(total, tuple(rows), sum(not names for names in chosen))
+    return Pareto(total, tuple(rows), sum(n for names, n in zip(broken, number, strict=True) if not names))
 
 
 def stage_losses(devices: Devices, limits: Limits) -> tuple[StageLoss, ...]:

@@ -6,7 +6,6 @@ tables + limits -> RunContent -> page
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -159,7 +158,7 @@ def run_content(
     clusters = tuple(
         clustering_with_common(clustering(verdicts, names, by), names, given)
         for by, names in (("wafer", wafers), ("lot", lots))
-        if names and all(names)
+        if len(names) and all(names.counts())
     )
     manifest = _mapping(run.manifest)
     return RunContent(
@@ -176,9 +175,9 @@ def run_content(
         common=given is not None,
         measurement=_measurement(devices, given),
         clusters=clusters,
-        lots=groups_with_common(by_group(verdicts, lots), lots, None, given) if any(lots) else (),
-        wafers=_wafer_yields(devices, verdicts, given) if any(wafers) else (),
-        causes=tuple(sorted(Counter(filter(None, devices.text("cause"))).items(), key=lambda row: (-row[1], row[0]))),
+        lots=groups_with_common(by_group(verdicts, lots), lots, None, given) if any(lots.counts()) else (),
+        wafers=_wafer_yields(devices, verdicts, given) if any(wafers.counts()) else (),
+        causes=_causes(devices),
         pareto=bars,
         stages=stages,
         needed=needed_effects(devices, lot_effects),
@@ -197,6 +196,12 @@ def run_content(
         config_toml=run.config_toml,
         glossary=QUANTITIES,
     )
+
+
+def _causes(devices: Devices) -> tuple[tuple[str, int], ...]:
+    """The known causes with their devices, most frequent first."""
+    known = ((cause, number) for cause, number in devices.text("cause").counts().items() if cause)
+    return tuple(sorted(known, key=lambda row: (-row[1], row[0])))
 
 
 def _verdict_check(devices: Devices, limits: Limits, given: GivenCommon | None) -> VerdictCheck | None:

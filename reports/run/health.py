@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.arrays import FloatArray
 from pipeline.axial import difference
 
+from ..coded import paired
 from ..devices import Devices
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
@@ -57,11 +58,12 @@ class RouteDifference:
 
 def status_counts(devices: Devices) -> tuple[StatusCount, ...]:
     """Status and reason, most frequent first, "ok" first of all; reasons that differ only in numbers are merged."""
-    groups: dict[tuple[str, str], list[str]] = {}
-    for status, reason in zip(devices.text("status"), devices.text("status_reason"), strict=True):
-        groups.setdefault((status, _NUMBER.sub("…", reason)), []).append(reason)
+    pairs, index = paired(devices.text("status"), devices.text("status_reason"))
+    groups: dict[tuple[str, str], list[tuple[str, int]]] = {}
+    for (status, reason), number in zip(pairs, np.bincount(index, minlength=len(pairs)).tolist(), strict=True):
+        groups.setdefault((status, _NUMBER.sub("…", reason)), []).append((reason, number))
     rows = [
-        StatusCount(status, dotted if len(set(reasons)) > 1 else reasons[0], len(reasons))
+        StatusCount(status, dotted if len(reasons) > 1 else reasons[0][0], sum(number for _, number in reasons))
         for (status, dotted), reasons in groups.items()
     ]
     return tuple(sorted(rows, key=lambda row: (row.status != "ok", -row.devices, row.status, row.reason)))

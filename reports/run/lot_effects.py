@@ -11,10 +11,12 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 
 import msgspec
+import numpy as np
 
 from pipeline.errors import IntegrityError
 from pipeline.plain import plain
 
+from ..coded import paired
 from ..devices import Devices
 from ..yields import Yield, yield_of_verdicts
 
@@ -133,11 +135,12 @@ def needed_effects(devices: Devices, found: LotEffects | None) -> NeededEffects 
     if found is None:
         return None
     verdicts, again = devices.text("verdict"), devices.text("verdict_with_effects")
-    after = tuple(new or old for old, new in zip(verdicts, again))
-    status, refitted = devices.text("status"), devices.text("status_with_effects")
+    after = again.filled(verdicts)
+    misfit, mended = devices.text("status").equals("misfit"), devices.text("status_with_effects").equals("ok")
+    pairs, index = paired(verdicts, again)
     names = ("device_id", "lot", "missing_effect", "missing_effect_size", "missing_effect_reason")
     # Among millions of devices few are misfits: only their texts are kept.
-    misfits = [k for k, (old, new) in enumerate(zip(status, refitted)) if old == "misfit" and new != "ok"]
+    misfits = np.flatnonzero(misfit & ~mended).tolist()
     columns = [devices.text(name, misfits) for name in names]
     rows = [Misfit(*row) for row in zip(*columns) if row[4]]
     unknown = tuple(row for row in rows if row.missing in ("", "unknown"))
@@ -146,8 +149,8 @@ def needed_effects(devices: Devices, found: LotEffects | None) -> NeededEffects 
         found,
         yield_of_verdicts(verdicts),
         yield_of_verdicts(after),
-        sum(old == "misfit" and new == "ok" for old, new in zip(status, refitted)),
-        sum(bool(new) and new != old for old, new in zip(verdicts, again)),
+        int(np.sum(misfit & mended)),
+        sum(n for (old, new), n in zip(pairs, np.bincount(index).tolist()) if new and new != old),
         alone[:_MOST_LISTED],
         unknown[:_MOST_LISTED],
         max(len(alone) - _MOST_LISTED, 0) + max(len(unknown) - _MOST_LISTED, 0),

@@ -95,7 +95,7 @@ def render_run_report(
 
 def _noise(devices: Devices) -> tuple[str, ...]:
     jitter, gain = (devices.number(name) for name in ("jitter_s", "gain_noise"))
-    shown = [values[np.isfinite(values)].tolist() for values in (jitter, gain)]
+    shown = [values[np.isfinite(values)] for values in (jitter, gain)]
     found = lot_noise_sentence(devices.text("noise_colour"), *shown)
     return (found,) if found else ()
 

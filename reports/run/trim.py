@@ -51,12 +51,11 @@ def trim_yield(devices: Devices, conforms_before: BoolArray | None) -> TrimYield
     devices : the run's devices.
     conforms_before : (B,) whether the truth conforms before the trim; ``None`` for measured devices.
     """
-    voltages = devices.text("trim_voltages_v")
-    done = np.array([bool(v) for v in voltages])
+    done = ~devices.text("trim_voltages_v").equals("")
     if not done.any():
         return None
     verdicts = devices.text("verdict")
-    after = [t or v for t, v in zip(devices.text("trimmed_verdict"), verdicts)]
+    after = devices.text("trimmed_verdict").filled(verdicts)
     true = devices.number("trimmed_true_conforms")
     truth_before = truth_after = None
     if conforms_before is not None and np.any(np.isfinite(true)):

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import FloatArray
+from pipeline.arrays import BoolArray, FloatArray
 
+from ..coded import IntArray
 from ..devices import Devices
 from ..limits import Limits
 
@@ -80,15 +81,32 @@ def worst_devices(devices: Devices, limits: Limits, each: int = 2) -> tuple[Wors
     )
     rows = []
     for why, member, order in groups:
-        candidates = np.flatnonzero(member)
-        for k in candidates[np.argsort(order[candidates], kind="stable")][:each]:
+        for k in _least(member, order, each):
             rows.append(_describe(devices, limits, int(k), why, float(margin[k])))
     return tuple(rows)
 
 
+def _least(member: BoolArray, order: FloatArray, count: int) -> IntArray:
+    """Numbers of the ``count`` members of least ``order``, the first of equal ones first."""
+    candidates = np.flatnonzero(member)
+    if candidates.size > count:
+        # Of a million members only those up to the last wanted value are sorted.
+        last = np.partition(order[candidates], count - 1)[count - 1]
+        candidates = candidates[order[candidates] <= last]
+    return np.asarray(candidates[np.argsort(order[candidates], kind="stable")][:count])
+
+
+_OWN = (
+    *("device_id", "lot", "wafer", "die_x_mm", "die_y_mm"),
+    *("verdict", "status", "status_reason", "failed_limits", "p_pass", "error"),
+)
+_ESTIMATE = ("{}", "{}_sd", "{}_q05", "{}_q95", "true_{}")
+
+
 def _describe(devices: Devices, limits: Limits, k: int, why: str, margin: float) -> WorstDevice:
     names = dict.fromkeys(("theta_deg", "split_hz", "c12_per_s", "sense_imbalance", *limits.quantities))
-    row = Devices(devices.table.slice(k, 1))
+    shown = [*_OWN, *(column.format(name) for name in names for column in _ESTIMATE)]
+    row = Devices(devices.table.select([name for name in shown if name in devices.table.column_names]).slice(k, 1))
 
     def number(name: str) -> float:
         return float(row.number(name)[0])
@@ -109,15 +127,5 @@ def _describe(devices: Devices, limits: Limits, k: int, why: str, margin: float)
         p_pass=number("p_pass"),
         error=number("error"),
         margin=margin,
-        estimates=tuple(
-            WorstEstimate(
-                name,
-                number(name),
-                number(f"{name}_sd"),
-                number(f"{name}_q05"),
-                number(f"{name}_q95"),
-                number(f"true_{name}"),
-            )
-            for name in names
-        ),
+        estimates=tuple(WorstEstimate(name, *(number(column.format(name)) for column in _ESTIMATE)) for name in names),
     )

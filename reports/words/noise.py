@@ -5,6 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from pipeline.arrays import FloatArray
+
+from ..coded import coded
+
+Floats = Sequence[float] | FloatArray
+
 
 def noise_words(columns: Mapping[str, Any]) -> str:
     """The noise of one device that is not white, from its columns; empty where it is."""
@@ -22,7 +30,7 @@ def noise_words(columns: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def lot_noise_sentence(colours: Sequence[str], jitter_s: Sequence[float], gain_noise: Sequence[float] = ()) -> str:
+def lot_noise_sentence(colours: Sequence[str], jitter_s: Floats, gain_noise: Floats = ()) -> str:
     """How many devices of a run show noise that is not white.
 
     Parameters
@@ -30,15 +38,15 @@ def lot_noise_sentence(colours: Sequence[str], jitter_s: Sequence[float], gain_n
     colours : of all devices.
     jitter_s, gain_noise : jitter [s] and gain noise [1] of the devices that show it.
     """
-    coloured = sum(colour == "coloured" for colour in colours)
+    coloured = int(np.sum(coded(colours).equals("coloured")))
     # Two channels at a false-alarm probability of 1e-3 each (noise.spectrum).
     parts = (
         [f"coloured noise in the silence of {coloured} of {len(colours)} devices (0.2 % by chance)"] if coloured else []
     )
-    if jitter_s:
-        middle = sorted(jitter_s)[len(jitter_s) // 2]
+    if len(jitter_s):
+        middle = np.sort(jitter_s)[len(jitter_s) // 2]
         parts.append(f"sampling jitter in {len(jitter_s)} of {len(colours)} devices (median {middle * 1e9:.3g} ns)")
-    if gain_noise:
-        middle = sorted(gain_noise)[len(gain_noise) // 2]
+    if len(gain_noise):
+        middle = np.sort(gain_noise)[len(gain_noise) // 2]
         parts.append(f"gain noise in {len(gain_noise)} of {len(colours)} devices (median {middle * 1e6:.3g} ppm)")
     return f"The records show {' and '.join(parts)}." if parts else ""

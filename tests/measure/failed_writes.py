@@ -18,7 +18,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import IncompleteError
-from pipeline.store import RunStore, checkpoint, create_run, journal, read_run
+from pipeline.store import checkpoint, journal
+from pipeline.store.read import read_run
+from pipeline.store.run import RunStore, create_run
 from pipeline.store.verify import verify
 from tests.disk import KINDS, Disk, ProcessEnd, failing
 from tests.pipeline.store.store_runs import CONFIG, PROVENANCE, block_tables

@@ -22,41 +22,45 @@ from workflows.config import RunConfig, to_toml_table
 from workflows.screening.outcome import rendered_report
 from workflows.screening.plan import without_none
 
-_ROWS = 12_800
+ROWS = 12_800
+# The 100 devices of a wafer: dies of 8 mm pitch.
+_DIE = {"die_x_mm": 8.0 * (np.arange(100) % 10) - 36.0, "die_y_mm": 8.0 * (np.arange(100) // 10) - 36.0}
 
 
 def table(first: int) -> pa.Table:
-    """``_ROWS`` devices from number ``first`` on."""
+    """``ROWS`` devices from number ``first`` on."""
     random = np.random.default_rng(first)
-    number = np.arange(first, first + _ROWS)
+    number = np.arange(first, first + ROWS)
     text = {
         "device_id": [f"device-{n:09d}" for n in number],
         "lot": [f"L{n // 100_000}" for n in number],
         "wafer": [f"W{n // 100}" for n in number],
-        "status": np.where(random.random(_ROWS) < 0.99, "ok", "misfit").tolist(),
-        "verdict": random.choice(["pass", "fail", "undecided"], _ROWS, p=[0.55, 0.4, 0.05]).tolist(),
+        "status": np.where(random.random(ROWS) < 0.99, "ok", "misfit").tolist(),
+        "verdict": random.choice(["pass", "fail", "undecided"], ROWS, p=[0.55, 0.4, 0.05]).tolist(),
     }
     columns = []
     for field in devices_schema():
         if field.name in text:
             columns.append(pa.array(text[field.name]))
+        elif field.name in _DIE:
+            columns.append(pa.array(_DIE[field.name][number % 100]))
         elif field.name.startswith("p_pass"):
-            columns.append(pa.array(np.where(random.random(_ROWS) < 0.9, 1.0, random.random(_ROWS))))
+            columns.append(pa.array(np.where(random.random(ROWS) < 0.9, 1.0, random.random(ROWS))))
         elif pa.types.is_floating(field.type):
-            columns.append(pa.array(random.normal(1.0, 0.1, _ROWS)).cast(field.type))
+            columns.append(pa.array(random.normal(1.0, 0.1, ROWS)).cast(field.type))
         else:
-            columns.append(pa.nulls(_ROWS, field.type))
+            columns.append(pa.nulls(ROWS, field.type))
     return pa.table(columns, schema=devices_schema())
 
 
 def main() -> None:
     """Make a run, close it, report it."""
-    devices = int(sys.argv[1]) // _ROWS * _ROWS
+    devices = int(sys.argv[1]) // ROWS * ROWS
     with tempfile.TemporaryDirectory(prefix="gyroscreen-report-") as folder:
         config = tomli_w.dumps(without_none(to_toml_table(RunConfig())))
         store: RunStore = create_run(Path(folder), "r", config, {"seed": 0})
-        for block in range(devices // _ROWS):
-            store.commit_block(block, table(block * _ROWS), None)
+        for block in range(devices // ROWS):
+            store.commit_block(block, table(block * ROWS), None)
         size = sum(path.stat().st_size for path in store.folder.iterdir())
         print(
             f"{devices} devices, {size / 1e6:.0f} MB of files, values {8 * len(devices_schema()) * devices / 1e6:.0f} MB"

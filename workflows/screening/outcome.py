@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -158,23 +157,18 @@ def _counted(tables: StoredRun) -> _Counted:
     rule = config_of_run(tables.config_toml, f"run.toml of {tables.manifest.run_id}").judged_by().rule
     verdicts, identified = devices.text("verdict"), devices.identified()
     total = with_common(yield_of_verdicts(verdicts), given_common(devices, tables.posterior, rule))
-    causes = _counts(cause for cell in devices.text("failed_limits") if cell for cause in cell.split(","))
+    causes: dict[str, int] = {}
+    for cell, number in devices.text("failed_limits").counts().items():
+        for cause in filter(None, cell.split(",")):
+            causes[cause] = causes.get(cause, 0) + number
     main = max(causes, key=lambda name: causes[name]) if causes else None
     return _Counted(
-        _counts(verdicts, ("pass", "fail", "undecided")),
-        _counts(devices.text("status"), ("ok", "not_converged", "misfit", "fit_failed", "lost")),
+        {"pass": 0, "fail": 0, "undecided": 0} | verdicts.counts(),
+        {"ok": 0, "not_converged": 0, "misfit": 0, "fit_failed": 0, "lost": 0} | devices.text("status").counts(),
         identified,
         total,
         main if identified else status_cause(status_counts(devices)),
     )
-
-
-def _counts(values: Iterable[Any], always: tuple[str, ...] = ()) -> dict[str, int]:
-    """Number of each value; the values ``always`` come first and are counted even if they do not occur."""
-    out = dict.fromkeys(always, 0)
-    for value in values:
-        out[str(value)] = out.get(str(value), 0) + 1
-    return out
 
 
 def check_identified(result: RunResult) -> None:

@@ -193,4 +193,4 @@ def assemble(model: Model, values: Mapping[str, float], instrument: Instrument, 
 
 def _appended(motion: FloatArray, n: int) -> FloatArray:
     """``motion`` (r, m) with zeros for the coordinates from m to n."""
-    return np.pad(motion, ((0, 0), (0, n - motion.shape[1])))
+    return np.concatenate([motion, np.zeros((motion.shape[0], n - motion.shape[1]))], axis=1)

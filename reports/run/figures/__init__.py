@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pyarrow.compute as pc
 
 from pipeline.arrays import FloatArray
 from pipeline.axial import difference, mean_axis
 from pipeline.quantities import AXES
 
-from ...devices import ColumnSource, Devices
+from ...devices import ColumnSource, Devices, rows_of
 from ...limits import Limit
 from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
 from ..calibration import z_scores
@@ -55,7 +54,7 @@ def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -
 
 
 def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> str:
-    rows = Devices(posterior.filter(pc.field("device_id") == device.device_id))
+    rows = Devices(rows_of(posterior, device.device_id))
     truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
     columns: list[FloatArray] = []
     shown: list[float] = []
@@ -169,14 +168,13 @@ def _stages(content: RunContent) -> str:
 
 def _maps(devices: Devices) -> dict[str, str]:
     x, y, wafers = devices.number("die_x_mm"), devices.number("die_y_mm"), devices.wafers()
-    placed = np.isfinite(x) & np.isfinite(y) & np.array([bool(wafer) for wafer in wafers], dtype=np.bool_)
+    placed = np.isfinite(x) & np.isfinite(y) & ~wafers.equals("")
     if not placed.any():
         return {"wafer-maps": "", "stacked-map": ""}
-    chosen = np.flatnonzero(placed)
     verdicts = devices.text("verdict")
     return {
-        "wafer-maps": wafer_maps(x[chosen], y[chosen], [verdicts[k] for k in chosen], [wafers[k] for k in chosen]),
-        "stacked-map": stacked_map(x[chosen], y[chosen], devices.has("pass")[chosen]),
+        "wafer-maps": wafer_maps(x[placed], y[placed], verdicts.at(placed), wafers.at(placed)),
+        "stacked-map": stacked_map(x[placed], y[placed], devices.has("pass")[placed]),
     }
 
 

@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from pipeline.arrays import FloatArray
 
+from ...coded import CodedText, coded
 from ...html.style import COLOURS, EDGES, HATCHES, INK, LIMIT, MARKERS, MUTED, POINTS, RULE, WIDTH, style, to_svg
 from ...html.style import panels as laid_out
 from ...limits import Limit
@@ -36,7 +37,7 @@ def theta_and_split(
     theta_limit, split_limit : drawn where given.
     """
     known = np.isfinite(theta_deg) & np.isfinite(split_hz)
-    theta, split, verdict = theta_deg[known], split_hz[known], np.array(verdicts)[known]
+    theta, split, verdict = theta_deg[known], split_hz[known], coded(verdicts).at(known)
     with style():
         figure = Figure(figsize=(WIDTH, 3.6))
         rose = figure.add_axes((0.035, 0.15, 0.255, 0.68), projection="polar")
@@ -64,7 +65,7 @@ def histograms(
     panels: Sequence[tuple[str, FloatArray, Limit | None]], verdicts: Sequence[str], name: str = "histograms"
 ) -> str:
     """A stacked histogram for each (label, (B,) values, limit), three in a row."""
-    verdict = np.array(verdicts)
+    verdict = coded(verdicts)
     with style():
         down = -(-len(panels) // 3)
         figure, grid = laid_out(down, 3, 1.65, bottom=0.5, top=0.25, gap=0.5, between=0.75)
@@ -74,13 +75,13 @@ def histograms(
                 continue
             label, values, limit = panels[k]
             known = np.isfinite(values)
-            _histogram(axes, values[known], verdict[known], limit)
+            _histogram(axes, values[known], verdict.at(known), limit)
             axes.set_xlabel(label)
             axes.set_ylabel("devices" if k % 3 == 0 else "")
         return to_svg(figure, name, "Distributions of the limited quantities, with limits, by verdict")
 
 
-def _histogram(axes: Axes, values: FloatArray, verdict: np.ndarray, limit: Limit | None) -> None:
+def _histogram(axes: Axes, values: FloatArray, verdict: CodedText, limit: Limit | None) -> None:
     if values.size:
         low, high = _window(values, limit)
         edges = np.linspace(low, high, int(np.clip(2.5 * values.size ** (1 / 3), 8, 40)) + 1)
@@ -88,7 +89,7 @@ def _histogram(axes: Axes, values: FloatArray, verdict: np.ndarray, limit: Limit
         inside = np.clip(values, low, high)
         base = np.zeros(edges.size - 1)
         for kind in COLOURS:
-            top = base + np.histogram(inside[verdict == kind], edges)[0]
+            top = base + np.histogram(inside[verdict.equals(kind)], edges)[0]
             axes.stairs(top, edges, baseline=base, fill=True, fc=COLOURS[kind], ec="white", lw=0.4, hatch=HATCHES[kind])
             base = top
         axes.set_ylim(0, 1.08 * max(float(base.max()), 1.0))
@@ -113,13 +114,13 @@ def _window(values: FloatArray, limit: Limit | None) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _rose(axes: PolarAxes, theta: FloatArray, verdict: np.ndarray, limit: Limit | None) -> None:
+def _rose(axes: PolarAxes, theta: FloatArray, verdict: CodedText, limit: Limit | None) -> None:
     """Bars at theta and theta + 180 deg: an axis has both ends.  Areas, not radii, show the counts."""
     step = 10.0
     edges = np.arange(-90.0, 90.0 + step, step)
     base = np.zeros(edges.size - 1)
     for kind in COLOURS:
-        count = np.histogram(theta[verdict == kind], edges)[0].astype(np.float64)
+        count = np.histogram(theta[verdict.equals(kind)], edges)[0].astype(np.float64)
         inner, outer = np.sqrt(base), np.sqrt(base + count)
         for turn in (0.0, 180.0):
             axes.bar(
@@ -151,7 +152,7 @@ def _plane(
     axes: Axes,
     theta: FloatArray,
     split: FloatArray,
-    verdict: np.ndarray,
+    verdict: CodedText,
     theta_limit: Limit | None,
     limit: Limit | None,
 ) -> None:
@@ -176,7 +177,7 @@ def _plane(
             )
     x, y = split * np.cos(2 * np.radians(theta)), split * np.sin(2 * np.radians(theta))
     for kind in COLOURS:
-        here = verdict == kind
+        here = verdict.equals(kind)
         axes.plot(
             x[here],
             y[here],

@@ -14,11 +14,14 @@ from matplotlib.patches import Circle
 
 from pipeline.arrays import BoolArray, FloatArray
 
+from ...coded import IntArray, coded
 from ...html.style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, style, to_svg
 from ...html.style import panels as laid_out
 from ...yields import natural
 
 COLUMNS = 4
+# More positions than this cannot be told apart on the map: their markers would be smaller than a point.
+PLACES = 10_000
 MOST = 12
 
 
@@ -32,8 +35,8 @@ def wafer_maps(
     x_mm, y_mm : (B,) die centres from the wafer centre [mm]; nan is not drawn.
     verdicts, wafers : B each.
     """
-    names = sorted(set(wafers), key=natural)[:MOST]
-    verdict, wafer = np.array(verdicts), np.array(wafers)
+    verdict, wafer = coded(verdicts), coded(wafers)
+    names = sorted(wafer.counts(), key=natural)[:MOST]
     radius = _radius(x_mm, y_mm)
     with style():
         across = min(COLUMNS, max(2, len(names)))
@@ -44,12 +47,13 @@ def wafer_maps(
             if k >= len(names):
                 axes.set_axis_off()
                 continue
-            here = (wafer == names[k]) & np.isfinite(x_mm) & np.isfinite(y_mm)
-            passed, n = int(np.sum(verdict[here] == "pass")), int(here.sum())
+            here = np.flatnonzero(wafer.equals(names[k]) & np.isfinite(x_mm) & np.isfinite(y_mm))
+            own = verdict.at(here)
+            passed, n = int(np.sum(own.equals("pass"))), here.size
             _outline(axes, radius)
             size = _marker_size(x_mm[here], y_mm[here], radius, across)
             for kind in COLOURS:
-                chosen = here & (verdict == kind)
+                chosen = here[own.equals(kind)]
                 axes.plot(
                     x_mm[chosen],
                     y_mm[chosen],
@@ -74,14 +78,10 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
     passed : (B,) whether the device passes.
     """
     known = np.isfinite(x_mm) & np.isfinite(y_mm)
-    rounded = np.round(np.stack([x_mm[known], y_mm[known]], axis=1), 3)
-    unique, index = np.unique(rounded, axis=0, return_inverse=True)
-    places: FloatArray = np.asarray(unique, dtype=np.float64)
-    n = np.bincount(index.ravel(), minlength=len(places))
-    share = np.bincount(index.ravel(), weights=passed[known].astype(np.float64), minlength=len(places)) / np.maximum(
-        n, 1
-    )
     radius = _radius(x_mm, y_mm)
+    places, index = _places(x_mm[known], y_mm[known], radius)
+    n = np.bincount(index, minlength=len(places))
+    share = np.bincount(index, weights=passed[known].astype(np.float64), minlength=len(places)) / np.maximum(n, 1)
     with style():
         figure = Figure(figsize=(WIDTH, 3.7))
         left, right = (figure.add_axes(place) for place in ((0.01, 0.04, 0.38, 0.87), (0.55, 0.15, 0.44, 0.76)))
@@ -104,6 +104,16 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
         left.set_title(f"All wafers on one ({each} devices a die)")
         _by_radius(right, np.hypot(x_mm[known], y_mm[known]), passed[known], radius)
         return to_svg(figure, name, "Share of passing devices by die position and by radius")
+
+
+def _places(x_mm: FloatArray, y_mm: FloatArray, radius: float) -> tuple[FloatArray, IntArray]:
+    """Different die positions (P, 2) [mm] and the number (B,) of each die's position; on a grid if P exceeds ``PLACES``."""
+    for pitch in (1e-3, 2.0 * radius / PLACES**0.5):
+        steps = np.round(x_mm / pitch) + 1j * np.round(y_mm / pitch)
+        unique, index = np.unique(steps, return_inverse=True)
+        if unique.size <= PLACES:
+            break
+    return pitch * np.stack([unique.real, unique.imag], axis=1), index.astype(np.int64)
 
 
 def _by_radius(axes: Axes, r_mm: FloatArray, passed: BoolArray, radius: float) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from store_runs import block_tables
 
-from pipeline.store import open_run
+from pipeline.store.run import open_run
 
 
 def write_blocks(results: Path, run_id: str, blocks: int) -> None:

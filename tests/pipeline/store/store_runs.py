@@ -8,7 +8,8 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.quantities import MODEL
-from pipeline.store import RunStore, create_run, devices_table, posterior_table
+from pipeline.store.run import RunStore, create_run
+from pipeline.store.schema import devices_table, posterior_table
 
 CONFIG = "seed = 7\n"
 PROVENANCE = {"seed": 7, "versions": {"gyroscreen": "0"}, "git_revision": None}

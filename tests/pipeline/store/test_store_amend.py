@@ -9,10 +9,11 @@ import pytest
 from store_runs import ROWS, make_run
 
 from pipeline.errors import UsageError
-from pipeline.store import RunStore, files, open_run, read_run
+from pipeline.store import files
 from pipeline.store.digest import table_digest
 from pipeline.store.manifest import encode
-from pipeline.store.run import create_run
+from pipeline.store.read import read_run
+from pipeline.store.run import RunStore, create_run, open_run
 from pipeline.store.verify import verify
 
 VALUES = {

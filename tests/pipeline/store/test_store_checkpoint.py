@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 from store_runs import CONFIG, PROVENANCE, ROWS, block_tables, make_run
 
-from pipeline.store import RunStore, checkpoint, create_run, journal, read_run
+from pipeline.store import checkpoint, journal
 from pipeline.store.query import query
+from pipeline.store.read import read_run
+from pipeline.store.run import RunStore, create_run
 from pipeline.store.verify import verify
 
 #: 18 for the figure of docs/faults.md.

@@ -14,8 +14,11 @@ import pytest
 from store_runs import CONFIG, PROVENANCE, ROWS, block_tables, make_run
 
 from pipeline.errors import ConfigError, IncompleteError, IntegrityError, UsageError
-from pipeline.store import RunStore, create_run, files, list_runs, open_run, read_run, table_digest
+from pipeline.store import files
 from pipeline.store import run as run_module
+from pipeline.store.digest import table_digest
+from pipeline.store.read import list_runs, read_run
+from pipeline.store.run import RunStore, create_run, open_run
 from pipeline.store.verify import verify
 
 HERE = Path(__file__).parent

@@ -9,7 +9,9 @@ import pytest
 from store_runs import CONFIG, PROVENANCE, ROWS, block_tables
 
 from pipeline.errors import IncompleteError, IntegrityError
-from pipeline.store import RunStore, create_run, files, journal, open_run, read_run
+from pipeline.store import files, journal
+from pipeline.store.read import read_run
+from pipeline.store.run import RunStore, create_run, open_run
 from pipeline.store.verify import verify
 
 

@@ -13,8 +13,10 @@ from in_process import InProcess
 from store_runs import CONFIG, PROVENANCE, block_tables, make_run
 
 from pipeline.errors import IntegrityError, UsageError
-from pipeline.store import COLUMNS, create_run, read_run
 from pipeline.store.query import answer, query, write_table
+from pipeline.store.read import read_run
+from pipeline.store.run import create_run
+from pipeline.store.schema import COLUMNS
 
 
 @pytest.fixture(scope="module")

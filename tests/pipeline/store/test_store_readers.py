@@ -13,9 +13,10 @@ from in_process import InProcess
 from store_runs import ROWS, make_run
 
 from pipeline.errors import UsageError
-from pipeline.store import open_run, read_run
 from pipeline.store.lock import NAME, one_writer
 from pipeline.store.query import query
+from pipeline.store.read import read_run
+from pipeline.store.run import open_run
 from pipeline.store.verify import verify
 
 _HOLD = "import sys; from pathlib import Path; from pipeline.store.lock import one_writer\n"

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from pipeline.errors import UsageError
 from pipeline.quantities import NAMES
-from pipeline.store import COLUMNS, devices_schema, devices_table, posterior_schema, posterior_table, table_digest
+from pipeline.store.digest import table_digest
+from pipeline.store.schema import COLUMNS, devices_schema, devices_table, posterior_schema, posterior_table
 
 VALUES = st.lists(
     st.tuples(st.text(st.characters(codec="utf-8"), min_size=1), st.one_of(st.none(), st.floats(allow_nan=False))),

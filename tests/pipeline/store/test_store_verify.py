@@ -15,11 +15,12 @@ from in_process import InProcess
 from store_runs import CONFIG, PROVENANCE, block_tables, make_run
 
 from pipeline.errors import IntegrityError, UsageError
-from pipeline.store import create_run, read_run
 from pipeline.store.files import sha256
 from pipeline.store.manifest import NAME, decode, encode
 from pipeline.store.parquet import decode_table, encode_table
 from pipeline.store.query import query
+from pipeline.store.read import read_run
+from pipeline.store.run import create_run
 from pipeline.store.schema import devices_schema
 from pipeline.store.verify import verify
 

@@ -181,7 +181,7 @@ def test_status_and_reason_are_counted_ok_first() -> None:
 
 def test_wafers_of_two_lots_never_share_a_name() -> None:
     devices = _devices(lot=["L1", "L10", "L1", None, "L2"], wafer=["L10-W1", "L10-W1", "W1", "W1", None])
-    assert devices.wafers() == ("L1 L10-W1", "L10-W1", "L1 W1", "W1", "")
+    assert tuple(devices.wafers()) == ("L1 L10-W1", "L10-W1", "L1 W1", "W1", "")
 
 
 def test_reasons_that_differ_in_numbers_only_are_counted_together() -> None:

@@ -236,8 +236,9 @@ def _judged(
     value, vector = np.linalg.eigh(fitted.x_covariance / np.outer(size, size))
     root = size[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
     x = fitted.x + random.standard_normal((_DRAWS, size.size)) @ root.T
-    values = [fitted.model.to_values(one) for one in x]
-    physical = np.array([[one.get(name, 0.0) for name in PHYSICAL] for one in values])
+    values = {name: np.full(_DRAWS, value) for name, value in fitted.model.to_values(fitted.x).items()}
+    values |= dict(zip(fitted.model.free, fitted.model.declared(x).T))
+    physical = np.stack([values.get(name, np.zeros(_DRAWS)) for name in PHYSICAL], axis=1)
     draws = Identified.of_physical(physical, rate).draws
     limits = config.judged_by()
     decision = decide(limits, {q: draws[q][None] for q in limits.quantities}, [status])

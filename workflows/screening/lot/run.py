@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
 
 from distributed import Client
 
@@ -12,39 +11,12 @@ from pipeline.store.run import RunStore
 from reports.devices import ColumnSource
 from reports.run.lot_effects import FILE, LotEffects
 
-from ...config import RunConfig
-from ..campaign_source import CampaignSource
 from ..dispatch import guarded_in_parallel
-from ..faults import Faults
-from ..guard import Begin
 from ..plan import RunPlan
 from ..progress import progress
-from .device import DeviceExamination, Request, examine_device, failed_examination
+from .device import DeviceExamination, Request
 from .effects import Columns, examine
-
-
-@dataclass(frozen=True)
-class ExamineItem:
-    """A device to examine, with its campaign if it is measured; ``lost`` says why it was given up."""
-
-    request: Request
-    campaigns: Mapping[int, CampaignSource]
-    lost: str = ""
-
-
-def examine_task(config: RunConfig, item: ExamineItem, begin: Begin) -> DeviceExamination:
-    """The examination of one device; runs in a worker."""
-    if item.lost:
-        return failed_examination(item.request, item.lost)
-    begin(item.request.number)
-    return examine_device((config, item.campaigns), item.request)
-
-
-EXAMINE_FAULTS: Faults[ExamineItem] = Faults(
-    devices=lambda item: range(item.request.number, item.request.number + 1),
-    part=lambda item, _: item,
-    lost=lambda item, reason: replace(item, lost=reason),
-)
+from .task import EXAMINE_FAULTS, ExamineItem, examine_task
 
 
 def examine_run(planned: RunPlan, store: RunStore, client: Client, quiet: bool) -> None:
