@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -42,7 +43,9 @@ def measured(only: str = "", seconds: float = SECONDS) -> Results:
         command += ["-q", "--import-mode=importlib", "--benchmark-timer=time.process_time", "--benchmark-disable-gc"]
         command += ["--benchmark-columns=min,median,rounds", f"--benchmark-json={out}", f"--bench-seconds={seconds}"]
         command += [str(ROOT / "tests" / "bench"), *(["-k", f"primitive or {only}"] if only else [])]
-        done = subprocess.run(command, cwd=ROOT, stdout=sys.stderr, check=False)
+        # Called from a test on a worker of pytest-xdist, pytest-benchmark would take this process for a worker and not measure.
+        own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_XDIST")}
+        done = subprocess.run(command, cwd=ROOT, env=own, stdout=sys.stderr, check=False)
         if done.returncode != 0:
             raise RuntimeError(f"a benchmark failed: pytest ended with exit code {done.returncode}")
         return results_of(json.loads(out.read_text(encoding="utf-8"))["benchmarks"])

@@ -169,7 +169,8 @@ def test_the_version_is_that_of_the_distribution(capfd):
         (["model"], "show add drop export"),
         (
             ["benchmark"],
-            "coverage undetected foreign-gyros sweeps decays rare throughput faults sequential lattice silverbox hidden-effects",
+            "coverage undetected foreign-gyros sweeps decays rare efficiency throughput scaling faults sequential lattice "
+            "silverbox hidden-effects",
         ),
     ],
 )

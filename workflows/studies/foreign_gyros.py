@@ -46,7 +46,7 @@ KINDS: dict[str, str] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Electrodes:
+class ElectrodeRows:
     """What sense columns measure, and drive columns act on: rows (x, y, z) of each column."""
 
     senses: FloatArray
@@ -58,12 +58,12 @@ class Electrodes:
         return np.where(np.arange(count) < count // 2, 1.0 - imbalance, 1.0 + imbalance)
 
 
-_PAPER = Electrodes(np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0]]), np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]))
+_PAPER = ElectrodeRows(np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0]]), np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]))
 _CROSS = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
-#: Electrodes of the kinds that are not laid out as the paper's.
-LAYOUTS: dict[str, Electrodes] = {
-    "pairs": Electrodes(np.eye(2, 3), np.eye(2, 3)),
-    "four": Electrodes(_CROSS, _CROSS),
+#: ElectrodeRows of the kinds that are not laid out as the paper's.
+LAYOUTS: dict[str, ElectrodeRows] = {
+    "pairs": ElectrodeRows(np.eye(2, 3), np.eye(2, 3)),
+    "four": ElectrodeRows(_CROSS, _CROSS),
 }
 #: Noise of 60 dB: a thousandth of the rms of the signal.
 _NOISE = 1e-3
@@ -156,7 +156,9 @@ def _held(x: complex, drive: FloatArray, hold: str) -> ComplexArray:
     return np.asarray(lfilter([ramp, (z - 1.0) / x - ramp], [1.0, -z], drive))
 
 
-def response(gyro: ForeignGyro, drive_v: FloatArray, displacement: bool, electrodes: Electrodes = _PAPER) -> FloatArray:
+def response(
+    gyro: ForeignGyro, drive_v: FloatArray, displacement: bool, electrodes: ElectrodeRows = _PAPER
+) -> FloatArray:
     """Noise-free sense samples (N, n) [V] of a device at rest before the record: its velocity or its displacement."""
     (k_s, k_d), (rocking, updown) = gyro.imbalances, gyro.gains
     angle = math.radians(gyro.theta_deg)
