@@ -20,7 +20,8 @@ def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") 
     with style():
         height = 0.26 * len(rows) + 0.8
         figure = Figure(figsize=(WIDTH, height))
-        axes = figure.add_axes((0.26, 0.5 / height, 0.66, (height - 0.8) / height))
+        # Room for the longest name, "dependence of the scale factor on the split", in the font of the labels.
+        axes = figure.add_axes((0.31, 0.5 / height, 0.61, (height - 0.8) / height))
         for k, (_, row) in enumerate(rows):
             axes.fill_betweenx([-k - 0.5, -k + 0.5], 100 * row.band[0], 100 * row.band[1], color="#e3edf4", lw=0)
             colour = ACCENT if row.in_band else COLOURS["fail"]
