@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json as json_
 import resource
+import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +60,13 @@ def faults(
         if commits:
             found |= cost_of_commits(commits, folder / "commits")
     show(found, json)
+
+
+def follow(progress: Iterable[tuple[int, int]], what: str) -> None:
+    """Run a study that yields (done, total), and show how many of ``what`` are done."""
+    for done, total in progress:
+        print(f"\r{done} of {total} {what}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
 
 
 def show(found: dict[str, Any], json: bool) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from ..studies.coverage import Share
 from ..studies.hidden.confusion import answer, confusion, figures, found_as, is_unexpected, power
 from ..studies.hidden.draw import hide
 from ..studies.hidden.study import examine, rows_in, run_study, study_plan
+from .benchmark import follow
 
 
 def hidden_effects(
@@ -23,9 +23,7 @@ def hidden_effects(
         row = examine(hide(kind, only, seed))
         print(json_.dumps(row, indent=None if json else 2, default=float))
         return
-    for done, total in run_study(plan, out, workers):
-        print(f"\r{done} of {total} campaigns", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+    follow(run_study(plan, out, workers), "campaigns")
     rows = [r for r in rows_in(out, tuple(plan.numbers), seed) if r["number"] in plan.numbers[r["kind"]]]
     print(json_.dumps(_plain(rows)) if json else "\n".join(lines(rows)))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,13 @@ from typing import Any
 from ..studies.coverage import COVERED, Share
 from ..studies.hidden.study import rows_in
 from ..studies.undetected import by_effect, effects_of, figures, run_study
-from .benchmark import show
+from .benchmark import follow, show
 
 
 def undetected(effect: str, devices: int, seed: int, workers: int, out: Path, json: bool) -> None:
     """See ``gyroscreen benchmark undetected --help``."""
     effects = effects_of(effect)
-    for done, total in run_study(effects, devices, seed, out, workers):
-        print(f"\r{done} of {total} devices", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+    follow(run_study(effects, devices, seed, out, workers), "devices")
     rows = [row for row in rows_in(out, effects, seed) if row["number"] < devices]
     found, each = figures(rows), by_effect(rows)
     if json:

@@ -102,11 +102,12 @@ def with_small_splits(drawn: Draw, seed: int) -> Draw:
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SPLIT_STREAM, int(n)))).uniform()
         for n in drawn.index
     ]
-    split = 0.02 * 25.0 ** np.array(uniform)
-    true = dict(drawn.true)
-    true["split_hz"] = split
-    true["f2_hz"] = true["f1_hz"] + split
-    return replace(drawn, true=true)
+    return with_splits(drawn, 0.02 * 25.0 ** np.array(uniform))
+
+
+def with_splits(drawn: Draw, split: FloatArray) -> Draw:
+    """The same devices with other splits (B,) [Hz]."""
+    return replace(drawn, true={**drawn.true, "split_hz": split, "f2_hz": drawn.true["f1_hz"] + split})
 
 
 def bound_sd(config: RunConfig, physical: FloatArray, sigma_v: FloatArray) -> tuple[float, float]:
@@ -129,6 +130,14 @@ def bound_sd(config: RunConfig, physical: FloatArray, sigma_v: FloatArray) -> tu
         slope[1, i] = (split[0] - split[1]) / (2.0 * _STEP)
     variance = np.einsum("qi,ij,qj->q", slope, covariance, slope)
     return float(np.sqrt(variance[0])), float(np.sqrt(variance[1]))
+
+
+def bounds_of(config: RunConfig, drawn: Draw, i: int) -> tuple[float, float]:
+    """Cramer-Rao sd of theta [deg] and split [Hz] of device ``i``, for the white noise of its records and of the ADC."""
+    _, _, sigma = virtual_records(config, drawn, i)
+    adc = config.instrument.instrument().adc
+    total = np.sqrt(sigma**2 + (adc.lsb_v**2 / 12.0 if adc else 0.0))
+    return bound_sd(config, physical_of(drawn.true)[i], np.full(2, total))
 
 
 def study_block(job: tuple[RunConfig, Splits, float], span: tuple[int, int]) -> list[Row]:
@@ -172,10 +181,7 @@ def _row(config: RunConfig, drawn: Draw, i: int, gain: float, bad: float) -> Row
     c: dict[str, Any] = result.columns
     z_theta = z_split = np.nan
     if config.noise.kind == "white":
-        _, _, sigma = virtual_records(config, drawn, i)
-        adc = config.instrument.instrument().adc
-        total = np.sqrt(sigma**2 + (adc.lsb_v**2 / 12.0 if adc else 0.0))
-        sd_theta, sd_split = bound_sd(config, physical, np.full(2, total))
+        sd_theta, sd_split = bounds_of(config, drawn, i)
         z_theta = float(difference(c["theta_deg"], truth["theta_deg"])) / sd_theta
         z_split = (c["split_hz"] - split) / sd_split
     inside = frozenset(name for name in COVERED if _inside(c, name, float(truth[name])))

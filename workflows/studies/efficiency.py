@@ -2,7 +2,7 @@
 
     z = (estimate - truth) / sd_CRLB,    efficiency figure = rms z, 1 at the Cramer-Rao bound
 
-The bound is that of white noise of the instrument and the ADC with all fitted parameters free (``coverage.bound_sd``).  The
+The bound is that of white noise of the instrument and the ADC with all fitted parameters free (``coverage.bounds_of``).  The
 devices are those of the default population, each with the split of its cell; only the fit is made, hardly any posterior.
 
     DIR/<SNR>dB-<split>Hz.jsonl    one JSON object per block of devices; an interrupted study continues there
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +30,8 @@ from populations.draw import Draw, draw
 from ..config import RunConfig, load_config
 from ..config_tables import NoiseTable
 from ..screening.settings import population
-from ..screening.virtual_device import fit_virtual, physical_of, virtual_records
-from .coverage import Share, bound_sd
+from ..screening.virtual_device import fit_virtual, physical_of
+from .coverage import Share, bounds_of, with_splits
 from .rows_by_kind import add_rows
 
 #: Signal-to-noise ratios [dB] and splits [Hz] of the cells.
@@ -53,21 +52,13 @@ def cell_config(seed: int, cell: str) -> RunConfig:
     return msgspec.structs.replace(config, noise=NoiseTable(snr_db=CELLS[cell][0]), posterior=posterior)
 
 
-def with_split(drawn: Draw, split: float) -> Draw:
-    """The same devices with a split of ``split`` [Hz]."""
-    true = dict(drawn.true)
-    true["split_hz"] = np.full_like(true["split_hz"], split)
-    true["f2_hz"] = true["f1_hz"] + split
-    return replace(drawn, true=true)
-
-
 def study_row(seed: int, item: tuple[str, int]) -> dict[str, Any]:
     """The row of block ``item`` = (cell, number), computed on a worker: z of theta and of split of every fitted device."""
     cell, number = item
     config = cell_config(seed, cell)
     with threadpool_limits(limits=1):
         spec = population(config)
-        drawn = with_split(draw(spec, config.run.seed, number * BLOCK, BLOCK), CELLS[cell][1])
+        drawn = with_splits(draw(spec, config.run.seed, number * BLOCK, BLOCK), np.full(BLOCK, CELLS[cell][1]))
         found = [_errors(config, drawn, i, float(spec.angular_gain)) for i in range(BLOCK)]
     good = [one for one in found if one is not None]
     return {
@@ -86,11 +77,8 @@ def _errors(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> tupl
     if not isinstance(fitted, Fitted):
         return None
     x = fitted.scoring.fit.x[None, :12]
-    _, _, sigma = virtual_records(config, drawn, i)
-    adc = config.instrument.instrument().adc
-    total = math.sqrt(sigma**2 + (adc.lsb_v**2 / 12.0 if adc else 0.0))
     physical = physical_of(drawn.true)[i]
-    sd_theta, sd_split = bound_sd(config, physical, np.full(2, total))
+    sd_theta, sd_split = bounds_of(config, drawn, i)
     theta = float(difference(to_physical(x)[0, 6], physical[6])) / sd_theta
     return theta, (float(split_hz(x)[0]) - float(drawn.true["split_hz"][i])) / sd_split
 
