@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .fit_tests import FitTests, Rules, fit_tests, is_clear, log_p_without
+from .fit_tests import FitTests, Rules, is_clear, log_p_without
 from .problem import FitResult, Problem
 from .rung import FitCache, Fits, Refusal, RungOutcome, SelectionStep, pair, refits
 
@@ -65,7 +65,7 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
     start = cache.fit(terms)
     if not start.ok:
         return ForwardSelection((), (), {}, start.why or "the baseline could not be fitted", fits=cache.fits)
-    tests, failed = [fit_tests(problem, start, rules)], ""
+    tests, failed = [cache.tests(start, rules)], ""
     steps: list[SelectionStep] = []
     refused: dict[str, str] = {}
     unfinished: dict[str, str] = {}
@@ -89,7 +89,7 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
         steps += [*found.steps[:-1], replace(found.steps[-1], fit=current, dropped=dropped)]
         if any(frozenset(current.terms) == frozenset(old.fit.terms) for old in tests):
             break
-        tests.append(fit_tests(problem, current, rules))
+        tests.append(cache.tests(current, rules))
         if _to_be_corrected(tests[0], found.steps):
             break
     return ForwardSelection(tuple(tests), tuple(steps), refused, failed, unfinished, cache.fits)
