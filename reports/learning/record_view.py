@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, signal
+from scipy import fft
 
 from pipeline.arrays import FloatArray
 
@@ -195,6 +195,9 @@ class TimeFrequency:
 
 def time_frequency(view: RecordView, segments: float, band_hz: tuple[float, float]) -> TimeFrequency:
     """10 log10 P of the residual in a band [Hz], mean over the channels; a segment is 1/``segments`` of the record."""
+    # Loading scipy.signal takes a third of a second, and a command without a page does not need it.
+    from scipy import signal
+
     n = view.residual.shape[0]
     length = int(np.clip(2 ** round(np.log2(max(n / segments, 8.0))), 8, max(n, 8)))
     hop = max(length // 4, -(-n // COLUMNS))
@@ -222,6 +225,8 @@ def drive_frequency(view: RecordView) -> tuple[FloatArray, FloatArray]:
 
     f = d arg(v + i H v)/dt / 2 pi with the Hilbert transform H, averaged over a hundredth of the record.
     """
+    from scipy import signal
+
     n = view.drive_v.shape[0]
     width = max(n // 100, 2)
     times = (np.arange(n // width) + 0.5) * width / view.sample_rate_hz
