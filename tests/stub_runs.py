@@ -37,7 +37,7 @@ def stub_runs(patch: pytest.MonkeyPatch, block: Callable[..., BlockTables] | Non
     def cluster(*_: Any, **__: Any) -> Iterator[Any]:
         yield SimpleNamespace()
 
-    def in_turn(_: Any, function: Any, given: Any, items: Any, *__: Any) -> Iterator[Any]:
+    def in_turn(_: Any, function: Any, given: Any, items: Any, *__: Any, **___: Any) -> Iterator[Any]:
         return ((item, function(given, item, unguarded)) for item in items)
 
     made = block or stub_block()

@@ -66,18 +66,21 @@ def run_blocks(
     with (
         cluster(count, scheduler) as client,
         shipped(client, remote),
-        progress(planned.devices, finished, quiet) as advance,
+        progress(planned.devices, finished, quiet) as shown,
     ):
         limit_s = config.run.device_limit_s
         items, whole = block_items(left, planned.campaigns), Assembly({block.index: block for block in left})
-        for item, part in guarded_in_parallel(client, task or block_task, config, items, BLOCK_FAULTS, limit_s):
+        finished_items = guarded_in_parallel(
+            client, task or block_task, config, items, BLOCK_FAULTS, limit_s, watch=None if quiet else shown.partly
+        )
+        for item, part in finished_items:
             tables = whole.add(item.block, part)
             if item.block.lost:
                 store.log({"event": "lost", "devices": list(BLOCK_FAULTS.devices(item)), "reason": item.block.lost})
             if tables is not None:
                 store.commit_block(tables.index, tables.devices, tables.posterior)
                 store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
-            advance(part.devices.num_rows)
+            shown.advance(part.devices.num_rows)
         if not examined:
             # It imports the learning half, which blocks do without.
             from .lot.run import examine_run

@@ -36,6 +36,8 @@ _PATIENCE_S = 45.0
 #: A worker without a heartbeat for this time is stopped or isolated [s]; heartbeats come every second or so.
 _SILENT_S = 60.0
 _LOOK_S = 2.0
+#: Time between two looks at the devices of unfinished items [s]: a bar that is drawn twice a second moves evenly.
+_WATCH_S = 0.5
 #: Waits for a result that is finished, together as long as a worker may be silent [s].
 _WAITS_S = (1.0, 2.0, 4.0, 8.0, 15.0, 30.0)
 
@@ -65,6 +67,7 @@ def guarded_in_parallel(
     faults: Faults[In],
     limit_s: float | None = None,
     patience_s: float = _PATIENCE_S,
+    watch: Callable[[int], None] | None = None,
 ) -> Iterator[tuple[In, Out]]:
     """``(item, function(constant, item, begin))`` of every item, or of its parts where workers were lost.
 
@@ -73,12 +76,14 @@ def guarded_in_parallel(
     function : calls ``begin(device)`` before each device.
     faults : how items are divided and given up.
     limit_s : time limit of a device [s]; ``None``: 20 times the median, at least 60 s.
+    watch : called every ``_WATCH_S`` with the number of devices that are done in the items that are not, once one has started.
 
     Raises
     ------
     IncompleteError : there was no worker or no scheduler for ``patience_s`` seconds.
     """
-    yield from _Dispatch(client, function, constant, items, faults, TimeLimit(limit_s), patience_s).results()
+    dispatch = _Dispatch(client, function, constant, items, faults, TimeLimit(limit_s), patience_s, watch)
+    yield from dispatch.results()
 
 
 def _task(function: Callable[..., Any], constant: Any, item: Any, key: str, topic: str, limit_s: float | None) -> Any:
@@ -115,7 +120,9 @@ class _Dispatch(Generic[In, Out]):
         faults: Faults[In] | None,
         limit: TimeLimit | None,
         patience_s: float,
+        watch: Callable[[int], None] | None = None,
     ) -> None:
+        self._watch_devices = watch
         self._client, self._function, self._constant = client, function, constant
         self._waiting, self._again = iter(items), deque[Try[In]]()
         self._faults, self._limit, self._patience_s = faults, limit, patience_s
@@ -135,10 +142,12 @@ class _Dispatch(Generic[In, Out]):
         try:
             while self._fill():
                 with suppress(Empty):
-                    found = self._finished(*self._done.get(timeout=_LOOK_S))
+                    wait_s = _LOOK_S if self._watch_devices is None else _WATCH_S
+                    found = self._finished(*self._done.get(timeout=wait_s))
                     if found is not None:
                         self._fill()
                         yield found
+                self._show_devices()
                 if time.monotonic() - looked >= _LOOK_S:
                     self._look()
                     looked = time.monotonic()
@@ -150,6 +159,16 @@ class _Dispatch(Generic[In, Out]):
     def _sign(self, event: tuple[float, dict[str, Any]]) -> None:
         message = event[1]
         self._signs[message["key"]] = Sign(message["key"], message["device"], message["limit"], time.monotonic())
+
+    def _show_devices(self) -> None:
+        """Tell ``watch`` how many devices are done in the items in flight."""
+        if self._watch_devices is None or self._faults is None:
+            return
+        local, devices = local_workers(self._client), self._faults.devices
+        signs = list(self._signs.values()) if local is None else local.signs()
+        own = [(sign, self._flight[sign.key][0].item) for sign in signs if sign.key in self._flight]
+        if own:
+            self._watch_devices(sum(max(sign.device - devices(item).start, 0) for sign, item in own))
 
     def _fill(self) -> bool:
         """Submit items up to the number in flight; whether any are in flight or left."""

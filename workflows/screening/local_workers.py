@@ -61,6 +61,11 @@ class LocalWorkers:
             return Sign(key, int(device), float(limit_s), float(since))
         return None
 
+    def signs(self) -> list[Sign]:
+        """The last sign of life of every worker that has left one."""
+        found = (self.sign(name_of(process.pid)) for process in self._processes)
+        return [sign for sign in found if sign is not None]
+
     def end(self, name: str) -> None:
         """End the worker ``name``; it is replaced."""
         for process in self._processes:

@@ -4,51 +4,78 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Protocol
 
 _EVERY_S = 10.0
+_LOADING = "loading the numerical code"
+
+
+class Shown(Protocol):
+    """What shows the progress of a run."""
+
+    def advance(self, devices: int) -> None:
+        """So many devices have just finished."""
+
+    def partly(self, devices: int) -> None:
+        """So many devices are done in blocks that are not."""
+
+
+class _Nothing:
+    def advance(self, devices: int) -> None:
+        return
+
+    def partly(self, devices: int) -> None:
+        return
 
 
 @contextmanager
-def progress(total: int, done: int, quiet: bool, doing: str = "identifying") -> Iterator[Callable[[int], None]]:
-    """A function to call with the number of devices that have just finished; shows the rate and the remaining time.
+def progress(total: int, done: int, quiet: bool, doing: str = "identifying") -> Iterator[Shown]:
+    """Show how many devices are done, the rate and the remaining time.
 
     ``total`` devices, ``done`` of them before the start; ``doing`` names the work.
     """
     if quiet:
-        yield lambda _: None
+        yield _Nothing()
     elif sys.stderr.isatty():
-        with _bar(total, done, doing) as advance:
-            yield advance
+        with _bar(total, done, doing) as shown:
+            yield shown
     else:
-        yield _Lines(total, done, doing).advance
+        yield _Lines(total, done, doing)
 
 
 @contextmanager
-def _bar(total: int, done: int, doing: str) -> Iterator[Callable[[int], None]]:
+def _bar(total: int, done: int, doing: str) -> Iterator[Shown]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn(doing),
+        TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("devices  {task.fields[rate]}  left"),
         TimeRemainingColumn(),
     )
     started = time.monotonic()
-    count = 0
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("devices", total=total, completed=done, rate="")
+        # Workers first load the numerical code, or compile it.
+        task = bar.add_task(_LOADING, total=total, completed=done, rate="")
 
-        def advance(devices: int) -> None:
-            nonlocal count
-            count += devices
-            rate = count / max(time.monotonic() - started, 1e-9)
-            bar.update(task, advance=devices, rate=f"{rate:.1f}/s")
+        class Bar:
+            count = shown = 0
 
-        yield advance
+            def advance(self, devices: int) -> None:
+                self.count += devices
+                self.partly(0)
+
+            def partly(self, devices: int) -> None:
+                # A block whose result is under way has no sign of life any more.
+                now = self.shown = max(self.count + devices, self.shown)
+                rate = now / max(time.monotonic() - started, 1e-9)
+                bar.update(task, description=doing, completed=done + now, rate=f"{rate:.1f}/s")
+
+        yield Bar()
 
 
 class _Lines:
@@ -60,12 +87,16 @@ class _Lines:
 
     def advance(self, devices: int) -> None:
         self._fresh += devices
+        self.partly(0)
+
+    def partly(self, devices: int) -> None:
         now = time.monotonic()
-        finished = self._done + self._fresh
-        if now - self._last < _EVERY_S and finished < self._total:
+        fresh = self._fresh + devices
+        finished = self._done + fresh
+        if now - self._last < _EVERY_S and (devices or finished < self._total):
             return
         self._last = now
-        rate = self._fresh / max(now - self._started, 1e-9)
+        rate = fresh / max(now - self._started, 1e-9)
         left = (self._total - finished) / max(rate, 1e-9)
         text = f"{self._doing}: {finished} of {self._total} devices, {rate:.1f}/s, {left:.0f} s left"
         # A run must not stop because its stderr was closed.

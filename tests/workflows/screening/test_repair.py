@@ -36,7 +36,7 @@ def repairs_compute(patch: pytest.MonkeyPatch, block: Callable[..., Any]) -> Non
     def cluster(*_: Any) -> Iterator[Any]:
         yield SimpleNamespace()
 
-    def in_turn(_: Any, function: Any, given: Any, items: Any, *__: Any) -> Iterator[Any]:
+    def in_turn(_: Any, function: Any, given: Any, items: Any, *__: Any, **___: Any) -> Iterator[Any]:
         return ((item, function(given, item, unguarded)) for item in items)
 
     patch.setattr(repairs, "cluster", cluster)

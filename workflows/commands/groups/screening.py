@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -32,6 +33,9 @@ def run(
     The devices are drawn from a population and simulated, or they are measured campaigns.  The run writes its results and a
     report.
     """
+    if not (json or dry_run) and sys.stderr.isatty():
+        # The imports take a second; the bar replaces this line.
+        print("planning the run", end="\r", file=sys.stderr, flush=True)
     from ...screening.scheduler import scheduler_of
     from ..run import run as command
 

@@ -36,14 +36,15 @@ def examination(
 
     def examine_devices(requests: Sequence[Request]) -> Iterator[DeviceExamination]:
         store.log({"event": "examine", "devices": len(requests)})
-        with progress(len(requests), 0, quiet, "examining") as advance:
+        with progress(len(requests), 0, quiet, "examining") as shown:
             campaigns = planned.campaigns
             items = [ExamineItem(r, {r.number: campaigns[r.number]} if campaigns else {}) for r in requests]
             limit_s = planned.config.run.device_limit_s
+            watch = None if quiet else shown.partly
             for _, examination in guarded_in_parallel(
-                client, examine_task, planned.config, items, EXAMINE_FAULTS, limit_s
+                client, examine_task, planned.config, items, EXAMINE_FAULTS, limit_s, watch=watch
             ):
-                advance(1)
+                shown.advance(1)
                 yield examination
 
     return examine(devices, planned.config.diagnosis, examine_devices)
