@@ -170,3 +170,12 @@ def test_judging_a_selection_does_not_change_it(toy: Any) -> None:
     assert as_ladder(problem, selection, RULES).verdict == "class"
     assert as_diagnosis(problem, selection, RULES).verdict == "class"
     assert selection.fits == fits
+
+
+def test_nothing_is_refitted_beside_a_term_that_leaves_nothing_and_its_class_is_found_all_the_same(toy: Any) -> None:
+    problem = toy.problem(1, {"cube": 30.0}, library=("square", "cube", "cube_like", "kink", "line"))
+    selection = forward_selection(problem, rules=RULES)
+    assert selection.added in (("cube",), ("cube_like",))
+    # Both promise the same, and neither can exceed the other.
+    assert len(selection.fits) == 2
+    assert set(as_ladder(problem, selection, RULES).classes[0].members) == {"cube", "cube_like"}
