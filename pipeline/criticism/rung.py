@@ -121,12 +121,15 @@ def refits(
     failed: dict[str, str] = {}
     refusals: dict[str, Refusal] = {}
     accepted: list[tuple[float, int, SelectionStep]] = []
-    reached = -np.inf
+    reached, explained = -np.inf, False
     promised = {score.name: _gain(tests.fit, score, score.delta_chi2) for score in significant}
     promised |= {score.name: np.inf for score in curved}
     wanted = (*curved, *(score for score in significant if score not in curved))
     for score in sorted(wanted, key=lambda score: promised[score.name], reverse=True):
         name = score.name
+        # Projection does not see a curved candidate, so each of them is refitted.
+        if explained and score not in curved:
+            break
         if promised[name] < rules.settled_share * reached and not tests.is_coarse:
             break
         if name in before and score not in curved and before[name].stays(score, tests, rules):
@@ -147,8 +150,7 @@ def refits(
         else:
             accepted.append((gain, score.parameters, SelectionStep(name, fit, test.delta_chi2, test.held)))
             reached = max(reached, gain)
-            if gain == reached and _leaves_nothing(cache, fit, rules):
-                break
+            explained = explained or (gain == reached and _leaves_nothing(cache, fit, rules))
     return RungOutcome(_best(cache, tests, accepted, rules), reasons, failed, refusals)
 
 
