@@ -22,7 +22,7 @@ from pipeline.inference.systematic import Identified, common_nodes
 from pipeline.quantities import MODEL, NAMES
 from pipeline.store.schema import devices_table, posterior_table
 from populations.draw import Draw, draw
-from reports.decision import conforms, decide
+from reports.decision import conformity, conforms, decide
 from reports.limits import Limits
 
 from ..config import RunConfig
@@ -175,7 +175,7 @@ def p_pass_given_common(limits: Limits, identified: Identified, nodes: FloatArra
     count = identified.split_hz.size
     kept = np.linspace(0, count - 1, min(_DRAWS_GIVEN_COMMON, count)).round().astype(np.int64)
     draws = identified.thinned(kept).given(np.broadcast_to(nodes[:, None], (nodes.shape[0], kept.size, nodes.shape[1])))
-    return decide(limits, {q: draws[q] for q in limits.quantities}, ["ok"] * nodes.shape[0]).p_pass
+    return conformity(limits, {q: draws[q] for q in limits.quantities}).p_pass
 
 
 def _posterior(
