@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.errors import ConfigError
 from pipeline.quantities import QUANTITIES, Quantity
 
+from ..capability import Capability, capabilities
 from ..clusters import Clustering, clustering
 from ..common_errors import (
     GivenCommon,
@@ -24,6 +25,7 @@ from ..common_errors import (
     measurement_given_common,
     with_common,
 )
+from ..decision_risk import K_CURVE, DecisionRisk, RiskCurve, decision_risks, risk_curve
 from ..devices import ColumnSource, Devices
 from ..limits import Limits
 from ..words.night import status_cause
@@ -118,6 +120,9 @@ class RunContent:
     bias_bounds: tuple[BiasBound, ...]
     routes: tuple[RouteDifference, ...]
     worst: tuple[WorstDevice, ...]
+    capabilities: tuple[Capability, ...]
+    risks: tuple[DecisionRisk, ...]
+    risk_curve: RiskCurve | None
     limits: Limits
     population: tuple[Fact, ...]
     provenance: tuple[Fact, ...]
@@ -189,6 +194,9 @@ def run_content(
         bias_bounds=bias_bounds(devices, limits),
         routes=route_differences(devices),
         worst=worst_devices(devices, limits),
+        capabilities=capabilities(devices, limits) if identified else (),
+        risks=decision_risks(devices, limits),
+        risk_curve=risk_curve(devices, limits, K_CURVE),
         limits=limits,
         population=facts(population_summary or {}),
         provenance=facts({name: value for name, value in manifest.items() if name not in ("files", "sha256")}),

@@ -15,6 +15,7 @@ from pipeline.quantities import QUANTITIES
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
+from ..words.capability import index_words, no_index, share_words
 from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
@@ -90,6 +91,9 @@ def render_run_report(
         probability=probability,
         counted=counted,
         with_sd=with_sd,
+        index_words=index_words,
+        no_index=no_index,
+        share=share_words,
     )
 
 
@@ -113,6 +117,8 @@ def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
             ("yield", "Yield", content.identified),
             ("wafers", "Wafers", content.identified and bool(content.wafers)),
             ("distributions", "Theta and split", content.identified),
+            ("capability", "Capability", bool(content.capabilities)),
+            ("risks", "Risks", bool(content.risks)),
             ("lot-effects", "Effects this lot needs", content.needed is not None),
             ("trim", "Electronic tuning", content.trim is not None),
             ("calibration", "Calibration", True),

@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from ..html.style import ACCENT, BEFORE, INK, MUTED, RULE, literal, panels, style, to_svg
-from ..limits import Limit
-from ..words.quantities import UNITS, label, limit_words
+from ..words.quantities import UNITS, label
 from .costs import LimitCurve, PairLoss
 
 _COLUMNS = 3
@@ -44,7 +43,7 @@ def _curve(axes: Axes, curve: LimitCurve, top: float) -> None:
     axes.plot([curve.new], [100 * curve.yield_new], "o", color=INK, ms=4.5)
     unit = UNITS.get(curve.limit.quantity, "")
     axes.set_title(f"{label(curve.limit.quantity)}, {'upper' if curve.high else 'lower'} limit", fontsize=10)
-    axes.set_xlabel(literal(unit) if unit else "1", labelpad=1)
+    axes.set_xlabel(literal(unit), labelpad=1)
     axes.set_xlim(float(curve.positions[0]), float(curve.positions[-1]))
     axes.set_ylim(0.0, top)
     axes.xaxis.set_major_locator(MaxNLocator(4))
@@ -58,7 +57,7 @@ def pair_bars(pairs: Sequence[PairLoss], devices: int, name: str = "limit-pairs"
     if not shown:
         return ""
     with style():
-        figure, grid = panels(1, 1, 0.36 * len(shown) + 0.15, left=4.6, bottom=0.55, top=0.4, right=0.6)
+        figure, grid = panels(1, 1, 0.36 * len(shown) + 0.15, left=3.7, bottom=0.55, top=0.4, right=0.6)
         axes = grid[0][0]
         scale = 100.0 / devices
         for k, pair in enumerate(shown):
@@ -76,10 +75,10 @@ def pair_bars(pairs: Sequence[PairLoss], devices: int, name: str = "limit-pairs"
                 start += scale * count
             low, high = scale * devices * pair.share.low, scale * devices * pair.share.high
             axes.plot([low, high], [-k, -k], color=INK, lw=1.0)
-            axes.text(max(start, high), -k, f"  {start:.1f} %", va="center", fontsize=10, color=MUTED)
+            axes.text(max(start, high), -k, f"   {start:.1f} %", va="center", fontsize=10, color=MUTED)
         axes.set_yticks(
             [-k for k in range(len(shown))],
-            [literal(f"{_name(one.first)}  and  {_name(one.second)}") for one in shown],
+            [f"{label(one.first.quantity)}  and  {label(one.second.quantity)}" for one in shown],
         )
         axes.set_ylim(-len(shown) + 0.4, 0.6)
         axes.set_xlim(left=0.0)
@@ -89,7 +88,3 @@ def pair_bars(pairs: Sequence[PairLoss], devices: int, name: str = "limit-pairs"
         axes.set_xlabel("devices that pass without the pair, % of all")
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.995), ncols=3, handlelength=1.2, borderaxespad=0.1)
         return to_svg(figure, name, "Loss to the costliest pairs of limits")
-
-
-def _name(limit: Limit) -> str:
-    return f"{label(limit.quantity)} {limit_words(limit)}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from ..devices import wafer_name
 from ..html.rendering import environment, stylesheet
-from ..words.what_if import by_words, headline, thinning_sentences
+from ..words.what_if import by_words, difference_sentence, headline, thinning_sentences
 from .content import WhatIf
 from .figures import curve_panels, pair_bars
 
@@ -24,6 +24,7 @@ def render_what_if(content: WhatIf) -> str:
             c=content,
             stylesheet=stylesheet(),
             headline=headline(content),
+            difference=difference_sentence(content),
             thinning=thinning_sentences(content),
             figures={
                 "curves": curve_panels(content.curves),

@@ -19,24 +19,28 @@ def by_words(by: tuple[str, ...]) -> str:
 
 
 def headline(content: WhatIf) -> str:
-    """The difference of the yields in one sentence."""
-    old, new = content.total.old, content.total.new
+    """The difference of the yields."""
     if not content.changed:
         return "No device changes its verdict."
-    change = new.value - old.value
-    word = "rises" if change > 0 else "falls" if change < 0 else "stays"
-    by = f" by {points(abs(change))}" if change else ""
+    change = content.total.new.value - content.total.old.value
+    if not change:
+        return "The yield stays."
+    return f"The yield {'rises' if change > 0 else 'falls'} by {points(abs(change))} points."
+
+
+def difference_sentence(content: WhatIf) -> str:
+    """The interval of the difference, and how many devices change."""
     gained = sum(row.new == "pass" for row in content.changed)
     lost = sum(row.old == "pass" for row in content.changed)
     return (
-        f"The yield {word}{by} (95 % interval {points(content.difference.low)} to {points(content.difference.high)}):"
-        f" {gained} devices pass that did not, {lost} no longer pass."
+        f"95 % interval of the difference {points(content.difference.low)} to {points(content.difference.high)} points. {gained}"
+        f" devices pass that did not, {lost} no longer pass."
     )
 
 
 def points(share: float) -> str:
     """A difference of shares in percentage points."""
-    return f"{100.0 * share:.1f} points".replace("-", "−")
+    return f"{100.0 * share:.1f}".replace("-", "−")
 
 
 def thinning_sentences(content: WhatIf) -> list[str]:
@@ -75,7 +79,7 @@ def what_if_lines(content: WhatIf) -> list[str]:
         interval = percent_range(one.clopper_pearson.low, one.clopper_pearson.high)
         counts = f"{one.passed} pass, {one.failed} fail, {one.undecided} undecided"
         lines.append(f"{name} limits: yield {percent(one.value)} (95 % interval {interval}): {counts}")
-    lines.append(headline(content))
+    lines.append(f"{headline(content)} {difference_sentence(content)}")
     for row in content.changes:
         parts = [(row.gained, "gained"), (row.lost, "lost"), (row.other, "otherwise changed")]
         lines.append(f"  by {by_words((row.by,))}: " + ", ".join(f"{n} {word}" for n, word in parts if n))

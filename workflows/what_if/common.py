@@ -24,6 +24,7 @@ from reports.common_errors import GivenCommon
 from reports.limits import Limits
 from reports.what_if.draws import DrawBatch, reweighted
 
+from ..screening.block import DRAWS_GIVEN_COMMON
 from .stored import StoredDraws
 
 
@@ -44,11 +45,12 @@ def given_new_limits(
         return None
     p_pass = np.full(before.p_pass.shape, np.nan)
     for rows, physical, split in stored.physical_batches(wanted):
-        measured = _measured(rate, stored.nodes(split.shape[1]), physical, split)
-        nodes = common_nodes(min(len(p_pass), split.shape[1]))
-        for k, z in enumerate(nodes):
-            values = measured.given(np.broadcast_to(z, (*split.shape, z.size)))
-            values |= {q: stored.normal_draws(q, rows, split.shape[1]) for q in stored.normal}
+        count = split.shape[1]
+        kept = np.linspace(0, count - 1, min(DRAWS_GIVEN_COMMON, count)).round().astype(np.int64)
+        measured = _measured(rate, stored.nodes(count)[kept], physical[:, kept], split[:, kept])
+        for k, z in enumerate(common_nodes(min(len(p_pass), count))):
+            values = measured.given(np.broadcast_to(z, (rows.size, kept.size, z.size)))
+            values |= {q: stored.normal_draws(q, rows, kept.size) for q in stored.normal}
             batch = DrawBatch(rows, {name: values[name] for name in stored.names})
             p_pass[k, rows] = reweighted(batch, before.p_pass[k, rows], old, new).p_pass
     return GivenCommon(p_pass, new.rule)

@@ -13,7 +13,7 @@ Shapes: b devices, n draws, K common errors.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,7 +23,8 @@ from scipy.special import ndtri
 
 from pipeline.arrays import BoolArray, FloatArray, IntArray
 from pipeline.device.gyro import PHYSICAL
-from pipeline.inference.estimate import RateSettings, identified_quantities, quantities
+from pipeline.device.operation.bias import rate_biases_dps
+from pipeline.inference.estimate import RateSettings, quantities
 from pipeline.inference.systematic import common_nodes, demodulated
 from pipeline.performance.figure import find_figures
 from pipeline.quantities import DERIVED, MODEL, NAMES
@@ -41,6 +42,7 @@ _NORMAL_DRAWS = 200
 _SEED = 31
 _STORED = tuple(quantity.name for quantity in MODEL)
 _QUALITY = {f"quality{i}": f"zeta{i}" for i in (1, 2, 3)}
+_OF_BIASES = ["f1_hz", "f2_hz", "zeta1", "zeta2", "theta_deg", "c12_per_s"]
 _BIASES = tuple(quantity.name for quantity in DERIVED if quantity.name not in _QUALITY)
 
 
@@ -124,27 +126,31 @@ class StoredDraws:
     def physical_batches(self, wanted: BoolArray) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         """Rows (b,), stored parameters (b, n, 12) and splits (b, n) [Hz] of the devices ``wanted`` (B,)."""
         for rows, stored in self._stored(wanted, (*PHYSICAL, "split_hz")):
-            yield rows, np.stack([stored[name] for name in PHYSICAL], axis=-1), stored["split_hz"]
+            yield rows, _physical(stored, PHYSICAL), stored["split_hz"]
 
     def _columns(self) -> tuple[str, ...]:
+        """The stored columns from which the wanted quantities follow."""
         drawn = [name for name in self.names if name not in self.normal]
-        if all(name in _STORED or name in _QUALITY for name in drawn):
-            found = tuple(dict.fromkeys(_QUALITY.get(name, name) for name in drawn))
-            return found or ("split_hz",)
-        return (*PHYSICAL, "split_hz")
+        if any(name in find_figures() for name in drawn):
+            return (*PHYSICAL, "split_hz")
+        found = [_QUALITY.get(name, name) for name in drawn if name not in _BIASES]
+        found += _OF_BIASES if any(name in _BIASES for name in drawn) else []
+        return tuple(dict.fromkeys(found)) or ("split_hz",)
 
     def _derived(self, stored: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        values = dict(stored)
-        values |= {name: 0.5 / stored[zeta] for name, zeta in _QUALITY.items() if zeta in stored}
+        values = stored | {name: 0.5 / stored[zeta] for name, zeta in _QUALITY.items() if zeta in stored}
         rest = [name for name in self.names if name not in values and name not in self.normal]
-        if rest and self.rate is not None:
-            physical = np.stack([stored[name] for name in PHYSICAL], axis=-1)
-            rate = self.rate
-            if not rate.systematic.exact:
-                rate = demodulated(rate, self.nodes(physical.shape[1]))
-            of = quantities if any(name in find_figures() for name in rest) else identified_quantities
-            values |= of(physical, rate, stored["split_hz"])
-        return values
+        rate = self.rate
+        if not rest or rate is None or rate.angular_gain is None:
+            return values
+        if not rate.systematic.exact:
+            rate = demodulated(rate, self.nodes(next(iter(stored.values())).shape[1]))
+        if any(name in find_figures() for name in rest):
+            return values | quantities(_physical(stored, PHYSICAL), rate, stored["split_hz"])
+        # The biases follow from the two rocking modes; the up-down mode only fills its places.
+        physical = _physical({"f3_hz": stored["f1_hz"], "zeta3": stored["zeta1"], **stored}, PHYSICAL[:8])
+        assert rate.angular_gain is not None  # a population states its own
+        return values | rate_biases_dps(physical, rate.angular_gain, rate.phase_error_deg, rate.drive)
 
     def normal_draws(self, name: str, rows: IntArray, count: int) -> FloatArray:
         """Draws (b, count) of a quantity from the normal distribution with its estimate and sd; any call gives the same."""
@@ -174,6 +180,11 @@ class StoredDraws:
                         rows[chosen],
                         {q: v.reshape(-1, n) if whole else v[taken] for q, v in values.items()},
                     )
+
+
+def _physical(stored: Mapping[str, FloatArray], names: Sequence[str]) -> FloatArray:
+    """Parameters (b, n, P) of the columns (b, n)."""
+    return np.moveaxis(np.stack([stored[name] for name in names]), 0, -1)
 
 
 def _whole_devices(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
