@@ -2,14 +2,18 @@
 
     Cp  = (USL - LSL) / (6 sigma_w),   Cpk = min(USL - mu, mu - LSL) / (3 sigma_w)       sigma_w: within wafers
     Pp, Ppk the same with sigma: over all devices
-    sigma^2 = s^2 - mean(u^2)          u the standard uncertainty of each device: the spread of the product, not of the test
+    sigma^2 = s^2 - v          v = mean(u^2 - sum_e a_e^2) + sum_e var(a_e): the spread of the product, not of its test
 
-    Cp, Pp    interval from s^2 nu / chi2_nu at both ends, less mean(u^2)
+    Cp, Pp    interval from s^2 nu / chi2_nu at both ends, less v
     Cpk, Ppk  +- q sqrt(var(mean)/(9 sigma^2) + Cpk^2 (s^2/sigma^2)^2 / (2 nu))
 
+u is the standard uncertainty of each device, and a_e its shift by one sd of an error e that all devices of the tester share.  Such
+an error moves the mean, and spreads the devices only as far as it shifts them unequally.
+
 nu are the effective degrees of freedom of s^2 with lots and wafers as groups (``reports.clustered``), and var(mean) is the
-variance of the mean with the coarsest groups as draws.  q is 1.96 for independent devices, which gives Bissell's interval, and a
-Student quantile with the degrees of freedom of the sum (Satterthwaite) where there are groups.  Without groups Cp = Pp.
+variance of the mean with the coarsest groups as draws, and sum_e mean(a_e)^2.  q is 1.96 for independent devices, which gives
+Bissell's interval, and a Student quantile with the degrees of freedom of the sum (Satterthwaite) where there are groups.  Without
+groups Cp = Pp.
 
 An axis (theta) is measured from its axial mean, and its limits are the arc; no index is given where 3 sigma exceeds 90 deg: the
 axis then points everywhere.  The indices describe a normal process: ``outside`` says which share such a process puts outside,
@@ -23,11 +27,14 @@ Technol. 22:223; ISO 22514-7:2021 (measurement uncertainty in capability).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy.special import chdtri, ndtr, stdtrit
 
+from pipeline.arrays import FloatArray
 from pipeline.axial import mean_axis, wrap
 
 from .clustered import Spread, nested_spread
@@ -81,14 +88,23 @@ class Capability:
     reason: str
 
 
-def capabilities(devices: Devices, limits: Limits) -> tuple[Capability, ...]:
-    """Capability of each limited quantity, from the devices whose identification is ok."""
+Common = Mapping[str, FloatArray]
+
+
+def capabilities(devices: Devices, limits: Limits, common: Common = MappingProxyType({})) -> tuple[Capability, ...]:
+    """Capability of each limited quantity, from the devices whose identification is ok.
+
+    Parameters
+    ----------
+    devices, limits : of the run.
+    common : quantity -> (E, B) a_e [its unit]; a quantity that is left out has none.
+    """
     lots, wafers = devices.text("lot"), devices.wafers()
     levels = [text.codes for text in (lots, wafers) if len(text) and all(text.counts())]
-    return tuple(_capability(devices, limit, levels) for limit in limits.limits)
+    return tuple(_capability(devices, limit, levels, common) for limit in limits.limits)
 
 
-def _capability(devices: Devices, limit: Limit, levels: list[IntArray]) -> Capability:
+def _capability(devices: Devices, limit: Limit, levels: list[IntArray], common: Common) -> Capability:
     value, u = devices.number(limit.quantity), devices.number(f"{limit.quantity}_sd")
     used = devices.is_ok() & np.isfinite(value) & np.isfinite(u)
     x, u = value[used], u[used]
@@ -101,7 +117,10 @@ def _capability(devices: Devices, limit: Limit, levels: list[IntArray]) -> Capab
         centre = mean_axis(x)
         x, low, high = wrap(x - centre) + float(wrap(centre - middle)), -half, half
     spread = nested_spread(x, [codes[used] for codes in levels])
-    noise = float(np.mean(u**2))
+    shift = np.nan_to_num(common[limit.quantity][:, used]) if limit.quantity in common else np.zeros((1, x.size))
+    own = np.maximum(u**2 - np.sum(shift**2, axis=0), 0.0)
+    noise = float(np.mean(own) + np.sum(np.var(shift, axis=1)))
+    spread = replace(spread, mean_variance=spread.mean_variance + float(np.sum(np.mean(shift, axis=1) ** 2)))
     if limit.axis and 3.0 * math.sqrt(spread.total) > 90.0:
         return _none(limit, x.size, "axis")
     mean = float(wrap(spread.mean + middle)) if limit.axis else spread.mean
@@ -111,9 +130,11 @@ def _capability(devices: Devices, limit: Limit, levels: list[IntArray]) -> Capab
         outside = float(np.sum(ndtr(-np.array(ends) / sigma))) if sigma > 0.0 else float(min(ends) < 0.0)
     within = _indices(spread, spread.within, spread.within_df, noise, low, high)
     overall = _indices(spread, spread.total, spread.total_df, noise, low, high)
+    rms_u = math.sqrt(float(np.mean(u**2)))
+    indices = (*within, *overall)
     return Capability(
-        limit, x.size, spread.groups, mean, sigma, sigma_within, math.sqrt(noise), *within, *overall, outside, found_outside, ""
-    )  # fmt: skip
+        limit, x.size, spread.groups, mean, sigma, sigma_within, rms_u, *indices, outside, found_outside, ""
+    )
 
 
 def _none(limit: Limit, devices: int, reason: str) -> Capability:
@@ -158,9 +179,11 @@ def _quantile(spread: Spread, of_mean: float, of_sigma: float, df: float) -> flo
     return float(stdtrit((of_mean + of_sigma) ** 2 / parts, 0.5 * (1.0 + LEVEL)))
 
 
-def normal_process(devices: Devices, limit: Limit) -> tuple[float, float, float] | None:
+def normal_process(
+    devices: Devices, limit: Limit, common: Common = MappingProxyType({})
+) -> tuple[float, float, float] | None:
     """Mean, sd and rms u [unit of the quantity] of a process that is no axis: the prior of a global risk, if any."""
-    found = _capability(devices, limit, [])
+    found = _capability(devices, limit, [], common)
     if limit.axis or found.reason or not found.sigma > 0.0:
         return None
     return found.mean, found.sigma, found.uncertainty

@@ -25,13 +25,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from scipy.special import ndtr, ndtri, owens_t
 
 from pipeline.arrays import BoolArray, FloatArray
 
-from .capability import normal_process
+from .capability import Common, normal_process
 from .clusters import effective_number
 from .coded import CodedText, IntArray
 from .devices import Devices
@@ -105,8 +106,11 @@ class RiskCurve:
     true_producer: FloatArray
 
 
-def decision_risks(devices: Devices, limits: Limits) -> tuple[DecisionRisk, ...]:
-    """The risks of all limits together, then of each; empty if no device has a probability of conformity."""
+def decision_risks(devices: Devices, limits: Limits, common: Common = MappingProxyType({})) -> tuple[DecisionRisk, ...]:
+    """The risks of all limits together, then of each; empty if no device has a probability of conformity.
+
+    ``common`` is that of :func:`reports.capability.capabilities`.
+    """
     p_pass = devices.number("p_pass")
     judged = devices.is_ok() & np.isfinite(p_pass)
     if not judged.any():
@@ -114,7 +118,7 @@ def decision_risks(devices: Devices, limits: Limits) -> tuple[DecisionRisk, ...]
     groups = devices.wafers()
     good = _truth(devices, limits)
     total = _risk(None, judged, devices.has("pass"), devices.has("fail"), p_pass, good, groups, (None, None))
-    return (total, *(_of_quantity(devices, limits.rule, limit, groups) for limit in limits.limits))
+    return (total, *(_of_quantity(devices, limits.rule, limit, groups, common) for limit in limits.limits))
 
 
 def _truth(devices: Devices, limits: Limits) -> BoolArray | None:
@@ -124,7 +128,7 @@ def _truth(devices: Devices, limits: Limits) -> BoolArray | None:
     return np.asarray(np.logical_and.reduce([limit.admits(true) for limit, true in values]))
 
 
-def _of_quantity(devices: Devices, rule: Rule, limit: Limit, groups: CodedText) -> DecisionRisk:
+def _of_quantity(devices: Devices, rule: Rule, limit: Limit, groups: CodedText, common: Common) -> DecisionRisk:
     value, u = devices.number(limit.quantity), devices.number(f"{limit.quantity}_sd")
     judged = devices.is_ok() & np.isfinite(value) & np.isfinite(u)
     p = np.full(value.size, np.nan)
@@ -134,7 +138,7 @@ def _of_quantity(devices: Devices, rule: Rule, limit: Limit, groups: CodedText) 
         accepted, rejected = found.conforms, found.violates
     else:
         accepted, rejected = p >= rule.pass_at, p <= rule.fail_at
-    process = normal_process(devices, limit)
+    process = normal_process(devices, limit, common)
     normal = (None, None) if process is None else normal_risks(*process, limit, _guard_factor(rule))
     return _risk(limit, judged, accepted, rejected, p, _truth(devices, Limits(rule, (limit,))), groups, normal)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from pipeline.errors import ConfigError
 from pipeline.quantities import QUANTITIES, Quantity
 
-from ..capability import Capability, capabilities
+from ..capability import Capability, Common, capabilities
 from ..clusters import Clustering, clustering
 from ..common_errors import (
     GivenCommon,
@@ -136,6 +137,7 @@ def run_content(
     limits: Limits,
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,
+    common: Common = MappingProxyType({}),
 ) -> RunContent:
     """The content of a run's page.
 
@@ -146,6 +148,7 @@ def run_content(
     population_summary : description of the population, shown unchanged; nested tables become dotted names.
 
     lot_effects : findings about its misfits, or ``None``.
+    common : quantity -> (E, B) shift by one sd of each error that all devices share.
 
     Raises
     ------
@@ -194,8 +197,8 @@ def run_content(
         bias_bounds=bias_bounds(devices, limits),
         routes=route_differences(devices),
         worst=worst_devices(devices, limits),
-        capabilities=capabilities(devices, limits) if identified else (),
-        risks=decision_risks(devices, limits),
+        capabilities=capabilities(devices, limits, common) if identified else (),
+        risks=decision_risks(devices, limits, common),
         risk_curve=risk_curve(devices, limits, K_CURVE),
         limits=limits,
         population=facts(population_summary or {}),

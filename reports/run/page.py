@@ -6,12 +6,14 @@ tables, limits --content--> RunContent --figures, templates--> HTML
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pipeline.quantities import QUANTITIES
 
+from ..capability import Common
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
@@ -54,6 +56,7 @@ def render_run_report(
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,
     physics: RunPhysics | None = None,
+    common: Common = MappingProxyType({}),
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -64,12 +67,13 @@ def render_run_report(
     population_summary : description of the population; nested tables become dotted names.
     lot_effects : findings about its misfits.
     physics : what its devices and its model contain, stated at the head of the page.
+    common : quantity -> (E, B) shift by one sd of each error that all devices share.
 
     Raises
     ------
     ConfigError : the limits name a quantity that is not in the results.
     """
-    content = run_content(run, limits, population_summary, lot_effects)
+    content = run_content(run, limits, population_summary, lot_effects, common)
     devices = Devices(run.devices)
     page = environment().get_template("run.html.j2")
     return page.render(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
+from ..capability import Capability, Common, capabilities
 from ..clusters import Clustering, clustering
 from ..common_errors import GivenCommon, clustering_with_common, given_common, groups_with_common, with_common
+from ..decision_risk import DecisionRisk, decision_risks
 from ..devices import ColumnSource, Devices
 from ..limits import Limit, Limits
 from ..yields import GroupYield, Interval, Yield, by_group, yield_of_verdicts
@@ -65,6 +68,9 @@ class WhatIf:
     curves: tuple[LimitCurve, ...]
     singles: tuple[tuple[Limit, int], ...]
     pairs: tuple[PairLoss, ...]
+    risks_old: tuple[DecisionRisk, ...]
+    risks_new: tuple[DecisionRisk, ...]
+    capabilities: tuple[Capability, ...]
     thinning: Thinning | None
     statuses: tuple[tuple[str, int, int], ...]
 
@@ -80,6 +86,7 @@ def what_if(
     new: Limits,
     thinning: tuple[int, int, tuple[str, ...]] | None,
     limits_name: str = "",
+    common: Common = MappingProxyType({}),
 ) -> WhatIf:
     """The content of a what-if page.
 
@@ -91,6 +98,7 @@ def what_if(
     old, new : the limits.
     thinning : stored draws, draws of the run, quantities drawn from a normal distribution; ``None`` where no draws are needed.
     limits_name : name of the file of the new limits.
+    common : quantity -> (E, B) shift by one sd of each error that all devices share.
     """
     before_given = given_common(devices, posterior, old.rule)
     verdicts = devices.text("verdict"), after.text("verdict")
@@ -129,6 +137,9 @@ def what_if(
         limit_curves(devices, again, old, totals[1]),
         tuple((limit, int(again.without[1 + k] - again.without[0])) for k, limit in enumerate(new.limits)),
         pair_losses(again, new, len(devices)),
+        decision_risks(devices, old, common),
+        decision_risks(after, new, common),
+        capabilities(after, new, common),
         None if thinning is None else _thinning(devices, again, old, new, thinning),
         _statuses(devices, again),
     )

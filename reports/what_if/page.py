@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ..devices import wafer_name
 from ..html.rendering import environment, stylesheet
+from ..words.capability import share_words
 from ..words.what_if import by_words, difference_sentence, headline, thinning_sentences
 from .content import WhatIf
 from .figures import curve_panels, pair_bars
@@ -31,6 +32,7 @@ def render_what_if(content: WhatIf) -> str:
                 "pairs": pair_bars(content.pairs, content.total.new.devices),
             },
             by_words=by_words,
+            share=share_words,
             wafer_name=wafer_name,
             most_devices=MOST_DEVICES,
             most_groups=MOST_GROUPS,

@@ -105,7 +105,12 @@ def report(run: str | None, results: Path, out: Path | None, limits: Path | None
         except OSError as error:
             raise unwritable("the page", out, error, "choose another file with --out") from None
         path = out
-    print(path)
+    if json:
+        from .report_answer import report_answer
+
+        print(json_.dumps(report_answer(results, chosen, path)))
+    else:
+        print(path)
 
 
 def verify(results: Path, json: bool, repair: bool) -> None:

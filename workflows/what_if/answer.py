@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.plain import plain
-from reports.limits import Limits
 from reports.what_if.content import YieldPair
-from reports.yields import Interval, Yield
 
 from .run import JudgedRun
+from .tables import capability_table, interval_table, limits_table, risk_table, yield_table
 
 
 def answer(found: JudgedRun, page: Path) -> dict[str, Any]:
@@ -31,7 +30,8 @@ def answer(found: JudgedRun, page: Path) -> dict[str, Any]:
         "lots": [_pair(row) for row in c.lots],
         "wafers": [_pair(row) for row in c.wafers],
         "process": {
-            new.by: {"old": _interval(old.interval), "new": _interval(new.interval)} for old, new in c.clusters
+            new.by: {"old": interval_table(old.interval), "new": interval_table(new.interval)}
+            for old, new in c.clusters
         },
         "transitions": [{"old": old, "new": new, "devices": n} for old, new, n in c.transitions],
         "changed_by": [asdict(row) for row in c.changes],
@@ -62,6 +62,10 @@ def answer(found: JudgedRun, page: Path) -> dict[str, Any]:
             }
             for row in c.pairs
         ],
+        "risks": {
+            name: [risk_table(row) for row in rows] for name, rows in (("old", c.risks_old), ("new", c.risks_new))
+        },
+        "capability": [capability_table(row) for row in c.capabilities],
         "thinning": None if c.thinning is None else asdict(c.thinning),
         "statuses": {name: {"old": old, "new": new} for name, old, new in c.statuses},
     }
@@ -69,30 +73,5 @@ def answer(found: JudgedRun, page: Path) -> dict[str, Any]:
     return result
 
 
-def limits_table(limits: Limits) -> dict[str, Any]:
-    """Limits and rule as plain data."""
-    rule = {key: value for key, value in asdict(limits.rule).items() if value is not None}
-    if limits.rule.by_estimate:
-        rule = {key: value for key, value in rule.items() if key not in ("pass_at", "fail_at")}
-    return {"rule": rule, "limits": {one.quantity: {"min": one.low, "max": one.high} for one in limits.limits}}
-
-
-def yield_table(found: Yield) -> dict[str, Any]:
-    """A yield with its 95 % interval as plain data."""
-    return {
-        "devices": found.devices,
-        "pass": found.passed,
-        "fail": found.failed,
-        "undecided": found.undecided,
-        "yield": found.value,
-        "low": found.clopper_pearson.low,
-        "high": found.clopper_pearson.high,
-    }
-
-
 def _pair(row: YieldPair) -> dict[str, Any]:
     return {"lot": row.lot, "wafer": row.wafer, "old": yield_table(row.old), "new": yield_table(row.new)}
-
-
-def _interval(found: Interval | None) -> list[float] | None:
-    return None if found is None else [found.low, found.high]

@@ -18,6 +18,7 @@ from reports.what_if.table import replaced
 from ..config import config_of_run
 from ..screening.inputs import FILE as INPUTS
 from ..screening.inputs import read_inputs, with_stored_code
+from ..screening.shared_errors import shared_shifts
 from .common import given_new_limits
 from .gate import status_by
 from .stored import StoredDraws
@@ -67,8 +68,11 @@ def judged_run(results: Path, run_id: str, limits: Limits, limits_name: str) -> 
         given = given_new_limits(draws, wanted, given_common(before, tables.posterior, old.rule), old, limits)
         texts = {"status": again.status, "verdict": again.verdict, "failed_limits": again.failed_limits}
         after = Devices(replaced(tables.devices, texts, {"p_pass": again.p_pass}))
+        common = shared_shifts(config, before)
         thinning = None if limits.rule.by_estimate else (draws.per_device, draws.chain_draws(), draws.normal)
-        content = what_if(run_id, before, after, tables.posterior, given, again, old, limits, thinning, limits_name)
+        content = what_if(
+            run_id, before, after, tables.posterior, given, again, old, limits, thinning, limits_name, common
+        )
         return JudgedRun(content, before, after, given)
 
     return with_run(results, run_id, judged)

@@ -21,7 +21,7 @@ def capability_bars(rows: Sequence[Capability], name: str = "capability") -> str
     if not shown:
         return ""
     with style():
-        figure, grid = panels(1, 1, 0.5 * len(shown) + 0.1, left=3.9, bottom=0.55, top=0.42)
+        figure, grid = panels(1, 1, 0.5 * len(shown) + 0.1, left=3.9, bottom=0.55, top=0.42, right=0.25)
         axes = grid[0][0]
         ends = [end for row in shown for one in (row.cpk, row.ppk) if one is not None for end in (one.low, one.high)]
         finite = [end for end in ends if math.isfinite(end)]

@@ -12,7 +12,7 @@ from ...rules import Rule
 def risk_curve_figure(curve: RiskCurve, rule: Rule, name: str = "risk-curve") -> str:
     """Accepted share, and consumer's and producer's risk, against the factor k of a guard band of k u; the truth dashed."""
     with style():
-        figure, grid = panels(1, 2, 2.2, left=0.75, bottom=0.6, gap=0.8, top=0.35)
+        figure, grid = panels(1, 2, 2.2, left=0.75, bottom=0.6, gap=0.8, top=0.4)
         left, right = grid[0]
         left.plot(curve.k, 100 * curve.accepted, color=ACCENT, lw=1.6)
         left.set_ylabel("accepted, %")
@@ -33,7 +33,9 @@ def risk_curve_figure(curve: RiskCurve, rule: Rule, name: str = "risk-curve") ->
         )
         right.set_ylim(floor * 0.9, 1.5 * top)
         right.set_ylabel("risk, % of all")
-        right.legend(fontsize=9, ncols=2, loc="best")
+        right.legend(
+            fontsize=9, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 0.99), handlelength=1.3, columnspacing=0.9
+        )
         for axes in (left, right):
             axes.set_xlabel("guard band, standard uncertainties")
             axes.set_xlim(float(curve.k[0]), float(curve.k[-1]))
