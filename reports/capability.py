@@ -1,14 +1,14 @@
 """Process capability of the limited quantities, with intervals.
 
     Cp  = (USL - LSL) / (6 sigma_w),   Cpk = min(USL - mu, mu - LSL) / (3 sigma_w)       sigma_w: within wafers
-    Pp, Ppk the same with sigma: over all devices
+    Pp, Ppk the same with sigma: over all devices, wafers and lots (s^2 of ``reports.clustered``)
     sigma^2 = s^2 - v          v = mean(u^2 - sum_e a_e^2) + sum_e var(a_e): the spread of the product, not of its test
 
-    Cp, Pp    interval from s^2 nu / chi2_nu at both ends, less v
+    Cp, Pp    interval from that of s^2, less v; of chi2 without groups
     Cpk, Ppk  +- q sqrt(var(mean)/(9 sigma^2) + Cpk^2 (s^2/sigma^2)^2 / (2 nu))
 
-u is the standard uncertainty of each device, and a_e its shift by one sd of an error e that all devices of the tester share.  Such
-an error moves the mean, and spreads the devices only as far as it shifts them unequally.
+u is the standard uncertainty of each device, and a_e its shift by one sd of an error e that all devices of the tester share.
+Such an error moves the mean, and spreads the devices only as far as it shifts them unequally.
 
 nu are the effective degrees of freedom of s^2 with lots and wafers as groups (``reports.clustered``), and var(mean) is the
 variance of the mean with the coarsest groups as draws, and sum_e mean(a_e)^2.  q is 1.96 for independent devices, which gives
@@ -32,12 +32,12 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy.special import chdtri, ndtr, stdtrit
+from scipy.special import ndtr, stdtrit
 
 from pipeline.arrays import FloatArray
 from pipeline.axial import mean_axis, wrap
 
-from .clustered import Spread, nested_spread
+from .clustered import NestedSpread, nested_spread
 from .coded import IntArray
 from .devices import Devices
 from .limits import Limit, Limits
@@ -128,8 +128,8 @@ def _capability(devices: Devices, limit: Limit, levels: list[IntArray], common: 
     with np.errstate(divide="ignore"):
         ends = [end for end in ((high - spread.mean), (spread.mean - low)) if math.isfinite(end)]
         outside = float(np.sum(ndtr(-np.array(ends) / sigma))) if sigma > 0.0 else float(min(ends) < 0.0)
-    within = _indices(spread, spread.within, spread.within_df, noise, low, high)
-    overall = _indices(spread, spread.total, spread.total_df, noise, low, high)
+    within = _indices(spread, spread.within, spread.within_df, spread.within_interval, noise, low, high)
+    overall = _indices(spread, spread.total, spread.total_df, spread.total_interval, noise, low, high)
     rms_u = math.sqrt(float(np.mean(u**2)))
     indices = (*within, *overall)
     return Capability(
@@ -145,18 +145,14 @@ def _none(limit: Limit, devices: int, reason: str) -> Capability:
 
 
 def _indices(
-    spread: Spread, s2: float, df: float, noise: float, low: float, high: float
+    spread: NestedSpread, s2: float, df: float, interval: tuple[float, float], noise: float, low: float, high: float
 ) -> tuple[Index | None, Index | None]:
-    """Cp and Cpk of a process with the variance s2 (``df`` degrees of freedom), ``noise`` of it by measurement."""
+    """Cp and Cpk of a process with the variance s2 (``df`` degrees of freedom, ``interval``), ``noise`` of it by measurement."""
     sigma2 = s2 - noise
     width = high - low
     cp = None
     if math.isfinite(width):
-        tail = 0.5 * (1.0 - LEVEL)
-        # chdtri(df, p) has the probability p above it.
-        ends = [df * s2 / float(chdtri(df, p)) - noise for p in (tail, 1.0 - tail)]
-        most, least = (_ratio(width, end, 6.0) for end in ends)
-        cp = Index(_ratio(width, sigma2, 6.0), least, most)
+        cp = Index(*(_ratio(width, variance - noise) for variance in (s2, interval[1], interval[0])))
     margin = min(high - spread.mean, spread.mean - low)
     if sigma2 <= 0.0:
         value = math.copysign(math.inf, margin)
@@ -167,11 +163,11 @@ def _indices(
     return cp, Index(value, value - half, value + half)
 
 
-def _ratio(width: float, sigma2: float, factor: float) -> float:
-    return width / (factor * math.sqrt(sigma2)) if sigma2 > 0.0 else math.inf
+def _ratio(width: float, sigma2: float) -> float:
+    return width / (6.0 * math.sqrt(sigma2)) if sigma2 > 0.0 else math.inf
 
 
-def _quantile(spread: Spread, of_mean: float, of_sigma: float, df: float) -> float:
+def _quantile(spread: NestedSpread, of_mean: float, of_sigma: float, df: float) -> float:
     """1.96 without groups, else Student's quantile with the degrees of freedom of the sum of both variances."""
     if not spread.groups:
         return 1.959963984540054

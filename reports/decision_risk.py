@@ -234,7 +234,7 @@ def _rectangle(x: tuple[float, float], y: tuple[float, float], correlation: floa
 def bivariate_normal(h: float, k: float, correlation: float) -> float:
     """P(X <= h, Y <= k) of standard normals with a correlation, by Owen's T function.
 
-    1/2 (Phi(h) + Phi(k)) - T(h, a_h) - T(k, a_k) - d,  a_h = (k/h - r)/sqrt(1 - r^2),  d = 1/2 where h k < 0, or 0 with h + k < 0
+    1/2 (Phi(h) + Phi(k)) - T(h, a_h) - T(k, a_k) - d,  a_h = (k/h - r)/sqrt(1 - r^2),  d = 1/2 where h k < 0
     Owen 1956, Ann. Math. Stat. 27:1075, eq. 2.1.
     """
     if math.isinf(h) or math.isinf(k):
@@ -244,9 +244,9 @@ def bivariate_normal(h: float, k: float, correlation: float) -> float:
     root = math.sqrt(1.0 - correlation**2)
     if root == 0.0:
         return float(ndtr(min(h, k)))
-    # T is continuous at 0, where its second argument is not defined.
-    h, k = h or 1e-300, k or 1e-300
-    opposite = 0.5 if h * k < 0.0 or (h * k == 0.0 and h + k < 0.0) else 0.0
+    # T is continuous at 0, where its second argument is not defined; a product of these does not underflow.
+    h, k = (one if abs(one) > 1e-150 else 1e-150 for one in (h, k))
+    opposite = 0.5 if h * k < 0.0 else 0.0
     terms = owens_t(h, (k / h - correlation) / root) + owens_t(k, (h / k - correlation) / root)
     return float(0.5 * (ndtr(h) + ndtr(k)) - terms - opposite)
 
