@@ -37,11 +37,11 @@ from scipy.special import ndtr, stdtrit
 from pipeline.arrays import FloatArray
 from pipeline.axial import mean_axis, wrap
 
+from .acceptance import probability_inside
 from .clustered import NestedSpread, nested_spread
 from .coded import IntArray
 from .devices import Devices
 from .limits import Limit, Limits
-from .rules import probability_inside
 from .yields import LEVEL
 
 #: Fewest devices of an index: the 95 % interval of a sd from 8 devices is a factor of 3 wide.

@@ -19,8 +19,8 @@ from pipeline.arrays import BoolArray, FloatArray
 from pipeline.errors import UsageError
 from pipeline.inference.estimate import intervals
 
+from .acceptance import by_estimates
 from .limits import Limits
-from .rules import by_estimates
 
 Verdict = Literal["pass", "fail", "undecided"]
 VERDICTS: tuple[Verdict, ...] = ("pass", "fail", "undecided")

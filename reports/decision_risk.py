@@ -32,12 +32,13 @@ from scipy.special import ndtr, ndtri, owens_t
 
 from pipeline.arrays import BoolArray, FloatArray
 
+from .acceptance import probability_inside, zones
 from .capability import Common, normal_process
 from .clusters import effective_number
 from .coded import CodedText, IntArray
 from .devices import Devices
 from .limits import Limit, Limits
-from .rules import Rule, probability_inside, zones
+from .rules import Rule
 from .yields import Interval, clopper_pearson, measurement_uncertainty
 
 _CERTAIN = 1e-9

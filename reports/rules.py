@@ -17,26 +17,20 @@ The last is the guard band w = u z(1 - r) for one limit; with two limits that ar
 distribution.  "Undecided" is the uncertainty range of ISO 14253-1, in which neither conformity nor nonconformity is proven.  A
 rule with two outcomes (JCGM 106) rejects it: count it as not passed.
 
-Sources: JCGM 106:2012, 7 (probability of conformity), 8.2 (simple acceptance), 8.3 (guard bands); ISO 14253-1:2017, 5 and 6.
+``reports.acceptance`` applies them.
 
-Shapes: B devices.
+Sources: JCGM 106:2012, 7 (probability of conformity), 8.2 (simple acceptance), 8.3 (guard bands); ISO 14253-1:2017, 5 and 6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
-import numpy as np
 from msgspec import Meta, Struct
 from scipy.special import ndtr, ndtri
 
-from pipeline.arrays import BoolArray, FloatArray
 from pipeline.errors import ConfigError
-
-if TYPE_CHECKING:
-    from .limits import Limit
 
 RuleName = Literal["probability", "simple", "guard_band"]
 _PASS_AT, _FAIL_AT = 0.95, 0.05
@@ -139,78 +133,4 @@ def rule_of(table: RuleTable | RuleName, where: str) -> Rule:
         fail_at,
         table.k,
         table.consumer_risk,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Zones:
-    """(B,) whether a rule proves that a quantity conforms, and that it does not; neither where the estimate is unknown."""
-
-    conforms: BoolArray
-    violates: BoolArray
-
-
-def zones(rule: Rule, limit: Limit, estimate: FloatArray, u: FloatArray) -> Zones:
-    """What a rule by estimate says of one quantity.
-
-    Parameters
-    ----------
-    rule : "simple" or "guard_band".
-    limit : its limit.
-    estimate, u : (B,) estimate and standard uncertainty [unit of the quantity]; u of 0 is an exact value.
-    """
-    inside = -np.stack(limit.beyond(estimate))
-    known = np.isfinite(estimate) & ~np.isnan(u)
-    nearest = inside.min(axis=0)
-    if rule.consumer_risk is None:
-        width = (rule.k or 0.0) * u
-        conforming, violating = nearest >= width, nearest <= -width
-        # Without a guard band a value at the limit conforms, and there is nothing between the two zones.
-        return Zones(known & conforming, known & violating & ~conforming)
-    p = probability_inside(inside, u)
-    return Zones(known & (1.0 - p <= rule.consumer_risk), known & (p <= rule.consumer_risk))
-
-
-def probability_inside(inside: FloatArray, u: FloatArray) -> FloatArray:
-    """P(conform) (B,) = 1 - sum over the ends of Phi(-d/u) of a normal distribution (JCGM 106, 7.4); u = 0: whether it conforms.
-
-    Parameters
-    ----------
-    inside : (E, B) distances d from each end, positive inside; u : (B,) standard uncertainty, same unit.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        tails = np.where(u > 0.0, ndtr(-inside / u), (inside < 0.0).astype(np.float64))
-    return np.asarray(np.clip(1.0 - tails.sum(axis=0), 0.0, 1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class RuleVerdicts:
-    """(B,) whether devices pass and fail; ``outside`` quantity -> (B,) number of u by which its estimate is outside, else 0."""
-
-    passes: BoolArray
-    fails: BoolArray
-    outside: dict[str, FloatArray]
-
-
-def by_estimates(
-    rule: Rule, limits: tuple[Limit, ...], estimates: Mapping[str, FloatArray], u: Mapping[str, FloatArray]
-) -> RuleVerdicts:
-    """The verdicts of a rule by estimate over all limits: pass where all conform, fail where one is proven not to.
-
-    Parameters
-    ----------
-    limits : all limits.
-    estimates, u : quantity -> (B,) estimate and standard uncertainty; nan where unknown: such a device cannot pass.
-    """
-    found = {one.quantity: zones(rule, one, estimates[one.quantity], u[one.quantity]) for one in limits}
-    outside = {}
-    for one in limits:
-        beyond = np.max(np.stack(one.beyond(estimates[one.quantity])), axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.where(u[one.quantity] > 0.0, beyond / u[one.quantity], np.inf)
-        outside[one.quantity] = np.where(np.isfinite(estimates[one.quantity]) & (beyond > 0.0), far, 0.0)
-    return RuleVerdicts(
-        np.logical_and.reduce([zone.conforms for zone in found.values()]),
-        np.logical_or.reduce([zone.violates for zone in found.values()]),
-        outside,
     )

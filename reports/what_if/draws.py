@@ -78,7 +78,7 @@ def ends_of(*limits: Limit) -> tuple[LimitEnd, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class EndGrid:
     """An end of a limit and the coordinates (G,) to which it is moved, in even steps."""
 
     end: LimitEnd
@@ -177,7 +177,7 @@ def reweighted(batch: DrawBatch, p_run: FloatArray, old: Limits, new: Limits) ->
     return Reweighted(w, met, surely, maybe, np.sqrt(np.maximum(spread, 0.0)), share, own)
 
 
-def passes(batch: DrawBatch, found: Reweighted, grids: Sequence[Grid], pass_at: float) -> Passes:
+def passes(batch: DrawBatch, found: Reweighted, grids: Sequence[EndGrid], pass_at: float) -> Passes:
     """Which devices reach P(conform) >= ``pass_at`` when the limits change further."""
     reach = pass_at - _ROUNDING
     return Passes(
@@ -196,7 +196,7 @@ def _nested(p: FloatArray, p_run: FloatArray, old: Limits, new: Limits) -> Float
     return p
 
 
-def _curve(batch: DrawBatch, w: FloatArray, met: Mapping[str, BoolArray], grid: Grid) -> FloatArray:
+def _curve(batch: DrawBatch, w: FloatArray, met: Mapping[str, BoolArray], grid: EndGrid) -> FloatArray:
     """P(conform) (b, G) with one end of one limit moved over its grid."""
     devices, n = w.shape
     count = grid.coordinates.size

@@ -12,9 +12,10 @@ import numpy as np
 
 from pipeline.arrays import BoolArray, FloatArray
 
+from ..acceptance import probability_inside, zones
 from ..limits import Limit, Limits
-from ..rules import Rule, probability_inside, zones
-from .draws import Grid, pairs_of
+from ..rules import Rule
+from .draws import EndGrid, pairs_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,7 @@ def conforms_each(rule: Rule, limits: Sequence[Limit], found: Estimates) -> Bool
     return np.array([zones(rule, one, found.value[one.quantity], found.u[one.quantity]).conforms for one in limits])
 
 
-def curves(limits: Limits, found: Estimates, grids: Sequence[Grid]) -> BoolArray:
+def curves(limits: Limits, found: Estimates, grids: Sequence[EndGrid]) -> BoolArray:
     """(E, G, B) whether the device passes with an end moved to each position and all else as it is."""
     each = conforms_each(limits.rule, limits.limits, found)
     names = limits.quantities

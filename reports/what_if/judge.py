@@ -12,11 +12,11 @@ import numpy as np
 
 from pipeline.arrays import BoolArray, FloatArray
 
+from ..acceptance import by_estimates
 from ..coded import CodedText, IntArray
 from ..devices import Devices
 from ..limits import Limits
-from ..rules import by_estimates
-from .draws import DrawBatch, Grid, LimitEnd, ends_of, pairs_of, passes, reweighted
+from .draws import DrawBatch, EndGrid, LimitEnd, ends_of, pairs_of, passes, reweighted
 from .estimates import Estimates, curves, p_inside, without
 
 #: Positions of an end of a limit in its curve.
@@ -48,7 +48,7 @@ class Again:
     stored_old: FloatArray
     own_old: dict[str, FloatArray]
     own_new: dict[str, FloatArray]
-    grids: tuple[Grid, ...]
+    grids: tuple[EndGrid, ...]
     passed: IntArray
     without: IntArray
 
@@ -119,7 +119,7 @@ def _estimates(devices: Devices, names: Sequence[str]) -> Estimates:
     return Estimates({q: devices.number(q) for q in known}, {q: devices.number(f"{q}_sd") for q in known})
 
 
-def _grid(end: LimitEnd, old: Limits, found: Estimates, judged: BoolArray) -> Grid:
+def _grid(end: LimitEnd, old: Limits, found: Estimates, judged: BoolArray) -> EndGrid:
     """Positions over the central 98 % of the estimates and both ends, with a twentieth beyond."""
     x = end.coordinate(found.value[end.limit.quantity][judged])
     x = x[np.isfinite(x)]
@@ -128,7 +128,7 @@ def _grid(end: LimitEnd, old: Limits, found: Estimates, judged: BoolArray) -> Gr
     marks = [end.at, *(at for at in before if np.isfinite(at)), *(np.quantile(x, [0.01, 0.99]) if x.size else ())]
     low, high = float(min(marks)), float(max(marks))
     room = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
-    return Grid(end, np.linspace(low - room, high + room, POSITIONS))
+    return EndGrid(end, np.linspace(low - room, high + room, POSITIONS))
 
 
 def _by_group(passing: BoolArray, group: IntArray, groups: int) -> IntArray:

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 from pipeline.store.schema import devices_table
+from reports.acceptance import by_estimates, probability_inside
 from reports.decision_risk import K_CURVE, bivariate_normal, decision_risks, normal_risks, risk_curve
 from reports.devices import Devices
 from reports.limits import Limit, Limits
-from reports.rules import Rule, by_estimates, probability_inside
+from reports.rules import Rule
 
 
 def _limit(low: float, high: float) -> Limit:

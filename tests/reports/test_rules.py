@@ -12,9 +12,10 @@ from scipy import stats
 
 from pipeline.errors import ConfigError, UsageError
 from pipeline.inference.estimate import intervals
+from reports.acceptance import by_estimates, probability_inside, zones
 from reports.decision import decide
 from reports.limits import Limit, load_limits
-from reports.rules import Rule, by_estimates, probability_inside, rule_of, zones
+from reports.rules import Rule, rule_of
 from reports.sequential import check_rule
 
 TOLERANCE = Limit("split_hz", 1.0, 3.0)

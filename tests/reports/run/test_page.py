@@ -110,12 +110,14 @@ def test_every_section_is_present_with_its_figure(page: str) -> None:
         "health",
         "route",
         "worst",
+        "capability",
+        "risks",
         "limits",
         "provenance",
     ):
         assert elements.ids[name] == 1
-    # Ten figures and a corner plot for each of the four kinds of worst devices.
-    assert elements.tags["svg"] == 14
+    # Twelve figures and a corner plot for each of the four kinds of worst devices.
+    assert elements.tags["svg"] == 16
     assert "0123abc" in page
     assert rule_words(DEFAULT_LIMITS.rule) in page
 

@@ -102,9 +102,10 @@ def test_a_curve_is_the_yield_of_each_moved_limit() -> None:
     assert checked > 80
 
 
-@pytest.mark.parametrize(
-    "rule", [Rule(pass_at=0.9), Rule("simple"), Rule("guard_band", k=1.0), Rule("guard_band", consumer_risk=0.2)]
-)
+BY_ESTIMATE = [Rule("simple"), Rule("guard_band", k=1.0), Rule("guard_band", consumer_risk=0.2)]
+
+
+@pytest.mark.parametrize("rule", [Rule(pass_at=0.9), *BY_ESTIMATE])
 def test_losses_to_limits_and_pairs_are_those_without_them(rule: Rule) -> None:
     draws = _draws(2)
     new = Limits(rule, NEW.limits)

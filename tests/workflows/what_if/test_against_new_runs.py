@@ -42,7 +42,7 @@ OLD = {
     "rate_bias_dps": {"min": -25.0, "max": 25.0},
     "scale_factor_v_per_dps": {"min": 0.3e-3},
 }
-#: The gate refuses devices 1, 2 and 6 by the width of the limit on quality2.
+#: The gate refuses devices 1, 2, 6 and 7 by the width of the limit on quality2.
 NEW = {
     "f1_hz": {"min": 533.0, "max": 536.5},
     "quality2": {"min": 900.0},
