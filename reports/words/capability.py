@@ -38,5 +38,5 @@ def share_words(share: float | None) -> str:
     if share == 0.0:
         return "0"
     if share < 1e-9:
-        return "< 0.001 ppm"
+        return "≈ 0"
     return f"{1e6 * share:.3g} ppm" if share < 1e-4 else percent(share)

@@ -59,9 +59,9 @@ def thinning_sentences(content: WhatIf) -> list[str]:
     if found.stored < found.of:
         out.append(
             f"Judged from {found.stored} stored draws of a device; the run judged {found.of}. They are weighted so that the old"
-            " limits give what the run found. The verdicts of"
-            f" {found.doubtful} devices are uncertain for that: their P(conform) lies within 2 sd of a threshold. (By the old"
-            f" limits, the stored draws alone would judge {found.disagree} devices otherwise than the run.)"
+            " limits give what the run found. Devices whose verdict is uncertain for that, because P(conform) lies within 2 sd of a"
+            f" threshold: {found.doubtful}. Devices that the stored draws alone would judge otherwise than the run by the old"
+            f" limits: {found.disagree}."
         )
     if found.normal:
         names = ", ".join(label(name) for name in found.normal)

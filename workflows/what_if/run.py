@@ -21,6 +21,7 @@ from ..screening.inputs import read_inputs, with_stored_code
 from ..screening.shared_errors import shared_shifts
 from .common import given_new_limits
 from .gate import status_by
+from .rate import common_rate
 from .stored import StoredDraws
 
 
@@ -50,7 +51,7 @@ def judged_run(results: Path, run_id: str, limits: Limits, limits_name: str) -> 
         old = config.judged_by()
         before = Devices(tables.devices)
         names = tuple(dict.fromkeys((*old.quantities, *limits.quantities)))
-        draws = StoredDraws(config, before, tables.posterior, names)
+        draws = StoredDraws(config, before, tables.posterior, names, common_rate(config, inputs, run_id))
         _check(draws, limits, limits_name)
         status = status_by(before, config, old, limits)
         wanted = status.equals("ok")

@@ -2,8 +2,8 @@
 
 The draws of the parameters are stored; the others follow from them and from what the run declares, as in the run.  Draw i of a
 device stands for draw kept_i of its chains, and so for node kept_i of the common errors (``pipeline.inference.systematic``).  A
-quantity that needs more than is stored (the noise of each device, the declarations of each campaign) is drawn from a normal
-distribution with its estimate and sd instead, independent of the others; so are all of them where no draws are stored.
+quantity that needs more than is stored (the noise of each device, campaigns that declare different operation) is drawn from a
+normal distribution with its estimate and sd instead, independent of the others; so are all of them where no draws are stored.
 
 A device whose chains were run longer, because the proposal did not suit its posterior, has other nodes.  Phase error and angular
 gain are independent of its draws, so that any nodes serve.
@@ -33,7 +33,6 @@ from reports.devices import ColumnSource, Devices
 from reports.what_if.draws import DrawBatch
 
 from ..config import RunConfig
-from ..screening.settings import population, rate_of
 
 #: Rows of the posterior table that are judged together: 26 MB of parameters.
 _ROWS = 250_000
@@ -56,25 +55,20 @@ class StoredDraws:
     devices : its devices table.
     posterior : its posterior table.
     names : the quantities that are wanted.
+    rate : what the devices declare about operation; ``None`` where they differ: biases and figures are then drawn from a normal.
     """
 
     config: RunConfig
     devices: Devices
     posterior: ColumnSource
     names: tuple[str, ...]
+    rate: RateSettings | None
 
     @cached_property
     def per_device(self) -> int:
         """Largest number of stored draws of a device; 0: none are stored."""
         total = self.posterior.num_rows
         return 0 if total == 0 else int(max(number_values(self.posterior["draw"]).max(), 0)) + 1
-
-    @cached_property
-    def rate(self) -> RateSettings | None:
-        """What the run declared about operation; ``None`` for campaigns, each of which declares its own."""
-        if self.config.source.kind != "population":
-            return None
-        return rate_of(self.config, float(population(self.config).angular_gain))
 
     @cached_property
     def normal(self) -> tuple[str, ...]:
@@ -88,7 +82,9 @@ class StoredDraws:
             return True
         if self.rate is None:
             return False
-        return name in _BIASES or not find_figures()[name].missing(self.rate.point)
+        if name in _BIASES:
+            return self.rate.angular_gain is not None
+        return not find_figures()[name].missing(self.rate.point)
 
     def absent(self) -> tuple[str, ...]:
         """The wanted quantities of which the run knows nothing."""
@@ -149,7 +145,7 @@ class StoredDraws:
             return values | quantities(_physical(stored, PHYSICAL), rate, stored["split_hz"])
         # The biases follow from the two rocking modes; the up-down mode only fills its places.
         physical = _physical({"f3_hz": stored["f1_hz"], "zeta3": stored["zeta1"], **stored}, PHYSICAL[:8])
-        assert rate.angular_gain is not None  # a population states its own
+        assert rate.angular_gain is not None  # without one, biases are not derived
         return values | rate_biases_dps(physical, rate.angular_gain, rate.phase_error_deg, rate.drive)
 
     def normal_draws(self, name: str, rows: IntArray, count: int) -> FloatArray:
