@@ -59,8 +59,8 @@ def thinning_sentences(content: WhatIf) -> list[str]:
     if found.stored < found.of:
         out.append(
             f"Judged from {found.stored} stored draws of a device; the run judged {found.of}. They are weighted so that the old"
-            " limits give what the run found. Devices whose verdict is uncertain for that, because P(conform) lies within 2 sd of a"
-            f" threshold: {found.doubtful}. Devices that the stored draws alone would judge otherwise than the run by the old"
+            " limits give what the run found. Devices whose verdict is uncertain for that, because P(conform) lies within 2 sd of"
+            f" a threshold: {found.doubtful}. Devices that the stored draws alone would judge otherwise than the run by the old"
             f" limits: {found.disagree}."
         )
     if found.normal:
