@@ -180,6 +180,29 @@ def test_the_normal_process_agrees_with_the_devices_and_the_truth() -> None:
         assert abs(found.counted / n - found.normal) < 5 * math.sqrt(found.normal / n)
 
 
+def test_expected_and_counted_risks_agree_with_the_closed_form() -> None:
+    """The posterior with the process as prior: N(r y, r u^2), r = s^2 / (s^2 + u^2); 200,000 devices."""
+    rng = np.random.default_rng(8)
+    n, sd, u, tolerance = 200_000, 0.12, 0.04, 0.2
+    x = rng.normal(0.0, sd, n)
+    y = x + rng.normal(0.0, u, n)
+    shrink = sd**2 / (sd**2 + u**2)
+    known = math.sqrt(shrink) * u
+    p = stats.norm.cdf((tolerance - shrink * y) / known) - stats.norm.cdf((-tolerance - shrink * y) / known)
+    columns: dict[str, Any] = {
+        "device_id": np.arange(n).astype(str).tolist(), "status": ["ok"] * n, "p_pass": p, "true_split_hz": x,
+        "verdict": np.where(np.abs(y) <= tolerance, "pass", "fail").tolist(),
+    }  # fmt: skip
+    limit = _limit(-tolerance, tolerance)
+    row = decision_risks(Devices(devices_table(columns)), Limits(Rule("simple"), (limit,)))[0]
+    for found, exact in zip((row.consumer, row.producer), normal_risks(0.0, sd, u, limit, 0.0), strict=True):
+        assert found.counted is not None
+        assert abs(found.counted / n - exact) < 4 * math.sqrt(exact / n)
+        # Probabilities are averaged instead of zeros and ones counted, so they scatter less.
+        assert found.value == pytest.approx(exact, abs=4 * math.sqrt(exact / n))
+        assert found.expected_low <= found.counted <= found.expected_high
+
+
 def test_the_curve_is_what_each_guard_band_gives() -> None:
     devices = _devices(Rule("simple"), LIMITS, 300, 2)
     curve = risk_curve(devices, Limits(Rule("simple"), LIMITS), K_CURVE)
