@@ -128,6 +128,11 @@ def test_a_run_without_numbers_or_judged_devices_is_refused(
     limits = _limits(tmp_path, "[limits.split_hz]\nmax = 3\n")
     assert call(["report", "--results", str(tmp_path / "results"), "--limits", str(limits)]) == 2
     err = capsys.readouterr().err
+    assert call(["report", "--results", str(tmp_path / "results"), "--json"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["total"]["devices"] == 4
+    assert plain["risks"] == []
+    assert {row["reason"] for row in plain["capability"]} == {"few"}
     assert len(err.splitlines()) == 1
     assert ("knows nothing" if status == "ok" else "no device of the run can be judged") in err
 
