@@ -27,7 +27,7 @@ from pipeline.store.column import number_values, text_codes
 from .clusters import Clustering, effective_number
 from .coded import IntArray, coded
 from .devices import ColumnSource, Devices
-from .limits import Rule
+from .rules import Rule
 from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, groups_of, poisson_binomial
 
 
@@ -40,13 +40,13 @@ class GivenCommon:
 
     @property
     def passed(self) -> BoolArray:
-        """(K, B) whether the rule passes the device."""
-        return np.asarray(self.p_pass >= self.rule.pass_at)
+        """(K, B) whether the rule passes the device; a rule by estimate, where its equivalent probability is reached."""
+        return np.asarray(self.p_pass >= self.rule.equivalent[0])
 
     @property
     def possible(self) -> BoolArray:
         """(K, B) whether the rule does not fail the device: passed or undecided."""
-        return ~np.asarray(self.p_pass <= self.rule.fail_at)
+        return self.passed | ~np.asarray(self.p_pass <= self.rule.equivalent[1])
 
     def of(self, members: IntArray) -> GivenCommon:
         """The devices with the numbers ``members`` alone."""

@@ -1,9 +1,8 @@
 """The decision: posterior draws against limits.
 
     P(conform) = share of the draws that meet all limits together
-    pass      P(conform) >= pass_at
-    fail      P(conform) <= fail_at
-    undecided in between, and whenever the identification status is not "ok"
+    pass, fail or undecided by the rule (``reports.rules``): from P(conform), or from median and sd of each quantity
+    undecided whenever the identification status is not "ok"
 
 Shapes: B devices, n draws each.
 """
@@ -18,7 +17,9 @@ import numpy as np
 
 from pipeline.arrays import BoolArray, FloatArray
 from pipeline.errors import UsageError
+from pipeline.inference.estimate import intervals
 
+from .acceptance import by_estimates
 from .limits import Limits
 
 Verdict = Literal["pass", "fail", "undecided"]
@@ -33,8 +34,8 @@ class Decisions:
     ----------
     p_pass : (B,) posterior probability of conformity; nan where it is unknown.
     verdict : B times "pass", "fail" or "undecided".
-    failed_limits : B comma-separated lists of the quantities whose own probability of conformity is at most
-        one half, the least probable first; empty if there is none.
+    failed_limits : B comma-separated lists of the quantities whose own probability of conformity is at most one half, the least
+        probable first; by a rule by estimate: whose estimate is outside, by the most standard uncertainties first.
     """
 
     p_pass: FloatArray
@@ -70,6 +71,38 @@ def conforms(limits: Limits, values: Mapping[str, FloatArray]) -> BoolArray:
     return np.asarray(np.logical_and.reduce(list(conforms_each(limits, values).values())))
 
 
+@dataclass(frozen=True, eq=False)
+class Conformity:
+    """Conformity of B devices by their draws.
+
+    Parameters
+    ----------
+    surely, maybe : (B,) share of the draws that certainly and that possibly meet all limits; they differ where draws are nan.
+    own : (L, B) share of the draws that possibly meet each limit.
+    """
+
+    surely: FloatArray
+    maybe: FloatArray
+    own: FloatArray
+
+    @property
+    def p_pass(self) -> FloatArray:
+        """(B,) P(conform); nan where it is not known."""
+        return np.where(self.surely == self.maybe, self.surely, np.nan)
+
+
+def conformity(limits: Limits, draws: Mapping[str, FloatArray]) -> Conformity:
+    """Shares of the draws that meet the limits, for draws as of :func:`decide`; raises as :func:`conforms_each`."""
+    each = conforms_each(limits, draws)
+    unknown = {name: np.isnan(draws[name]) for name in each}
+    possible = {name: met | unknown[name] for name, met in each.items()}
+    return Conformity(
+        np.logical_and.reduce(list(each.values())).mean(axis=1),
+        np.logical_and.reduce(list(possible.values())).mean(axis=1),
+        np.array([met.mean(axis=1) for met in possible.values()]),
+    )
+
+
 def decide(limits: Limits, draws: Mapping[str, FloatArray], status: Sequence[str]) -> Decisions:
     """P(conform) = mean over draws of all limits met, and the verdict of the rule.
 
@@ -89,20 +122,27 @@ def decide(limits: Limits, draws: Mapping[str, FloatArray], status: Sequence[str
     UsageError : a limited quantity has no draws, or the shapes do not agree.
     """
     values = _one_shape(limits, draws, len(status))
-    each = conforms_each(limits, values)
-    unknown = {name: np.isnan(values[name]) for name in each}
-    surely = np.logical_and.reduce(list(each.values())).mean(axis=1)
-    maybe = np.logical_and.reduce([met | unknown[name] for name, met in each.items()]).mean(axis=1)
-    own = np.array([(met | unknown[name]).mean(axis=1) for name, met in each.items()])
-
+    found = conformity(limits, values)
     judged = np.array([one == "ok" for one in status], dtype=np.bool_)
-    p_pass = np.where(judged & (surely == maybe), surely, np.nan)
-    passes = judged & (surely >= limits.rule.pass_at)
-    fails = judged & (maybe <= limits.rule.fail_at)
-    verdict = tuple(_verdict(bool(p), bool(f)) for p, f in zip(passes, fails, strict=True))
-    names = tuple(each)
-    failed = tuple(_failed(names, own[:, b]) if judged[b] else "" for b in range(len(status)))
-    return Decisions(p_pass, verdict, failed)
+    if limits.rule.by_estimate:
+        known = by_estimates(limits.rule, limits.limits, *_estimates(values))
+        passes, fails, rank = known.passes, known.fails, -np.array(list(known.outside.values()))
+    else:
+        passes, fails = found.surely >= limits.rule.pass_at, found.maybe <= limits.rule.fail_at
+        rank = np.where(found.own <= 0.5, found.own - 1.0, 0.0)
+    verdict = tuple(_verdict(bool(p), bool(f)) for p, f in zip(judged & passes, judged & fails, strict=True))
+    failed = tuple(failed_cell(limits.quantities, rank[:, b]) if judged[b] else "" for b in range(len(status)))
+    return Decisions(np.where(judged, found.p_pass, np.nan), verdict, failed)
+
+
+def _estimates(values: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Estimate and standard uncertainty (B,) of each quantity, as in the columns <q> and <q>_sd; nan where unknown."""
+    rows = len(next(iter(values.values())))
+    found = [intervals({name: draws[b] for name, draws in values.items()}) for b in range(rows)]
+    estimate, u = (
+        {name: np.array([row.get(f"{name}{end}", np.nan) for row in found]) for name in values} for end in ("", "_sd")
+    )
+    return estimate, u
 
 
 def _verdict(passes: bool, fails: bool) -> Verdict:
@@ -111,9 +151,9 @@ def _verdict(passes: bool, fails: bool) -> Verdict:
     return "fail" if fails else "undecided"
 
 
-def _failed(names: tuple[str, ...], probability: FloatArray) -> str:
-    order = np.argsort(probability, kind="stable")
-    return ",".join(names[k] for k in order if probability[k] <= 0.5)
+def failed_cell(names: Sequence[str], rank: FloatArray) -> str:
+    """The names whose ``rank`` (L,) is negative, the lowest first, separated by commas."""
+    return ",".join(names[k] for k in np.argsort(rank, kind="stable") if rank[k] < 0.0)
 
 
 def _one_shape(limits: Limits, draws: Mapping[str, FloatArray], devices: int) -> dict[str, FloatArray]:

@@ -10,7 +10,7 @@
     min = 80
     max = 100
 
-A value conforms when min <= value <= max; the limits themselves conform.
+A value conforms when min <= value <= max; the limits themselves conform.  The other rules: ``reports.rules``.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from pipeline.arrays import BoolArray, FloatArray
 from pipeline.axial import PERIOD_DEG, in_arc
@@ -31,22 +31,7 @@ from pipeline.experiment.files.common_tables import Value
 from pipeline.quantities import AXES, NAMES
 from pipeline.toml_files import check_known, converted, load
 
-
-class Rule(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """pass where P(conform) >= pass_at, fail where P(conform) <= fail_at, undecided between."""
-
-    name: Literal["probability"] = "probability"
-    pass_at: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.95
-    fail_at: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.05
-
-    @property
-    def explanation(self) -> str:
-        """The rule in one sentence."""
-        return (
-            f"A device passes when the posterior probability that it conforms to all limits together is at "
-            f"least {self.pass_at:.3g}, fails when it is at most {self.fail_at:.3g}, and is undecided in "
-            f"between, or when its identification is not ok."
-        )
+from .rules import Rule, RuleName, RuleTable, rule_of
 
 
 @dataclass(frozen=True)
@@ -116,7 +101,7 @@ class BoundsTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults
 class LimitsTable(Struct, frozen=True, forbid_unknown_fields=True):
     """A limits file."""
 
-    rule: Rule = Rule()
+    rule: RuleTable | RuleName = RuleTable()
     limits: dict[str, BoundsTable] = {}
 
 
@@ -143,7 +128,7 @@ def load_limits(table: Mapping[str, Any] | Path) -> Limits:
     Raises
     ------
     ConfigError : the file cannot be read; an unknown key, rule or quantity; a limit that is empty, crossed or not
-        finite; an arc that is not shorter than 180 deg; thresholds that are not 0 <= fail_at < pass_at <= 1.
+        finite; an arc that is not shorter than 180 deg; a rule as in :func:`reports.rules.rule_of`.
     """
     if isinstance(table, Path):
         where = table.name
@@ -160,21 +145,14 @@ def load_limits(table: Mapping[str, Any] | Path) -> Limits:
     return checked_limits(found.rule, found.limits, where)
 
 
-def checked_limits(rule: Rule, bounds: Mapping[str, BoundsTable], where: str) -> Limits:
+def checked_limits(rule: RuleTable | RuleName, bounds: Mapping[str, BoundsTable], where: str) -> Limits:
     """Limits from decoded tables; ``where`` names their file in messages.
 
     Raises
     ------
     ConfigError : as :func:`load_limits`.
     """
-    if not rule.fail_at < rule.pass_at:
-        raise ConfigError(
-            f"{where}: the thresholds of [rule] are crossed",
-            value={"pass_at": rule.pass_at, "fail_at": rule.fail_at},
-            allowed="0 <= fail_at < pass_at <= 1",
-            next_step="for example pass_at = 0.95, fail_at = 0.05",
-        )
-    return Limits(rule, tuple(_limit(name, table, where) for name, table in bounds.items()))
+    return Limits(rule_of(rule, where), tuple(_limit(name, table, where) for name, table in bounds.items()))
 
 
 def _limit(name: str, bounds: BoundsTable, where: str) -> Limit:

@@ -34,12 +34,29 @@ from scipy.special import ndtri
 
 from pipeline.arrays import FloatArray
 from pipeline.axial import wrap
+from pipeline.errors import UsageError
 
 from .decision import Verdict, decide
 from .limits import Limit, Limits
 
 #: Distance from a limit in final sd beyond which the error rate is guaranteed: nearer devices may stay undecided.
 INDIFFERENCE_SD = 2.0
+
+
+def check_rule(limits: Limits) -> None:
+    """Check that the limits can be judged while a record grows.
+
+    Raises
+    ------
+    UsageError : the rule is not "probability": its thresholds are what the guarantee is stated for.
+    """
+    if limits.rule.by_estimate:
+        raise UsageError(
+            "a record that grows is judged by the rule 'probability' alone",
+            value=limits.rule.name,
+            allowed="[rule] with pass_at and fail_at, or none",
+            next_step="state the rule 'probability', or identify the whole record without --stream",
+        )
 
 
 def boundary(alpha: float, analysis: int, last: bool = False) -> float:

@@ -21,7 +21,8 @@ from pipeline.input_limits import RECORD_VALUES
 from pipeline.performance.figure import by_table, find_figures
 from pipeline.performance.operating_point import OperatingPoint
 from pipeline.toml_files import check_known, converted, decode, load
-from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
+from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, checked_limits
+from reports.rules import RuleName, RuleTable
 
 from .config_tables import (
     DiagnosisTable,
@@ -70,7 +71,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sampling: SamplingTable | None = None
     effects: dict[str, EffectTable] = {}
     diagnosis: DiagnosisTable = DiagnosisTable()
-    rule: Rule = Rule()
+    rule: RuleTable | RuleName = RuleTable()
     limits: dict[str, BoundsTable] = {}
 
     def judged_by(self, where: str = "run configuration") -> Limits:

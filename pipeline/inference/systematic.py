@@ -127,6 +127,22 @@ def rate_settings(campaign: Campaign) -> RateSettings:
     )
 
 
+def common_shifts(physical: FloatArray, split_hz: FloatArray, rate: RateSettings) -> dict[str, FloatArray]:
+    """What one sd of each common error does to each quantity: (5, B), with sign, to first order.
+
+    Parameters
+    ----------
+    physical, split_hz : (B, 12) estimates and (B,) splits [Hz]; nan where unknown.
+    rate : common errors and demodulation.
+    """
+    point = Identified(physical, split_hz, rate)
+    plus, minus = (
+        point.given(np.broadcast_to(sign * np.eye(_ERRORS)[:, None], (_ERRORS, *split_hz.shape, _ERRORS)))
+        for sign in (1.0, -1.0)
+    )
+    return {name: (plus[name] - minus[name]) / 2.0 for name in plus}
+
+
 def with_common_errors(
     estimates: Mapping[str, tuple[float, float]], systematic: Systematic
 ) -> dict[str, tuple[float, float]]:

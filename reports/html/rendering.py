@@ -13,6 +13,7 @@ import jinja2
 from markupsafe import Markup
 
 from ..words.quantities import SUPERSCRIPT, UNITS, label, limit_words, percent, percent_range
+from ..words.rules import rule_words
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _DASH = "–"
@@ -35,6 +36,7 @@ def environment() -> jinja2.Environment:
         percent=percent,
         quantity=label,
         limit=limit_words,
+        rule=rule_words,
         svg=Markup,
         unit=unit,
     )

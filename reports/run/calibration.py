@@ -20,7 +20,6 @@ from pipeline.quantities import AXES, NAMES
 
 from ..devices import Devices
 from ..limits import Limits
-from ..risk import CountedRisk, Risk, counted_risk, expected_risk
 from ..yields import Interval, clopper_pearson
 
 NOMINAL = 0.90
@@ -70,15 +69,12 @@ class VerdictCheck:
     table : (verdict, truth conforms, truth does not) counts.
     expected, expected_sd : number of conforming devices predicted by the posteriors, among those with a p_pass.
     found : number that do conform.
-    counted, predicted : consumer's and producer's risk, from the truth and from the posteriors.
     """
 
     table: tuple[tuple[str, int, int], ...]
     expected: float
     expected_sd: float
     found: int
-    counted: CountedRisk
-    predicted: Risk
 
 
 def z_scores(devices: Devices, quantity: str) -> FloatArray:
@@ -129,7 +125,6 @@ def check_verdicts(devices: Devices, limits: Limits) -> VerdictCheck | None:
     if not known.any():
         return None
     good = np.logical_and.reduce([limit.admits(truth[limit.quantity]) for limit in limits.limits])
-    verdicts = devices.text("verdict").at(known)
     p_pass = devices.number("p_pass")
     judged = known & np.isfinite(p_pass)
     return VerdictCheck(
@@ -144,6 +139,4 @@ def check_verdicts(devices: Devices, limits: Limits) -> VerdictCheck | None:
         float(np.sum(p_pass[judged])),
         float(np.sqrt(np.sum(p_pass[judged] * (1.0 - p_pass[judged])))),
         int(np.sum(good[judged])),
-        counted_risk(verdicts, good[known]),
-        expected_risk(p_pass[known], verdicts),
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from pipeline.errors import ConfigError
 from pipeline.quantities import QUANTITIES, Quantity
 
+from ..capability import Capability, Common, capabilities
 from ..clusters import Clustering, clustering
 from ..common_errors import (
     GivenCommon,
@@ -24,6 +26,7 @@ from ..common_errors import (
     measurement_given_common,
     with_common,
 )
+from ..decision_risk import K_CURVE, DecisionRisk, RiskCurve, decision_risks, risk_curve
 from ..devices import ColumnSource, Devices
 from ..limits import Limits
 from ..words.night import status_cause
@@ -118,6 +121,9 @@ class RunContent:
     bias_bounds: tuple[BiasBound, ...]
     routes: tuple[RouteDifference, ...]
     worst: tuple[WorstDevice, ...]
+    capabilities: tuple[Capability, ...]
+    risks: tuple[DecisionRisk, ...]
+    risk_curve: RiskCurve | None
     limits: Limits
     population: tuple[Fact, ...]
     provenance: tuple[Fact, ...]
@@ -131,6 +137,7 @@ def run_content(
     limits: Limits,
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,
+    common: Common = MappingProxyType({}),
 ) -> RunContent:
     """The content of a run's page.
 
@@ -141,6 +148,7 @@ def run_content(
     population_summary : description of the population, shown unchanged; nested tables become dotted names.
 
     lot_effects : findings about its misfits, or ``None``.
+    common : quantity -> (E, B) shift by one sd of each error that all devices share.
 
     Raises
     ------
@@ -189,6 +197,9 @@ def run_content(
         bias_bounds=bias_bounds(devices, limits),
         routes=route_differences(devices),
         worst=worst_devices(devices, limits),
+        capabilities=capabilities(devices, limits, common) if identified else (),
+        risks=decision_risks(devices, limits, common),
+        risk_curve=risk_curve(devices, limits, K_CURVE),
         limits=limits,
         population=facts(population_summary or {}),
         provenance=facts({name: value for name, value in manifest.items() if name not in ("files", "sha256")}),

@@ -6,15 +6,18 @@ tables, limits --content--> RunContent --figures, templates--> HTML
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pipeline.quantities import QUANTITIES
 
+from ..capability import Common
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
+from ..words.capability import index_words, no_index, share_words
 from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
@@ -53,6 +56,7 @@ def render_run_report(
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,
     physics: RunPhysics | None = None,
+    common: Common = MappingProxyType({}),
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -63,12 +67,13 @@ def render_run_report(
     population_summary : description of the population; nested tables become dotted names.
     lot_effects : findings about its misfits.
     physics : what its devices and its model contain, stated at the head of the page.
+    common : quantity -> (E, B) shift by one sd of each error that all devices share.
 
     Raises
     ------
     ConfigError : the limits name a quantity that is not in the results.
     """
-    content = run_content(run, limits, population_summary, lot_effects)
+    content = run_content(run, limits, population_summary, lot_effects, common)
     devices = Devices(run.devices)
     page = environment().get_template("run.html.j2")
     return page.render(
@@ -90,6 +95,9 @@ def render_run_report(
         probability=probability,
         counted=counted,
         with_sd=with_sd,
+        index_words=index_words,
+        no_index=no_index,
+        share=share_words,
     )
 
 
@@ -113,6 +121,8 @@ def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
             ("yield", "Yield", content.identified),
             ("wafers", "Wafers", content.identified and bool(content.wafers)),
             ("distributions", "Theta and split", content.identified),
+            ("capability", "Capability", bool(content.capabilities)),
+            ("risks", "Risks", bool(content.risks)),
             ("lot-effects", "Effects this lot needs", content.needed is not None),
             ("trim", "Electronic tuning", content.trim is not None),
             ("calibration", "Calibration", True),

@@ -12,7 +12,7 @@ from reports.common_errors import (
     mixed_wilson,
     with_common,
 )
-from reports.limits import Rule
+from reports.rules import Rule
 from reports.yields import clopper_pearson, measurement_uncertainty, wilson, yield_of_verdicts
 
 RULE = Rule()

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from reports.limits import Limits, Rule, load_limits
+from reports.limits import Limits, load_limits
+from reports.rules import Rule
 from reports.sequential import boundary, checked, decide_at, ends, margin
 
 LOOKS = 28

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import integrate, stats
+from scipy import stats
 
 from pipeline.errors import UsageError
 from reports.clusters import clustering
-from reports.risk import Risk, counted_risk, expected_risk
 from reports.yields import (
     by_group,
     clopper_pearson,
@@ -149,51 +148,3 @@ def test_groups_are_counted_by_wafer_and_by_lot() -> None:
     ]
     assert [(g.lot, g.result.devices) for g in by_group(verdicts, lots)] == [("A", 3), ("B", 1)]
     assert [g.lot for g in by_group(["pass"] * 4, ["L10", "L2", "", "7"])] == ["", "7", "L2", "L10"]
-
-
-def normal_risk(u0: float, u: float, tolerance: float) -> Risk:
-    """Risks of simple acceptance of y ~ N(x, u) for x ~ N(0, u0), integrated over x (JCGM 106:2012, section 9)."""
-
-    def accepted(x: float) -> float:
-        return float(stats.norm.cdf((tolerance - x) / u) - stats.norm.cdf((-tolerance - x) / u))
-
-    def outside(x: float) -> float:
-        return float(stats.norm.pdf(x, scale=u0)) * accepted(x)
-
-    def inside(x: float) -> float:
-        return float(stats.norm.pdf(x, scale=u0)) * (1.0 - accepted(x))
-
-    reach = 10.0 * u0
-    consumer = 2.0 * integrate.quad(outside, tolerance, reach, epsabs=1e-13, epsrel=1e-12)[0]
-    return Risk(consumer, integrate.quad(inside, -tolerance, tolerance, epsabs=1e-13, epsrel=1e-12)[0])
-
-
-def test_risks_of_the_normal_process_equal_the_published_values() -> None:
-    risk = normal_risk(0.12, 0.04, 0.2)
-    assert risk.consumer == pytest.approx(0.0189422067, abs=5e-11)
-    assert risk.producer == pytest.approx(0.0372078002, abs=5e-11)
-
-
-def test_predicted_and_counted_risks_agree_with_the_integral() -> None:
-    # Simple acceptance of y is the rule P(conform) > 1/2 of a flat prior; the prior here is the process, so
-    # the posterior is N(s y, s u^2), s = u0^2 / (u0^2 + u^2).
-    rng = np.random.default_rng(8)
-    n, u0, u, tolerance = 200_000, 0.12, 0.04, 0.2
-    x = rng.normal(0.0, u0, n)
-    y = x + rng.normal(0.0, u, n)
-    shrink = u0**2 / (u0**2 + u**2)
-    sd = math.sqrt(shrink) * u
-    p = stats.norm.cdf((tolerance - shrink * y) / sd) - stats.norm.cdf((-tolerance - shrink * y) / sd)
-    verdicts = ["pass" if abs(one) <= tolerance else "fail" for one in y]
-    truth = normal_risk(u0, u, tolerance)
-    counted = counted_risk(verdicts, np.abs(x) <= tolerance)
-    expected = expected_risk(p, verdicts)
-    for share, exact in ((counted.wrong_pass / n, truth.consumer), (counted.wrong_fail / n, truth.producer)):
-        assert abs(share - exact) < 4 * math.sqrt(exact / n)
-    # Predicted risks average probabilities instead of counting zeros and ones, hence scatter less.
-    assert expected.consumer == pytest.approx(truth.consumer, abs=4 * math.sqrt(truth.consumer / n))
-    assert expected.producer == pytest.approx(truth.producer, abs=4 * math.sqrt(truth.producer / n))
-
-
-def test_risk_of_no_known_probability_is_nan() -> None:
-    assert math.isnan(expected_risk(np.array([np.nan]), ["undecided"]).consumer)

@@ -26,7 +26,8 @@ from pipeline.performance.figure import by_table
 from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
 from reports.decision import decide
-from reports.limits import Limits, Rule, load_limits
+from reports.limits import Limits, load_limits
+from reports.rules import Rule
 from reports.words.noise import noise_words
 from reports.words.numbers import rounded, sd_text, with_sd
 

@@ -75,9 +75,10 @@ def _name_run(runs: Sequence[Manifest], run: str) -> None:
         print(f"run {runs[-1].run_id}, the latest of {len(runs)}; others: --run ID, all: --run all", file=sys.stderr)
 
 
-def report(run: str | None, results: Path, out: Path | None) -> None:
+def report(run: str | None, results: Path, out: Path | None, limits: Path | None = None, json: bool = False) -> None:
     """See ``gyroscreen report --help``."""
     from ..screening.outcome import rendered_report, store_report, write_report
+    from .what_if import what_if_report
 
     runs = list_runs(results)
     if not runs:
@@ -88,6 +89,9 @@ def report(run: str | None, results: Path, out: Path | None) -> None:
         raise UsageError(
             "no such run", value=chosen, allowed=", ".join(known[-5:]), next_step="name one of the latest runs"
         )
+    if limits is not None:
+        what_if_report(chosen, results, limits, out, json)
+        return
     if out is None:
         path = write_report(results, chosen)
     else:
@@ -101,7 +105,12 @@ def report(run: str | None, results: Path, out: Path | None) -> None:
         except OSError as error:
             raise unwritable("the page", out, error, "choose another file with --out") from None
         path = out
-    print(path)
+    if json:
+        from .report_answer import report_answer
+
+        print(json_.dumps(report_answer(results, chosen, path)))
+    else:
+        print(path)
 
 
 def verify(results: Path, json: bool, repair: bool) -> None:

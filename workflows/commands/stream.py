@@ -14,6 +14,7 @@ from pipeline.experiment.record import Campaign
 from pipeline.inference.screening.stream import StreamSettings
 from pipeline.plain import plain
 from reports.limits import DEFAULT_LIMITS, load_limits
+from reports.sequential import check_rule
 from reports.words.numbers import with_sd
 
 from ..streaming.growing import record_blocks
@@ -66,6 +67,7 @@ def stream(
     sigma = None if sigma_v is None else (sigma_v, sigma_v)
     bench = bench_of(known, StreamSettings(order=order, every_s=every_s, sigma_v=sigma))
     judged_by = DEFAULT_LIMITS if limits is None else load_limits(limits)
+    check_rule(judged_by)
     if isinstance(known, Campaign) and source.is_dir():
         source = _first_fit(known, source)
     text = sys.stdin if str(source) == "-" else source

@@ -22,7 +22,7 @@ from pipeline.inference.systematic import Identified, common_nodes
 from pipeline.quantities import MODEL, NAMES
 from pipeline.store.schema import devices_table, posterior_table
 from populations.draw import Draw, draw
-from reports.decision import conforms, decide
+from reports.decision import conformity, conforms, decide
 from reports.limits import Limits
 
 from ..config import RunConfig
@@ -32,7 +32,7 @@ from .trimming import trimmed_columns
 from .virtual_device import fit_virtual, physical_of
 
 #: Posterior draws at each common error: P(conform) in steps of 1/200, a tenth of the rule's 0.05.
-_DRAWS_GIVEN_COMMON = 200
+DRAWS_GIVEN_COMMON = 200
 
 #: Devices of a block that are scored together: 8 save all that 16 save, and hold 7 MB (16: 16 MB).
 _TOGETHER = 8
@@ -173,9 +173,9 @@ def tables_of(
 def p_pass_given_common(limits: Limits, identified: Identified, nodes: FloatArray) -> FloatArray:
     """P(conform) (K,) of a device at each of K common errors, ``nodes`` (K, 5) [sd]; nan where it is unknown."""
     count = identified.split_hz.size
-    kept = np.linspace(0, count - 1, min(_DRAWS_GIVEN_COMMON, count)).round().astype(np.int64)
+    kept = np.linspace(0, count - 1, min(DRAWS_GIVEN_COMMON, count)).round().astype(np.int64)
     draws = identified.thinned(kept).given(np.broadcast_to(nodes[:, None], (nodes.shape[0], kept.size, nodes.shape[1])))
-    return decide(limits, {q: draws[q] for q in limits.quantities}, ["ok"] * nodes.shape[0]).p_pass
+    return conformity(limits, {q: draws[q] for q in limits.quantities}).p_pass
 
 
 def _posterior(

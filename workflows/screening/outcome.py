@@ -24,6 +24,7 @@ from ..config_tables import TargetsTable
 from .inputs import FILE as INPUTS
 from .inputs import read_inputs, with_stored_code
 from .settings import mismatch_prior, population
+from .shared_errors import shared_shifts
 from .virtual_device import virtual_model
 
 
@@ -92,8 +93,14 @@ def rendered_report(results: Path, run_id: str) -> str:
         if inputs is not None:  # the user's code may have changed since, or be gone
             config = with_stored_code(config, read_inputs(inputs, f"{INPUTS} of {run_id}"))
         summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
+        common = shared_shifts(config, Devices(tables.devices))
         return render_run_report(
-            tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)
+            tables,
+            config.judged_by(),
+            population_summary=summary,
+            lot_effects=found,
+            physics=physics_of(config),
+            common=common,
         )
 
     return with_run(results, run_id, rendered)

@@ -18,9 +18,11 @@ from ..content import RunContent
 from ..health import ROUTE_THETAS, miss
 from ..worst import WorstDevice
 from .calibration import coverage_dots, z_panels
+from .capability import capability_bars
 from .causes import CauseBar, StageBar, pareto_bars, stage_bars
 from .corners import corner_plot
 from .distribution import histograms, theta_and_split
+from .risks import risk_curve_figure
 from .route import route_scatter
 from .wafermap import stacked_map, wafer_maps
 from .yields import Span, yield_spans
@@ -41,6 +43,8 @@ def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
         **_distributions(devices, content),
         **_calibration(devices, content),
         "route": _route(devices) if content.routes else "",
+        "capability": capability_bars(content.capabilities),
+        "risk-curve": "" if content.risk_curve is None else risk_curve_figure(content.risk_curve, content.limits.rule),
     }
 
 

@@ -23,6 +23,7 @@ from reports.limits import DEFAULT_LIMITS, load_limits
 from reports.run.figures.causes import CauseBar, pareto_bars
 from reports.run.page import render_run_report
 from reports.words.quantities import percent
+from reports.words.rules import rule_words
 
 Build = Callable[..., Any]
 ARC = load_limits({"limits": {"theta_deg": {"min": 60, "max": 140}, "split_hz": {"max": 3.0}}})
@@ -109,14 +110,16 @@ def test_every_section_is_present_with_its_figure(page: str) -> None:
         "health",
         "route",
         "worst",
+        "capability",
+        "risks",
         "limits",
         "provenance",
     ):
         assert elements.ids[name] == 1
-    # Ten figures and a corner plot for each of the four kinds of worst devices.
-    assert elements.tags["svg"] == 14
+    # Twelve figures and a corner plot for each of the four kinds of worst devices.
+    assert elements.tags["svg"] == 16
     assert "0123abc" in page
-    assert DEFAULT_LIMITS.rule.explanation in page
+    assert rule_words(DEFAULT_LIMITS.rule) in page
 
 
 def test_the_same_run_gives_the_same_page_and_a_small_one(page: str, synthetic_run: Build) -> None:

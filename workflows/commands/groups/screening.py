@@ -85,11 +85,20 @@ def report(
     run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
     results: Results = DEFAULT_RESULTS,
     out: Annotated[Path | None, typer.Option(help="Also write the page to this file.")] = None,
+    limits: Annotated[
+        Path | None,
+        typer.Option("--limits", help="Judge the stored run again by these limits (TOML): a page of its own."),
+    ] = None,
+    json: Json = False,
 ) -> None:
-    """Write the report of a run again."""
+    """Write the report of a run again.
+
+    With --limits, the stored posterior draws are judged again and a page beside the report shows what changes; the report and the
+    results stay as they are.
+    """
     from ..results import report as command
 
-    command(run, results, out)
+    command(run, results, out, limits, json)
 
 
 def verify(

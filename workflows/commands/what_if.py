@@ -1,0 +1,54 @@
+"""gyroscreen report --limits."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from pipeline.errors import unwritable
+from reports.limits import load_limits
+
+
+def what_if_report(run_id: str, results: Path, limits: Path, out: Path | None, json: bool) -> None:
+    """Judge a stored run by other limits, write the page, and print what changes.
+
+    Parameters
+    ----------
+    run_id, results : the run and its results folder.
+    limits : file of the new limits.
+    out : page to write; ``None``: report-limits-NAME.html in the folder of the run, NAME as of the limits.
+    json : print one JSON object.
+    """
+    new = load_limits(limits)
+    from pipeline.store.run import open_run
+    from reports.what_if.page import render_what_if
+    from reports.words.what_if import what_if_lines
+
+    from ..what_if.answer import answer
+    from ..what_if.run import judged_run
+
+    found = judged_run(results, run_id, new, limits.name)
+    page = render_what_if(found.content)
+    if out is None:
+        store = open_run(results, run_id)
+        name = page_name(limits)
+        store.write_file(name, page.encode("utf-8"))
+        path = store.folder / name
+    else:
+        path = out
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            out.write_text(page, encoding="utf-8")
+        except OSError as error:
+            raise unwritable("the page", out, error, "choose another file with --out") from None
+    if json:
+        import json as json_
+
+        print(json_.dumps(answer(found, path)))
+    else:
+        print("\n".join([*what_if_lines(found.content), str(path)]))
+
+
+def page_name(limits: Path) -> str:
+    """Name of the page in the run's folder; it is never that of the run's own report."""
+    return f"report-limits-{re.sub(r'[^A-Za-z0-9_-]+', '-', limits.stem)[:80] or 'new'}.html"
