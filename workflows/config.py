@@ -38,6 +38,7 @@ from .config_tables import (
     SamplingTable,
     SourceTable,
     TargetsTable,
+    TrendTable,
     TrimTable,
 )
 
@@ -66,6 +67,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     posterior: PosteriorTable = PosteriorTable()
     gate: GateTable = GateTable()
     targets: TargetsTable = TargetsTable()
+    trend: TrendTable = TrendTable()
     trim: TrimTable | None = None
     sampling: SamplingTable | None = None
     effects: dict[str, EffectTable] = {}

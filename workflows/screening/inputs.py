@@ -216,11 +216,14 @@ def _unpacked(folder: str, inputs: Inputs) -> tuple[str, dict[str, str]]:
 
 def differences(stored: RunConfig, wanted: RunConfig) -> list[str]:
     """The keys in which two configurations differ, each with both values; the number of workers does not count."""
+    return [f"{name}: {before!r} -> {after!r}" for name, before, after in changed_keys(stored, wanted)]
+
+
+def changed_keys(stored: RunConfig, wanted: RunConfig) -> list[tuple[str, object, object]]:
+    """The same as (key, value before, value after); ``None`` where a configuration lacks the key."""
     before, after = (dict(_flat(config)) for config in (stored, wanted))
     names = sorted(before.keys() | after.keys())
-    return [
-        f"{name}: {before.get(name)!r} -> {after.get(name)!r}" for name in names if before.get(name) != after.get(name)
-    ]
+    return [(name, before.get(name), after.get(name)) for name in names if before.get(name) != after.get(name)]
 
 
 def _flat(config: RunConfig) -> Iterator[tuple[str, object]]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import DEFAULT_RESULTS, Json, Results, Workers
+from .options import DEFAULT_RESULTS, Json, Results, Workers, only_with
 
 
 def run(
@@ -81,8 +81,28 @@ def report(
     run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
     results: Results = DEFAULT_RESULTS,
     out: Annotated[Path | None, typer.Option(help="Also write the page to this file.")] = None,
+    against: Annotated[
+        str | None, typer.Option(help="Compare with this run, or with 'last:N' nights: differences, control charts.")
+    ] = None,
+    alarm: Annotated[
+        list[str] | None,
+        typer.Option(help="With --against: false_alarm=0.01, yield.min=0.5, QUANTITY.max=..; sets the exit code 1."),
+    ] = None,
+    leave_out: Annotated[
+        list[str] | None, typer.Option("--leave-out", help="With --against last:N: an earlier run that does not count.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="With --against: one JSON object on stdout.")] = False,
 ) -> None:
-    """Write the report of a run again."""
+    """Write the report of a run again, or compare the run with earlier nights.
+
+    A comparison is stored as trend.html beside the report.
+    """
+    if against is not None:
+        from ..trend import against as compare
+
+        compare(run, results, against, alarm or [], leave_out or [], out, json)
+        return
+    only_with("--against", {"--alarm": alarm, "--leave-out": leave_out, "--json": json})
     from ..results import report as command
 
     command(run, results, out)
