@@ -21,6 +21,7 @@ from msgspec import Struct
 from pipeline.errors import ConfigError, GyroscreenError, IntegrityError
 from pipeline.store.files import file_sha256, sha256
 from pipeline.toml_files import decode
+from populations.extend import chain
 from populations.spec import spec_from_toml
 
 from ..config import RunConfig
@@ -104,7 +105,7 @@ def collected(config: RunConfig, campaigns: Sequence[Path]) -> Inputs:
     texts: dict[str, str] = {}
     wanted = [("effect", path) for path in _code(config.effect_folders)]
     if config.source.kind == "population":
-        wanted.append(("population", spec_path(config.source)))
+        wanted += [("population", path) for path in chain(spec_path(config.source))]
         wanted += [("irregularity", path) for path in _code(population(config).irregularity_folders)]
     wanted += [("campaign", folder / CAMPAIGN) for folder in campaigns]
     return Inputs(tuple(_file(what, path, texts) for what, path in wanted), texts)
