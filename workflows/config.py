@@ -21,7 +21,7 @@ from pipeline.input_limits import RECORD_VALUES
 from pipeline.performance.figure import by_table, find_figures
 from pipeline.performance.operating_point import OperatingPoint
 from pipeline.toml_files import check_known, converted, decode, load
-from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, checked_limits
+from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, bounds_of, checked_limits
 
 from .config_tables import (
     DiagnosisTable,
@@ -111,6 +111,11 @@ def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -
     config = config if path is None else _with_absolute_paths(config, path.absolute().parent)
     _check(config, source.name)
     return config
+
+
+def with_stated_limits(config: RunConfig) -> RunConfig:
+    """``config`` with the shipped limits stated where it has no [limits]: a run stores those by which it was judged."""
+    return config if config.limits else msgspec.structs.replace(config, limits=bounds_of(DEFAULT_LIMITS))
 
 
 def changed_config(config: RunConfig, overrides: Mapping[str, Any]) -> RunConfig:

@@ -13,6 +13,7 @@ from pipeline.store.run import RunStore, open_run
 from populations.draw import draw
 from reports.common_errors import given_common, with_common
 from reports.devices import Devices
+from reports.limits_origin import LimitsOrigin, recorded_origin
 from reports.run import lot_effects as lot_report
 from reports.run.health import status_counts
 from reports.words.night import status_cause
@@ -45,6 +46,7 @@ class RunResult:
     main_cause: str | None
     seconds: float
     report: Path | None
+    limits: LimitsOrigin
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -60,6 +62,7 @@ class RunResult:
             "main_cause": self.main_cause,
             "seconds": round(self.seconds, 3),
             "report": None if self.report is None else str(self.report),
+            "limits": self.limits.to_dict(),
         }
 
 
@@ -93,7 +96,12 @@ def rendered_report(results: Path, run_id: str) -> str:
             config = with_stored_code(config, read_inputs(inputs, f"{INPUTS} of {run_id}"))
         summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
         return render_run_report(
-            tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)
+            tables,
+            config.judged_by(),
+            population_summary=summary,
+            lot_effects=found,
+            physics=physics_of(config),
+            limits_origin=recorded_origin(tables.manifest.provenance, bool(config.limits)),
         )
 
     return with_run(results, run_id, rendered)
@@ -138,6 +146,7 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
         found.main_cause,
         time.monotonic() - started,
         path,
+        recorded_origin(store.manifest.provenance, True),
     )
 
 
