@@ -32,7 +32,7 @@ BEFORE = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ChartSeries:
     """A chart: ``centre``, ``low``, ``high`` (T,) are mean and limits of one night alone, ``q`` (T,) the Q statistics.
 
     nan where there are too few nights before.  ``rules`` are those of the last night, and ``broken`` (T, 4) tells which of the rules
@@ -95,7 +95,7 @@ def prediction(
     return np.where(known, mean - half, np.nan), np.where(known, mean + half, np.nan)
 
 
-def judged(values: FloatArray, rate: float, least_sd: FloatArray | float = 0.0) -> Judged:
+def judged(values: FloatArray, rate: float, least_sd: FloatArray | float = 0.0) -> ChartSeries:
     """The chart of ``values`` (T,), where a night in control alarms at ``rate``."""
     nights = values.size
     q = q_statistics(values, least_sd)
@@ -107,7 +107,7 @@ def judged(values: FloatArray, rate: float, least_sd: FloatArray | float = 0.0) 
         limit[i] = rules[0].limit
         broken[i, : len(rules)] = alarms(q[BEFORE : i + 1], rules)
     low, high = prediction(values, limit, least_sd)
-    return Judged(earlier(values)[0], low, high, q, broken, rules)
+    return ChartSeries(earlier(values)[0], low, high, q, broken, rules)
 
 
 def share_of(rate: float, charts: int) -> float:

@@ -16,7 +16,7 @@ from pipeline.arrays import FloatArray
 from pipeline.quantities import QUANTITIES
 
 from ..limits import Limit
-from .chart import BEFORE, Judged, anscombe, judged, share_at, share_of
+from .chart import BEFORE, ChartSeries, anscombe, judged, share_at, share_of
 from .difference import FAMILY, YIELD, Comparison
 from .night import COMPONENTS, Night
 from .rules import WESTERN_ELECTRIC, RunRule
@@ -32,7 +32,7 @@ CHARTED: Mapping[str, str] = {
 
 
 @dataclass(frozen=True)
-class Change:
+class InputChange:
     """What differs between the inputs of two runs: the group, the key, and the value before and after."""
 
     what: str
@@ -51,7 +51,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class Point:
+class TrendPoint:
     """One night on a chart: value with interval, limits of one night alone and Q, nan where unknown, and the rules it breaks."""
 
     run_id: str
@@ -72,12 +72,12 @@ class TrendChart:
 
     name: str
     unit: str
-    points: tuple[Point, ...]
+    points: tuple[TrendPoint, ...]
     rules: tuple[RunRule, ...]
     false_alarm: float
 
     @property
-    def tonight(self) -> Point:
+    def tonight(self) -> TrendPoint:
         """The last night."""
         return self.points[-1]
 
@@ -104,7 +104,7 @@ class TrendContent:
     created: str
     devices: int
     comparison: Comparison | None
-    changes: tuple[Change, ...]
+    changes: tuple[InputChange, ...]
     charts: tuple[TrendChart, ...]
     nights: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
@@ -176,11 +176,11 @@ def _points(
     values: FloatArray,
     ends: Sequence[tuple[float, float]],
     limits: tuple[FloatArray, ...],
-    found: Judged,
-) -> tuple[Point, ...]:
+    found: ChartSeries,
+) -> tuple[TrendPoint, ...]:
     names = [rule.name for rule in WESTERN_ELECTRIC]
     return tuple(
-        Point(
+        TrendPoint(
             night.run_id,
             night.created,
             float(values[k]),

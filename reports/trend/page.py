@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from ..html.rendering import environment, stylesheet
 from ..words import trend as words
-from .content import Change, TrendContent
+from .content import InputChange, TrendContent
 from .figures import control_charts
 
 
@@ -27,7 +27,7 @@ def render_trend(content: TrendContent) -> str:
     )
 
 
-def _grouped(content: TrendContent) -> Mapping[str, tuple[Change, ...]]:
+def _grouped(content: TrendContent) -> Mapping[str, tuple[InputChange, ...]]:
     """The changes by group, in order; groups without changes are left out."""
     found = {name: tuple(one for one in content.changes if one.what == what) for what, name in words.GROUPS.items()}
     return {name: rows for name, rows in found.items() if rows}

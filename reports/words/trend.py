@@ -177,7 +177,18 @@ def terminal(content: TrendContent) -> str:
         f"left out{f' of {_listed(one.charts)}' if one.charts else ''}: {one.run_id}: {one.reason}"
         for one in content.left_out
     ]
-    return "\n".join(lines)
+    return _plain("\n".join(lines))
+
+
+def alarm_count(alarms: Sequence[Alarm]) -> str:
+    """The first of the alarms in a clause, and how many there are."""
+    more = f", and {len(alarms) - 1} more" if len(alarms) > 1 else ""
+    return _plain(f"alarm: {alarm_words(alarms[0])[:-1]}{more}")
+
+
+def _plain(text: str) -> str:
+    """For a terminal, where a space that does not break would be escaped."""
+    return text.replace("\u00a0", " ")
 
 
 def _both(row: Difference) -> str:

@@ -33,7 +33,12 @@ def test_the_text_is_a_configuration_with_comments(tmp_path, capsys):
     assert tomllib.loads(text)["limits"]["split_hz"] == {"max": 3.0}
     (tmp_path / "again.toml").write_text(text, encoding="utf-8")
     assert load_config(tmp_path / "again.toml").judged_by() == DEFAULT_LIMITS
-    for said in ("# population: cloverleaf", "# limits: shipped default, limits_default.toml", "rocking 535.5", "expected yield"):
+    for said in (
+        "# population: cloverleaf",
+        "# limits: shipped default, limits_default.toml",
+        "rocking 535.5",
+        "expected yield",
+    ):
         assert said in text
     assert text.isascii() or "\u00a0" not in text
 
@@ -114,7 +119,8 @@ def test_an_irregularity_without_latent_normals_is_drawn_as_the_run_does(tmp_pat
 
 def test_a_population_with_an_impossible_device_is_one_error(tmp_path, capsys):
     (tmp_path / "soft.toml").write_text(
-        'extends = "cloverleaf"\n[irregularity.residual_anisotropy]\ndie_pct = 10.0\nlot_ratio = 10.0\n', encoding="utf-8"
+        'extends = "cloverleaf"\n[irregularity.residual_anisotropy]\ndie_pct = 10.0\nlot_ratio = 10.0\n',
+        encoding="utf-8",
     )
     (tmp_path / "night.toml").write_text('[source]\nspec = "soft.toml"\n', encoding="utf-8")
     assert call(["run", str(tmp_path / "night.toml"), "--dry-run"]) == 2

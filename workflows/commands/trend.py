@@ -6,7 +6,7 @@ import json as json_
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipeline.errors import GateError, unwritable
+from pipeline.errors import GateError, printable_lines, unwritable
 from pipeline.store.run import open_run
 from reports.words import trend as words
 
@@ -49,12 +49,11 @@ def against(
     if json:
         print(json_.dumps(content.to_dict() | {"headline": words.headline(content), "page": str(path)}))
     else:
-        print(words.terminal(content))
+        print(printable_lines(words.terminal(content)))
         print(path)
     if content.negative:
-        first = content.negative[0]
         raise GateError(
-            f"{len(content.negative)} alarms: {words.alarm_words(first)[:-1]}",
+            words.alarm_count(content.negative),
             allowed="a night in control, and values within the limits of [trend] and --alarm",
             next_step=f"see {path}",
         )

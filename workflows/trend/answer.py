@@ -9,7 +9,7 @@ from pathlib import Path
 from pipeline.errors import UsageError
 from reports.trend.content import (
     FALSE_ALARM,
-    Change,
+    InputChange,
     LeftOut,
     TrendContent,
     chart_alarms,
@@ -125,7 +125,7 @@ def _read(results: Path, selection: Selection, names: Sequence[str]) -> tuple[li
 
 def _compared(
     results: Path, earlier: StoredNight, tonight: StoredNight, names: Sequence[str]
-) -> tuple[Comparison, tuple[Change, ...]]:
+) -> tuple[Comparison, tuple[InputChange, ...]]:
     """The differences from one run to another, device by device where both hold the same devices."""
     before, after = (read_night(results, one, names, identities=True) for one in (earlier, tonight))
     measured = tonight.config.source.kind == earlier.config.source.kind == "campaigns"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.store.manifest import Manifest
-from reports.trend.content import Change
+from reports.trend.content import InputChange
 
 from ..config import RunConfig
 from ..screening.inputs import Inputs, changed_keys
@@ -26,7 +26,7 @@ _SHOWN = 80
 
 def changes(
     before: tuple[Manifest, RunConfig, Inputs | None], after: tuple[Manifest, RunConfig, Inputs | None]
-) -> tuple[Change, ...]:
+) -> tuple[InputChange, ...]:
     """All changes from one run to a later one, limits first, then population, experiment, other keys, files and versions."""
     order = ("limits", "population", "experiment", "configuration", "file", "version")
     found = [
@@ -37,19 +37,19 @@ def changes(
     return tuple(sorted(found, key=lambda one: order.index(one.what)))
 
 
-def _keys(before: RunConfig, after: RunConfig) -> Iterator[Change]:
+def _keys(before: RunConfig, after: RunConfig) -> Iterator[InputChange]:
     for key, old, new in changed_keys(before, after):
         if key == "run.devices" or key == "run.seed" or not key.startswith(_IGNORED):
             group = _GROUPS.get(key.partition(".")[0], "configuration")
-            yield Change(group, key, _shown(old), _shown(new))
+            yield InputChange(group, key, _shown(old), _shown(new))
 
 
-def _files(before: Inputs | None, after: Inputs | None) -> Iterator[Change]:
+def _files(before: Inputs | None, after: Inputs | None) -> Iterator[InputChange]:
     """Files of code and populations by name: a file that moved has not changed."""
     old, new = ({} if one is None else _hashes(one) for one in (before, after))
     for name in sorted(old.keys() | new.keys()):
         if old.get(name) != new.get(name):
-            yield Change("file", name, _digest(old.get(name)), _digest(new.get(name)))
+            yield InputChange("file", name, _digest(old.get(name)), _digest(new.get(name)))
 
 
 def _hashes(inputs: Inputs) -> dict[str, str]:
@@ -62,11 +62,11 @@ def _digest(sha256: str | None) -> str:
     return "–" if sha256 is None else f"sha256 {sha256[:12]}"
 
 
-def _versions(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Change]:
+def _versions(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[InputChange]:
     old, new = (_flat(one) for one in (before, after))
     for name in sorted(old.keys() | new.keys()):
         if old.get(name) != new.get(name):
-            yield Change("version", name, _shown(old.get(name)), _shown(new.get(name)))
+            yield InputChange("version", name, _shown(old.get(name)), _shown(new.get(name)))
 
 
 def _flat(provenance: Mapping[str, Any]) -> dict[str, object]:
