@@ -46,8 +46,8 @@ def described(spec: PopulationSpec) -> str:
         + table("", head),
         *(_table(name, getattr(spec, name)) for name in _TABLES),
         _comment(
-            "Irregularities.  An irregularity without a table is not in the population, and one with its defaults changes nothing.  "
-            "Spreads are standard deviations."
+            "Irregularities.  One without a table is not in the population, and one with its defaults changes nothing.  Spreads "
+            "are standard deviations."
         ),
     ]
     for name in sorted(known):

@@ -20,7 +20,9 @@ from .spec import PopulationSpec, load_spec
 
 
 def added(name: str, path: Path, text: str | None) -> str:
-    """The text of the population file ``path`` with the irregularity ``name``; ``None`` starts a file that extends the shipped one.
+    """The text of the population file ``path`` with the irregularity ``name``.
+
+    ``text`` is its content; ``None`` starts a file that extends the shipped population.
 
     The table has the values of the population where it inherits the irregularity, else those of the shipped population, else null
     values.
@@ -47,7 +49,9 @@ def added(name: str, path: Path, text: str | None) -> str:
 
 
 def dropped(name: str, path: Path, text: str) -> str:
-    """The text of the population file without the irregularity ``name``: its table goes, and an inherited one is named in ``without``.
+    """The text of the population file without the irregularity ``name``.
+
+    Its table goes, and an inherited one is named in ``without``.
 
     Raises
     ------
@@ -65,7 +69,8 @@ def dropped(name: str, path: Path, text: str) -> str:
 def _new(path: Path) -> str:
     name = encoded(path.stem)
     return (
-        f"# Population {name}: the shipped cloverleaf with the changes below.  `gyroscreen population show {path.name}` prints it whole.\n"
+        f"# Population {name}: the shipped cloverleaf with the changes below.  All of it: "
+        f"`gyroscreen population show {path.name}`.\n"
         f'name = {name}\nextends = "cloverleaf"\n'
     )
 

@@ -26,7 +26,10 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True)
 class DrawnQuantity:
-    """The 5, 50 and 95 % points of a true quantity (nan of an angle modulo 180 deg), and the share beyond its limit with its interval; ``None``: it has none."""
+    """The 5, 50 and 95 % points of a true quantity (nan of an angle modulo 180 deg), and the share beyond its limit.
+
+    ``loss`` is the interval of that share; ``None`` where there is no limit.
+    """
 
     name: str
     quantiles: tuple[float, float, float]

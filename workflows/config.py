@@ -22,6 +22,7 @@ from pipeline.performance.figure import by_table, find_figures
 from pipeline.performance.operating_point import OperatingPoint
 from pipeline.toml_files import check_known, converted, decode, load
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, Rule, bounds_of, checked_limits
+from reports.trend.charted import night_limits
 
 from .config_tables import (
     DiagnosisTable,
@@ -194,6 +195,7 @@ def _check(config: RunConfig, where: str) -> None:
             next_step='write path = ".." in [source]',
         )
     config.judged_by(where)
+    night_limits(config.trend.limits, where)
     check_phase(config.demodulation, config.systematic, where)
     if not config.systematic.built().exact and config.posterior.stored_draws < LEAST_STORED_DRAWS:
         raise ConfigError(

@@ -12,8 +12,8 @@ there are, so the run rules have their stated rate exactly.  A limit z of a rule
 The scatter within a night is not used as a spread between nights: lots differ, so it would be too small.
 
 Shapes: T nights, oldest first.
-Source: Quesenberry, J. Quality Technology 23 (1991) 213 and 25 (1993) 95 (Q charts); Montgomery, Introduction to Statistical Quality
-Control, ch. 6 (charts for single values) and ch. 10 (start-up and short runs).
+Source: Quesenberry, J. Quality Technology 23 (1991) 213 and 25 (1993) 95 (Q charts); Montgomery, Introduction to Statistical
+Quality Control, ch. 6 (charts for single values) and ch. 10 (start-up and short runs).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ BEFORE = 2
 class ChartSeries:
     """A chart: ``centre``, ``low``, ``high`` (T,) are mean and limits of one night alone, ``q`` (T,) the Q statistics.
 
-    nan where there are too few nights before.  ``rules`` are those of the last night, and ``broken`` (T, 4) tells which of the rules
-    of Western Electric each night breaks.
+    nan where there are too few nights before.  ``rules`` are those of the last night, and ``broken`` (T, 4) tells which of the
+    rules of Western Electric each night breaks.
     """
 
     centre: FloatArray
@@ -66,8 +66,8 @@ def earlier(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 def q_statistics(values: FloatArray, least_sd: FloatArray | float = 0.0) -> FloatArray:
     """Q (..., T) of the nights ``values`` (..., T); nan for the first two.
 
-    ``least_sd`` (..., T) is the smallest sd that a night can have, 0 where none is known: with it the rate of false alarms is at most
-    the stated one.  Nights without any spread give 0, or infinity for one that differs from them.
+    ``least_sd`` (..., T) is the smallest sd that a night can have, 0 where none is known: with it the rate of false alarms is at
+    most the stated one.  Nights without any spread give 0, or infinity for one that differs from them.
     """
     mean, sd = earlier(values)
     count = np.arange(values.shape[-1], dtype=np.float64)

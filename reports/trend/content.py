@@ -6,29 +6,23 @@ nights (oldest first, tonight last) -> charts, alarms, comparison with one earli
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.arrays import FloatArray
-from pipeline.quantities import QUANTITIES
 
 from ..limits import Limit
 from .chart import BEFORE, ChartSeries, anscombe, judged, share_at, share_of
-from .difference import FAMILY, YIELD, Comparison
-from .night import COMPONENTS, Night
+from .charted import CHARTED, YIELD
+from .difference import FAMILY, Comparison
+from .night import Night
 from .rules import WESTERN_ELECTRIC, RunRule
 
 #: Probability that a night in control raises any alarm, where the user states none.
 FALSE_ALARM = 0.01
-#: The quantities that can be charted and limited as the mean of a night, and their units.
-CHARTED: Mapping[str, str] = {
-    YIELD: "1",
-    **{quantity.name: quantity.unit for quantity in QUANTITIES if not quantity.axis},
-    **dict.fromkeys(COMPONENTS, "Hz"),
-}
 
 
 @dataclass(frozen=True)
@@ -175,17 +169,21 @@ def _points(
     nights: Sequence[Night],
     values: FloatArray,
     ends: Sequence[tuple[float, float]],
-    limits: tuple[FloatArray, ...],
+    limits: Sequence[FloatArray],
     found: ChartSeries,
 ) -> tuple[TrendPoint, ...]:
+    centre, low, high = limits
     names = [rule.name for rule in WESTERN_ELECTRIC]
     return tuple(
         TrendPoint(
             night.run_id,
             night.created,
             float(values[k]),
-            *ends[k],
-            *(float(one[k]) for one in limits),
+            ends[k][0],
+            ends[k][1],
+            float(centre[k]),
+            float(low[k]),
+            float(high[k]),
             float(found.q[k]),
             tuple(name for name, broken in zip(names, found.broken[k]) if broken),
         )

@@ -1,13 +1,14 @@
 """Two nights: how much yield and quantities differ, with intervals and tests that hold for all of them together.
 
-Quantities, groups (lots) of each night as draws:     d = mean_after - mean_before,  Welch's t with the standard errors of the groups
-The yield:     low = d - sqrt((p2 - l2)^2 + (u1 - p1)^2),  high = d + sqrt((u2 - p2)^2 + (p1 - l1)^2)
+Quantities, with the groups (lots) of each night as draws:  d = mean_after - mean_before,  Welch's t with their standard errors
+The yield:  low = d - sqrt((p2 - l2)^2 + (u1 - p1)^2),  high = d + sqrt((u2 - p2)^2 + (p1 - l1)^2)
 
-with the interval l to u of each night.  Nights that hold the same devices are compared device by device: the mean of the differences,
-groups as draws.  p-values of the K tests are raised by Holm's method, so that the probability of any false "differs" is at most 5 %.
+with the interval l to u of each night.  Nights that hold the same devices are compared device by device: the mean of the
+differences, groups as draws.  p-values of the K tests are raised by Holm's method, so that the probability of any false "differs"
+is at most 5 %.
 
-Source: Welch 1947, Biometrika 34:28; Newcombe 1998, Stat. Med. 17:873, method 10, with cluster intervals as in Zou and Donner 2008,
-Stat. Med. 27:1693; Holm 1979, Scand. J. Stat. 6:65.
+Source: Welch 1947, Biometrika 34:28; Newcombe 1998, Stat. Med. 17:873, method 10, with cluster intervals as in Zou and Donner
+2008, Stat. Med. 27:1693; Holm 1979, Scand. J. Stat. 6:65.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from scipy.optimize import brentq
 from scipy.special import stdtr
 
 from ..yields import LEVEL
+from .charted import YIELD
 from .night import Grouping, Mean, Night, grouped_mean
 
-YIELD = "yield"
 #: Probability of any false "differs" among all tests of a comparison.
 FAMILY = 0.05
 #: log10 of the largest p-value of the yield below 1; an interval at level 0 has no width and no effective number.
@@ -112,11 +113,8 @@ def _student(name: str, before: float, after: float, found: Mean) -> Difference:
     if not math.isfinite(found.se):
         return _unknown(name, before, after)
     low, high = found.interval()
-    if found.se == 0.0:
-        p = 1.0 if found.value == 0.0 else 0.0
-    else:
-        p = 2.0 * float(stdtr(found.df, -abs(found.value) / found.se))
-    return Difference(name, before, after, found.value, low, high, p)
+    t = abs(found.value) / found.se if found.se else 0.0 if found.value == 0.0 else math.inf
+    return Difference(name, before, after, found.value, low, high, 2.0 * float(stdtr(found.df, -t)))
 
 
 def _unknown(name: str, before: float, after: float) -> Difference:
@@ -161,6 +159,6 @@ def _paired(before: Night, after: Night, names: Sequence[str]) -> list[Differenc
         one, two = before.values[name][rows], after.values[name]
         both = np.isfinite(one) & np.isfinite(two)
         mean = grouped_mean(np.where(both, two - one, np.nan), after.grouping)
-        means = (float(values[both].mean()) if both.any() else float("nan") for values in (one, two))
-        found.append(_student(name, *means, mean))
+        before_mean, after_mean = (float(values[both].mean()) if both.any() else float("nan") for values in (one, two))
+        found.append(_student(name, before_mean, after_mean, mean))
     return found

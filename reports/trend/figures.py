@@ -14,8 +14,8 @@ from matplotlib.ticker import MaxNLocator
 
 from ..html.style import ACCENT, BEFORE, INK, MUTED, RULE, panels, style, to_svg
 from ..words.trend import axis_label, night_label
+from .charted import YIELD
 from .content import TrendChart
-from .difference import YIELD
 
 #: Nights that are named below a chart; more would overlap.
 _NAMED = 4

@@ -1,7 +1,6 @@
 """What a trend keeps of a night: its yield, and the mean of each quantity with its interval.
 
-Means are over the devices that were identified.  theta is an axis modulo 180 deg without a mean of its own; the two components of
-the anisotropy vector, split cos 2 theta and split sin 2 theta [Hz], stand for it.
+Means are over the devices that were identified.
 
 Shapes: B devices.
 """
@@ -20,9 +19,7 @@ from ..clusters import effective_number
 from ..coded import IntArray
 from ..devices import Devices
 from ..yields import LEVEL, Interval, clopper_pearson
-
-#: Components of the anisotropy vector [Hz], which stand for theta.
-COMPONENTS = ("split_cos2theta_hz", "split_sin2theta_hz")
+from .charted import COMPONENTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +59,10 @@ class Mean:
 
 @dataclass(frozen=True, eq=False)
 class Night:
-    """A night: the values (B,) of each quantity (nan where not identified), what passed, the groups of its devices, and whether any was identified."""
+    """A night: the values (B,) of each quantity (nan where not identified), what passed (B,), and the groups of its devices.
+
+    ``identified``: whether any device was.  ``device_id`` is empty where it was not asked for.
+    """
 
     run_id: str
     created: str
@@ -143,7 +143,7 @@ def share_interval(passed: BoolArray, by: Grouping, level: float = LEVEL) -> Int
         return Interval(0.0, 1.0, "no devices", level)
     present, index = np.unique(by.index, return_inverse=True)
     x = passed.astype(np.float64)
-    if present.size < 2:
+    if present.size in (1, passed.size):
         return clopper_pearson(float(x.sum()), float(x.size), level)
     found = effective_number(x, index, int(present.size), level)
     return clopper_pearson(found.share * found.effective, found.effective, level)

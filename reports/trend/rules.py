@@ -1,17 +1,17 @@
 """Run rules of a control chart, with limits that give them a stated false-alarm rate together.
 
-A rule "k of n" alarms at a point if that point and at least k - 1 of the n - 1 before it lie beyond the rule's limit z on the same
-side.  These are the rules of Western Electric (1956): 1 of 1, 2 of 3, 4 of 5 and 8 of 8, with z = 3, 2, 1 and 0 in the textbook.
-There they alarm falsely at 1.65 % of the points of one chart.  Here the same rules have limits such that
+A rule "k of n" alarms at a point if that point and at least k - 1 of the n - 1 before it lie beyond the rule's limit z on the
+same side.  These are the rules of Western Electric (1956): 1 of 1, 2 of 3, 4 of 5 and 8 of 8, with z = 3, 2, 1 and 0 in the
+textbook.  There they alarm falsely at 1.65 % of the points of one chart.  Here the same rules have limits such that
 
     P(alarm at a point | in control) = rate,    each rule with the same share s of it:   p P(Bin(n - 1, p) >= k - 1) = s / 2
 
-with p = P(N(0, 1) > z).  The overlap of the rules is counted exactly: the last five points are enumerated by the zones in which they
-lie, and the older points of a longer rule, of which all must be beyond, enter as a power.
+with p = P(N(0, 1) > z).  The overlap of the rules is counted exactly: the last five points are enumerated by the zones in which
+they lie, and the older points of a longer rule, of which all must be beyond, enter as a power.
 
-Source: Western Electric, Statistical Quality Control Handbook (1956); Montgomery, Introduction to Statistical Quality Control, ch. 5
-(rules); Champ and Woodall, Technometrics 29 (1987) 393 (combined rules have an exact false-alarm rate; an average run length of 91.75
-with the textbook limits, which a test reproduces).
+Source: Western Electric, Statistical Quality Control Handbook (1956); Montgomery, Introduction to Statistical Quality Control,
+ch. 5 (rules); Champ and Woodall, Technometrics 29 (1987) 393 (combined rules have an exact false-alarm rate; an average run
+length of 91.75 with the textbook limits, which a test reproduces).
 """
 
 from __future__ import annotations

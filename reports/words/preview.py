@@ -31,7 +31,7 @@ def preview_lines(preview: Preview | None, limits: Limits, origin: LimitsOrigin)
     lots = "each of a lot of its own" if preview.lots == preview.drawn else f"of {preview.lots} lots"
     lines.append(f"quick draw: {preview.drawn} devices, {lots}; nothing is simulated or identified")
     bounds = {one.quantity: limit_words(one) for one in limits.limits}
-    rows = [("quantity", "5 %", "50 %", "95 %", "limit", "beyond it (95 %)")]
+    rows: list[tuple[str, ...]] = [("quantity", "5 %", "50 %", "95 %", "limit", "beyond it (95 %)")]
     for one in preview.quantities:
         unit = UNITS.get(one.name, "")
         beyond = "" if one.loss is None else _with_interval(one.share, one.loss)

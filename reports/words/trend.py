@@ -122,7 +122,8 @@ def judged_words(content: TrendContent) -> str:
         return ""
     nights = len(content.nights) - 1
     if nights < 2:
-        return f"{_count(nights, 'earlier night')} can be compared. Control limits need at least two; useful ones need eight or more."
+        found = _count(nights, "earlier night")
+        return f"{found} can be compared. Control limits need at least two; useful ones need eight or more."
     return (
         f"Judged by {_count(nights, 'earlier night')}. A night in control raises any alarm on these {len(content.charts)} charts "
         f"with a probability of {percent(content.false_alarm)}, at most."

@@ -85,7 +85,11 @@ def test_a_chain_is_resolved_from_its_end_and_folders_are_relative_to_the_file_t
         ('extends = "other.toml"\n', "extends itself", "own.toml -> other.toml -> own.toml"),
         ('extends = "cloverleaf"\nwithout = ["lid_leek"]\n', "unknown irregularity", "did you mean lid_leak?"),
         ('extends = "cloverleaf"\nwithout = "lid_leak"\n', "without is not valid", "a list of names"),
-        ('extends = "cloverleaf"\nwithout = ["lid_leak"]\n[irregularity.lid_leak]\nfraction = 0.1\n', "that the file states", "one of the two"),
+        (
+            'extends = "cloverleaf"\nwithout = ["lid_leak"]\n[irregularity.lid_leak]\nfraction = 0.1\n',
+            "that the file states",
+            "one of the two",
+        ),
         ('name = "x"\nwithout = ["lid_leak"]\n', "without belongs to a file that extends", "write extends"),
         ('extends = "cloverleaf"\nwithoutt = ["lid_leak"]\n', "unknown key", "did you mean without?"),
         ('extends = "cloverleaf"\n[irregularity.no_such]\na = 1.0\n', "unknown irregularity", "no_such"),
@@ -167,7 +171,10 @@ def test_add_makes_a_file_that_extends_the_shipped_population_and_changes_no_dev
 
 def test_drop_and_add_are_opposites_and_leave_the_other_lines_alone(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
-    text = '# mine\nextends = "cloverleaf"  # the base\n\n[wafer]\npitch_mm = 6.0  # small\n\n# wider\n[irregularity.lid_leak]\nfraction = 0.1\n'
+    text = (
+        '# mine\nextends = "cloverleaf"  # the base\n\n[wafer]\npitch_mm = 6.0  # small\n\n'
+        "# wider\n[irregularity.lid_leak]\nfraction = 0.1\n"
+    )
     without = dropped("lid_leak", path, text)
     assert "lid_leak" not in load_spec(path, without).irregularity
     assert without.startswith('# mine\nextends = "cloverleaf"  # the base\nwithout = ["lid_leak"]\n')
@@ -198,7 +205,7 @@ def test_drop_takes_a_table_from_the_middle_of_a_complete_file(tmp_path: Path) -
     ],
 )
 def test_what_cannot_be_dropped_is_refused(tmp_path: Path, text: str, name: str, says: str) -> None:
-    with pytest.raises(ConfigError, match="lid_lee?a?k") as caught:
+    with pytest.raises(ConfigError, match=r"lid_lee?a?k") as caught:
         dropped(name, tmp_path / "own.toml", text)
     assert says in str(caught.value)
 

@@ -109,7 +109,7 @@ def new_run_id(seed: int) -> str:
 
 
 def start(planned: RunPlan, results: Path, limits: LimitsOrigin | None = None) -> tuple[RunPlan, RunStore]:
-    """The plan with the hashes of its records, and the folder of a new run below ``results``; ``limits``: where they came from."""
+    """The plan with the hashes of its records, and the folder of a new run below ``results``; ``limits``: where they are from."""
     planned = _with_records(planned)
     seed = planned.config.run.seed
     toml = tomli_w.dumps(without_none(to_toml_table(planned.config)), multiline_strings=True)

@@ -23,9 +23,10 @@ from populations.draw import draw
 from reports.decision import conforms
 from reports.limits import DEFAULT_LIMITS
 from reports.trend.chart import BEFORE, q_statistics, share_of
+from reports.trend.charted import COMPONENTS
 from reports.trend.content import chart_alarms, charts_of
 from reports.trend.difference import compared
-from reports.trend.night import COMPONENTS, Grouping, Night
+from reports.trend.night import Grouping, Night
 from reports.trend.rules import alarms, calibrated
 
 from ..config import load_config

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
-from pipeline.errors import ConfigError, UsageError
-from pipeline.toml_files import check_known, converted
-from reports.limits import BoundsTable, Limit
-from reports.trend.content import CHARTED
+from pipeline.errors import UsageError
+from pipeline.toml_files import converted
+from reports.trend.charted import night_limits
 
 from ..config_tables import TrendTable
 
@@ -47,28 +45,5 @@ def given(table: TrendTable, options: Sequence[str]) -> TrendTable:
         else:
             plain["limits"].setdefault(quantity, {})[end] = value
     found = converted(plain, TrendTable, "--alarm" if options else "[trend]")
-    night_limits(found, "--alarm" if options else "[trend]")
+    night_limits(found.limits, "--alarm" if options else "[trend]")
     return found
-
-
-def night_limits(table: TrendTable, where: str) -> tuple[Limit, ...]:
-    """The limits on yield and means of a night; ConfigError for one that cannot be used."""
-    return tuple(_limit(name, bounds, where) for name, bounds in table.limits.items())
-
-
-def _limit(name: str, bounds: BoundsTable, where: str) -> Limit:
-    check_known(name, CHARTED, f"{where}: trend.limits", "quantity")
-    low = -math.inf if bounds.min is None else bounds.min
-    high = math.inf if bounds.max is None else bounds.max
-    if bounds == BoundsTable() or low > high:
-        raise ConfigError(
-            f"{where}: trend.limits.{name} limits nothing, or its limits are crossed",
-            value=_given(bounds),
-            allowed="min, max or both, min <= max",
-            next_step=f"correct trend.limits.{name}",
-        )
-    return Limit(name, low, high)
-
-
-def _given(bounds: BoundsTable) -> Mapping[str, float | None]:
-    return {"min": bounds.min, "max": bounds.max}

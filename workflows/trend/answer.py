@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.errors import UsageError
+from reports.trend.charted import YIELD, night_limits
 from reports.trend.content import (
     FALSE_ALARM,
     InputChange,
@@ -19,7 +20,7 @@ from reports.trend.content import (
 from reports.trend.difference import Comparison, compared
 from reports.trend.night import Night
 
-from .alarms import given, night_limits
+from .alarms import given
 from .changed import changes
 from .nights import Selection, StoredNight, charted, chosen, inputs_of, read_night, same_draws, select, stored_night
 
@@ -46,10 +47,8 @@ def trend(
     """
     tonight, runs = chosen(results, run_id)
     table = given(tonight.config.trend, alarms)
-    limits = night_limits(table, "[trend]")
-    names = tuple(
-        dict.fromkeys((*charted(tonight.limits), *(one.quantity for one in limits if one.quantity != "yield")))
-    )
+    limits = night_limits(table.limits, "[trend]")
+    names = tuple(dict.fromkeys((*charted(tonight.limits), *(one.quantity for one in limits if one.quantity != YIELD))))
     false_alarm = table.false_alarm or FALSE_ALARM
     if against.startswith(_LAST):
         selection = select(results, tonight, runs, _number(against), without)

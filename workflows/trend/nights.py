@@ -1,7 +1,7 @@
 """The nights of a results folder that can be compared with one of them, and why the others cannot.
 
-A night is comparable if it is complete, tests the same nominal device (or campaigns in the same band), has between half and twice as
-many devices, other devices, and at least one that could be identified.
+A night is comparable if it is complete, tests the same nominal device (or campaigns in the same band), has between half and twice
+as many devices, other devices, and at least one that could be identified.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from pipeline.store.read import PREFIX, find_run, list_runs, read_config
 from pipeline.store.run import open_run
 from reports.devices import Devices
 from reports.limits import Limits
-from reports.trend.content import CHARTED, LeftOut
-from reports.trend.difference import YIELD
-from reports.trend.night import COMPONENTS, Night, night_of
+from reports.trend.charted import CHARTED, COMPONENTS, YIELD
+from reports.trend.content import LeftOut
+from reports.trend.night import Night, night_of
 
-from ..config import RunConfig, config_of_run
+from ..config import RunConfig, config_of_run, with_stated_limits
 from ..screening.inputs import FILE as INPUTS
 from ..screening.inputs import Inputs, read_inputs
 from ..screening.settings import population
@@ -60,9 +60,8 @@ class Selection:
 
 def stored_night(results: Path, manifest: Manifest) -> StoredNight:
     """A run with its configuration; IntegrityError where it was edited."""
-    config = config_of_run(
-        read_config(results / f"{PREFIX}{manifest.run_id}", manifest), f"run.toml of {manifest.run_id}"
-    )
+    text = read_config(results / f"{PREFIX}{manifest.run_id}", manifest)
+    config = with_stated_limits(config_of_run(text, f"run.toml of {manifest.run_id}"))
     return StoredNight(manifest, config, config.judged_by())
 
 
