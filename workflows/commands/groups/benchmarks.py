@@ -281,23 +281,3 @@ def hidden_effects(
     from ..hidden import hidden_effects as command
 
     command(kind, campaigns, only, seed, workers, out, json)
-
-
-@app.command()
-def trend(
-    series: Annotated[int, typer.Option(help="Simulated series of normal nights per case.")] = 20_000,
-    rows: Annotated[int, typer.Option("--nights", help="Series of nights drawn from the population; 0: none.")] = 1000,
-    seed: Seed = 1,
-    workers: Workers = 0,
-    out: Annotated[Path, typer.Option(help="Folder for the rows; an interrupted study continues there.")] = Path(
-        "trend"
-    ),
-    json: Json = False,
-) -> None:
-    """False alarms of nights in control, and found shifts.
-
-    The nights are normal, or drawn from the default population with its lots, wafers and dies.
-    """
-    from ..trend_study import trend_study as command
-
-    command(series, rows, seed, workers, out, json)

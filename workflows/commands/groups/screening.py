@@ -93,7 +93,7 @@ def report(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="With --against: one JSON object on stdout.")] = False,
 ) -> None:
-    """Write the report of a run again, or compare the run with earlier nights.
+    """Write the report of a run again, or compare nights.
 
     A comparison is stored as trend.html beside the report.
     """
