@@ -41,8 +41,8 @@ for _command in (*screening.COMMANDS, *devices.COMMANDS):
     app.command()(_command)
 app.add_typer(models.app, name="model")
 app.add_typer(populations.app, name="population")
-for _command in nights.BENCHMARKS:
-    benchmarks.app.command()(_command)
+for _benchmark in nights.BENCHMARKS:
+    benchmarks.app.command()(_benchmark)
 app.add_typer(benchmarks.app, name="benchmark")
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.arrays import FloatArray
 
 from ..limits import Limit
+from ..limits_origin import LimitsOrigin
 from .chart import BEFORE, ChartSeries, anscombe, judged, share_at, share_of
 from .charted import CHARTED, YIELD
 from .difference import FAMILY, Comparison
@@ -91,7 +92,8 @@ class Alarm:
 class TrendContent:
     """All content of a trend; ``false_alarm`` is that of all charts together.
 
-    ``gated``: whether alarms of the charts decide the exit code; limits that the user set always do.
+    ``gated``: whether alarms of the charts decide the exit code; limits that the user set always do.  ``limits``: where those
+    come from by which the devices of the run were judged.
     """
 
     run_id: str
@@ -106,6 +108,7 @@ class TrendContent:
     alarms: tuple[Alarm, ...]
     broken_limits: tuple[Alarm, ...]
     gated: bool
+    limits: LimitsOrigin
 
     @property
     def negative(self) -> tuple[Alarm, ...]:
@@ -119,7 +122,7 @@ class TrendContent:
             (plain["comparison"] or {}).get("differences", []), self.comparison.differences if self.comparison else ()
         ):
             row["differs"] = one.differs
-        return plain | {"family": FAMILY}
+        return plain | {"family": FAMILY, "limits": self.limits.to_dict()}
 
 
 def charts_of(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from .limits import origin_sentence as origin_sentence
 from .numbers import number, rounded
 from .quantities import UNITS, label, percent
 

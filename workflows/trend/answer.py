@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.errors import UsageError
+from reports.limits_origin import recorded_origin
 from reports.trend.charted import YIELD, night_limits
 from reports.trend.content import (
     FALSE_ALARM,
@@ -74,6 +75,7 @@ def trend(
         alarms=chart_alarms(charts, tonight.run_id),
         broken_limits=limit_alarms(nights[-1], limits),
         gated=table.false_alarm is not None,
+        limits=recorded_origin(tonight.manifest.provenance, tonight.stated),
     )
 
 

@@ -32,11 +32,12 @@ MOST_RATIO = 2.0
 
 @dataclass(frozen=True)
 class StoredNight:
-    """A stored run and what it was computed from."""
+    """A stored run and what it was computed from; ``stated``: its configuration has [limits] of its own."""
 
     manifest: Manifest
     config: RunConfig
     limits: Limits
+    stated: bool
 
     @property
     def devices(self) -> int:
@@ -61,8 +62,9 @@ class Selection:
 def stored_night(results: Path, manifest: Manifest) -> StoredNight:
     """A run with its configuration; IntegrityError where it was edited."""
     text = read_config(results / f"{PREFIX}{manifest.run_id}", manifest)
-    config = with_stated_limits(config_of_run(text, f"run.toml of {manifest.run_id}"))
-    return StoredNight(manifest, config, config.judged_by())
+    own = config_of_run(text, f"run.toml of {manifest.run_id}")
+    config = with_stated_limits(own)
+    return StoredNight(manifest, config, config.judged_by(), bool(own.limits))
 
 
 def chosen(results: Path, run_id: str | None) -> tuple[StoredNight, tuple[Manifest, ...]]:

@@ -12,6 +12,7 @@ import pytest
 from markup import PAYLOADS, added
 
 from reports.limits import Limit
+from reports.limits_origin import shipped_origin
 from reports.trend.charted import CHARTED, COMPONENTS
 from reports.trend.content import (
     InputChange,
@@ -67,6 +68,7 @@ def content(series: Sequence[Night], limits: Sequence[Limit] = (), gated: bool =
         alarms=chart_alarms(charts, tonight.run_id),
         broken_limits=limit_alarms(tonight, limits),
         gated=gated,
+        limits=shipped_origin(),
     )
 
 
@@ -78,6 +80,7 @@ def test_a_night_in_control_says_so() -> None:
     assert page.count("<svg") == 1
     assert "population.operating.lid_pressure_pa" in page
     assert "not complete" in page
+    assert "The limits are the shipped default, limits_default.toml" in page
     assert "src=" not in page
     assert page == render_trend(found)
 
