@@ -19,7 +19,7 @@ from ..limits_origin import LimitsOrigin
 from .chart import BEFORE, ChartSeries, anscombe, judged, share_at, share_of
 from .charted import CHARTED, YIELD
 from .difference import FAMILY, Comparison
-from .night import Night
+from .night import NightSummary
 from .rules import WESTERN_ELECTRIC, RunRule
 
 #: Probability that a night in control raises any alarm, where the user states none.
@@ -126,7 +126,7 @@ class TrendContent:
 
 
 def charts_of(
-    nights: Sequence[Night], names: Sequence[str], false_alarm: float, yields: Sequence[bool]
+    nights: Sequence[NightSummary], names: Sequence[str], false_alarm: float, yields: Sequence[bool]
 ) -> tuple[TrendChart, ...]:
     """A chart of the yield and of each quantity in ``names``; together they alarm at ``false_alarm``.
 
@@ -140,20 +140,20 @@ def charts_of(
     return (_yield_chart(same, rate), *(_chart(nights, name, rate) for name in names))
 
 
-def _yield_chart(nights: Sequence[Night], rate: float) -> TrendChart:
-    count = np.array([float(night.passed.sum()) for night in nights])
+def _yield_chart(nights: Sequence[NightSummary], rate: float) -> TrendChart:
+    count = np.array([float(night.passed) for night in nights])
     angle, least = anscombe(count, np.array([float(night.devices) for night in nights]))
     # Between nights a yield scatters at least as much as devices do by chance.
     found = judged(angle, rate, least)
     limits = tuple(share_at(one) for one in (found.centre, found.low, found.high))
-    ends = [(interval.low, interval.high) for interval in (night.yield_interval() for night in nights)]
+    ends = [(night.interval.low, night.interval.high) for night in nights]
     return TrendChart(
         YIELD, "1", _points(nights, np.array([night.share for night in nights]), ends, limits, found), found.rules, rate
     )
 
 
-def _chart(nights: Sequence[Night], name: str, rate: float) -> TrendChart:
-    means = [night.mean(name) for night in nights]
+def _chart(nights: Sequence[NightSummary], name: str, rate: float) -> TrendChart:
+    means = [night.means[name] for night in nights]
     known = [k for k, mean in enumerate(means) if math.isfinite(mean.value)]
     shown = [nights[k] for k in known]
     values = np.array([means[k].value for k in known])
@@ -169,7 +169,7 @@ def _chart(nights: Sequence[Night], name: str, rate: float) -> TrendChart:
 
 
 def _points(
-    nights: Sequence[Night],
+    nights: Sequence[NightSummary],
     values: FloatArray,
     ends: Sequence[tuple[float, float]],
     limits: Sequence[FloatArray],
@@ -205,10 +205,11 @@ def chart_alarms(charts: Sequence[TrendChart], run_id: str) -> tuple[Alarm, ...]
     )
 
 
-def limit_alarms(night: Night, limits: Sequence[Limit]) -> tuple[Alarm, ...]:
+def limit_alarms(night: NightSummary, limits: Sequence[Limit]) -> tuple[Alarm, ...]:
     """The limits on yield and means of a night that it breaks; an unknown value breaks them."""
     values = {
-        limit.quantity: night.share if limit.quantity == YIELD else night.mean(limit.quantity).value for limit in limits
+        limit.quantity: night.share if limit.quantity == YIELD else night.means[limit.quantity].value
+        for limit in limits
     }
     return tuple(
         Alarm(limit.quantity, "limit", values[limit.quantity], limit.low, limit.high)

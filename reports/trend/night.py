@@ -57,6 +57,23 @@ class Mean:
         return self.value - half, self.value + half
 
 
+@dataclass(frozen=True)
+class NightSummary:
+    """What a chart needs of a night: its yield with the interval, and the mean of each quantity; no device by itself."""
+
+    run_id: str
+    created: str
+    devices: int
+    passed: int
+    interval: Interval
+    means: Mapping[str, Mean]
+
+    @property
+    def share(self) -> float:
+        """The yield: passed / devices."""
+        return self.passed / self.devices if self.devices else float("nan")
+
+
 @dataclass(frozen=True, eq=False)
 class Night:
     """A night: the values (B,) of each quantity (nan where not identified), what passed (B,), and the groups of its devices.
@@ -85,6 +102,13 @@ class Night:
     def mean(self, name: str) -> Mean:
         """The mean of a quantity."""
         return grouped_mean(self.values[name], self.grouping)
+
+    def summary(self, names: Sequence[str]) -> NightSummary:
+        """The summary with the means of the quantities ``names``."""
+        means = {name: self.mean(name) for name in names}
+        return NightSummary(
+            self.run_id, self.created, self.devices, int(self.passed.sum()), self.yield_interval(), means
+        )
 
     def yield_interval(self, level: float = LEVEL) -> Interval:
         """Interval of the yield of the process at this night."""

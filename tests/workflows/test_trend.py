@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 
 from pipeline.errors import ConfigError, UsageError
+from pipeline.experiment.campaign import write_campaign
 from pipeline.store.schema import devices_table
 from populations.draw import draw
 from reports.decision import conforms
+from tests.pipeline.experiment.checks.planted_faults import healthy
 from tests.stub_runs import stub_runs
 from workflows.cli import call
 from workflows.config import RunConfig, load_config
@@ -276,3 +279,30 @@ def test_quantities_with_missing_values_are_charted_where_they_are_known(fab, ca
     assert not [alarm for alarm in found.alarms if alarm.name == "quality1"]
     assert fab.report("--against", "last:5") == 0
     assert "quality" in capfd.readouterr().out
+
+
+def test_measured_lots_are_compared_and_a_lot_that_was_tested_again_counts_once(fab, capfd):
+    def measured(source, at):
+        names = [campaign.read().device_id for campaign in source[1]]
+        f1 = [530.0 + int(name[1:]) for name in names]
+        columns = {"device_id": names, "status": ["ok"] * at.count, "verdict": ["pass"] * at.count, "f1_hz": f1}
+        return BlockTables(at.index, devices_table(columns), None, {"ok": at.count})
+
+    for lot in "AB":
+        for k in range(3):
+            write_campaign(replace(healthy(), device_id=f"{lot}{k}"), fab.folder / f"lot{lot}" / f"{lot}{k}")
+    runs = []
+    for lot in "ABA":
+        text = f'[source]\nkind = "campaigns"\npath = "lot{lot}"\n[limits.f1_hz]\nmin = 500.0\n'
+        runs.append(fab.night(1, text, block=measured))
+    found = json_of(fab, capfd, "--against", "last:5")
+    assert [one["run_id"] for one in found["left_out"]] == [runs[0]]
+    assert found["left_out"][0]["reason"] == "the same devices as a later night"
+    assert not found["comparison"]["paired"]
+    assert found["comparison"]["by"] == "device"
+    again = json_of(fab, capfd, "--against", runs[0])
+    assert again["comparison"]["paired"]
+    assert ("population", "source.path") in {(one["what"], one["key"]) for one in found["changes"]}
+    fab.night(2)
+    virtual = json_of(fab, capfd, "--against", "last:5")
+    assert {one["reason"] for one in virtual["left_out"]} == {"devices from campaigns, not from population"}

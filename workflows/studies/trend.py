@@ -79,7 +79,7 @@ def _night(seed: int, number: int, k: int) -> Night:
 
 
 def _alarmed(nights: Sequence[Night], rate: float) -> list[str]:
-    charts = charts_of(nights, _NAMES, rate, [True] * len(nights))
+    charts = charts_of([night.summary(_NAMES) for night in nights], _NAMES, rate, [True] * len(nights))
     return sorted({alarm.name for alarm in chart_alarms(charts, nights[-1].run_id)})
 
 

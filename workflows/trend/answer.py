@@ -19,7 +19,7 @@ from reports.trend.content import (
     limit_alarms,
 )
 from reports.trend.difference import Comparison, compared
-from reports.trend.night import Night
+from reports.trend.night import NightSummary
 
 from .alarms import given
 from .changed import changes
@@ -60,7 +60,7 @@ def trend(
     else:
         earlier = _named(results, against, tonight)
         selection = Selection(tonight, (earlier,), ())
-        nights, charts = [read_night(results, tonight, names, identities=True)], ()
+        nights, charts = [read_night(results, tonight, names).summary(names)], ()
     comparison, changed = (None, ()) if earlier is None else _compared(results, earlier, tonight, names)
     return TrendContent(
         run_id=tonight.run_id,
@@ -100,11 +100,11 @@ def _named(results: Path, against: str, tonight: StoredNight) -> StoredNight:
     return stored_night(results, found.manifest)
 
 
-def _read(results: Path, selection: Selection, names: Sequence[str]) -> tuple[list[Night], Selection]:
+def _read(results: Path, selection: Selection, names: Sequence[str]) -> tuple[list[NightSummary], Selection]:
     """All nights, tonight last; one without any identified device, or with tonight's devices again, is left out."""
     measured = selection.tonight.config.source.kind == "campaigns"
     tonight = read_night(results, selection.tonight, names, identities=measured)
-    kept: list[tuple[StoredNight, Night]] = []
+    kept: list[tuple[StoredNight, NightSummary]] = []
     left: list[LeftOut] = []
     seen = {frozenset(tonight.device_id)}
     for stored in reversed(selection.earlier):
@@ -115,13 +115,13 @@ def _read(results: Path, selection: Selection, names: Sequence[str]) -> tuple[li
         elif measured and devices in seen:
             left.append(LeftOut(night.run_id, "the same devices as a later night"))
         else:
-            kept.append((stored, night))
+            kept.append((stored, night.summary(names)))
             seen.add(devices)
     nights = [night for _, night in reversed(kept)]
     earlier = tuple(stored for stored, _ in reversed(kept))
     gone = {one.run_id for one in left}
     others = tuple(one for one in selection.left_out if one.run_id not in gone)
-    return [*nights, tonight], replace(selection, earlier=earlier, left_out=(*others, *left))
+    return [*nights, tonight.summary(names)], replace(selection, earlier=earlier, left_out=(*others, *left))
 
 
 def _compared(

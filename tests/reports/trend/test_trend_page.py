@@ -53,7 +53,7 @@ def nights(count: int, seed: int = 1, shift: float = 0.0) -> list[Night]:
 
 
 def content(series: Sequence[Night], limits: Sequence[Limit] = (), gated: bool = False) -> TrendContent:
-    charts = charts_of(series, NAMES, 0.01, [True] * len(series))
+    charts = charts_of([night.summary(NAMES) for night in series], NAMES, 0.01, [True] * len(series))
     tonight = series[-1]
     return TrendContent(
         run_id=tonight.run_id,
@@ -66,7 +66,7 @@ def content(series: Sequence[Night], limits: Sequence[Limit] = (), gated: bool =
         left_out=(LeftOut("20251231T000000-seed9", "not complete"), LeftOut("x", "judged by other limits", ("yield",))),
         false_alarm=0.01,
         alarms=chart_alarms(charts, tonight.run_id),
-        broken_limits=limit_alarms(tonight, limits),
+        broken_limits=limit_alarms(tonight.summary(NAMES), limits),
         gated=gated,
         limits=shipped_origin(),
     )
