@@ -22,22 +22,25 @@ _NAMED = 4
 _LIMITS = "#b9c3cc"
 
 
-def control_charts(charts: Sequence[TrendChart], name: str = "control-charts") -> str:
-    """A panel for each chart, two in a row: band of the limits of a single night, intervals of the nights, alarms as crosses."""
+def control_charts(charts: Sequence[TrendChart], run_id: str, name: str = "control-charts") -> str:
+    """A panel for each chart, two in a row: band of the limits of a single night, intervals of the nights, alarms as crosses.
+
+    ``run_id`` is the night that is judged, marked by a ring where a chart has it.
+    """
     shown = [chart for chart in charts if chart.points]
     with style():
         rows = -(-len(shown) // 2)
         figure, grid = panels(rows, 2, 1.75, left=0.8, right=0.12, bottom=0.95, top=0.35, gap=0.85, between=0.62)
         for k, axes in enumerate(chain.from_iterable(grid)):
             if k < len(shown):
-                _panel(axes, shown[k])
+                _panel(axes, shown[k], run_id)
             else:
                 axes.set_axis_off()
         figure.legend(handles=_handles(), loc="lower left", ncols=4, bbox_to_anchor=(0.06, 0.0), columnspacing=1.6)
         return to_svg(figure, name, "Control charts: value of each night, limits of a single night, alarms")
 
 
-def _panel(axes: Axes, chart: TrendChart) -> None:
+def _panel(axes: Axes, chart: TrendChart, run_id: str) -> None:
     scale = 100.0 if chart.name == YIELD else 1.0
     x = np.arange(len(chart.points), dtype=np.float64)
     rows = np.array(
@@ -51,7 +54,8 @@ def _panel(axes: Axes, chart: TrendChart) -> None:
     finite = np.isfinite(low) & np.isfinite(high)
     axes.vlines(x[finite], low[finite], high[finite], color=ACCENT, lw=2.2, alpha=0.4)
     axes.plot(x, value, color=ACCENT, lw=0.7, marker="o", ms=4.5, mec="white", mew=0.5)
-    axes.plot(x[-1:], value[-1:], ls="none", marker="o", ms=8.5, mfc="none", mec=INK, mew=1.1)
+    judged = np.array([point.run_id == run_id for point in chart.points])
+    axes.plot(x[judged], value[judged], ls="none", marker="o", ms=8.5, mfc="none", mec=INK, mew=1.1)
     alarmed = np.array([bool(point.broken) for point in chart.points])
     axes.plot(x[alarmed], value[alarmed], ls="none", marker="X", ms=9, mfc=BEFORE, mec="white", mew=0.6)
     _window(axes, chart, value, low, high, lower, upper)

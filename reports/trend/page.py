@@ -19,8 +19,9 @@ def render_trend(content: TrendContent) -> str:
         .render(
             c=content,
             stylesheet=stylesheet(),
-            figures={"control-charts": control_charts(charts)} if charts else {},
+            figures={"control-charts": control_charts(charts, content.run_id)} if charts else {},
             charts=charts,
+            judged=[chart for chart in charts if chart.tonight.run_id == content.run_id],
             words=words,
             groups=_grouped(content),
         )

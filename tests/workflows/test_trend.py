@@ -232,6 +232,17 @@ def test_a_folder_without_runs_and_a_run_without_devices_are_one_line(fab, capfd
     assert "the run has no devices" in capfd.readouterr().err
 
 
+def test_a_night_without_an_identified_device_is_one_line(fab, capfd):
+    good = fab.night(1)
+    bad = fab.night(2, block=failed_block, code=1)
+    for arguments in ((bad, "--against", "last:3"), (bad, "--against", good), (good, "--against", bad)):
+        capfd.readouterr()
+        assert fab.report(*arguments) == 2
+        message = capfd.readouterr().err
+        assert "no device of the run could be identified" in message
+        assert message.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

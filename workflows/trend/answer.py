@@ -19,7 +19,7 @@ from reports.trend.content import (
     limit_alarms,
 )
 from reports.trend.difference import Comparison, compared
-from reports.trend.night import NightSummary
+from reports.trend.night import Night, NightSummary
 
 from .alarms import given
 from .changed import changes
@@ -60,7 +60,7 @@ def trend(
     else:
         earlier = _named(results, against, tonight)
         selection = Selection(tonight, (earlier,), ())
-        nights, charts = [read_night(results, tonight, names).summary(names)], ()
+        nights, charts = [_identified(read_night(results, tonight, names)).summary(names)], ()
     comparison, changed = (None, ()) if earlier is None else _compared(results, earlier, tonight, names)
     return TrendContent(
         run_id=tonight.run_id,
@@ -103,7 +103,7 @@ def _named(results: Path, against: str, tonight: StoredNight) -> StoredNight:
 def _read(results: Path, selection: Selection, names: Sequence[str]) -> tuple[list[NightSummary], Selection]:
     """All nights, tonight last; one without any identified device, or with tonight's devices again, is left out."""
     measured = selection.tonight.config.source.kind == "campaigns"
-    tonight = read_night(results, selection.tonight, names, identities=measured)
+    tonight = _identified(read_night(results, selection.tonight, names, identities=measured))
     kept: list[tuple[StoredNight, NightSummary]] = []
     left: list[LeftOut] = []
     seen = {frozenset(tonight.device_id)}
@@ -124,11 +124,23 @@ def _read(results: Path, selection: Selection, names: Sequence[str]) -> tuple[li
     return [*nights, tonight.summary(names)], replace(selection, earlier=earlier, left_out=(*others, *left))
 
 
+def _identified(night: Night) -> Night:
+    """``night``, if it has a yield."""
+    if not night.identified:
+        raise UsageError(
+            "no device of the run could be identified, so it has no yield and no means to compare",
+            value=night.run_id,
+            allowed="a run with at least one identified device",
+            next_step="name another run; gyroscreen report shows the reasons",
+        )
+    return night
+
+
 def _compared(
     results: Path, earlier: StoredNight, tonight: StoredNight, names: Sequence[str]
 ) -> tuple[Comparison, tuple[InputChange, ...]]:
     """The differences from one run to another, device by device where both hold the same devices."""
-    before, after = (read_night(results, one, names, identities=True) for one in (earlier, tonight))
+    before, after = (_identified(read_night(results, one, names, identities=True)) for one in (earlier, tonight))
     measured = tonight.config.source.kind == earlier.config.source.kind == "campaigns"
     paired = (measured or same_draws(earlier.config, tonight.config)) and set(before.device_id) == set(after.device_id)
     inputs = (inputs_of(results, earlier), inputs_of(results, tonight))
