@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import msgspec
 
+from pipeline.errors import printable
 from pipeline.toml_files import encoded, key, table
 
 from .irregularity import Irregularity, IrregularityParameter, find
@@ -116,11 +117,12 @@ def _about(parameter: IrregularityParameter) -> str:
 
 def _aligned(lines: list[tuple[str, str]]) -> str:
     width = max((len(text) for text, _ in lines if len(text) < 48), default=0)
-    return "".join(f"{text:{width}}  # {about}\n" if about else f"{text}\n" for text, about in lines)
+    return "".join(f"{text:{width}}  # {printable(about)}\n" if about else f"{text}\n" for text, about in lines)
 
 
 def _comment(text: str) -> str:
-    return "".join(f"# {line}\n" for line in textwrap.wrap(text, _WIDTH))
+    # TOML allows no control characters in comments.
+    return "".join(f"# {line}\n" for line in textwrap.wrap(printable(" ".join(text.split())), _WIDTH))
 
 
 def _commented(text: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, printable
 from pipeline.toml_files import check_known, encoded, plain_tables
 
 from .describe import irregularity_table, levels_of, values_of
@@ -70,7 +70,7 @@ def _new(path: Path) -> str:
     name = encoded(path.stem)
     return (
         f"# Population {name}: the shipped cloverleaf with the changes below.  All of it: "
-        f"`gyroscreen population show {path.name}`.\n"
+        f"`gyroscreen population show {printable(path.name)}`.\n"
         f'name = {name}\nextends = "cloverleaf"\n'
     )
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.errors import ConfigError
 from populations.describe import described, levels_of
@@ -119,6 +122,13 @@ def test_the_described_population_draws_the_same_devices_to_the_bit(tmp_path: Pa
         again = load_spec(written(tmp_path, "whole.toml", described(spec)))
         assert same_devices(spec, again)
         assert described(again) == described(spec), "the description does not describe itself"
+
+
+@given(st.text(max_size=30))
+def test_a_population_of_any_name_is_described_as_a_file_that_reads_back(name: str) -> None:
+    spec = msgspec.structs.replace(load_spec(), name=name)
+    again = load_spec(Path("any.toml"), described(spec))
+    assert (again.name, again.device) == (spec.name, spec.device)
 
 
 def test_every_irregularity_of_the_library_is_described_also_one_of_the_user(tmp_path: Path) -> None:
