@@ -30,7 +30,7 @@ def control_charts(charts: Sequence[TrendChart], run_id: str, name: str = "contr
     shown = [chart for chart in charts if chart.points]
     with style():
         rows = -(-len(shown) // 2)
-        figure, grid = panels(rows, 2, 1.75, left=0.8, right=0.12, bottom=0.95, top=0.35, gap=0.85, between=0.62)
+        figure, grid = panels(rows, 2, 1.75, left=0.8, right=0.42, bottom=0.95, top=0.35, gap=0.85, between=0.62)
         for k, axes in enumerate(chain.from_iterable(grid)):
             if k < len(shown):
                 _panel(axes, shown[k], run_id)

@@ -94,7 +94,8 @@ def alarm_words(alarm: Alarm) -> str:
         return f"{_started(alarm.name)} {value} is beyond the limit that was set: {allowed}."
     if alarm.rule == "1 of 1":
         return f"{_started(alarm.name)} {value} is beyond the limits of one night, {allowed}."
-    return f"{_started(alarm.name)} {value}: {alarm.rule} nights lie far on the same side."
+    count, _, last = alarm.rule.partition(" of ")
+    return f"{_started(alarm.name)} {value}: {count} of the last {last} nights lie far on the same side of the mean."
 
 
 def _started(name: str) -> str:
