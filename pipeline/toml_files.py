@@ -2,6 +2,7 @@
 
     load(path, kind, ..)            file   -> kind
     decode(text, kind, where)       bytes  -> kind
+    plain_tables(text, where)       bytes  -> tables
     converted(tree, kind, where)    tables -> kind
 
 ``kind`` is a msgspec struct that declares the keys, their types and their ranges.  Every fault is one
@@ -78,6 +79,16 @@ def decode(text: bytes, kind: type[T], where: str) -> T:
     ------
     ConfigError : not TOML, or a wrong key or value.
     """
+    return converted(plain_tables(text, where), kind, where)
+
+
+def plain_tables(text: bytes, where: str) -> dict[str, Any]:
+    """``text`` as plain tables; ``where`` names the file in messages.
+
+    Raises
+    ------
+    ConfigError : not TOML, or too large.
+    """
     try:
         plain = text.decode()
         if len(text) > TOML_BYTES:  # text that was not read from a file
@@ -88,8 +99,8 @@ def decode(text: bytes, kind: type[T], where: str) -> T:
                 next_step="check that this is the right file",
             )
         check_toml(plain, where, ConfigError)
-        tree = msgspec.toml.decode(plain)
-        _check_keys(tree, where)
+        found: dict[str, Any] = msgspec.toml.decode(plain)
+        _check_keys(found, where)
     except (ValueError, RecursionError) as error:  # msgspec.DecodeError, UnicodeDecodeError
         raise ConfigError(
             f"{where} is not TOML",
@@ -97,7 +108,7 @@ def decode(text: bytes, kind: type[T], where: str) -> T:
             allowed="TOML 1.0 in UTF-8",
             next_step="correct the line named",
         ) from error
-    return converted(tree, kind, where)
+    return found
 
 
 def _check_keys(tree: Any, where: str) -> None:

@@ -49,12 +49,14 @@ class LatentSpace:
     first : stream -> its first entry.
     size : stream -> number of its entries.
     lengths : stream of a field -> correlation lengths [mm] in the order of its entries.
+    fixed : irregularities that read numbers which all devices share.
     """
 
     names: tuple[str, ...]
     first: Mapping[str, int]
     size: Mapping[str, int]
     lengths: Mapping[str, tuple[float, ...]]
+    fixed: frozenset[str] = frozenset()
 
     @property
     def dimension(self) -> int:
@@ -68,6 +70,7 @@ class _Recorder:
     def __init__(self) -> None:
         self.size: dict[str, int] = {}
         self.lengths: dict[str, tuple[float, ...]] = {}
+        self.shared: set[str] = set()
         self._numbers = SeededNumbers(0)
 
     def normal(self, stream: str, keys: IntArray, size: int) -> FloatArray:
@@ -79,6 +82,7 @@ class _Recorder:
         return self._numbers.uniform(stream, keys)
 
     def fixed(self, stream: str, size: int) -> FloatArray:
+        self.shared.add(stream.partition("/")[0])
         return self._numbers.fixed(stream, size)
 
     def field(self, stream: str, keys: IntArray, die: IntArray, wafer: Wafer, length_mm: float) -> FloatArray:
@@ -183,7 +187,7 @@ def latent_space(spec: PopulationSpec) -> LatentSpace:
     for stream, count in size.items():
         first[stream] = len(names)
         names += [stream] if count == 1 else [f"{stream}[{k}]" for k in range(count)]
-    return LatentSpace(tuple(names), first, size, dict(recorder.lengths))
+    return LatentSpace(tuple(names), first, size, dict(recorder.lengths), frozenset(recorder.shared))
 
 
 def draw_latent(spec: PopulationSpec, space: LatentSpace, z: FloatArray, seed: int) -> Draw:

@@ -6,10 +6,19 @@ The unit of a field is the end of its name; ranges are checked when the file is 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, get_type_hints
 
 import msgspec
 from msgspec import Meta
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a key of a population file means, in a few words."""
+
+    text: str
+
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 Fraction = Annotated[float, Meta(ge=0.0, lt=1.0)]
@@ -23,24 +32,28 @@ class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     Figure 2; the electrodes lie on the diagonals.
     """
 
-    rocking_hz: Positive  # f0, both rocking modes
-    updown_hz: Positive  # f3
-    rocking_gain_per_s: Positive  # l^2 K_S K_D / I_0p
-    updown_gain_per_s: Positive  # K_S K_D / m
-    angular_gain: Annotated[float, Meta(gt=0.0, le=2.0)]  # kappa = I_p / I_0p
-    quality_rocking: Positive  # total Q of the rocking modes, at the nominal pressure
-    quality_updown: Positive  # total Q of the up-down mode, at the nominal pressure
-    quality_anchor: Positive  # Q of the anchor loss alone, all modes
-    quality_thermoelastic: Positive  # Q of the thermoelastic loss alone, all modes
-    spring_azimuth_deg: Annotated[tuple[float, ...], Meta(min_length=2, max_length=32)]  # (J,)
-    spring_width_um: Positive
-    crystal_angle_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]  # from <100> to the x axis, on a (100) wafer
-    arm_mm: Positive  # l, distance of the electrodes from the centre along x and y
-    post_mass_fraction: Fraction  # mass of the post over that of the moving part
-    softening_hz_per_v2: Annotated[float, Meta(ge=-10.0, le=0.0)]  # shift of f0 by both drive electrodes together
-    nominal_bias_v: Positive
-    nominal_temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0)]
-    nominal_pressure_pa: Positive
+    rocking_hz: Annotated[Positive, Meaning("f0, both rocking modes")]
+    updown_hz: Annotated[Positive, Meaning("f3")]
+    rocking_gain_per_s: Annotated[Positive, Meaning("l^2 K_S K_D / I_0p")]
+    updown_gain_per_s: Annotated[Positive, Meaning("K_S K_D / m")]
+    angular_gain: Annotated[float, Meta(gt=0.0, le=2.0), Meaning("kappa = I_p / I_0p")]
+    quality_rocking: Annotated[Positive, Meaning("total Q of the rocking modes, at the nominal pressure")]
+    quality_updown: Annotated[Positive, Meaning("total Q of the up-down mode, at the nominal pressure")]
+    quality_anchor: Annotated[Positive, Meaning("Q of the anchor loss alone, all modes")]
+    quality_thermoelastic: Annotated[Positive, Meaning("Q of the thermoelastic loss alone, all modes")]
+    spring_azimuth_deg: Annotated[
+        tuple[float, ...], Meta(min_length=2, max_length=32), Meaning("(J,) of the springs, from the x axis")
+    ]
+    spring_width_um: Annotated[Positive, Meaning("of each spring")]
+    crystal_angle_deg: Annotated[float, Meta(ge=-90.0, le=90.0), Meaning("from <100> to the x axis, on a (100) wafer")]
+    arm_mm: Annotated[Positive, Meaning("l, distance of the electrodes from the centre along x and y")]
+    post_mass_fraction: Annotated[Fraction, Meaning("mass of the post over that of the moving part")]
+    softening_hz_per_v2: Annotated[
+        float, Meta(ge=-10.0, le=0.0), Meaning("shift of f0 by both drive electrodes together")
+    ]
+    nominal_bias_v: Annotated[Positive, Meaning("at which the frequencies and gains above hold")]
+    nominal_temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0), Meaning("at which the frequencies above hold")]
+    nominal_pressure_pa: Annotated[Positive, Meaning("at which the Q above hold")]
 
     @property
     def lever(self) -> float:
@@ -56,17 +69,24 @@ class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 class Wafer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The wafer, and the number of wafers and lots of a batch."""
 
-    diameter_mm: Positive
-    pitch_mm: Positive
-    edge_exclusion_mm: Annotated[float, Meta(ge=0.0, le=1000.0)]  # of die centres
-    lots_per_batch: Count
-    wafers_per_lot: Count
+    diameter_mm: Annotated[Positive, Meaning("of the wafer")]
+    pitch_mm: Annotated[Positive, Meaning("distance of neighbouring dies, along x and y")]
+    edge_exclusion_mm: Annotated[float, Meta(ge=0.0, le=1000.0), Meaning("of die centres")]
+    lots_per_batch: Annotated[Count, Meaning("lots that are sampled in turn")]
+    wafers_per_lot: Annotated[Count, Meaning("wafers that are sampled of each lot")]
 
 
 class Operating(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Operating point of the packaged device [V, degC, Pa], and the pressure in the wafer prober [Pa]."""
 
-    bias_v: Positive
-    temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0)]
-    lid_pressure_pa: Positive
-    probe_pressure_pa: Positive
+    bias_v: Annotated[Positive, Meaning("on the drive electrodes of the packaged device")]
+    temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0), Meaning("of the packaged device, on average")]
+    lid_pressure_pa: Annotated[Positive, Meaning("under a tight lid, on average")]
+    probe_pressure_pa: Annotated[Positive, Meaning("in the wafer prober")]
+
+
+def meanings(kind: type[msgspec.Struct]) -> dict[str, str]:
+    """Key -> meaning of one of the tables above."""
+    hints = get_type_hints(kind, include_extras=True)
+    notes = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {name: next((one.text for one in own if isinstance(one, Meaning)), "") for name, own in notes.items()}

@@ -1,6 +1,7 @@
 """Populations: read from TOML, checked, changed by name, and written back exactly.
 
 name = ".."                       [device] [wafer] [operating]: see ``nominal``
+extends = "cloverleaf"            optional: the file states only what differs; see ``extend``
 irregularity_folders = ["mine"]   optional: folders with your own irregularities, relative to this file
 [irregularity.spring_thickness]   one table per irregularity; without a table it is not in the population
 lot_pct = 0.5                     a parameter that is left out has its null value
@@ -14,13 +15,14 @@ from pathlib import Path
 import msgspec
 
 from pipeline.errors import ConfigError
-from pipeline.toml_files import check_known, converted, decode, load, table
+from pipeline.toml_files import check_known, converted, decode, table
 
+from .extend import EXTENDS, SPECS, WITHOUT, whole
 from .irregularity import Irregularity, IrregularityParameter, find
 from .layout import die_centres
 from .nominal import NominalDevice, Operating, Wafer
 
-DEFAULT = Path(__file__).parent / "specs" / "cloverleaf.toml"
+DEFAULT = SPECS / "cloverleaf.toml"
 ANGULAR_GAIN = "angular_gain"
 
 
@@ -91,16 +93,23 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         return "\n".join([table("", data), *parts])
 
 
-def load_spec(path: Path | None = None) -> PopulationSpec:
+def load_spec(path: Path | None = None, text: str | None = None) -> PopulationSpec:
     """The population in the TOML file ``path``; ``None`` is the shipped cloverleaf.
+
+    Parameters
+    ----------
+    text : stands for the content of the file, which need not exist.
 
     Raises
     ------
-    ConfigError : the file cannot be read; an unknown key; a wrong type; a value out of range.
+    ConfigError : a file cannot be read; an unknown key; a wrong type; a value out of range; a chain that extends itself.
     """
     source = DEFAULT if path is None else path
-    spec = load(source, PopulationSpec, "population", f"start from a copy of {DEFAULT.name} in populations/specs")
-    return _checked(spec, source.resolve().parent, source.name)
+    where = source.name
+    tables = whole(source, None if text is None else text.encode())
+    for key in tables:
+        check_known(key, (*PopulationSpec.__struct_fields__, EXTENDS, WITHOUT), where)
+    return _checked(converted(tables, PopulationSpec, where), source.resolve().parent, where)
 
 
 def spec_from_toml(text: str, where: str) -> PopulationSpec:

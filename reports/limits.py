@@ -183,4 +183,13 @@ def _limit(name: str, bounds: BoundsTable, where: str) -> Limit:
     return Limit(name, low, high)
 
 
-DEFAULT_LIMITS: Limits = load_limits(Path(__file__).with_name("limits_default.toml"))
+def bounds_of(limits: Limits) -> dict[str, BoundsTable]:
+    """The limits as the tables of a file."""
+    return {
+        one.quantity: BoundsTable(*(end if math.isfinite(end) else None for end in (one.low, one.high)))
+        for one in limits.limits
+    }
+
+
+DEFAULT_FILE = Path(__file__).with_name("limits_default.toml")
+DEFAULT_LIMITS: Limits = load_limits(DEFAULT_FILE)

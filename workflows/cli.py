@@ -21,7 +21,7 @@ from typer.exceptions import TyperException
 
 from pipeline.errors import GyroscreenError, printable_lines
 
-from .commands.groups import benchmarks, devices, models, screening
+from .commands.groups import benchmarks, devices, models, nights, populations, screening
 from .process import INTERRUPTED, end_like_ctrl_c, keep_memory, repeat_lost_interrupts, survive_any_encoding
 
 #: What the file system says when it cannot store what is printed.
@@ -40,6 +40,9 @@ app = typer.Typer(
 for _command in (*screening.COMMANDS, *devices.COMMANDS):
     app.command()(_command)
 app.add_typer(models.app, name="model")
+app.add_typer(populations.app, name="population")
+for _benchmark in nights.BENCHMARKS:
+    benchmarks.app.command()(_benchmark)
 app.add_typer(benchmarks.app, name="benchmark")
 
 

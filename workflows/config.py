@@ -21,8 +21,9 @@ from pipeline.input_limits import RECORD_VALUES
 from pipeline.performance.figure import by_table, find_figures
 from pipeline.performance.operating_point import OperatingPoint
 from pipeline.toml_files import check_known, converted, decode, load
-from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, checked_limits
+from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, bounds_of, checked_limits
 from reports.rules import RuleName, RuleTable
+from reports.trend.charted import night_limits
 
 from .config_tables import (
     DiagnosisTable,
@@ -39,6 +40,7 @@ from .config_tables import (
     SamplingTable,
     SourceTable,
     TargetsTable,
+    TrendTable,
     TrimTable,
 )
 
@@ -67,6 +69,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     posterior: PosteriorTable = PosteriorTable()
     gate: GateTable = GateTable()
     targets: TargetsTable = TargetsTable()
+    trend: TrendTable = TrendTable()
     trim: TrimTable | None = None
     sampling: SamplingTable | None = None
     effects: dict[str, EffectTable] = {}
@@ -110,6 +113,11 @@ def load_config(path: Path | None, overrides: Mapping[str, Any] | None = None) -
     config = config if path is None else _with_absolute_paths(config, path.absolute().parent)
     _check(config, source.name)
     return config
+
+
+def with_stated_limits(config: RunConfig) -> RunConfig:
+    """``config`` with the shipped limits stated where it has no [limits]: a run stores those by which it was judged."""
+    return config if config.limits else msgspec.structs.replace(config, limits=bounds_of(DEFAULT_LIMITS))
 
 
 def changed_config(config: RunConfig, overrides: Mapping[str, Any]) -> RunConfig:
@@ -188,6 +196,7 @@ def _check(config: RunConfig, where: str) -> None:
             next_step='write path = ".." in [source]',
         )
     config.judged_by(where)
+    night_limits(config.trend.limits, where)
     check_phase(config.demodulation, config.systematic, where)
     if not config.systematic.built().exact and config.posterior.stored_draws < LEAST_STORED_DRAWS:
         raise ConfigError(

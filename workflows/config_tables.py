@@ -30,7 +30,7 @@ from pipeline.experiment.noise.source import Kind, NoiseKind
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.sample import SamplerSettings
 from pipeline.toml_files import MAY_BE_INFINITE
-from reports.limits import Limits
+from reports.limits import BoundsTable, Limits
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 #: Mean and sd of a parameter of an effect; the largest range of one ends at 1e15.
@@ -267,3 +267,14 @@ class SamplingTable(Struct, frozen=True, forbid_unknown_fields=True):
     devices: Annotated[int, Meta(ge=1, le=100_000_000)] = 20_000
     precision: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.2
     method: Literal["importance", "plain"] = "importance"
+
+
+class TrendTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Alarms of `gyroscreen report --against`, which set the exit code 1.
+
+    ``false_alarm`` is the probability that a night in control raises any alarm of the control charts (absent: they are drawn, and
+    decide nothing); ``limits`` bound the yield of a night, "yield", and means of its quantities.
+    """
+
+    false_alarm: Annotated[float, Meta(gt=0.0, lt=0.5)] | None = None
+    limits: dict[str, BoundsTable] = {}

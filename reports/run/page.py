@@ -17,7 +17,9 @@ from ..capability import Common
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
+from ..limits_origin import LimitsOrigin
 from ..words.capability import index_words, no_index, share_words
+from ..words.limits import origin_sentence
 from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
@@ -57,6 +59,7 @@ def render_run_report(
     lot_effects: LotEffects | None = None,
     physics: RunPhysics | None = None,
     common: Common = MappingProxyType({}),
+    limits_origin: LimitsOrigin | None = None,
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -68,6 +71,7 @@ def render_run_report(
     lot_effects : findings about its misfits.
     physics : what its devices and its model contain, stated at the head of the page.
     common : quantity -> (E, B) shift by one sd of each error that all devices share.
+    limits_origin : where the limits came from.
 
     Raises
     ------
@@ -82,6 +86,7 @@ def render_run_report(
         figures=run_figures(devices, content),
         corners=corner_plots(content.worst, run.posterior),
         sections=_sections(content),
+        limits_origin="" if limits_origin is None else origin_sentence(limits_origin),
         physics=(*(() if physics is None else physics_sentences(physics)), *_noise(devices)),
         diagnostics=_DIAGNOSTICS,
         route_names=_ROUTE,

@@ -164,13 +164,14 @@ def test_the_version_is_that_of_the_distribution(capfd):
         (
             [],
             "run rare query report verify identify paper init check simulate compare diagnose refine demo effects model "
-            "benchmark",
+            "population benchmark",
         ),
         (["model"], "show add drop export"),
+        (["population"], "show add drop"),
         (
             ["benchmark"],
             "coverage undetected foreign-gyros sweeps decays rare efficiency throughput scaling faults sequential lattice "
-            "silverbox hidden-effects",
+            "silverbox hidden-effects trend",
         ),
     ],
 )

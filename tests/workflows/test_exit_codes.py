@@ -68,6 +68,12 @@ def _damaged(tmp: Path, patch: pytest.MonkeyPatch) -> list[str]:
     return ["verify", "--results", str(tmp / "results")]
 
 
+def _alarmed(tmp: Path, patch: pytest.MonkeyPatch) -> list[str]:
+    stub_runs(patch)
+    assert call(run_arguments(tmp)) == 0
+    return ["report", "--results", str(tmp / "results"), "--against", "last:5", "--alarm", "yield.max=0.5"]
+
+
 def _campaign(tmp: Path) -> str:
     from pipeline.experiment.campaign import write_campaign
 
@@ -123,6 +129,7 @@ CASES: dict[str, tuple[int, Case, str]] = {
         _run(stub_block("fit_failed", "no maximum")),
         "4 of 4 devices fit failed",
     ),
+    "report --against: an alarm that the user set": (1, _alarmed, "error: alarm: Yield 100 %"),
     "identify: status misfit": (1, _identify("misfit"), "gyroscreen diagnose"),
     "identify: status fit_failed": (1, _identify("fit_failed"), "gyroscreen check"),
     "identify: status not_converged": (0, _identify("not_converged"), ""),

@@ -27,6 +27,7 @@ from pipeline.plain import plain
 from pipeline.quantities import QUANTITIES
 from reports.decision import decide
 from reports.limits import Limits, load_limits
+from reports.limits_origin import origin_of_file
 from reports.rules import Rule
 from reports.words.noise import noise_words
 from reports.words.numbers import rounded, sd_text, with_sd
@@ -60,7 +61,8 @@ def identify(measurement: Path, model: Path | None, limits: Path | None, json: b
         gate = load_config(None).gate.gate(judged_by)
         result = identify_device(found, None if model is None else load_model(model), gate=gate)
         columns = {**result.columns, **({"reference": result.reference} if found.reference else {})}
-        columns |= {} if own is None else _decision(own, result)
+        if own is not None and limits is not None:
+            columns |= _decision(own, result) | {"limits": origin_of_file(limits, "command line").to_dict()}
         lines = _text(result) + ([] if own is None else [_verdict_text(columns)])
     print(json_.dumps(plain(columns)) if json else printable_lines("\n".join(lines)))
     require_identified(columns.get("status"), columns.get("status_reason"), measurement)

@@ -11,10 +11,15 @@ from typing import TYPE_CHECKING, Any
 import tomli_w
 
 from pipeline.errors import IncompleteError, InterruptedRunError, UsageError, printable_lines
+from pipeline.plain import plain
 from pipeline.store.run import RunStore, discard_run
+from reports.limits_origin import LimitsOrigin, origin_of_file, shipped_origin
+from reports.words.preview import preview_lines
 
 from ..config import RunConfig, changed_config, load_config, to_toml_table
 from ..screening.plan import RunPlan, config_of, plan, resume, start, without_none
+from ..screening.preview import preview
+from ..screening.settings import population
 from .groups.options import DEFAULT_RESULTS
 
 if TYPE_CHECKING:
@@ -42,11 +47,12 @@ def run(
     if resume_run is not None:
         planned, store = resume(out, resume_run, _wanted(config, overrides, out, resume_run))
     else:
-        planned = plan(load_config(config, overrides))
+        wanted = load_config(config, overrides)
+        planned, limits = plan(wanted), _limits_of(wanted, config)
         if dry_run:
-            _show_plan(planned, json)
+            _show_plan(planned, limits, json)
             return
-        planned, store = start(planned, out)
+        planned, store = start(planned, out, limits)
     # A dry run does without the cluster and the report.
     from ..screening.batch import run_batch
     from ..screening.outcome import check_identified, check_targets
@@ -70,6 +76,11 @@ def run(
     check_targets(planned.config.targets, result)
 
 
+def _limits_of(config: RunConfig, path: Path | None) -> LimitsOrigin:
+    """Where the limits of a run come from: [limits] of its file, or the shipped default."""
+    return origin_of_file(path) if path is not None and config.limits else shipped_origin()
+
+
 def _wanted(config: Path | None, overrides: dict[str, Any], out: Path, run_id: str) -> RunConfig | None:
     """What the user asks --resume for: CONFIG, or the run's own configuration with --devices and --seed."""
     if config is not None:
@@ -89,14 +100,33 @@ def _option(results: Path, name: str) -> str:
     return "" if results == DEFAULT_RESULTS else f" {name} {shlex.quote(str(results))}"
 
 
-def _show_plan(planned: RunPlan, json: bool) -> None:
-    table = without_none(to_toml_table(planned.config))
+def _show_plan(planned: RunPlan, limits: LimitsOrigin, json: bool) -> None:
+    config = planned.config
+    table = without_none(to_toml_table(config))
     table["source"].pop("spec_toml", None)
+    implied = preview(config)
+    spec = population(config).name if config.source.kind == "population" else None
     if json:
-        print(json_.dumps({"devices": planned.devices, "blocks": len(planned.blocks), "config": table}))
+        known = {
+            "devices": planned.devices,
+            "blocks": len(planned.blocks),
+            "config": table,
+            "population": spec,
+            "limits": limits.to_dict(),
+            "implied": None if implied is None else implied.to_dict(),
+        }
+        print(json_.dumps(plain(known)))
         return
     print(tomli_w.dumps(table).rstrip())
+    lines = [] if spec is None else [f"population: {spec}, {', '.join(_population_files(planned))}"]
+    lines += preview_lines(implied, config.judged_by(), limits)
+    print("\n" + printable_lines("\n".join(f"# {line}" for line in lines)))
     print(f"\n{planned.devices} devices in {len(planned.blocks)} blocks; dry run: nothing was run", file=sys.stderr)
+
+
+def _population_files(planned: RunPlan) -> list[str]:
+    """The file of the population, and those that it extends."""
+    return [Path(file.path).name for file in planned.inputs.of("population")]
 
 
 def _summary(result: RunResult, out: Path) -> str:

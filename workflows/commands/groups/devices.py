@@ -39,7 +39,7 @@ def init(
     files: Annotated[list[Path], typer.Argument(help="Record files of one device, all with the same columns.")],
     out: Annotated[Path | None, typer.Option(help="Folder for campaign.toml; default: <first file>-campaign.")] = None,
 ) -> None:
-    """Look at foreign files, write campaign.toml, plot what was read."""
+    """Look at foreign files, write campaign.toml, plot them."""
     from ..init import init as command
 
     command(files, out)

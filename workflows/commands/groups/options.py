@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from pipeline.errors import UsageError
 
 Json = Annotated[bool, typer.Option("--json", help="Write one JSON object to stdout and nothing else.")]
 Results = Annotated[Path, typer.Option("--results", help="Folder that contains the runs.")]
@@ -25,3 +28,15 @@ LimitsFile = Annotated[
 Seed = Annotated[int, typer.Option(help="Seed of all random streams.")]
 Workers = Annotated[int, typer.Option(help="Number of local worker processes; 0: one per core.")]
 Devices = Annotated[int, typer.Option(help="Number of virtual devices.")]
+
+
+def only_with(option: str, others: Mapping[str, object]) -> None:
+    """Check that no option among ``others`` is given, as they belong to ``option``.
+
+    Raises
+    ------
+    UsageError : one is given.
+    """
+    for name, value in others.items():
+        if value:
+            raise UsageError(f"{name} belongs to {option}", next_step=f"give {option} too, or leave {name} out")

@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
-from .options import DEFAULT_RESULTS, Json, Results, Workers
+from pipeline.errors import UsageError
+
+from .options import DEFAULT_RESULTS, Json, Results, Workers, only_with
 
 
 def run(
@@ -89,13 +91,36 @@ def report(
         Path | None,
         typer.Option("--limits", help="Judge the stored run again by these limits (TOML): a page of its own."),
     ] = None,
+    against: Annotated[
+        str | None, typer.Option(help="Compare with this run, or with 'last:N' nights: differences, control charts.")
+    ] = None,
+    alarm: Annotated[
+        list[str] | None,
+        typer.Option(help="With --against: false_alarm=0.01, yield.min=0.5, QUANTITY.max=..; sets the exit code 1."),
+    ] = None,
+    leave_out: Annotated[
+        list[str] | None, typer.Option("--leave-out", help="With --against last:N: an earlier run that does not count.")
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Write the report of a run again.
+    """Write the report of a run again, judge it by other limits, or compare nights.
 
-    With --limits, the stored posterior draws are judged again and a page beside the report shows what changes; the report and the
-    results stay as they are.
+    With --limits, the stored posterior draws are judged again and a page beside the report shows what changes.  With --against, a
+    comparison is stored as trend.html beside the report.  The report and the results stay as they are.
     """
+    if against is not None:
+        if limits is not None:
+            raise UsageError(
+                "--limits and --against are two questions",
+                value="both",
+                allowed="one of them",
+                next_step="call the command once for each",
+            )
+        from ..trend import against as compare
+
+        compare(run, results, against, alarm or [], leave_out or [], out, json)
+        return
+    only_with("--against", {"--alarm": alarm, "--leave-out": leave_out})
     from ..results import report as command
 
     command(run, results, out, limits, json)
