@@ -33,7 +33,7 @@ BLOCKS, MOST_BYTES = 256, 16 << 20
 #: At the end of a run the blocks after the last whole group are merged if there are at least so many: fewer are no burden.
 _LEAST_REST = 32
 #: Names of tables and journals, which only the store writes.
-OWN = re.compile(r"(devices|posterior)-\d{5,}(-\d{5,})?(-amended)?\.parquet|journal-[0-9a-f]{16}\.jsonl")
+OWN = re.compile(r"(devices|posterior|irregularities)-\d{5,}(-\d{5,})?(-amended)?\.parquet|journal-[0-9a-f]{16}\.jsonl")
 
 
 def put_manifest(folder: Path, manifest: Manifest) -> None:
@@ -105,7 +105,7 @@ def groups(manifest: Manifest, rest: bool) -> list[tuple[FileEntry, ...]]:
     """Files of single blocks that become one file each, in block order."""
     blocks = manifest.blocks()
     found: list[tuple[FileEntry, ...]] = []
-    kinds: tuple[Kind, ...] = ("devices", "posterior")
+    kinds: tuple[Kind, ...] = ("devices", "posterior", "irregularities")
     for kind in kinds:
         own: dict[int, list[FileEntry]] = {}
         for entry in manifest.of_kind(kind):

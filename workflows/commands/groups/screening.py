@@ -57,7 +57,9 @@ def rare(
 
 
 def query(
-    sql: Annotated[str, typer.Argument(help="One SELECT on the views devices, posterior, runs, columns.")],
+    sql: Annotated[
+        str, typer.Argument(help="One SELECT on the views devices, posterior, irregularities, runs, columns.")
+    ],
     results: Results = DEFAULT_RESULTS,
     format: Annotated[
         str | None, typer.Option(help="table, csv, json or parquet; default: the suffix of --out, else table.")
