@@ -1,4 +1,4 @@
-"""Declaration of the commands of the screening run: run, rare, query, report, verify."""
+"""Declaration of the commands of the screening run: run, rare, query, report, attribute, verify."""
 
 from __future__ import annotations
 
@@ -90,6 +90,27 @@ def report(
     command(run, results, out)
 
 
+def attribute(
+    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    results: Results = DEFAULT_RESULTS,
+    what_if: Annotated[
+        str | None,
+        typer.Option(
+            "--what-if", help='Change of the population, as "spring_width.wafer_um*0.5, lid_leak.fraction=0.01".'
+        ),
+    ] = None,
+    samples: Annotated[int, typer.Option(help="Virtual devices from which the shares are found.")] = 10_000,
+    json: Json = False,
+) -> None:
+    """Say which irregularity, at which level, the loss of a run comes from.
+
+    With --what-if, the loss if the population were another one: the stored devices drawn again, and reweighted.
+    """
+    from ..attribute import attribute as command
+
+    command(run, results, what_if, samples, json)
+
+
 def verify(
     results: Results = DEFAULT_RESULTS,
     json: Json = False,
@@ -108,4 +129,4 @@ def verify(
     command(results, json, repair)
 
 
-COMMANDS = (run, rare, query, report, verify)
+COMMANDS = (run, rare, query, report, attribute, verify)
