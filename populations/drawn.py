@@ -33,6 +33,12 @@ class NumberName:
     component: int
 
 
+def number_name(stream: str, component: int) -> NumberName:
+    """The name of a number of the stream "irregularity/level/label"."""
+    irregularity, level, label = stream.split("/", 2)
+    return NumberName(irregularity, level, label, component)
+
+
 @dataclass(frozen=True, eq=False)
 class DrawnNumbers:
     """The standard normals (d, B) [1] of B devices, with their names (d,)."""
@@ -78,9 +84,5 @@ class RecordedNumbers:
 
     def drawn(self, count: int) -> DrawnNumbers:
         """What was read so far, for ``count`` devices, in the order of the first reading."""
-        names = tuple(
-            NumberName(*stream.split("/", 2), component)  # type: ignore[misc,arg-type]
-            for stream, rows in self.rows.items()
-            for component in range(len(rows))
-        )
+        names = tuple(number_name(stream, k) for stream, rows in self.rows.items() for k in range(len(rows)))
         return DrawnNumbers(names, np.concatenate([np.zeros((0, count)), *self.rows.values()]))

@@ -17,7 +17,7 @@ from pipeline.arrays import FloatArray, IntArray
 from pipeline.errors import ConfigError, UsageError
 
 from .draw import Draw, draw_with
-from .drawn import NumberName
+from .drawn import NumberName, number_name
 from .latent import LatentNumbers, LatentSpace, latent_space
 from .layout import places
 from .nominal import Wafer
@@ -47,7 +47,7 @@ def number_names(spec: PopulationSpec) -> tuple[NumberName, ...]:
     """Names of the numbers (d,) that a device of the population is drawn with."""
     space = latent_space(spec)
     return tuple(
-        NumberName(*stream.split("/", 2), component)  # type: ignore[misc,arg-type]
+        number_name(stream, component)
         for stream, size in space.size.items()
         if stream != DIE
         for component in range(size)

@@ -72,13 +72,13 @@ class Attribution:
     samples : virtual devices that were exchanged number by number to find ``process``.
     process : shares of the population, by truth.
     verdicts : share of the variance of "not passed" that is that of the true loss; ``None`` where nothing or everything is lost.
-    stored : shares from the stored devices.
+    stored : shares from the stored devices; ``None`` where not asked for.
     """
 
     samples: int
     process: tuple[OutputShares, ...]
     verdicts: Estimate | None
-    stored: StoredShares
+    stored: StoredShares | None = None
 
     def loss(self) -> OutputShares:
         """The loss to all limits."""

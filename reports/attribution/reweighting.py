@@ -72,7 +72,9 @@ def paired_share(before: FloatArray, after: FloatArray, lot: IntArray) -> Change
 
 def _changed(before: FloatArray, w0: FloatArray, after: FloatArray, w1: FloatArray, lot: IntArray) -> ChangedShare:
     _, index = np.unique(lot, return_inverse=True)
-    sums = [np.bincount(index, weights=w) for w in (w0, w0 * before, w1, w1 * after)]
+    sums: list[FloatArray] = [
+        np.bincount(index, weights=w).astype(np.float64) for w in (w0, w0 * before, w1, w1 * after)
+    ]
     shares = float(sums[1].sum() / sums[0].sum()), float(sums[3].sum() / sums[2].sum())
     influence = [
         (lost - share * whole) / whole.sum() for whole, lost, share in zip(sums[::2], sums[1::2], shares, strict=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.quantities import QUANTITIES
 
+from ..attribution.content import Attribution
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
@@ -20,6 +21,7 @@ from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
 from .figures import corner_plots, run_figures
 from .lot_effects import LotEffects, counted, probability, with_sd
+from .sources import loss_sources
 from .worst import WorstEstimate
 
 MOST_GROUPS = 60
@@ -53,6 +55,7 @@ def render_run_report(
     population_summary: Mapping[str, Any] | None = None,
     lot_effects: LotEffects | None = None,
     physics: RunPhysics | None = None,
+    attribution: Attribution | None = None,
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -63,6 +66,7 @@ def render_run_report(
     population_summary : description of the population; nested tables become dotted names.
     lot_effects : findings about its misfits.
     physics : what its devices and its model contain, stated at the head of the page.
+    attribution : where the loss comes from; ``None`` leaves the section out.
 
     Raises
     ------
@@ -76,7 +80,8 @@ def render_run_report(
         stylesheet=stylesheet(),
         figures=run_figures(devices, content),
         corners=corner_plots(content.worst, run.posterior),
-        sections=_sections(content),
+        sections=_sections(content, attribution is not None),
+        sources=None if attribution is None else loss_sources(attribution),
         physics=(*(() if physics is None else physics_sentences(physics)), *_noise(devices)),
         diagnostics=_DIAGNOSTICS,
         route_names=_ROUTE,
@@ -105,11 +110,12 @@ def _truth(estimate: WorstEstimate) -> str:
     return measured(estimate.truth, estimate.sd).partition(" ±")[0]
 
 
-def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
+def _sections(content: RunContent, sources: bool) -> tuple[tuple[str, str], ...]:
     return tuple(
         (key, name)
         for key, name, there in (
             ("causes", "Causes of loss", content.identified),
+            ("sources", "Where the loss comes from", sources),
             ("yield", "Yield", content.identified),
             ("wafers", "Wafers", content.identified and bool(content.wafers)),
             ("distributions", "Theta and split", content.identified),

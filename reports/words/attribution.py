@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from ..attribution.content import FIELD, LOSS, PLACE, Attribution, OutputShares, Source, StoredShares, WhatIf
 from ..attribution.reweighting import LEAST_LOTS_WITH_LOSS, ChangedShare, Estimate
+from ..yields import clopper_pearson
 from .numbers import number
 from .rare import share_words
 
 #: Sources that the terminal lists; the others are added up.
 _SHOWN = 12
 #: sd of the largest share above which the shares say nothing: its interval is then wider than half of all.
-_UNDETERMINED = 0.13
+UNDETERMINED = 0.13
 
 METHOD = (
     "Shapley shares: what irregularities do together is divided equally among them, so that the shares add up to 100 %."
@@ -45,10 +46,14 @@ def output_words(output: str) -> str:
 def attribution_lines(found: Attribution) -> list[str]:
     """What ``gyroscreen attribute`` prints."""
     loss = found.loss()
-    lines = [f"true loss of the population: {share_words(loss.mean)}, from {found.samples} virtual devices"]
+    spread = clopper_pearson(round(loss.mean * found.samples), found.samples)
+    lines = [
+        f"true loss of the population: {share_words(loss.mean)} ({share_words(spread.low)} to {share_words(spread.high)}), from"
+        f" {found.samples} virtual devices, each of a lot of its own"
+    ]
     lines += _share_lines(loss, "no device of the sample is lost, or all are, so that there is nothing to attribute")
     for one in found.process[1:]:
-        if one.shares and one.shares[0].share.sd > _UNDETERMINED:
+        if one.shares and one.shares[0].share.sd > UNDETERMINED:
             lines.append(f"{output_words(one.output)}: not determined; a few extreme devices carry it")
         elif one.shares:
             top = ", ".join(f"{source_words(s.source)} {percent_words(s.share)}" for s in one.shares[:3])
@@ -81,7 +86,9 @@ def _share_lines(found: OutputShares, nothing: str) -> list[str]:
     return lines
 
 
-def _stored_lines(found: StoredShares) -> list[str]:
+def _stored_lines(found: StoredShares | None) -> list[str]:
+    if found is None:
+        return []
     if found.reason:
         return [f"stored devices: {found.reason}"]
     lines = [f"{found.devices} stored devices of {found.lots} lots: {STORED}"]

@@ -8,6 +8,7 @@ Shapes: N devices, d numbers, q outputs.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,13 @@ def attribution(config: RunConfig, folder: Path, devices: StoredTable, samples: 
     UsageError : the run has measured campaigns, whose irregularities nobody knows.
     ConfigError : a sampled device has no positive stiffness.
     """
+    columns = Devices(devices)
+    stored = _stored_shares(config, columns, stored_numbers(folder, columns, MOST_STORED))
+    return replace(process_attribution(config, devices, samples), stored=stored)
+
+
+def process_attribution(config: RunConfig, devices: StoredTable, samples: int) -> Attribution:
+    """The same without the stored devices; raises as :func:`attribution`."""
     require_population(config)
     columns = Devices(devices)
     limits = config.judged_by()
@@ -68,7 +76,6 @@ def attribution(config: RunConfig, folder: Path, devices: StoredTable, samples: 
         samples,
         process_shares(config, samples),
         explained_verdicts(lost, ~columns.has("pass"), lots) if len(columns) else None,
-        _stored_shares(config, columns, stored_numbers(folder, columns, MOST_STORED)),
     )
 
 

@@ -19,6 +19,7 @@ from reports.words.night import status_cause
 from reports.words.physics import RunPhysics
 from reports.yields import Yield, yield_of_verdicts
 
+from ..attribution.night import attribution_of
 from ..config import RunConfig, config_of_run
 from ..config_tables import TargetsTable
 from .inputs import FILE as INPUTS
@@ -90,7 +91,12 @@ def rendered_report(results: Path, run_id: str) -> str:
         config = config_of_stored(results, tables)
         summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
         return render_run_report(
-            tables, config.judged_by(), population_summary=summary, lot_effects=found, physics=physics_of(config)
+            tables,
+            config.judged_by(),
+            population_summary=summary,
+            lot_effects=found,
+            physics=physics_of(config),
+            attribution=attribution_of(config, tables),
         )
 
     return with_run(results, run_id, rendered)
