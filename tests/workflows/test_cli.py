@@ -163,8 +163,8 @@ def test_the_version_is_that_of_the_distribution(capfd):
     [
         (
             [],
-            "run rare query report attribute verify identify paper init check simulate compare diagnose refine demo effects model "
-            "benchmark",
+            "run rare query report attribute verify identify paper init check simulate compare diagnose refine demo effects "
+            "model benchmark",
         ),
         (["model"], "show add drop export"),
         (
