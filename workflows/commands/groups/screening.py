@@ -1,4 +1,4 @@
-"""Declaration of the commands of the screening run: run, rare, query, report, attribute, verify."""
+"""Declaration of the commands of the screening run: run, rare, query, report, attribute, grr, verify."""
 
 from __future__ import annotations
 
@@ -102,13 +102,30 @@ def attribute(
     samples: Annotated[int, typer.Option(help="Virtual devices from which the shares are found.")] = 10_000,
     json: Json = False,
 ) -> None:
-    """Say which irregularity, at which level, the loss of a run comes from.
+    """Attribute the loss of a run to irregularities and levels.
 
     With --what-if, the loss if the population were another one: the stored devices drawn again, and reweighted.
     """
     from ..attribute import attribute as command
 
     command(run, results, what_if, samples, json)
+
+
+def grr(
+    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    results: Results = DEFAULT_RESULTS,
+    limits: Annotated[
+        Path | None, typer.Option(help="Limits (TOML) for % tolerance; default: those of the run.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Repeatability and reproducibility from repeated campaigns.
+
+    The campaigns of a run name their device, tester and session in [conditions] of campaign.toml.
+    """
+    from ..grr import grr as command
+
+    command(run, results, limits, json)
 
 
 def verify(
@@ -129,4 +146,4 @@ def verify(
     command(results, json, repair)
 
 
-COMMANDS = (run, rare, query, report, attribute, verify)
+COMMANDS = (run, rare, query, report, attribute, grr, verify)
