@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import tomli_w
 
 from pipeline.store.run import create_run
@@ -32,12 +33,19 @@ def judged_config(folder: Path, devices: int, more: str = "", seed: int = 1) -> 
     return load_config(folder / "run.toml")
 
 
-def judged_run(results: Path, config: RunConfig, run_id: str = "r", stored: bool = True) -> None:
-    """Write the run below ``results``: verdicts of the true values, estimates equal to them, stored irregularities."""
-    spec = population(config)
-    drawn = draw(spec, config.run.seed, 0, config.run.devices)
+def judged_run(results: Path, config: RunConfig, stored: bool = True, block: int = 600) -> None:
+    """Write the run "r" below ``results``: verdicts of the true values, estimates equal to them, stored irregularities."""
+    store = create_run(results, "r", tomli_w.dumps(without_none(to_toml_table(config))), {"seed": config.run.seed})
+    for number, first in enumerate(range(0, config.run.devices, block)):
+        devices, numbers = _block(config, first, min(block, config.run.devices - first))
+        store.commit_block(number, devices, None, numbers if stored else None)
+    store.finish("complete", {})
+
+
+def _block(config: RunConfig, first: int, count: int) -> tuple[pa.Table, pa.Table]:
+    spec, limits = population(config), config.judged_by()
+    drawn = draw(spec, config.run.seed, first, count)
     truth = truth_columns(config, drawn, float(spec.angular_gain))
-    limits = config.judged_by()
     met = conforms(limits, {q: truth[f"true_{q}"] for q in limits.quantities})
     columns = {
         "device_id": list(drawn.device_id),
@@ -45,17 +53,9 @@ def judged_run(results: Path, config: RunConfig, run_id: str = "r", stored: bool
         "wafer": list(drawn.wafer),
         "die_x_mm": drawn.die_x_mm,
         "die_y_mm": drawn.die_y_mm,
-        "status": ["ok"] * len(met),
+        "status": ["ok"] * count,
         "verdict": np.where(met, "pass", "fail").tolist(),
         **{q: truth[f"true_{q}"] for q in limits.quantities},
         **truth,
     }
-    store = create_run(results, run_id, tomli_w.dumps(without_none(to_toml_table(config))), {"seed": config.run.seed})
-    half = config.run.devices // 2
-    whole, numbers = devices_table(columns), drawn_table(drawn)
-    each = numbers.num_rows // config.run.devices
-    for block, rows in enumerate((slice(0, half), slice(half, config.run.devices))):
-        count = rows.stop - rows.start
-        own = numbers.slice(rows.start * each, count * each) if stored else None
-        store.commit_block(block, whole.slice(rows.start, count), None, own)
-    store.finish("complete", {})
+    return devices_table(columns), drawn_table(drawn)

@@ -34,6 +34,8 @@ from ..screening.settings import population
 from .shares import MOST_STORED, require_population
 from .stored import StoredRunNumbers, stored_numbers
 
+#: Devices that are drawn again together: 20 kB each.
+_BATCH = 5000
 _CHANGE = re.compile(r"\s*([A-Za-z0-9_.]+)\s*([*=])\s*([-+0-9.eE]+)\s*")
 
 
@@ -121,8 +123,12 @@ def what_if(config: RunConfig, folder: Path, devices: StoredTable, text: str) ->
 
 def _lost(config: RunConfig, spec: PopulationSpec, other: PopulationSpec, found: StoredRunNumbers) -> BoolArray:
     """(N,) whether the stored devices are truly lost under the population ``other``."""
-    drawn = draw_stored(spec, other, found.index, found.values, config.run.seed)
-    return ~conforms(config.judged_by(), true_quantities(config, drawn.true, float(other.angular_gain)))
+    lost, limits = np.zeros(len(found.index), dtype=np.bool_), config.judged_by()
+    for first in range(0, lost.size, _BATCH):
+        rows = slice(first, first + _BATCH)
+        drawn = draw_stored(spec, other, found.index[rows], found.values[rows], config.run.seed)
+        lost[rows] = ~conforms(limits, true_quantities(config, drawn.true, float(other.angular_gain)))
+    return lost
 
 
 def _weights(
