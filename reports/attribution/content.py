@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from .reweighting import ChangedShare, Estimate
@@ -29,10 +29,14 @@ class Source:
 
 @dataclass(frozen=True)
 class SourceShare:
-    """The share of a source in the variance of an output."""
+    """The share of a source in the variance of an output.
+
+    ``halved``: change of the mean of the output if the random numbers of the source were half as large; ``None`` where not known.
+    """
 
     source: Source
     share: Estimate
+    halved: Estimate | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,11 @@ def output_shares(
         own.sort(key=lambda one: (-one.share.value, one.source.irregularity, one.source.level))
         found.append(OutputShares(output, float(shares.mean[k]), tuple(own), rows[-1] if rest and known else None))
     return tuple(found)
+
+
+def with_halved(found: OutputShares, halved: Mapping[Source, Estimate]) -> OutputShares:
+    """The shares with the change that halving each source would make."""
+    return replace(found, shares=tuple(replace(one, halved=halved.get(one.source)) for one in found.shares))
 
 
 def to_plain(value: Any) -> Any:

@@ -22,6 +22,7 @@ from scipy.special import ndtri
 from pipeline.arrays import FloatArray, IntArray
 
 from ..yields import LEVEL
+from .reweighting import Estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,22 @@ def shapley_shares(
         phi.append(values)
         mean.append(at_x)
     return _ratio(np.concatenate(phi), np.concatenate(mean))
+
+
+def halved_change(
+    evaluate: Callable[[FloatArray], FloatArray], group: IntArray, which: int, x: FloatArray, at_x: FloatArray
+) -> Estimate:
+    """Change of the mean of the first output if the numbers of group ``which`` were half as large.
+
+    Parameters
+    ----------
+    x, at_x : samples (N, d) and the first output there (N,): the change is that of the same devices.
+    """
+    change = evaluate(np.where(group == which, 0.5 * x, x))[:, 0] - at_x
+    value, sd = float(change.mean()), float(change.std(ddof=1) / np.sqrt(change.size))
+    # Where no device changes: the rule of three.  Hanley, Lippman-Hand, JAMA 249 (1983) 1743.
+    half = float(ndtri(0.5 * (1.0 + LEVEL))) * sd if sd > 0.0 else 3.0 / change.size
+    return Estimate(value, sd, value - half, value + half)
 
 
 def _exchanged(

@@ -9,6 +9,7 @@ from ..attribution.content import LOSS, Attribution
 from ..attribution.reweighting import Estimate
 from ..words.attribution import METHOD, UNDETERMINED, source_words, verdict_words
 from ..words.quantities import label, percent
+from ..yields import clopper_pearson
 from .figures.sources import SourceBar, tornado
 
 #: Bars of the figure: the others are together below the width of a line.
@@ -39,7 +40,10 @@ def loss_sources(found: Attribution) -> LossSources:
     """The section of an attribution."""
     loss = found.loss()
     shown = loss.shares[:MOST_BARS]
-    bars = [SourceBar(source_words(s.source), s.source.level, s.share.value, s.share.low, s.share.high) for s in shown]
+    bars = [
+        SourceBar(source_words(s.source), s.source.level, _span(s.share), None if s.halved is None else _span(s.halved))
+        for s in shown
+    ]
     by_limit = [one for one in found.process if one.output.startswith(f"{LOSS}:")]
     tables = [{s.source: s.share for s in one.shares} for one in by_limit]
     rows = tuple(
@@ -49,21 +53,26 @@ def loss_sources(found: Attribution) -> LossSources:
         )
         for s in shown
     )
+    spread = clopper_pearson(round(loss.mean * found.samples), found.samples)
     others = sum(s.share.value for s in loss.shares[MOST_BARS:])
     summary = (
-        f"{percent(loss.mean)} of {found.samples} devices drawn from the population, each of a lot of its own, are truly lost."
+        f"{percent(loss.mean)} (95 % interval {percent(spread.low)} to {percent(spread.high)}) of {found.samples} devices drawn from the population, each of a lot of its own, are truly lost."
         f" {len(loss.shares[MOST_BARS:])} further sources together have {percent(others)}."
         if loss.shares
         else f"Of {found.samples} devices drawn from the population none or all are truly lost: there is nothing to attribute."
     )
     return LossSources(
-        tornado(bars, "share of the variance of the true loss, % (line: 95 % interval)") if bars else "",
+        tornado(bars) if bars else "",
         summary,
         verdict_words(found.verdicts),
         METHOD,
         tuple(f"{label(one.output.split(':')[1])} ({percent(one.mean)})" for one in by_limit),
         rows,
     )
+
+
+def _span(found: Estimate) -> tuple[float, float, float]:
+    return found.value, found.low, found.high
 
 
 def _cell(share: Estimate | None) -> str:

@@ -77,13 +77,24 @@ def _share_lines(found: OutputShares, nothing: str) -> list[str]:
     if not found.shares:
         return [nothing]
     width = max(len(source_words(one.source)) for one in found.shares)
-    lines = [f"    {source_words(one.source):{width}s}  {percent_words(one.share)}" for one in found.shares[:_SHOWN]]
+    lines = [
+        f"    {source_words(one.source):{width}s}  {percent_words(one.share)}{_halved_words(one.halved)}"
+        for one in found.shares[:_SHOWN]
+    ]
     others = sum(one.share.value for one in found.shares[_SHOWN:])
     if found.shares[_SHOWN:]:
         lines.append(f"    {f'{len(found.shares) - _SHOWN} others':{width}s}  {number(100.0 * others, 3)} %")
     if found.rest is not None:
         lines.append(f"    {'rest':{width}s}  {percent_words(found.rest)}")
     return lines
+
+
+def _halved_words(change: Estimate | None) -> str:
+    """What halving a source does to the loss."""
+    if change is None:
+        return ""
+    points = [number(100.0 * value, 2) for value in (change.value, change.low, change.high)]
+    return f"; halved: {points[0]} points of loss ({points[1]} to {points[2]})"
 
 
 def _stored_lines(found: StoredShares | None) -> list[str]:

@@ -17,6 +17,7 @@ from pipeline.arrays import FloatArray, IntArray
 from pipeline.errors import UsageError
 from pipeline.quantities import AXES
 from pipeline.store.columns import StoredTable
+from populations.drawn import UNIFORM
 from populations.latent import draw_latent, latent_space
 from reports.attribution.content import (
     FIELD,
@@ -27,9 +28,10 @@ from reports.attribution.content import (
     Source,
     StoredShares,
     output_shares,
+    with_halved,
 )
 from reports.attribution.given_data import given_data_shares
-from reports.attribution.shapley import shapley_shares
+from reports.attribution.shapley import halved_change, shapley_shares
 from reports.attribution.verdicts import explained_verdicts
 from reports.decision import conforms_each
 from reports.devices import Devices
@@ -110,9 +112,18 @@ def process_shares(config: RunConfig, samples: int) -> tuple[OutputShares, ...]:
         lost = [~np.logical_and.reduce(list(met.values())), *(~met[q] for q in limits.quantities)]
         return np.stack([*lost, *(true[q] for q in quantities)], axis=1).astype(np.float64)
 
-    seed = int(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM,)).generate_state(1, np.uint64)[0])
+    random = np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM,))
+    seed = int(random.generate_state(1, np.uint64)[0])
     outputs = [LOSS, *(f"{LOSS}:{q}" for q in limits.quantities), *quantities]
-    return output_shares(outputs, sources, shapley_shares(evaluate, group, samples, seed))
+    loss, *others = output_shares(outputs, sources, shapley_shares(evaluate, group, samples, seed))
+
+    x = np.random.Generator(np.random.PCG64(random.spawn(1)[0])).standard_normal((samples, space.dimension))
+    at_x = evaluate(x)[:, 0]
+    # Half of a uniform number, or of the place, is no smaller spread.
+    uniform = {named[space.first[stream]] for stream, _ in streams if stream.endswith(UNIFORM)}
+    normal = [k for k, one in enumerate(sources) if one.level != PLACE and one not in uniform]
+    halved = {sources[k]: halved_change(evaluate, group, k, x, at_x) for k in normal}
+    return with_halved(loss, halved), *others
 
 
 def _split(stream: str) -> tuple[str, str, str]:
