@@ -20,7 +20,6 @@ ch. 2, 6, 8.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +31,7 @@ from pipeline.errors import UsageError
 
 from .attribution.reweighting import Estimate
 from .limits import Limit
+from .mean_squares import REPEATABILITY, MeanSquares, mean_squares, variances_of
 from .yields import LEVEL
 
 #: p above which part x tester is pooled with the repeatability: AIAG's and Minitab's convention.
@@ -39,7 +39,9 @@ POOLED_ABOVE = 0.25
 _DRAWS, _SEED = 20_000, 20_26
 #: The design is held as a matrix of this many rows at most: a study then takes 0.5 s.
 _MOST = 3000
-PART, TESTER, SESSION, INTERACTION, REPEATABILITY = "part", "tester", "session", "part x tester", "repeatability"
+PART, TESTER, SESSION, INTERACTION = "part", "tester", "session", "part x tester"
+#: The terms that contain a term, and so are not adjusted for when its sum of squares is found.
+_CONTAINED_IN = {PART: {INTERACTION}, TESTER: {SESSION, INTERACTION}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +117,11 @@ def gauge_study(quantity: str, data: GaugeData, limit: Limit | None = None, axis
     y = unwrapped(data.value[known], part) if axis else data.value[known]
     _check(quantity, y, part)
     terms = _terms(part, tester, session)
-    squares = _mean_squares(y, terms)
+    squares = mean_squares(y, terms, _CONTAINED_IN)
     pooled = INTERACTION in squares.names and _p_value(squares) > POOLED_ABOVE
     if pooled:
         terms = {name: codes for name, codes in terms.items() if name != INTERACTION}
-        squares = _mean_squares(y, terms)
+        squares = mean_squares(y, terms, _CONTAINED_IN)
     if REPEATABILITY not in squares.names:
         raise UsageError(
             f"gauge R&R of {quantity}: no measurement is repeated, so that the repeatability is unknown",
@@ -127,10 +129,10 @@ def gauge_study(quantity: str, data: GaugeData, limit: Limit | None = None, axis
             allowed="a part that is measured twice by the same tester in the same session, or all parts by several testers",
             next_step="measure some devices again",
         )
-    variances = _variances(squares, squares.mean[:, None])
+    variances = variances_of(squares, squares.mean[:, None])
     random = np.random.Generator(np.random.PCG64(np.random.SeedSequence(_SEED)))
     chi2 = random.chisquare(squares.df[:, None], (len(squares.names), _DRAWS))
-    draws = _variances(squares, squares.mean[:, None] * squares.df[:, None] / chi2)
+    draws = variances_of(squares, squares.mean[:, None] * squares.df[:, None] / chi2)
     return _study(quantity, y, (part, tester, session), squares, variances, draws, limit, pooled)
 
 
@@ -180,57 +182,7 @@ def _terms(part: IntArray, tester: IntArray, session: IntArray) -> dict[str, Int
     return terms
 
 
-#: The terms that contain a term, and so are not adjusted for when its sum of squares is found.
-_CONTAINED_IN = {PART: {INTERACTION}, TESTER: {SESSION, INTERACTION}, SESSION: set(), INTERACTION: set()}
-
-
-@dataclass(frozen=True, eq=False)
-class _MeanSquares:
-    """Mean squares of K terms, the error last: names, df (K,), MS (K,), and E MS = coefficients (K, K) @ variances."""
-
-    names: tuple[str, ...]
-    df: FloatArray
-    mean: FloatArray
-    coefficients: FloatArray
-
-
-def _mean_squares(y: FloatArray, terms: dict[str, IntArray]) -> _MeanSquares:
-    designs = {name: (codes[:, None] == np.arange(codes.max() + 1)).astype(np.float64) for name, codes in terms.items()}
-    ones = np.ones((y.size, 1))
-    whole = _basis([ones, *designs.values()])
-    rows: list[tuple[str, int, float, FloatArray]] = []
-    for name in designs:
-        others = [d for other, d in designs.items() if other != name and other not in _CONTAINED_IN[name]]
-        without, with_it = _basis([ones, *others]), _basis([ones, *others, designs[name]])
-        df = with_it.shape[1] - without.shape[1]
-        if df > 0:
-            of = [_sum_of_squares(with_it, d) - _sum_of_squares(without, d) for d in designs.values()]
-            square = _sum_of_squares(with_it, y[:, None]) - _sum_of_squares(without, y[:, None])
-            rows.append((name, df, square / df, np.array([*of, df]) / df))
-    df = y.size - whole.shape[1]
-    if df > 0:
-        square = float(y @ y) - _sum_of_squares(whole, y[:, None])
-        rows.append((REPEATABILITY, df, square / df, np.array([*[0.0] * len(designs), 1.0])))
-    kept = [k for k, name in enumerate([*designs, REPEATABILITY]) if name in {row[0] for row in rows}]
-    return _MeanSquares(
-        tuple(row[0] for row in rows),
-        np.array([row[1] for row in rows], dtype=np.float64),
-        np.array([max(row[2], 0.0) for row in rows]),
-        np.array([row[3][kept] for row in rows]),
-    )
-
-
-def _basis(designs: Sequence[FloatArray]) -> FloatArray:
-    """Orthonormal columns that span those of the designs (N, rank)."""
-    u, s, _ = np.linalg.svd(np.concatenate(designs, axis=1), full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * s[0]])
-
-
-def _sum_of_squares(basis: FloatArray, columns: FloatArray) -> float:
-    return float(np.sum((basis.T @ columns) ** 2))
-
-
-def _p_value(squares: _MeanSquares) -> float:
+def _p_value(squares: MeanSquares) -> float:
     """p of the F test of part x tester; 1 where nothing is repeated, as it then cannot be told from the repeatability."""
     if REPEATABILITY not in squares.names:
         return 1.0
@@ -240,16 +192,11 @@ def _p_value(squares: _MeanSquares) -> float:
     return float(fdtrc(squares.df[k], squares.df[error], squares.mean[k] / squares.mean[error]))
 
 
-def _variances(squares: _MeanSquares, mean: FloatArray) -> FloatArray:
-    """Variances (K, D) from mean squares (K, D); negative ones are 0."""
-    return np.maximum(np.linalg.solve(squares.coefficients, mean), 0.0)
-
-
 def _study(
     quantity: str,
     y: FloatArray,
     codes: tuple[IntArray, IntArray, IntArray],
-    squares: _MeanSquares,
+    squares: MeanSquares,
     variances: FloatArray,
     draws: FloatArray,
     limit: Limit | None,

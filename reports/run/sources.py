@@ -56,7 +56,8 @@ def loss_sources(found: Attribution) -> LossSources:
     spread = clopper_pearson(round(loss.mean * found.samples), found.samples)
     others = sum(s.share.value for s in loss.shares[MOST_BARS:])
     summary = (
-        f"{percent(loss.mean)} (95 % interval {percent(spread.low)} to {percent(spread.high)}) of {found.samples} devices drawn from the population, each of a lot of its own, are truly lost."
+        f"{percent(loss.mean)} (95 % interval {percent(spread.low)} to {percent(spread.high)}) of the devices of the population"
+        f" are truly lost, from {found.samples} draws, each of a lot of its own."
         f" {len(loss.shares[MOST_BARS:])} further sources together have {percent(others)}."
         if loss.shares
         else f"Of {found.samples} devices drawn from the population none or all are truly lost: there is nothing to attribute."

@@ -89,7 +89,7 @@ def test_stored_devices_give_the_shares_of_nested_levels():
 
 
 def test_a_number_of_the_lot_that_does_nothing_has_no_share():
-    # Estimators for independent rows give it one: rbd_fast 0.18 with ten lots, 0.08 with forty (tests/measure/attribution_peers.py).
+    # Estimators for independent rows give it one: rbd_fast 0.08 with forty lots (tests/measure/attribution_peers.py).
     random = np.random.default_rng(4)
     found = []
     for _ in range(60):
