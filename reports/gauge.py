@@ -29,7 +29,7 @@ from pipeline.arrays import FloatArray, IntArray
 from pipeline.axial import difference, mean_axis
 from pipeline.errors import UsageError
 
-from .attribution.reweighting import Estimate
+from .interval_estimate import IntervalEstimate
 from .limits import Limit
 from .mean_squares import REPEATABILITY, MeanSquares, mean_squares, variances_of
 from .yields import LEVEL
@@ -55,7 +55,7 @@ class GaugeData:
 
 
 @dataclass(frozen=True)
-class Component:
+class GaugeComponent:
     """A source of variation: its degrees of freedom (``None`` for a sum), sd, % study variation and % tolerance.
 
     ``study`` is in percent of the total sd; ``tolerance`` in percent of the tolerance, ``None`` without limits.
@@ -63,9 +63,9 @@ class Component:
 
     name: str
     df: int | None
-    sd: Estimate
-    study: Estimate
-    tolerance: Estimate | None
+    sd: IntervalEstimate
+    study: IntervalEstimate
+    tolerance: IntervalEstimate | None
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,12 @@ class GaugeStudy:
     testers: int
     sessions: int
     mean: float
-    components: tuple[Component, ...]
-    categories: Estimate
+    components: tuple[GaugeComponent, ...]
+    categories: IntervalEstimate
     pooled: bool
     unknown: tuple[str, ...]
 
-    def component(self, name: str) -> Component:
+    def component(self, name: str) -> GaugeComponent:
         """The component of that name."""
         return next(one for one in self.components if one.name == name)
 
@@ -222,7 +222,7 @@ def _study(
     sigmas, width = _tolerance(limit, mean)
     with np.errstate(divide="ignore", invalid="ignore"):
         components = tuple(
-            Component(
+            GaugeComponent(
                 name,
                 df.get(name),
                 _interval(np.sqrt(v)),
@@ -250,12 +250,12 @@ def _tolerance(limit: Limit | None, mean: float) -> tuple[float, float | None]:
     return 3.0, abs((limit.low if math.isfinite(limit.low) else limit.high) - mean) or None
 
 
-def _interval(values: FloatArray) -> Estimate:
+def _interval(values: FloatArray) -> IntervalEstimate:
     """The first value, with sd and interval of the others."""
     known = values[1:][~np.isnan(values[1:])]
     if not known.size:
-        return Estimate(float(values[0]), math.inf, 0.0, math.inf)
+        return IntervalEstimate(float(values[0]), math.inf, 0.0, math.inf)
     low, high = np.quantile(known, [0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL)], method="nearest")
     # Ratios and small degrees of freedom have no sd: half of the central 68 % is stated.
     spread = np.quantile(known, [0.1587, 0.8413], method="nearest")
-    return Estimate(float(values[0]), 0.5 * float(spread[1] - spread[0]), float(low), float(high))
+    return IntervalEstimate(float(values[0]), 0.5 * float(spread[1] - spread[0]), float(low), float(high))

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .reweighting import ChangedShare, Estimate
+from ..interval_estimate import IntervalEstimate
+from .reweighting import ChangedShare
 from .shapley import Shares
 
 #: The output that is the loss to all limits together, and the prefix of the loss to one of them.
@@ -35,8 +36,8 @@ class SourceShare:
     """
 
     source: Source
-    share: Estimate
-    halved: Estimate | None = None
+    share: IntervalEstimate
+    halved: IntervalEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class OutputShares:
     output: str
     mean: float
     shares: tuple[SourceShare, ...]
-    rest: Estimate | None = None
+    rest: IntervalEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class Attribution:
 
     samples: int
     process: tuple[OutputShares, ...]
-    verdicts: Estimate | None
+    verdicts: IntervalEstimate | None
     stored: StoredShares | None = None
 
     def loss(self) -> OutputShares:
@@ -117,7 +118,7 @@ def output_shares(
     found = []
     for k, output in enumerate(outputs):
         rows = [
-            Estimate(*(float(a[g, k]) for a in (shares.value, shares.sd, shares.low, shares.high)))
+            IntervalEstimate(*(float(a[g, k]) for a in (shares.value, shares.sd, shares.low, shares.high)))
             for g in range(len(shares.value))
         ]
         known = all(math.isfinite(row.value) for row in rows)
@@ -127,7 +128,7 @@ def output_shares(
     return tuple(found)
 
 
-def with_halved(found: OutputShares, halved: Mapping[Source, Estimate]) -> OutputShares:
+def with_halved(found: OutputShares, halved: Mapping[Source, IntervalEstimate]) -> OutputShares:
     """The shares with the change that halving each source would make."""
     return replace(found, shares=tuple(replace(one, halved=halved.get(one.source)) for one in found.shares))
 

@@ -22,21 +22,12 @@ from scipy.special import stdtrit
 
 from pipeline.arrays import FloatArray, IntArray
 
+from ..interval_estimate import IntervalEstimate
 from ..yields import LEVEL
 
 #: Below so many effective lots with loss, before or after, 95 % intervals hold in less than 90 % of cases, and for wider spreads,
 #: whose devices were hardly drawn, even with more (``tests/reports/attribution/test_reweighting.py`` measures both).
 LEAST_LOTS_WITH_LOSS = 12.0
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A value with its sd and its interval at ``LEVEL``."""
-
-    value: float
-    sd: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -46,9 +37,9 @@ class ChangedShare:
     ``lots_with_loss``: the effective number, before or after, whichever is smaller.
     """
 
-    before: Estimate
-    after: Estimate
-    difference: Estimate
+    before: IntervalEstimate
+    after: IntervalEstimate
+    difference: IntervalEstimate
     lots_with_loss: float
 
 
@@ -101,23 +92,23 @@ def _sd(influence: FloatArray) -> tuple[float, float]:
     return sd, float(stdtrit(lots - 1.0, 0.5 * (1.0 + LEVEL))) * sd
 
 
-def _plain(value: float, influence: FloatArray, devices: int) -> Estimate:
+def _plain(value: float, influence: FloatArray, devices: int) -> IntervalEstimate:
     sd, half = _sd(influence)
     if sd == 0.0:
         # Whether a device lies close enough to a limit to change is hardly common to its lot, unlike its loss.
         half = _rule_of_three(devices)
-    return Estimate(value, sd, max(-1.0, value - half), min(1.0, value + half))
+    return IntervalEstimate(value, sd, max(-1.0, value - half), min(1.0, value + half))
 
 
-def _on_logit(share: float, influence: FloatArray) -> Estimate:
+def _on_logit(share: float, influence: FloatArray) -> IntervalEstimate:
     sd, half = _sd(influence)
     if not 0.0 < share < 1.0:
         half = _rule_of_three(influence.size)
-        return Estimate(share, sd, max(0.0, share - half), min(1.0, share + half))
+        return IntervalEstimate(share, sd, max(0.0, share - half), min(1.0, share + half))
     if not math.isfinite(half):
-        return Estimate(share, sd, 0.0, 1.0)
+        return IntervalEstimate(share, sd, 0.0, 1.0)
     logit, width = math.log(share / (1.0 - share)), half / (share * (1.0 - share))
-    return Estimate(share, sd, _expit(logit - width), _expit(logit + width))
+    return IntervalEstimate(share, sd, _expit(logit - width), _expit(logit + width))
 
 
 def _expit(x: float) -> float:

@@ -21,8 +21,8 @@ from scipy.special import ndtri
 
 from pipeline.arrays import FloatArray, IntArray
 
+from ..interval_estimate import IntervalEstimate
 from ..yields import LEVEL
-from .reweighting import Estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def shapley_shares(
 
 def halved_change(
     evaluate: Callable[[FloatArray], FloatArray], group: IntArray, which: int, x: FloatArray, at_x: FloatArray
-) -> Estimate:
+) -> IntervalEstimate:
     """Change of the mean of the first output if the numbers of group ``which`` were half as large.
 
     Parameters
@@ -76,7 +76,7 @@ def halved_change(
     value, sd = float(change.mean()), float(change.std(ddof=1) / np.sqrt(change.size))
     # Where no device changes: the rule of three.  Hanley, Lippman-Hand, JAMA 249 (1983) 1743.
     half = float(ndtri(0.5 * (1.0 + LEVEL))) * sd if sd > 0.0 else 3.0 / change.size
-    return Estimate(value, sd, value - half, value + half)
+    return IntervalEstimate(value, sd, value - half, value + half)
 
 
 def _exchanged(

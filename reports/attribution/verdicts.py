@@ -19,13 +19,13 @@ from scipy.special import stdtrit
 
 from pipeline.arrays import BoolArray, FloatArray, IntArray
 
+from ..interval_estimate import IntervalEstimate
 from ..yields import LEVEL
-from .reweighting import Estimate
 
 _NEVER_ONE = 1.0 - 1e-12
 
 
-def explained_verdicts(lost: BoolArray, not_passed: BoolArray, lot: IntArray) -> Estimate | None:
+def explained_verdicts(lost: BoolArray, not_passed: BoolArray, lot: IntArray) -> IntervalEstimate | None:
     """r^2 of the two (N,); ``None`` where either is the same for all devices, or there are fewer than three lots."""
     _, index = np.unique(lot, return_inverse=True)
     t, v = lost.astype(np.float64), not_passed.astype(np.float64)
@@ -42,11 +42,11 @@ def explained_verdicts(lost: BoolArray, not_passed: BoolArray, lot: IntArray) ->
     if r >= _NEVER_ONE:
         # No verdict differs from the truth: the rule of three.  Hanley, Lippman-Hand, JAMA 249 (1983) 1743.
         n, p = float(total[0]), float(total[1] / total[0])
-        return Estimate(1.0, 0.0, max(0.0, 1.0 - 3.0 / (n * p * (1.0 - p))), 1.0)
+        return IntervalEstimate(1.0, 0.0, max(0.0, 1.0 - 3.0 / (n * p * (1.0 - p))), 1.0)
     sd = math.sqrt((lots - 1.0) / lots * float(np.sum((spread - spread.mean()) ** 2)))
     half = float(stdtrit(lots - 1.0, 0.5 * (1.0 + LEVEL))) * sd
     low, high = math.tanh(z - half), math.tanh(z + half)
-    return Estimate(r * r, abs(2.0 * r * (1.0 - r * r)) * sd, max(low, 0.0) ** 2, high * high)
+    return IntervalEstimate(r * r, abs(2.0 * r * (1.0 - r * r)) * sd, max(low, 0.0) ** 2, high * high)
 
 
 def _correlation(sums: FloatArray) -> float:

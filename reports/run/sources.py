@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from ..attribution.content import LOSS, Attribution
-from ..attribution.reweighting import Estimate
+from ..interval_estimate import IntervalEstimate
 from ..words.attribution import METHOD, UNDETERMINED, source_words, verdict_words
 from ..words.quantities import label, percent
 from ..yields import clopper_pearson
@@ -72,11 +72,11 @@ def loss_sources(found: Attribution) -> LossSources:
     )
 
 
-def _span(found: Estimate) -> tuple[float, float, float]:
+def _span(found: IntervalEstimate) -> tuple[float, float, float]:
     return found.value, found.low, found.high
 
 
-def _cell(share: Estimate | None) -> str:
+def _cell(share: IntervalEstimate | None) -> str:
     """A share in percent; a dash where it is not determined."""
     if share is None or not math.isfinite(share.value) or share.sd > UNDETERMINED:
         return "–"

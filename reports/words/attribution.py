@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ..attribution.content import FIELD, LOSS, PLACE, Attribution, OutputShares, Source, StoredShares, WhatIf
-from ..attribution.reweighting import LEAST_LOTS_WITH_LOSS, ChangedShare, Estimate
+from ..attribution.reweighting import LEAST_LOTS_WITH_LOSS, ChangedShare
+from ..interval_estimate import IntervalEstimate
 from ..yields import clopper_pearson
 from .numbers import number
 from .rare import share_words
@@ -30,7 +31,7 @@ def source_words(source: Source) -> str:
     return f"{name}, {'within the wafer' if source.level == FIELD else source.level}"
 
 
-def percent_words(share: Estimate) -> str:
+def percent_words(share: IntervalEstimate) -> str:
     """A share with its interval in percent."""
     low, high = (number(100.0 * min(max(end, 0.0), 1.0), 3) for end in (share.low, share.high))
     return f"{number(100.0 * share.value, 3)} % ({low} to {high})"
@@ -63,7 +64,7 @@ def attribution_lines(found: Attribution) -> list[str]:
     return lines
 
 
-def verdict_words(explained: Estimate | None) -> str:
+def verdict_words(explained: IntervalEstimate | None) -> str:
     """How far the shares hold for verdicts."""
     if explained is None:
         return "verdicts: too few lots, or no differing verdicts, to compare with the truth"
@@ -89,7 +90,7 @@ def _share_lines(found: OutputShares, nothing: str) -> list[str]:
     return lines
 
 
-def _halved_words(change: Estimate | None) -> str:
+def _halved_words(change: IntervalEstimate | None) -> str:
     """What halving a source does to the loss."""
     if change is None:
         return ""

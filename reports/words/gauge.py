@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..attribution.reweighting import Estimate
-from ..gauge import Component, GaugeStudy
+from ..gauge import GaugeComponent, GaugeStudy
+from ..interval_estimate import IntervalEstimate
 from .numbers import number
 from .quantities import UNITS
 
@@ -38,7 +38,7 @@ def _study_lines(study: GaugeStudy) -> list[str]:
     return lines
 
 
-def _component_line(one: Component, width: int) -> str:
+def _component_line(one: GaugeComponent, width: int) -> str:
     tolerance = (
         "" if one.tolerance is None else f"  tolerance {number(one.tolerance.value, 3)} % ({_ends(one.tolerance)})"
     )
@@ -47,7 +47,7 @@ def _component_line(one: Component, width: int) -> str:
     return f"    {one.name:{width}s}  {sd}  study {number(one.study.value, 3)} % ({_ends(one.study)}){tolerance}{df}"
 
 
-def _ends(found: Estimate) -> str:
+def _ends(found: IntervalEstimate) -> str:
     return f"{number(found.low, 3)} to {number(found.high, 3)}"
 
 

@@ -18,8 +18,9 @@ import numpy as np
 
 from pipeline.store.columns import StoredRun, with_run
 from pipeline.store.read import find_run, list_runs
-from reports.attribution.reweighting import Estimate, paired_share
+from reports.attribution.reweighting import paired_share
 from reports.devices import Devices
+from reports.interval_estimate import IntervalEstimate
 from workflows.attribution.what_if import parsed_changes, what_if
 from workflows.config import load_config
 from workflows.screening.settings import population
@@ -55,7 +56,7 @@ def prepared(folder: Path, name: str, devices: int, values: dict[str, float], se
     return results
 
 
-def not_passed(tables: StoredRun) -> Estimate:
+def not_passed(tables: StoredRun) -> IntervalEstimate:
     """Share of the devices that do not pass, with lots as draws."""
     columns = Devices(tables.devices)
     lost = (~columns.has("pass")).astype(float)
