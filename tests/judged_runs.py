@@ -33,12 +33,12 @@ def judged_config(folder: Path, devices: int, more: str = "", seed: int = 1) -> 
     return load_config(folder / "run.toml")
 
 
-def judged_run(results: Path, config: RunConfig, stored: bool = True, block: int = 600) -> None:
+def judged_run(results: Path, config: RunConfig, stored: bool = True, block: int = 600, first_stored: int = 0) -> None:
     """Write the run "r" below ``results``: verdicts of the true values, estimates equal to them, stored irregularities."""
     store = create_run(results, "r", tomli_w.dumps(without_none(to_toml_table(config))), {"seed": config.run.seed})
     for number, first in enumerate(range(0, config.run.devices, block)):
         devices, numbers = _block(config, first, min(block, config.run.devices - first))
-        store.commit_block(number, devices, None, numbers if stored else None)
+        store.commit_block(number, devices, None, numbers if stored and number >= first_stored else None)
     store.finish("complete", {})
 
 

@@ -46,13 +46,7 @@ def stored_numbers(folder: Path, devices: Devices, most: int) -> StoredRunNumber
     found = read_numbers(folder, most)
     if not found.device_id:
         return None
-    ids = devices.text("device_id")
-    row = {ids.words[code]: k for k, code in enumerate(ids.codes.tolist())}
-    if any(name not in row for name in found.device_id):
-        raise IntegrityError(
-            "table irregularities holds devices that table devices lacks", next_step="run `gyroscreen verify`"
-        )
-    rows = np.array([row[name] for name in found.device_id], dtype=np.int64)
+    rows = _rows(devices, found.device_id)
     return StoredRunNumbers(
         found.keys,
         found.values.astype(np.float64),
@@ -63,3 +57,17 @@ def stored_numbers(folder: Path, devices: Devices, most: int) -> StoredRunNumber
         devices.number("die_x_mm")[rows],
         devices.number("die_y_mm")[rows],
     )
+
+
+def _rows(devices: Devices, names: tuple[str, ...]) -> IntArray:
+    """Rows of the named devices: both tables are in the order of the blocks, so that these are the first ones."""
+    first = np.arange(min(len(names), len(devices)), dtype=np.int64)
+    if tuple(devices.text("device_id", first.tolist())) == names:
+        return first
+    ids = devices.text("device_id")  # blocks without irregularities lie between
+    row = {ids.words[code]: k for k, code in enumerate(ids.codes.tolist())}
+    if any(name not in row for name in names):
+        raise IntegrityError(
+            "table irregularities holds devices that table devices lacks", next_step="run `gyroscreen verify`"
+        )
+    return np.array([row[name] for name in names], dtype=np.int64)

@@ -15,12 +15,16 @@ from populations.draw import draw
 from populations.spec import load_spec
 from populations.spreads import spread_numbers
 from populations.stored import draw_stored, number_names
+from reports.attribution.content import Attribution, OutputShares
 from reports.decision import conforms
 from reports.devices import Devices
 from reports.run.page import render_run_report
+from reports.run.sources import loss_sources
+from reports.words.attribution import attribution_lines
 from tests.judged_runs import judged_config, judged_run
 from workflows.attribution.night import attribution_of
 from workflows.attribution.shares import process_shares
+from workflows.attribution.stored import stored_numbers
 from workflows.attribution.what_if import what_if
 from workflows.cli import call
 from workflows.config import load_config
@@ -175,3 +179,28 @@ def test_what_a_parameter_spreads_is_found():
     assert spread_numbers(spec, "spring_width", "bow_um") is None
     assert spread_numbers(spec, "spring_width", "wedge_um") is None  # it is zero
     assert spread_numbers(spec, "spring_thickness", "field_length_mm") is None
+
+
+def test_blocks_without_numbers_are_skipped(tmp_path):
+    """A run that an earlier version began and this one resumed: its first block has no irregularities."""
+    config = judged_config(tmp_path, 120)
+    judged_run(tmp_path / "whole", config, block=60)
+    judged_run(tmp_path / "later", config, block=60, first_stored=1)
+    whole, later = (
+        with_run(
+            tmp_path / name, None, lambda t, n=name: stored_numbers(find_run(tmp_path / n), Devices(t.devices), 10**6)
+        )
+        for name in ("whole", "later")
+    )
+    assert (len(whole.rows), len(later.rows)) == (120, 60)
+    np.testing.assert_array_equal(whole.values[60:], later.values)
+    np.testing.assert_array_equal(later.rows, np.arange(60, 120))
+    np.testing.assert_array_equal(later.index, later.rows)
+
+
+def test_a_population_without_loss_has_no_bars():
+    nothing = OutputShares("loss", 0.0, ())
+    section = loss_sources(Attribution(100, (nothing,), None))
+    assert section.figure == ""
+    assert "nothing to attribute" in section.summary
+    assert any("nothing to attribute" in line for line in attribution_lines(Attribution(100, (nothing,), None)))
