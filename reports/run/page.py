@@ -115,7 +115,7 @@ def _sections(content: RunContent, sources: bool) -> tuple[tuple[str, str], ...]
         (key, name)
         for key, name, there in (
             ("causes", "Causes of loss", content.identified),
-            ("sources", "Where the loss comes from", sources),
+            ("sources", "Where the loss comes from", content.identified and sources),
             ("yield", "Yield", content.identified),
             ("wafers", "Wafers", content.identified and bool(content.wafers)),
             ("distributions", "Theta and split", content.identified),
