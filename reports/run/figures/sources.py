@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from ...attribution.content import FIELD, PLACE
-from ...html.style import INK, RULE, WIDTH, style, to_svg
+from ...html.style import INK, MUTED, RULE, WIDTH, literal, style, to_svg
 
 #: Okabe and Ito 2008; each bar also has its level in its name.
 LEVELS: Mapping[str, tuple[str, str, str]] = MappingProxyType(
@@ -56,7 +56,7 @@ def tornado(bars: Sequence[SourceBar], name: str = "tornado") -> str:
             if bar.halved is not None:
                 change, below, above = (100.0 * end for end in bar.halved)
                 _bar(right, k, change, below, above, bar.level)
-        left.set_yticks([-k for k in range(len(bars))], [bar.label for bar in bars])
+        left.set_yticks([-k for k in range(len(bars))], [literal(bar.label) for bar in bars])
         right.set_yticks([])
         left.set_xlim(0.0, 1.2 * max(100.0 * max(min(bar.share[2], 1.0), bar.share[0]) for bar in bars))
         left.set_xlabel("share of the variance of the true loss, %")
@@ -79,5 +79,6 @@ def tornado(bars: Sequence[SourceBar], name: str = "tornado") -> str:
 
 
 def _bar(axes: Axes, k: int, value: float, low: float, high: float, level: str) -> None:
-    axes.barh(-k, value, height=0.66, color=LEVELS[level][0])
+    # An irregularity of the user may have another level.
+    axes.barh(-k, value, height=0.66, color=LEVELS.get(level, (MUTED,))[0])
     axes.plot([low, high], [-k, -k], color=INK, lw=1.2, marker="|", ms=7, mew=1.2)

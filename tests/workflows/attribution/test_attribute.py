@@ -15,9 +15,10 @@ from populations.draw import draw
 from populations.spec import load_spec
 from populations.spreads import spread_numbers
 from populations.stored import draw_stored, number_names
-from reports.attribution.content import Attribution, OutputShares
+from reports.attribution.content import Attribution, OutputShares, Source, SourceShare
 from reports.decision import conforms
 from reports.devices import Devices
+from reports.interval_estimate import IntervalEstimate
 from reports.run.page import render_run_report
 from reports.run.sources import loss_sources
 from reports.words.attribution import attribution_lines
@@ -204,3 +205,11 @@ def test_a_population_without_loss_has_no_bars():
     assert section.figure == ""
     assert "nothing to attribute" in section.summary
     assert any("nothing to attribute" in line for line in attribution_lines(Attribution(100, (nothing,), None)))
+
+
+def test_names_and_levels_of_own_irregularities_cannot_break_the_figure():
+    share = IntervalEstimate(0.5, 0.1, 0.3, 0.7)
+    own = OutputShares("loss", 0.1, (SourceShare(Source("a$b<script>", "batch"), share),))
+    figure = loss_sources(Attribution(100, (own,), None)).figure
+    assert "<script>" not in figure
+    assert "a$b&lt;script&gt;, batch" in figure
