@@ -18,6 +18,7 @@ from pipeline.arrays import FloatArray, IntArray
 from pipeline.errors import UsageError
 
 from .assembly import Structure, combine, effects, inverse_quality, parameters, stiffness
+from .drawn import DrawnNumbers, RecordedNumbers
 from .irregularity import Change, Stage
 from .layout import Places, places
 from .numbers import Numbers, SeededNumbers
@@ -41,6 +42,7 @@ class Draw:
     causes : contributions of each irregularity, (B,), as packaged: "split_hz.<irregularity>" [Hz] (projected on the anisotropy
         of the device, so that they add up to the split in first order), "frequency_hz.<irregularity>" [Hz] (mean rocking
         frequency) and "ln_quality.<irregularity>" [1] (ln of the mean rocking Q).
+    numbers : the random numbers that the irregularities read.
     """
 
     index: IntArray
@@ -54,6 +56,7 @@ class Draw:
     true: dict[str, FloatArray]
     effects: dict[str, dict[str, FloatArray]]
     causes: dict[str, FloatArray]
+    numbers: DrawnNumbers
 
 
 def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
@@ -79,9 +82,10 @@ def draw_with(spec: PopulationSpec, index: IntArray, placed: Places, numbers: Nu
     ConfigError : as :func:`draw`.
     """
     device, operating, count = spec.device, spec.operating, len(index)
+    recorded = RecordedNumbers(numbers)
     changes: list[tuple[str, Stage, Change]] = []
     for irregularity, values in spec.found():
-        site = Site(irregularity.name, numbers, index, placed, device, spec.wafer, operating)
+        site = Site(irregularity.name, recorded, index, placed, device, spec.wafer, operating)
         changes.append((irregularity.name, irregularity.stage, irregularity.act(values, site)))
 
     springs = len(device.spring_azimuth_deg)
@@ -121,4 +125,5 @@ def draw_with(spec: PopulationSpec, index: IntArray, placed: Places, numbers: Nu
         true=true,
         effects=effects(device, packaged, bias, true),
         causes=causes,
+        numbers=recorded.drawn(count),
     )

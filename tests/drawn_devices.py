@@ -8,6 +8,7 @@ from pipeline.store.schema import devices_table
 from populations.draw import draw
 from workflows.config import RunConfig
 from workflows.screening.block import BlockTables, DeviceBlock
+from workflows.screening.drawn_table import drawn_table
 from workflows.screening.guard import Begin
 from workflows.screening.parts import BlockItem
 from workflows.screening.settings import population
@@ -30,7 +31,8 @@ def drawn_block(source: Any, at: DeviceBlock) -> BlockTables:
     """The frequencies of the devices; each passes."""
     drawn = draw(population(source[0]), source[0].run.seed, at.first, at.count)
     columns = {"status": ["ok"] * at.count, "verdict": ["pass"] * at.count, "true_f1_hz": drawn.true["f1_hz"]}
-    return BlockTables(at.index, devices_table({"device_id": list(drawn.device_id), **columns}), None, {"ok": at.count})
+    devices = devices_table({"device_id": list(drawn.device_id), **columns})
+    return BlockTables(at.index, devices, None, {"ok": at.count}, drawn_table(drawn))
 
 
 def drawn_task(config: RunConfig, item: BlockItem, begin: Begin) -> BlockTables:

@@ -62,6 +62,7 @@ class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
 
     ``path`` is the folder that contains the campaign folders.  Paths are relative to the configuration file.  ``spec_toml`` is
     the text of the population, which a run writes into its run.toml; it takes precedence over ``spec``.
+    ``store_irregularities``: keep the random numbers of each virtual device in the table ``irregularities``.
     """
 
     kind: Literal["population", "campaigns"] = "population"
@@ -69,6 +70,7 @@ class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
     spec_toml: str | None = None
     values: dict[str, float] = {}
     path: str | None = None
+    store_irregularities: bool = True
 
 
 class ExperimentTable(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,6 +1,7 @@
 """Campaigns: a folder of records of one device with a campaign.toml, read and written.
 
     [device]         id, angular_gain = I_p / I_0p, pickoff = "velocity" | "displacement"
+    [conditions]     part, tester, session: of several campaigns of one device in a run (gauge R&R)
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}
     [[record]]       file, role, rate_dps, bias_v, temperature_c, at_rest; name; start, stop (start <= n < stop of the file);
@@ -46,6 +47,7 @@ from .envelope_campaign import envelope_of
 from .files.channels import correct
 from .files.columns import assemble
 from .files.common_tables import (
+    ConditionsTable,
     DemodulationTable,
     DeviceTable,
     InstrumentTable,
@@ -127,6 +129,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     record: Annotated[list[RecordTable], Meta(min_length=1)]
     kind: ToneKind | Literal["campaign", "decay_amplitude"] = "campaign"
     device: DeviceTable = DeviceTable()
+    conditions: ConditionsTable = ConditionsTable()
     demodulation: DemodulationTable = DemodulationTable()
     instrument: InstrumentTable = InstrumentTable()
     systematic: SystematicTable = SystematicTable()

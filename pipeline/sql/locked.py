@@ -76,10 +76,13 @@ def refused(error: BaseException, sql: str) -> GyroscreenError:
         return UsageError(
             f"a query can read stored results only ({message})",
             value=sql,
-            allowed="the views devices, posterior, runs, columns",
+            allowed="the views devices, posterior, irregularities, runs, columns",
         )
     return UsageError(
-        message, value=sql, allowed="one SELECT on devices, posterior, runs, columns", next_step=_COLUMNS_QUERY
+        message,
+        value=sql,
+        allowed="one SELECT on devices, posterior, irregularities, runs, columns",
+        next_step=_COLUMNS_QUERY,
     )
 
 

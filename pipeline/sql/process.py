@@ -1,6 +1,6 @@
 """The process that answers one query and ends: ``python -P -m pipeline.sql.process``.
 
-    stdin    a line of JSON (Question), then Arrow streams: files, devices, posterior (both empty), runs, columns
+    stdin    a line of JSON (Question), then Arrow streams: files, devices, posterior, irregularities (three empty), runs, columns
     stdout   a byte when the process is ready, then the answer as an Arrow stream
     stderr   a last line of JSON: {"rows": number of rows of the whole answer} or {"error": [..]}
 

@@ -12,8 +12,8 @@ from .. import errors
 
 #: The first byte of an answer: the process is about to begin with the statement.
 READY = b"\n"
-#: Tables that follow a request: files, devices and posterior (both empty, for their schemas), runs, columns.
-TABLES = 5
+#: Tables that follow a request: files, devices, posterior and irregularities (empty, for their schemas), runs, columns.
+TABLES = 6
 
 
 @dataclass(frozen=True)

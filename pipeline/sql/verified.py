@@ -110,11 +110,17 @@ class VerifiedScan:
 
 
 def views(
-    refuse: Refuse, files: pa.Table, devices: pa.Table, posterior: pa.Table, runs: pa.Table, columns: pa.Table
+    refuse: Refuse,
+    files: pa.Table,
+    devices: pa.Table,
+    posterior: pa.Table,
+    irregularities: pa.Table,
+    runs: pa.Table,
+    columns: pa.Table,
 ) -> dict[str, Any]:
-    """The views by name: runs and columns as given, devices and posterior from ``files`` with the schemas of the tables."""
+    """The views by name: runs and columns as given, the others from ``files`` with the schemas of the tables."""
     rows = files.to_pylist()
     found: dict[str, Any] = {"runs": runs, "columns": columns}
-    for name, empty in (("devices", devices), ("posterior", posterior)):
+    for name, empty in (("devices", devices), ("posterior", posterior), ("irregularities", irregularities)):
         found[name] = CommittedFiles([row for row in rows if row["view"] == name], empty.schema, refuse)
     return found

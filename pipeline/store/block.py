@@ -9,8 +9,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..errors import IntegrityError
+from .irregularity_table import schema_of
 from .manifest import FileEntry, Kind
-from .schema import devices_schema, devices_table, duplicates, posterior_schema, require_schema
+from .schema import devices_schema, devices_table, duplicates, require_schema
+
+#: Tables beside the devices, and what their rows are.
+_FURTHER: dict[Kind, str] = {"posterior": "draws", "irregularities": "irregularities"}
 
 
 def block_file(kind: Kind, block: int, last: int | None = None) -> str:
@@ -48,19 +52,21 @@ def check_block(block: int, tables: Mapping[Kind, pa.Table]) -> None:
 
     Raises
     ------
-    IntegrityError : a table is not in the registered schema, a device has several rows, or draws of other devices.
+    IntegrityError : a table is not in the registered schema, a device has several rows, or rows of other devices.
     """
     where = f"block {block}"
     require_schema(tables["devices"], devices_schema(), f"{where} of devices")
     require_unique(tables["devices"], where)
-    if "posterior" in tables:
-        require_schema(tables["posterior"], posterior_schema(), f"{where} of posterior")
-        known = tables["devices"].column("device_id")
-        foreign = pc.invert(pc.is_in(tables["posterior"].column("device_id"), value_set=known.combine_chunks()))
+    known = tables["devices"].column("device_id")
+    for kind, what in _FURTHER.items():
+        if kind not in tables:
+            continue
+        require_schema(tables[kind], schema_of(kind), f"{where} of {kind}")
+        foreign = pc.invert(pc.is_in(tables[kind].column("device_id"), value_set=known.combine_chunks()))
         if pc.any(foreign).as_py():
-            names = tables["posterior"].column("device_id").filter(foreign).unique().to_pylist()
+            names = tables[kind].column("device_id").filter(foreign).unique().to_pylist()
             raise IntegrityError(
-                f"{where} of posterior holds draws of devices that are not in the block", value=names[:5]
+                f"{where} of {kind} holds {what} of devices that are not in the block", value=names[:5]
             )
 
 

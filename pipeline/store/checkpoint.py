@@ -30,10 +30,12 @@ from .read import read_block
 
 #: Blocks of a merged file, and the size at which it is cut: a merge and a reader hold one such file in memory.
 BLOCKS, MOST_BYTES = 256, 16 << 20
+#: Rows of irregularities repeat their names and shrink to 3 bytes: a file of 16 MiB would take 0.8 GB in memory.
+_MOST_BYTES_OF_NUMBERS = 2 << 20
 #: At the end of a run the blocks after the last whole group are merged if there are at least so many: fewer are no burden.
 _LEAST_REST = 32
 #: Names of tables and journals, which only the store writes.
-OWN = re.compile(r"(devices|posterior)-\d{5,}(-\d{5,})?(-amended)?\.parquet|journal-[0-9a-f]{16}\.jsonl")
+OWN = re.compile(r"(devices|posterior|irregularities)-\d{5,}(-\d{5,})?(-amended)?\.parquet|journal-[0-9a-f]{16}\.jsonl")
 
 
 def put_manifest(folder: Path, manifest: Manifest) -> None:
@@ -105,7 +107,7 @@ def groups(manifest: Manifest, rest: bool) -> list[tuple[FileEntry, ...]]:
     """Files of single blocks that become one file each, in block order."""
     blocks = manifest.blocks()
     found: list[tuple[FileEntry, ...]] = []
-    kinds: tuple[Kind, ...] = ("devices", "posterior")
+    kinds: tuple[Kind, ...] = ("devices", "posterior", "irregularities")
     for kind in kinds:
         own: dict[int, list[FileEntry]] = {}
         for entry in manifest.of_kind(kind):
@@ -114,15 +116,15 @@ def groups(manifest: Manifest, rest: bool) -> list[tuple[FileEntry, ...]]:
         for number, entries in own.items():
             whole = blocks.issuperset(range(number * BLOCKS, (number + 1) * BLOCKS))
             if whole or (rest and len(entries) >= _LEAST_REST):
-                found += _cut(entries)
+                found += _cut(entries, _MOST_BYTES_OF_NUMBERS if kind == "irregularities" else MOST_BYTES)
     return found
 
 
-def _cut(entries: Sequence[FileEntry]) -> list[tuple[FileEntry, ...]]:
-    """Consecutive entries of at most ``MOST_BYTES`` together; a single one stays as it is."""
+def _cut(entries: Sequence[FileEntry], most: int) -> list[tuple[FileEntry, ...]]:
+    """Consecutive entries of at most ``most`` bytes together; a single one stays as it is."""
     parts: list[list[FileEntry]] = [[]]
     for entry in entries:
-        if parts[-1] and sum(one.bytes for one in parts[-1]) + entry.bytes > MOST_BYTES:
+        if parts[-1] and sum(one.bytes for one in parts[-1]) + entry.bytes > most:
             parts.append([])
         parts[-1].append(entry)
     return [tuple(part) for part in parts if len(part) > 1]

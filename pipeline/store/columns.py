@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 
 from ..errors import IntegrityError
 from .column import rows_equal
+from .irregularity_table import schema_of
 from .manifest import Kind, Manifest
 from .read import find_run, read_config, read_file, settled
-from .schema import devices_schema, posterior_schema
 
 #: Columns that were read are kept up to this size together.
 _KEPT_BYTES = 128 << 20
@@ -165,7 +165,7 @@ def _table(folder: Path, manifest: Manifest, kind: Kind) -> StoredTable:
     entries = manifest.of_kind(kind)
     for entry in entries:
         read_file(folder, entry)
-    schema = devices_schema() if kind == "devices" else posterior_schema()
+    schema = schema_of(kind)
     files = tuple(folder / entry.name for entry in entries)
     return StoredTable(files, tuple(entry.rows or 0 for entry in entries), schema, tuple(schema.names))
 

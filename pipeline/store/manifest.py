@@ -23,7 +23,7 @@ FORMAT = 1
 NAME = "manifest.json"
 
 Status = Literal["running", "stopped", "complete"]
-Kind = Literal["config", "devices", "posterior", "page"]
+Kind = Literal["config", "devices", "posterior", "irregularities", "page"]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """SQL on the results: DuckDB over the committed files, in a locked and limited process of its own.
 
-Views ``devices`` and ``posterior`` (of the latest run, of a named one or of all, with ``run_id``), ``runs`` (all) and
-``columns``.  The files come from the manifests, never from a glob; whatever the statement makes DuckDB open is checked
-against its SHA-256 as it is opened, so no answer is computed from damaged files (pipeline.sql.verified).
+Views ``devices``, ``posterior`` and ``irregularities`` (of the latest run, of a named one or of all, with ``run_id``),
+``runs`` (all) and ``columns``.  The files come from the manifests, never from a glob; whatever the statement makes DuckDB open
+is checked against its SHA-256 as it is opened, so no answer is computed from damaged files (pipeline.sql.verified).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["FORMATS", "answer", "query", "write_table"]
 MAX_ANSWER_BYTES = 1 << 30
 _TRIES = 20
 LATEST, ALL = "latest", "all"
-_VIEWS: tuple[Kind, ...] = ("devices", "posterior")
+_VIEWS: tuple[Kind, ...] = ("devices", "posterior", "irregularities")
 _UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _UNITS |= {"KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}
 
@@ -41,7 +41,7 @@ def query(
     ----------
     sql : one statement of DuckDB's dialect that only reads (SELECT, WITH, FROM, DESCRIBE, SUMMARIZE).
     results : folder of all runs.
-    run : id of the run that ``devices`` and ``posterior`` contain, "latest" or "all".
+    run : id of the run that these three views contain, "latest" or "all".
     timeout_s : longest time the statement may take [s].
     memory_limit : most memory that the process of the query may take; idle it takes 0.1 GB.
 
@@ -125,7 +125,7 @@ def _tables(results: Path, runs: Sequence[Manifest], run: str) -> list[pa.Table]
 
 def _with_units(table: pa.Table) -> pa.Table:
     """Number repeated names; restore the unit and meaning of results columns."""
-    registered = {field.name: field for kind in ("posterior", "devices") for field in view_schema(kind)}
+    registered = {field.name: field for kind in reversed(_VIEWS) for field in view_schema(kind)}
     seen: Counter[str] = Counter()
     fields = []
     for field in table.schema:

@@ -12,11 +12,11 @@ import pyarrow as pa
 
 from ..errors import IntegrityError, UsageError
 from .files import sha256
+from .irregularity_table import schema_of
 from .journal import read_manifest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest
 from .parquet import decode_table
-from .schema import devices_schema, posterior_schema
 
 CONFIG = "run.toml"
 PREFIX = "run="
@@ -164,8 +164,7 @@ def read_config(folder: Path, manifest: Manifest) -> str:
 
 def read_block(folder: Path, entry: FileEntry) -> pa.Table:
     """One block of a table in the registered schema; raises as :func:`read_table`."""
-    schema = devices_schema() if entry.kind == "devices" else posterior_schema()
-    table = decode_table(read_file(folder, entry), schema, str(folder / entry.name))
+    table = decode_table(read_file(folder, entry), schema_of(entry.kind), str(folder / entry.name))
     if table.num_rows != entry.rows:
         raise IntegrityError(
             f"{folder / entry.name} has the wrong number of rows",
@@ -183,8 +182,7 @@ def read_table(folder: Path, manifest: Manifest, kind: Kind) -> pa.Table:
     ------
     IntegrityError : a file is not what was committed, or holds another number of rows.
     """
-    schema = devices_schema() if kind == "devices" else posterior_schema()
-    blocks = [schema.empty_table(), *(read_block(folder, entry) for entry in manifest.of_kind(kind))]
+    blocks = [schema_of(kind).empty_table(), *(read_block(folder, entry) for entry in manifest.of_kind(kind))]
     return pa.concat_tables(blocks).combine_chunks()
 
 

@@ -96,7 +96,9 @@ class RunStore:
 
         return settled(self.folder, read)
 
-    def commit_block(self, block: int, devices: pa.Table, posterior: pa.Table | None) -> None:
+    def commit_block(
+        self, block: int, devices: pa.Table, posterior: pa.Table | None, irregularities: pa.Table | None = None
+    ) -> None:
         """Commit the tables of one block, atomically; a block that is already committed is left unchanged.
 
         Parameters
@@ -104,6 +106,7 @@ class RunStore:
         block : number of the block, from 0; tables are read back in this order.
         devices : ``devices`` in the registered schema, one row a device.
         posterior : ``posterior`` in the registered schema, or ``None`` where draws are not kept.
+        irregularities : likewise, of the numbers that its virtual devices were drawn with.
 
         Raises
         ------
@@ -113,9 +116,12 @@ class RunStore:
         """
         if block < 0:
             raise UsageError("a block has a number from 0", value=block)
-        tables: dict[Kind, pa.Table] = (
-            {"devices": devices} if posterior is None else {"devices": devices, "posterior": posterior}
-        )
+        given: dict[Kind, pa.Table | None] = {
+            "devices": devices,
+            "posterior": posterior,
+            "irregularities": irregularities,
+        }
+        tables = {kind: table for kind, table in given.items() if table is not None}
         check_block(block, tables)
         with self._writing(clean=self.journal.lines == 0):
             self.journal.refresh(self.folder)

@@ -24,6 +24,7 @@ from .column import column_array
 
 TYPES: dict[str, pa.DataType] = {
     "string": pa.string(),
+    "float32": pa.float32(),
     "float64": pa.float64(),
     "int32": pa.int32(),
     "int64": pa.int64(),
@@ -80,6 +81,12 @@ _ORIGIN = (
     _number("die_x_mm", "mm", "die centre from the wafer centre along x"),
     _number("die_y_mm", "mm", "die centre from the wafer centre along y"),
     _text("package", "package into which it was mounted"),
+)
+
+_GAUGE = (
+    _text("part", "device that several campaigns of the run measured, as [conditions] of its campaign states"),
+    _text("tester", "tester that measured it, likewise"),
+    _text("session", "session in which it was measured, likewise"),
 )
 
 _MISMATCH = (
@@ -166,6 +173,7 @@ _MISSING = (
 
 DEVICES: tuple[Column, ...] = (
     *_ORIGIN,
+    *_GAUGE,
     *(column for quantity in QUANTITIES for column in _estimate(quantity)),
     *_MISMATCH,
     *_ROUTE,

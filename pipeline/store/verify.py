@@ -18,6 +18,7 @@ from ..errors import IntegrityError, UsageError
 from .checkpoint import OWN
 from .digest import TableDigest, comparable
 from .files import STAGED, sha256
+from .irregularity_table import schema_of
 from .journal import journal_name, read_manifest
 from .lock import NAME as LOCK
 from .log import NAME as LOG
@@ -26,7 +27,6 @@ from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Manifest, in_block_order
 from .parquet import decode_table
 from .read import PREFIX, read_file, run_folders
-from .schema import devices_schema, posterior_schema
 from .stream import Names, tables
 
 #: Folder in that of a run where damaged files go when they are repaired.
@@ -153,7 +153,7 @@ def verify_run(folder: Path) -> VerifyReport:
             digest.add(table)
             names.add(table)
             devices += table.num_rows
-        elif table is not None:
+        elif table is not None and entry.kind == "posterior":
             draws += table.num_rows
     if not any(finding.fatal for finding in findings):
         findings += _contents(folder, manifest, digest.result(), names)
@@ -175,11 +175,9 @@ def _journal(folder: Path) -> str:
 def _verify_file(folder: Path, entry: FileEntry) -> pa.Table | None:
     """The table of a file that holds one; raise IntegrityError if it differs from what was committed."""
     data = read_file(folder, entry)
-    if entry.kind == "devices":
-        return decode_table(data, devices_schema(), str(folder / entry.name))
-    if entry.kind == "posterior":
-        return decode_table(data, posterior_schema(), str(folder / entry.name))
-    return None
+    if entry.kind in ("config", "page"):
+        return None
+    return decode_table(data, schema_of(entry.kind), str(folder / entry.name))
 
 
 def _structure(folder: Path, manifest: Manifest) -> Iterator[IntegrityFinding]:
@@ -201,9 +199,12 @@ def _structure(folder: Path, manifest: Manifest) -> Iterator[IntegrityFinding]:
     if missing:
         fatal = manifest.status == "complete"
         yield IntegrityFinding(where, f"blocks of a {manifest.status} run", "no gaps", f"missing {missing[:10]}", fatal)
-    orphans = [entry.block for entry in manifest.of_kind("posterior") if entry.block not in blocks]
-    if orphans:
-        yield IntegrityFinding(where, "draws without their devices", "a devices table each", f"blocks {orphans[:10]}")
+    for kind, what in (("posterior", "draws"), ("irregularities", "irregularities")):
+        orphans = [entry.block for entry in manifest.files if entry.kind == kind and entry.block not in blocks]
+        if orphans:
+            yield IntegrityFinding(
+                where, f"{what} without their devices", "a devices table each", f"blocks {orphans[:10]}"
+            )
 
 
 def _contents(folder: Path, manifest: Manifest, digest: str, names: Names) -> Iterator[IntegrityFinding]:

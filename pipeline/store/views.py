@@ -7,8 +7,9 @@ from dataclasses import astuple, replace
 
 import pyarrow as pa
 
+from .irregularity_table import IRREGULARITIES
 from .manifest import Kind, Manifest
-from .schema import COLUMNS, DEVICES, POSTERIOR, Column, arrow_schema
+from .schema import COLUMNS, Column, arrow_schema
 
 _RUN_ID = Column("runs", "run_id", "string", "", "name of the run")
 
@@ -35,16 +36,19 @@ _META: tuple[Column, ...] = (
     Column("columns", "meaning", "string", "", "what it is"),
 )
 
+#: The columns of all tables of a run.
+_REGISTERED: tuple[Column, ...] = (*COLUMNS, *IRREGULARITIES)
+
 
 def view_schema(kind: Kind) -> pa.Schema:
-    """Schema of the view ``devices`` or ``posterior``: ``run_id``, then the registered columns."""
-    return arrow_schema((_RUN_ID, *(DEVICES if kind == "devices" else POSTERIOR)))
+    """Schema of the view of a table: ``run_id``, then the registered columns."""
+    return arrow_schema((_RUN_ID, *(column for column in _REGISTERED if column.table == kind)))
 
 
 def columns_view() -> pa.Table:
     """Every column of every view, with unit and meaning."""
-    run_ids = tuple(replace(_RUN_ID, table=table) for table in ("devices", "posterior"))
-    rows = [astuple(column) for column in (*run_ids, *COLUMNS, *RUNS, *_META)]
+    run_ids = tuple(replace(_RUN_ID, table=table) for table in dict.fromkeys(c.table for c in _REGISTERED))
+    rows = [astuple(column) for column in (*run_ids, *_REGISTERED, *RUNS, *_META)]
     return pa.table([pa.array(values, pa.string()) for values in zip(*rows)], schema=arrow_schema(_META))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.quantities import QUANTITIES
 
+from ..attribution.content import Attribution
 from ..capability import Common
 from ..devices import Devices, wafer_name
 from ..html.rendering import environment, interval, measured, stylesheet
@@ -25,6 +26,7 @@ from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
 from .figures import corner_plots, run_figures
 from .lot_effects import LotEffects, counted, probability, with_sd
+from .sources import loss_sources
 from .worst import WorstEstimate
 
 MOST_GROUPS = 60
@@ -60,6 +62,7 @@ def render_run_report(
     physics: RunPhysics | None = None,
     common: Common = MappingProxyType({}),
     limits_origin: LimitsOrigin | None = None,
+    attribution: Attribution | None = None,
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -72,6 +75,7 @@ def render_run_report(
     physics : what its devices and its model contain, stated at the head of the page.
     common : quantity -> (E, B) shift by one sd of each error that all devices share.
     limits_origin : where the limits came from.
+    attribution : where the loss comes from; ``None`` leaves the section out.
 
     Raises
     ------
@@ -85,7 +89,8 @@ def render_run_report(
         stylesheet=stylesheet(),
         figures=run_figures(devices, content),
         corners=corner_plots(content.worst, run.posterior),
-        sections=_sections(content),
+        sections=_sections(content, attribution is not None),
+        sources=None if attribution is None else loss_sources(attribution),
         limits_origin="" if limits_origin is None else origin_sentence(limits_origin),
         physics=(*(() if physics is None else physics_sentences(physics)), *_noise(devices)),
         diagnostics=_DIAGNOSTICS,
@@ -118,11 +123,12 @@ def _truth(estimate: WorstEstimate) -> str:
     return measured(estimate.truth, estimate.sd).partition(" ±")[0]
 
 
-def _sections(content: RunContent) -> tuple[tuple[str, str], ...]:
+def _sections(content: RunContent, sources: bool) -> tuple[tuple[str, str], ...]:
     return tuple(
         (key, name)
         for key, name, there in (
             ("causes", "Causes of loss", content.identified),
+            ("sources", "Where the loss comes from", content.identified and sources),
             ("yield", "Yield", content.identified),
             ("wafers", "Wafers", content.identified and bool(content.wafers)),
             ("distributions", "Theta and split", content.identified),

@@ -78,7 +78,7 @@ def run_blocks(
             if item.block.lost:
                 store.log({"event": "lost", "devices": list(BLOCK_FAULTS.devices(item)), "reason": item.block.lost})
             if tables is not None:
-                store.commit_block(tables.index, tables.devices, tables.posterior)
+                store.commit_block(tables.index, tables.devices, tables.posterior, tables.irregularities)
                 store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
             shown.advance(part.devices.num_rows)
         if not examined:

@@ -26,6 +26,7 @@ from reports.decision import conformity, conforms, decide
 from reports.limits import Limits
 
 from ..config import RunConfig
+from .drawn_table import drawn_table
 from .guard import Begin, unguarded
 from .settings import TRIM_STREAM, device_seed, population, rate_of, with_true_noise
 from .trimming import trimmed_columns
@@ -55,12 +56,13 @@ class DeviceBlock:
 
 @dataclass(frozen=True, eq=False)
 class BlockTables:
-    """The result of a block: devices, posterior draws (``None`` if none are stored), and counts by status."""
+    """The result of a block: devices, posterior draws and drawn irregularities (``None`` if not stored), counts by status."""
 
     index: int
     devices: pa.Table
     posterior: pa.Table | None
     statuses: dict[str, int]
+    irregularities: pa.Table | None = None
 
 
 def blocks_of(config: RunConfig, devices: int) -> tuple[DeviceBlock, ...]:
@@ -235,4 +237,5 @@ def virtual_block(config: RunConfig, block: DeviceBlock, begin: Begin = unguarde
             "cause": _causes(limits, truth),
             **truth,
         }
-        return tables_of(block.index, drawn.device_id, fixed, results, limits, config.posterior.stored_draws)
+        found = tables_of(block.index, drawn.device_id, fixed, results, limits, config.posterior.stored_draws)
+        return replace(found, irregularities=drawn_table(drawn)) if config.source.store_irregularities else found

@@ -46,6 +46,12 @@ def _identified(config: RunConfig, source: CampaignSource, n: int) -> tuple[str,
     return device_id, result
 
 
+def _conditions(campaigns: Sequence[CampaignSource]) -> dict[str, list[str | None]]:
+    """part, tester and session of each campaign, by column; ``None`` where it states none."""
+    stated = [source.conditions() for source in campaigns]
+    return {name: [getattr(one, name) or None for one in stated] for name in ("part", "tester", "session")}
+
+
 def campaign_block(
     config: RunConfig, block: DeviceBlock, campaigns: Sequence[CampaignSource], begin: Begin = unguarded
 ) -> BlockTables:
@@ -61,7 +67,7 @@ def campaign_block(
         return tables_of(
             block.index,
             [device_id for device_id, _ in found],
-            {},
+            _conditions(campaigns),
             [result for _, result in found],
             config.judged_by(),
             config.posterior.stored_draws,

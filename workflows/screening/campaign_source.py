@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from pipeline.errors import GyroscreenError, MeasurementError
 from pipeline.experiment.campaign import read_campaign
-from pipeline.experiment.files.common_tables import DeviceTable
+from pipeline.experiment.files.common_tables import ConditionsTable, DeviceTable
 from pipeline.experiment.files.size import check_memory
 from pipeline.experiment.record import Campaign
 from pipeline.store.files import file_sha256
@@ -20,6 +20,7 @@ FILE = "campaign.toml"
 
 class _CampaignHead(Struct):
     device: DeviceTable = DeviceTable()
+    conditions: ConditionsTable = ConditionsTable()
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,13 @@ class CampaignSource:
     folder: Path
     text: bytes | None = None
     records: tuple[tuple[str, str], ...] = ()
+
+    def conditions(self) -> ConditionsTable:
+        """[conditions] of its campaign.toml; empty if that cannot be read."""
+        try:
+            return decode(self.text or b"", _CampaignHead, FILE).conditions
+        except GyroscreenError:
+            return ConditionsTable()
 
     def read(self) -> Campaign:
         """The campaign as the run knows it.

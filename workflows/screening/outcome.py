@@ -20,6 +20,7 @@ from reports.words.night import status_cause
 from reports.words.physics import RunPhysics
 from reports.yields import Yield, yield_of_verdicts
 
+from ..attribution.night import attribution_of
 from ..config import RunConfig, config_of_run
 from ..config_tables import TargetsTable
 from .inputs import FILE as INPUTS
@@ -88,13 +89,10 @@ def rendered_report(results: Path, run_id: str) -> str:
     """The report of a run as HTML."""
     from reports.run.page import render_run_report  # it loads matplotlib
 
-    store = open_run(results, run_id)
-    found, inputs = lot_effects(store), store.page(INPUTS)
+    found = lot_effects(open_run(results, run_id))
 
     def rendered(tables: StoredRun) -> str:
-        config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
-        if inputs is not None:  # the user's code may have changed since, or be gone
-            config = with_stored_code(config, read_inputs(inputs, f"{INPUTS} of {run_id}"))
+        config = config_of_stored(results, tables)
         summary = dict(population(config).assumptions()) if config.source.kind == "population" else None
         common = shared_shifts(config, Devices(tables.devices))
         return render_run_report(
@@ -105,9 +103,18 @@ def rendered_report(results: Path, run_id: str) -> str:
             physics=physics_of(config),
             common=common,
             limits_origin=recorded_origin(tables.manifest.provenance, bool(config.limits)),
+            attribution=attribution_of(config, tables),
         )
 
     return with_run(results, run_id, rendered)
+
+
+def config_of_stored(results: Path, tables: StoredRun) -> RunConfig:
+    """The configuration of a run, with the copies of the user's code that it stored: that may have changed since, or be gone."""
+    run_id = tables.manifest.run_id
+    config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
+    inputs = open_run(results, run_id).page(INPUTS)
+    return config if inputs is None else with_stored_code(config, read_inputs(inputs, f"{INPUTS} of {run_id}"))
 
 
 def physics_of(config: RunConfig) -> RunPhysics:

@@ -73,6 +73,7 @@ def joined(parts: Sequence[BlockTables]) -> BlockTables:
     if len(parts) == 1:
         return parts[0]
     posterior = [part.posterior for part in parts if part.posterior is not None]
+    irregularities = [part.irregularities for part in parts if part.irregularities is not None]
     statuses: dict[str, int] = {}
     for part in parts:
         for status, count in part.statuses.items():
@@ -82,4 +83,5 @@ def joined(parts: Sequence[BlockTables]) -> BlockTables:
         pa.concat_tables([part.devices for part in parts]).combine_chunks(),
         pa.concat_tables(posterior).combine_chunks() if posterior else None,
         statuses,
+        pa.concat_tables(irregularities).combine_chunks() if irregularities else None,
     )

@@ -84,7 +84,7 @@ def plan(config: RunConfig) -> RunPlan:
                 "two campaigns have the same device id",
                 value=name,
                 allowed="one campaign per device",
-                next_step=f"change [device] id in {names[name].name} or {folder.name}",
+                next_step=f"change [device] id in {names[name].name} or {folder.name}; [conditions] part may name one device",
             )
         names[name] = folder
     inputs = collected(config, folders)

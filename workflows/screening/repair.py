@@ -89,7 +89,9 @@ def _run_repaired(results: Path, folder: Path, workers: int, quiet: bool) -> Ite
             yield _inputs_repaired(folder, entry)
         elif entry.kind in ("config", "page") and entry.name not in (EFFECTS, REPORT):
             yield RepairStep(str(folder / entry.name), "nothing else holds its content; restore it from a copy", False)
-    damaged = [entry for entry in entries if entry.kind in ("devices", "posterior") or entry.name == EFFECTS]
+    damaged = [
+        entry for entry in entries if entry.kind in ("devices", "posterior", "irregularities") or entry.name == EFFECTS
+    ]
     if damaged:
         try:
             yield from _tables_repaired(results, folder, manifest, damaged, workers, quiet)
@@ -169,13 +171,8 @@ def _encoded(table: pa.Table) -> memoryview:
 def _rows(entry: FileEntry, blocks: dict[int, BlockTables]) -> pa.Table:
     """The table of a file from those of its blocks."""
     own = [blocks[index] for index in entry.span() if index in blocks]
-    return pa.concat_tables(
-        [
-            block.devices if entry.kind == "devices" else block.posterior
-            for block in own
-            if block.posterior is not None or entry.kind == "devices"
-        ]
-    )
+    tables = [getattr(block, entry.kind) for block in own]  # a block has a field for each kind of table
+    return pa.concat_tables([table for table in tables if table is not None])
 
 
 def _computed(planned: RunPlan, folder: Path, indices: Sequence[int], client: Client) -> dict[int, BlockTables]:

@@ -82,6 +82,14 @@ class DeviceTable(Struct, frozen=True, forbid_unknown_fields=True):
     pickoff: Pickoff = "velocity"
 
 
+class ConditionsTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """Who measured what when, for gauge R&R: ``part`` is the device (left out: its id), for several campaigns of one device."""
+
+    part: str = ""
+    tester: str = ""
+    session: str = ""
+
+
 class DemodulationTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Phase error of the demodulation [deg], and the mode whose frequency is omega_0."""
 

@@ -12,8 +12,10 @@ import pytest
 
 from pipeline.experiment.campaign import write_campaign
 from pipeline.store.digest import table_digest
-from pipeline.store.read import read_run
+from pipeline.store.files import sha256
+from pipeline.store.read import find_run, read_run
 from pipeline.store.run import open_run
+from pipeline.store.stored_numbers import read_numbers
 from tests.stub_runs import empty_pages
 from workflows.cli import call
 from workflows.config import load_config
@@ -43,7 +45,11 @@ def run(tmp: Path, name: str, *options: str, devices: int = 8, block: int = 2) -
 
 
 def digest(results: Path) -> str:
-    return table_digest(read_run(results).devices)
+    """Of the devices and of the numbers that they were drawn with."""
+    numbers = read_numbers(find_run(results), 10**9)
+    return table_digest(read_run(results).devices) + sha256(
+        repr((numbers.device_id, numbers.keys)).encode() + numbers.values.tobytes()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +63,12 @@ def on_cluster(tmp_path_factory: pytest.TempPathFactory, scheduler: str) -> Path
 # The first test: it compiles the kernels once, before several processes need them.
 def test_a_block_is_a_pure_function_of_configuration_and_device_numbers() -> None:
     config = load_config(None, {"seed": 7})
-    whole = virtual_block(config, DeviceBlock(0, 0, 3)).devices
-    alone = virtual_block(config, DeviceBlock(5, 2, 1)).devices
-    assert whole.slice(2, 1).to_pylist() == alone.to_pylist()
+    whole = virtual_block(config, DeviceBlock(0, 0, 3))
+    alone = virtual_block(config, DeviceBlock(5, 2, 1))
+    assert whole.devices.slice(2, 1).to_pylist() == alone.devices.to_pylist()
+    numbers = alone.irregularities.num_rows
+    assert numbers == 64
+    assert whole.irregularities.slice(2 * numbers, numbers).to_pylist() == alone.irregularities.to_pylist()
 
 
 @pytest.mark.usefixtures("without_page")

@@ -14,6 +14,7 @@ import pytest
 
 from pipeline.store import log
 from pipeline.store.run import open_run
+from tests.drawn_devices import drawn_block
 from tests.stub_runs import run_arguments, stub_block, stub_runs
 from workflows.cli import call
 from workflows.screening import repair as repairs
@@ -59,6 +60,18 @@ def flip(path: Path, seed: int = 1) -> bytes:
 def names(folder: Path) -> list[str]:
     files = [path.name for path in folder.iterdir() if path.is_file() and path.name != "manifest.json"]
     return sorted(files)
+
+
+def test_stored_irregularities_are_drawn_again(tmp_path, monkeypatch, capfd):
+    stub_runs(monkeypatch, drawn_block)
+    repairs_compute(monkeypatch, drawn_block)
+    assert call(run_arguments(tmp_path, devices=4)) == 0
+    folder = next((tmp_path / "results").glob("run=*"))
+    sound = flip(folder / "irregularities-00001.parquet")
+    assert verify(folder) == 4
+    assert "irregularities-00001.parquet" in capfd.readouterr().err
+    assert verify(folder, "--repair") == 0
+    assert (folder / "irregularities-00001.parquet").read_bytes() == sound
 
 
 def test_damage_in_any_file_of_a_run_is_found_and_named(folder, capfd):

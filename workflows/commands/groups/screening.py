@@ -1,4 +1,4 @@
-"""Declaration of the commands of the screening run: run, rare, query, report, verify."""
+"""Declaration of the commands of the screening run: run, rare, query, report, attribute, grr, verify."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ def rare(
 
 
 def query(
-    sql: Annotated[str, typer.Argument(help="One SELECT on the views devices, posterior, runs, columns.")],
+    sql: Annotated[
+        str, typer.Argument(help="One SELECT on the views devices, posterior, irregularities, runs, columns.")
+    ],
     results: Results = DEFAULT_RESULTS,
     format: Annotated[
         str | None, typer.Option(help="table, csv, json or parquet; default: the suffix of --out, else table.")
@@ -126,6 +128,44 @@ def report(
     command(run, results, out, limits, json)
 
 
+def attribute(
+    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    results: Results = DEFAULT_RESULTS,
+    what_if: Annotated[
+        str | None,
+        typer.Option(
+            "--what-if", help='Change of the population, as "spring_width.wafer_um*0.5, lid_leak.fraction=0.01".'
+        ),
+    ] = None,
+    samples: Annotated[int, typer.Option(help="Virtual devices from which the shares are found.")] = 10_000,
+    json: Json = False,
+) -> None:
+    """Attribute the loss of a run to irregularities and levels.
+
+    With --what-if, the loss if the population were another one: the stored devices drawn again, and reweighted.
+    """
+    from ..attribute import attribute as command
+
+    command(run, results, what_if, samples, json)
+
+
+def grr(
+    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    results: Results = DEFAULT_RESULTS,
+    limits: Annotated[
+        Path | None, typer.Option(help="Limits (TOML) for % tolerance; default: those of the run.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Repeatability and reproducibility from repeated campaigns.
+
+    The campaigns of a run name their device, tester and session in [conditions] of campaign.toml.
+    """
+    from ..grr import grr as command
+
+    command(run, results, limits, json)
+
+
 def verify(
     results: Results = DEFAULT_RESULTS,
     json: Json = False,
@@ -144,4 +184,4 @@ def verify(
     command(results, json, repair)
 
 
-COMMANDS = (run, rare, query, report, verify)
+COMMANDS = (run, rare, query, report, attribute, grr, verify)
