@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.experiment.tones import ToneRecord, passes_of
 
-from ...html.style import AFTER, BEFORE, INK, WIDTH, literal, panels, style, to_svg
+from ...html.style import AFTER, BEFORE, INK, WIDTH, Drawing, literal, panels, style
 from ..tone_view import ToneView
 from .records import Picture
 
@@ -49,7 +49,7 @@ def tone_pictures(before: Sequence[ToneView], after: Sequence[ToneView]) -> tupl
 Pair = tuple[ToneView, ToneView | None]
 
 
-def _figure(pairs: Sequence[Pair], channel: int, name: str) -> str:
+def _figure(pairs: Sequence[Pair], channel: int, name: str) -> Drawing:
     """Size and phase on the left, the Nyquist plane on the right, the residual below."""
     with style():
         figure, grid = panels(3, 2, 1.75, left=0.85, bottom=0.85, top=0.1, gap=0.8, between=0.18)
@@ -79,7 +79,7 @@ def _figure(pairs: Sequence[Pair], channel: int, name: str) -> str:
         nyquist.set_ylabel(f"imaginary part, {unit}")
         nyquist.set_aspect("equal", adjustable="datalim")
         _legend(figure_axes=nyquist, both=pairs[0][1] is not None)
-        return to_svg(figure, name, "Measured response, model and residual against frequency and in the Nyquist plane")
+        return Drawing(figure, name, "Measured response, model and residual against frequency and in the Nyquist plane")
 
 
 def tones_png(records: Sequence[ToneRecord], path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The figures of a run's page, from its devices and its content: name -> SVG text, "" if there is nothing to draw."""
+"""The figures of a run's page, from its devices and its content: name -> figure, ``None`` if there is nothing to draw."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pipeline.axial import difference, mean_axis
 from pipeline.quantities import AXES
 
 from ...devices import ColumnSource, Devices, rows_of
+from ...html.style import Drawing
 from ...limits import Limit
 from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
 from ..calibration import z_scores
@@ -29,8 +30,8 @@ from .yields import Span, yield_spans
 CORNER = {"theta_deg": "Δ theta", "split_hz": "Δ split", "c12_per_s": "Δ c12", "sense_imbalance": "Δ imbal."}
 
 
-def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
-    """All figures of the page by name; empty text where there is nothing to draw."""
+def run_figures(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
+    """All figures of the page by name; ``None`` where there is nothing to draw."""
     if not len(devices):
         return {}
     return {
@@ -40,20 +41,20 @@ def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
         **_maps(devices),
         **_distributions(devices, content),
         **_calibration(devices, content),
-        "route": _route(devices) if content.routes else "",
+        "route": _route(devices) if content.routes else None,
     }
 
 
-def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -> tuple[str, ...]:
-    """A corner plot for the first device of each kind of worst; "" for the others and for those without draws."""
+def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -> tuple[Drawing | None, ...]:
+    """A corner plot for the first device of each kind of worst; ``None`` for the others and for those without draws."""
     first = [device.why not in {other.why for other in worst[:k]} for k, device in enumerate(worst)]
     return tuple(
-        _corner(k, device, posterior) if chosen and posterior is not None else ""
+        _corner(k, device, posterior) if chosen and posterior is not None else None
         for k, (device, chosen) in enumerate(zip(worst, first, strict=True))
     )
 
 
-def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> str:
+def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> Drawing | None:
     rows = Devices(rows_of(posterior, device.device_id))
     truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
     columns: list[FloatArray] = []
@@ -72,9 +73,8 @@ def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> str:
         shown.append(truth / 10.0**exponent)
         labels.append(f"{CORNER[name]}\n{_unit(exponent, UNITS[name])}")
     if not columns:
-        return ""
-    drawn = corner_plot(labels, np.stack(columns, axis=1), shown, f"corner-{k}", f"Posterior of {device.device_id}")
-    return drawn or ""
+        return None
+    return corner_plot(labels, np.stack(columns, axis=1), shown, f"corner-{k}", f"Posterior of {device.device_id}")
 
 
 def _thousands(sd: float) -> int:
@@ -141,9 +141,9 @@ def _spans(content: RunContent) -> list[Span]:
     return spans
 
 
-def _pareto(content: RunContent) -> str:
+def _pareto(content: RunContent) -> Drawing | None:
     if not content.pareto.failed:
-        return ""
+        return None
     bars = [
         CauseBar(f"{label(row.limit.quantity)} {limit_words(row.limit)}", row.failed, row.alone)
         for row in content.pareto.limits
@@ -151,9 +151,9 @@ def _pareto(content: RunContent) -> str:
     return pareto_bars(bars, content.pareto.failed)
 
 
-def _stages(content: RunContent) -> str:
+def _stages(content: RunContent) -> Drawing | None:
     if not content.stages:
-        return ""
+        return None
     bars = [
         StageBar(
             f"{label(row.limit.quantity)} {limit_words(row.limit)}" if row.limit else "all limits together",
@@ -166,11 +166,11 @@ def _stages(content: RunContent) -> str:
     return stage_bars([bars[0], *sorted(bars[1:], key=lambda bar: -(bar.fabrication + bar.packaging))])
 
 
-def _maps(devices: Devices) -> dict[str, str]:
+def _maps(devices: Devices) -> dict[str, Drawing | None]:
     x, y, wafers = devices.number("die_x_mm"), devices.number("die_y_mm"), devices.wafers()
     placed = np.isfinite(x) & np.isfinite(y) & ~wafers.equals("")
     if not placed.any():
-        return {"wafer-maps": "", "stacked-map": ""}
+        return {"wafer-maps": None, "stacked-map": None}
     verdicts = devices.text("verdict")
     return {
         "wafer-maps": wafer_maps(x[placed], y[placed], verdicts.at(placed), wafers.at(placed)),
@@ -178,7 +178,7 @@ def _maps(devices: Devices) -> dict[str, str]:
     }
 
 
-def _distributions(devices: Devices, content: RunContent) -> dict[str, str]:
+def _distributions(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
     limits: dict[str, Limit] = {limit.quantity: limit for limit in content.limits.limits}
     verdicts = devices.text("verdict")
     others = [name for name in limits if name not in ("theta_deg", "split_hz")]
@@ -194,13 +194,13 @@ def _distributions(devices: Devices, content: RunContent) -> dict[str, str]:
             limits.get("theta_deg"),
             limits.get("split_hz"),
         ),
-        "histograms": histograms(panels, verdicts) if panels else "",
+        "histograms": histograms(panels, verdicts) if panels else None,
     }
 
 
-def _calibration(devices: Devices, content: RunContent) -> dict[str, str]:
+def _calibration(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
     if not content.coverages:
-        return {"coverage": "", "z-scores": ""}
+        return {"coverage": None, "z-scores": None}
     panels = [(label(name), z_scores(devices, name)) for name in ("theta_deg", "split_hz")]
     return {
         "coverage": coverage_dots([(label(row.quantity), row) for row in content.coverages]),
@@ -208,7 +208,7 @@ def _calibration(devices: Devices, content: RunContent) -> dict[str, str]:
     }
 
 
-def _route(devices: Devices) -> str:
+def _route(devices: Devices) -> Drawing:
     virtual = bool(np.isfinite(devices.number("true_split_hz")).any())
     against = "true_" if virtual else ""
     of = "error" if virtual else "difference"
