@@ -17,7 +17,7 @@ from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
 from ..calibration import z_scores
 from ..content import RunContent
 from ..health import ROUTE_THETAS, miss
-from ..worst import WorstDevice
+from ..worst import WorstDevice, WorstEstimate
 from .calibration import coverage_dots, z_panels
 from .causes import CauseBar, StageBar, pareto_bars, stage_bars
 from .corners import corner_plot
@@ -49,32 +49,40 @@ def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -
     """A corner plot for the first device of each kind of worst; ``None`` for the others and for those without draws."""
     first = [device.why not in {other.why for other in worst[:k]} for k, device in enumerate(worst)]
     return tuple(
-        _corner(k, device, posterior) if chosen and posterior is not None else None
+        device_corner(f"corner-{k}", device.device_id, device.estimates, posterior)
+        if chosen and posterior is not None
+        else None
         for k, (device, chosen) in enumerate(zip(worst, first, strict=True))
     )
 
 
-def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> Drawing | None:
-    rows = Devices(rows_of(posterior, device.device_id))
-    truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
+def device_corner(
+    name: str, device_id: str, estimates: Sequence[WorstEstimate], posterior: ColumnSource
+) -> Drawing | None:
+    """The corner plot of a device from its draws in ``posterior``; ``None`` where they are too few.
+
+    ``estimates`` gives the truths.
+    """
+    rows = Devices(rows_of(posterior, device_id))
+    truths = {estimate.quantity: estimate.truth for estimate in estimates}
     columns: list[FloatArray] = []
     shown: list[float] = []
     labels: list[str] = []
-    for name in CORNER:
-        values, truth = rows.number(name), truths.get(name, float("nan"))
+    for quantity, symbol in CORNER.items():
+        values, truth = rows.number(quantity), truths.get(quantity, float("nan"))
         if not np.isfinite(values).any():
             continue
         # Relative to the centre and scaled by powers of a thousand: digits that all draws share would crowd the ticks.
-        centre = mean_axis(values) if name in AXES else float(np.nanmean(values))
-        values = difference(values, centre) if name in AXES else values - centre
-        truth = float(difference(truth, centre)) if name in AXES else truth - centre
+        centre = mean_axis(values) if quantity in AXES else float(np.nanmean(values))
+        values = difference(values, centre) if quantity in AXES else values - centre
+        truth = float(difference(truth, centre)) if quantity in AXES else truth - centre
         exponent = _thousands(float(np.nanstd(values)))
         columns.append(values / 10.0**exponent)
         shown.append(truth / 10.0**exponent)
-        labels.append(f"{CORNER[name]}\n{_unit(exponent, UNITS[name])}")
+        labels.append(f"{symbol}\n{_unit(exponent, UNITS[quantity])}")
     if not columns:
         return None
-    return corner_plot(labels, np.stack(columns, axis=1), shown, f"corner-{k}", f"Posterior of {device.device_id}")
+    return corner_plot(labels, np.stack(columns, axis=1), shown, name, f"Posterior of {device_id}")
 
 
 def _thousands(sd: float) -> int:
