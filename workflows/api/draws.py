@@ -8,9 +8,8 @@ Groups and dimensions follow the InferenceData schema of ArviZ (python.arviz.org
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -18,11 +17,9 @@ from pipeline.arrays import FloatArray
 from pipeline.errors import ConfigError, UsageError
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.quantities import QUANTITIES
-from reports.devices import Devices, rows_of
 
 from ..device.identified import IdentifiedDevice
 from ..learning import ComparisonResult, RefinementResult
-from .night import ScreeningRun
 
 _UNITS = {quantity.name: quantity.unit for quantity in QUANTITIES}
 _DRAWS = 4000
@@ -33,8 +30,16 @@ _STORED, _SAMPLED, _NORMAL = (
 )
 
 
+@runtime_checkable
+class StoredDraws(Protocol):
+    """A run, which keeps draws of its devices."""
+
+    def draws_of(self, device_id: str) -> tuple[dict[str, FloatArray], dict[str, float]]:
+        """Draws by quantity, and true values."""
+
+
 def inference_data(
-    source: ScreeningRun | IdentifiedDevice | ComparisonResult | RefinementResult | CampaignFit,
+    source: StoredDraws | IdentifiedDevice | ComparisonResult | RefinementResult | CampaignFit,
     device_id: str | None = None,
     *,
     seed: int = 1,
@@ -57,8 +62,8 @@ def inference_data(
     >>> found = gs.inference_data(night, "D000003")
     >>> found.posterior["theta_deg"].std()
     """
-    if isinstance(source, ScreeningRun):
-        draws, truth = _stored(source, device_id)
+    if isinstance(source, StoredDraws):
+        draws, truth = source.draws_of(device_id or "")
         return _tree(draws, truth, _STORED)
     if device_id is not None:
         raise UsageError("a device_id applies to a run only", value=device_id, next_step="leave it out")
@@ -73,30 +78,6 @@ def inference_data(
         return _tree(source.draws, {}, _SAMPLED)
     fit = source if isinstance(source, CampaignFit) else _fit(source)
     return _tree(_normal(fit, seed), {}, _NORMAL, {name: p.unit for name, p in fit.model.parameters()})
-
-
-def _stored(run: ScreeningRun, device_id: str | None) -> tuple[dict[str, FloatArray], dict[str, float]]:
-    """Draws and true values of one device; only files that can hold it are read."""
-    name = device_id or ""
-    device = Devices(run.read(lambda tables: rows_of(tables.devices, name)))
-    if not len(device):
-        raise UsageError(
-            "the run has no such device",
-            value=device_id,
-            allowed="a device_id of the run",
-            next_step="gs.open_run(...).devices.index lists them",
-        )
-    drawn = Devices(run.read(lambda tables: rows_of(tables.posterior, name)))
-    if not len(drawn):
-        raise UsageError(
-            "the run kept no draws of this device",
-            value=device_id,
-            allowed="a device that was identified, in a run that stores draws",
-            next_step="see the status of the device, and posterior.stored_draws of the run's configuration",
-        )
-    draws = {name: drawn.number(name) for name in _UNITS}
-    true = {f"true_{name}": float(device.number(f"true_{name}")[0]) for name in _UNITS}
-    return draws, {name: value for name, value in true.items() if math.isfinite(value)}
 
 
 def _fit(result: ComparisonResult | RefinementResult) -> CampaignFit:

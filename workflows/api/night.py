@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,12 +11,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import pyarrow as pa
 
+from pipeline.arrays import FloatArray
 from pipeline.errors import UsageError, unwritable
+from pipeline.quantities import NAMES
 from pipeline.store.columns import StoredRun, StoredTable, with_run
 from pipeline.store.query import query as query_results
 from pipeline.store.read import PREFIX, find_run
 from pipeline.store.run import open_run as open_store
 from pipeline.store.schema import COLUMNS
+from reports.devices import Devices, rows_of
 from reports.limits import Limits
 from reports.run.content import RunContent, run_content
 from reports.words.notebook import run_sentence
@@ -142,6 +146,33 @@ class ScreeningRun:
         except OSError as error:
             raise unwritable("the page", out, error, "choose another file") from None
         return Path(out)
+
+    def draws_of(self, device_id: str) -> tuple[dict[str, FloatArray], dict[str, float]]:
+        """Draws (n,) of a device by quantity, and its true values by true_<q>; only files that can hold it are read.
+
+        Raises
+        ------
+        UsageError : no such device, or no draws of it.
+        """
+        device = Devices(self.read(lambda tables: rows_of(tables.devices, device_id)))
+        if not len(device):
+            raise UsageError(
+                "the run has no such device",
+                value=device_id,
+                allowed="a device_id of the run",
+                next_step="gs.open_run(...).devices.index lists them",
+            )
+        drawn = Devices(self.read(lambda tables: rows_of(tables.posterior, device_id)))
+        if not len(drawn):
+            raise UsageError(
+                "the run kept no draws of this device",
+                value=device_id,
+                allowed="a device that was identified, in a run that stores draws",
+                next_step="see the status of the device, and posterior.stored_draws of the run's configuration",
+            )
+        true = {f"true_{name}": float(device.number(f"true_{name}")[0]) for name in NAMES}
+        known = {name: value for name, value in true.items() if math.isfinite(value)}
+        return {name: drawn.number(name) for name in NAMES}, known
 
     def inference_data(self, device_id: str) -> Any:
         """The posterior draws of a device for ArviZ; see :func:`workflows.api.draws.inference_data`."""

@@ -231,6 +231,11 @@ class DiagnosisResult(SelectionResult):
         """One row per absent effect, the most significant first."""
         return tables.candidates_table(self.answer.candidates)
 
+    @property
+    def sizes(self) -> pd.DataFrame:
+        """One row per parameter of each absent effect: value, sd, unit."""
+        return tables.sizes_table(self.answer.candidates, self.problem.model)
+
     def shown(self) -> tuple[pd.DataFrame, ...]:
         """The candidates."""
         return (self.candidates,)
