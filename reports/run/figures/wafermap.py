@@ -26,9 +26,14 @@ MOST = 12
 
 
 def wafer_maps(
-    x_mm: FloatArray, y_mm: FloatArray, verdicts: Sequence[str], wafers: Sequence[str], name: str = "wafer-maps"
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    verdicts: Sequence[str],
+    wafers: Sequence[str],
+    name: str = "wafer-maps",
+    most: int = MOST,
 ) -> Drawing:
-    """One small map per wafer in order of name, at most ``MOST``.
+    """One small map per wafer in order of name, at most ``most``.
 
     Parameters
     ----------
@@ -36,7 +41,7 @@ def wafer_maps(
     verdicts, wafers : B each.
     """
     verdict, wafer = coded(verdicts), coded(wafers)
-    names = sorted(wafer.counts(), key=natural)[:MOST]
+    names = sorted(wafer.counts(), key=natural)[:most]
     radius = _radius(x_mm, y_mm)
     with style():
         across = min(COLUMNS, max(2, len(names)))

@@ -1,4 +1,4 @@
-"""Declaration of the commands of the screening run: run, rare, query, report, verify."""
+"""Declaration of the commands of the screening run: run, rare, query, report, export, verify."""
 
 from __future__ import annotations
 
@@ -88,6 +88,23 @@ def report(
     command(run, results, out)
 
 
+def export(
+    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    results: Results = DEFAULT_RESULTS,
+    format: Annotated[
+        str | None,
+        typer.Option(help="csv, xlsx, stdf, wafermap-png or wafermap-csv; default: the suffix of --out, else csv."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The file; STDF files and map pages are one per lot, with its name added.")
+    ] = None,
+) -> None:
+    """Write a run for other programs: CSV, Excel, STDF V4, wafer maps as pictures or as a table."""
+    from ..export import export as command
+
+    command(run, results, format, out)
+
+
 def verify(
     results: Results = DEFAULT_RESULTS,
     json: Json = False,
@@ -106,4 +123,4 @@ def verify(
     command(results, json, repair)
 
 
-COMMANDS = (run, rare, query, report, verify)
+COMMANDS = (run, rare, query, report, export, verify)
