@@ -2,7 +2,7 @@
 
     x = x0 + p X,  p the largest pitch of which all differences are multiples, |x0| <= p/2
 
-The pitch is found by Euclid's algorithm on the differences of the positions, with a tolerance for their rounding.
+The smallest difference is a multiple of the pitch, so its whole fractions are tried, the largest first.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from pipeline.arrays import FloatArray
 
 from ..coded import IntArray
 
-#: Rounding of positions in files [mm]; a pitch is not smaller than ten times this.
-_TOLERANCE_MM = 1e-3
+#: Positions of files are rounded to a micrometre, so that a difference is off by 1 um and, with that of the pitch, by 2 um [mm].
+_TOLERANCE_MM = 2.5e-3
+#: Smallest pitch that is tried [mm]: no gyro is smaller, and a finer grid would fit any positions.
+_LEAST_MM = 0.1
 #: Places of a grid of STDF (I*2, without the mark for none).
 _MOST = 32767
 
@@ -36,29 +38,30 @@ def die_grid(x_mm: FloatArray, y_mm: FloatArray) -> DieGrid:
     known = np.isfinite(x_mm) & np.isfinite(y_mm)
     places, pitches = [], []
     for values in (x_mm, y_mm):
-        pitch = _pitch(np.unique(values[known]))
-        place = np.zeros(values.shape)
+        different = np.unique(values[known])
+        pitch = _pitch(different)
+        place = np.zeros(values.shape, dtype=np.int64)
         if pitch > 0.0:
-            first = values[known][0] if known.any() else 0.0
-            offset = first - pitch * np.round(first / pitch)
+            offset = different[0] - pitch * np.round(different[0] / pitch)
             place[known] = np.round((values[known] - offset) / pitch)
-            on_grid = np.abs(values[known] - offset - pitch * place[known]) <= 10 * _TOLERANCE_MM
-            if not on_grid.all() or np.abs(place).max() > _MOST:
-                known = np.zeros_like(known)
-        places.append(place.astype(np.int64))
+        if (different.size > 1 and pitch == 0.0) or np.abs(place).max(initial=0) > _MOST:
+            known = np.zeros_like(known)
+        places.append(place)
         pitches.append(pitch)
     return DieGrid(places[0], places[1], known, (pitches[0], pitches[1]))
 
 
 def _pitch(values: FloatArray) -> float:
-    """The largest pitch of which all differences of sorted ``values`` [mm] are multiples; 0 for a single value."""
-    found = 0.0
-    for step in np.unique(np.round(np.diff(values) / _TOLERANCE_MM)) * _TOLERANCE_MM:
-        a, b = max(found, float(step)), min(found, float(step))
-        while b > 5 * _TOLERANCE_MM:
-            a, b = b, a - b * np.round(a / b)
-            b = abs(b)
-        found = a
-    # Euclid adds up the roundings; the whole range gives the pitch with the least of them.
-    steps = np.round((values[-1] - values[0]) / found) if values.size > 1 and found > 0.0 else 0.0
-    return float((values[-1] - values[0]) / steps) if steps else 0.0
+    """The largest pitch of which all differences of the sorted ``values`` [mm] are multiples; 0 where there is none."""
+    if values.size < 2:
+        return 0.0
+    steps = values[1:] - values[0]
+    smallest = float(np.diff(values).min())
+    for divisor in range(1, int(smallest / _LEAST_MM) + 1):
+        pitch = smallest / divisor
+        for step in steps.tolist():
+            # The longest difference so far gives the pitch with the least rounding.
+            pitch = step / round(step / pitch)
+        if np.abs(steps - pitch * np.round(steps / pitch)).max() <= _TOLERANCE_MM:
+            return float(pitch)
+    return 0.0

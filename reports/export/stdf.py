@@ -215,7 +215,7 @@ def _full(tests: Sequence[StdfTest], short: np.ndarray[tuple[int], np.dtype[np.v
 
 
 def _storable(values: FloatArray) -> BoolArray:
-    return np.isfinite(values) & (np.abs(values) <= np.finfo(np.float32).max)
+    return np.isfinite(values) & (np.abs(values) <= fields.LARGEST)
 
 
 def _flags(test: StdfTest, values: FloatArray, ok: BoolArray) -> tuple[IntArray, IntArray]:

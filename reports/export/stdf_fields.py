@@ -23,6 +23,8 @@ import struct
 #: Longest text of a C*n field [bytes].
 TEXT_BYTES = 255
 NO_COORDINATE, NO_COUNT, NO_BIN = -32768, 2**32 - 1, 65535
+#: Largest number of an R*4 field: (2 - 2^-23) 2^127.
+LARGEST = (2.0 - 2.0**-23) * 2.0**127
 #: HEAD_NUM of a record that summarises all sites.
 ALL_SITES = 255
 
@@ -119,9 +121,10 @@ def tsr(
     number: int, executed: int, failed: int, name: str, least: float, most: float, total: float, squares: float
 ) -> bytes:
     """Test Synopsis Record of all sites; ``least`` .. ``squares``: of the results, nan for no result."""
-    known = math.isfinite(least)
+    values = (least, most, total, squares)
+    known = [math.isfinite(one) and abs(one) <= LARGEST for one in values]
     # Bit 2: no test time; 3, 6, 7 are reserved and 1; 0, 1, 4, 5: no minimum, maximum, sum, sum of squares.
-    options = 0b1100_1100 | (0 if known else 0b0011_0011)
-    values = (0.0, *((least, most, total, squares) if known else (0.0,) * 4))
+    options = 0b1100_1100 | sum(0 if one else 1 << bit for one, bit in zip(known, (0, 1, 4, 5)))
+    stored = (0.0, *(value if one else 0.0 for value, one in zip(values, known)))
     head = struct.pack("<BBcIIII", ALL_SITES, 1, b"P", number, executed, failed, NO_COUNT)
-    return record((10, 30), head, text(name), text(""), text(""), struct.pack("<B5f", options, *values))
+    return record((10, 30), head, text(name), text(""), text(""), struct.pack("<B5f", options, *stored))
