@@ -25,8 +25,8 @@ from pipeline.store.read import read_run
 from tests.pipeline.experiment.checks.planted_faults import healthy
 from tests.stub_runs import run_arguments, stub_block, stub_runs
 from workflows.cli import call
-from workflows.device import identified as identify_device_module
 from workflows.commands import learn
+from workflows.device import identified as identify_device_module
 from workflows.process import deaf_children, repeat_lost_interrupts
 from workflows.screening import batch
 from workflows.screening.block import BlockTables, DeviceBlock
