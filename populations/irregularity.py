@@ -21,6 +21,7 @@ from typing import Literal
 
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.errors import ConfigError
+from pipeline.user_code import fault
 
 from .site import Site
 
@@ -125,7 +126,7 @@ def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
 
 
 def _load(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"irregularity_{path.stem}", path)
+    spec = importlib.util.spec_from_file_location(f"user_irregularity_{path.stem}", path)
     # The suffix .py guarantees a spec with a loader.
     assert spec is not None
     assert spec.loader is not None
@@ -133,9 +134,11 @@ def _load(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise ConfigError(
-            f"irregularity file {path} cannot be imported ({type(error).__name__}: {error})",
-            allowed="a Python file that defines IRREGULARITY",
-            next_step="correct it; see docs/add-an-irregularity.md",
+        raise fault(
+            "the file of an irregularity fails when it is run",
+            error,
+            path,
+            "correct this line; see docs/add-an-irregularity.md",
+            "a Python file that defines IRREGULARITY",
         ) from error
     return module

@@ -38,6 +38,7 @@ from typing import Any
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
+from ..user_code import fault, fault_at, line_of
 from . import effects as library
 from .declared import LookAlike, SizeRange
 from .force_law import Laws
@@ -243,16 +244,17 @@ def load_effect(origin: str) -> Effect:
         raise ConfigError("not a Python file", value=origin)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    guide = "correct this line; see docs/add-an-effect.md"
     try:
         spec.loader.exec_module(module)
-    except ConfigError:
-        raise
-    except Exception as error:
-        raise ConfigError(
-            "the file of an effect fails when it is run",
-            value=f"{origin}: {type(error).__name__}: {error}",
-            next_step="run it with python to see where",
+    except ConfigError as error:
+        why = f"{error.what}: {error.value}" if error.value is not None else error.what
+        line = line_of(error, origin)
+        raise fault_at(
+            "the declaration of an effect", why, origin, line, error.next_step or guide, error.allowed
         ) from error
+    except Exception as error:
+        raise fault("the file of an effect fails when it is run", error, origin, guide) from error
     return _effect_of(module, origin)
 
 
