@@ -248,7 +248,7 @@ def load_effect(origin: str) -> Effect:
     try:
         spec.loader.exec_module(module)
     except ConfigError as error:
-        why = f"{error.what}: {error.value}" if error.value is not None else error.what
+        why = f"{error.what}: {error.value!r}" if error.value is not None else error.what
         line = line_of(error, origin)
         raise fault_at(
             "the declaration of an effect", why, origin, line, error.next_step or guide, error.allowed
