@@ -1,7 +1,7 @@
 """Faults of the user's own Python files as typed errors: file, line, the statement, and the reason in one message.
 
-The place is, in this order: that of a syntax error; the last frame of the traceback that lies in the file; the place that numba
-gives (``error.loc``, or "at FILE (LINE)" in its message); the ``return`` of a function whose result is wrong.
+The place is, in this order: that of a syntax error; the first one that a message of numba tells; the last frame of the traceback
+that lies in the file; ``error.loc`` of numba; the ``return`` of a function whose result is wrong.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from .errors import ConfigError
 
-_NUMBA_PLACE = re.compile(r'(?:at ([^\s"]+) \((\d+)\)|File "([^"]+)", line (\d+))')
+_NUMBA_PLACE = re.compile(r'File "([^"]+)", line (\d+)')
 _ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
 #: How the names of modules begin that are loaded from the user's files.
 MODULES = ("user_effect_", "user_irregularity_")
@@ -68,15 +68,26 @@ def line_of(error: BaseException, file: str | Path) -> int | None:
     own = Path(file).resolve()
     if isinstance(error, SyntaxError) and error.filename is not None and Path(error.filename).resolve() == own:
         return error.lineno
+    if _of_numba(error) and (line := _told_line(error, own)) is not None:
+        return line
     frames = [one.lineno for one in traceback.extract_tb(error.__traceback__) if Path(one.filename).resolve() == own]
     if frames:
         return frames[-1]
     location: Any = getattr(error, "loc", None)
     if location is not None and Path(str(location.filename)).name == own.name:
         return int(location.line)
+    return None
+
+
+def _of_numba(error: BaseException) -> bool:
+    return type(error).__module__.startswith("numba")
+
+
+def _told_line(error: BaseException, file: Path) -> int | None:
+    """The first line of ``file`` that a message of numba tells: the innermost, of a function that the compiled one calls."""
     for match in _NUMBA_PLACE.finditer(_ESCAPE.sub("", str(error))):
-        if Path(match[1] or match[3]).name == own.name:
-            return int(match[2] or match[4])
+        if Path(match[1]).name == file.name:
+            return int(match[2])
     return None
 
 
@@ -105,7 +116,7 @@ def reason(error: BaseException) -> str:
     text = _ESCAPE.sub("", str(error)).strip()
     if isinstance(error, SyntaxError):
         return f"SyntaxError: {error.msg}"
-    if "nopython" not in text and "signature" not in text:
+    if not _of_numba(error):
         first = text.splitlines()[0] if text else ""
         return f"{type(error).__name__}: {first}".removesuffix(": ")
     return _numba_reason([line.strip() for line in text.splitlines() if line.strip()])
@@ -118,7 +129,7 @@ def _numba_reason(lines: list[str]) -> str:
         return (
             f"numba does not know {found[1]!r}: a function that a force calls is compiled, too (@numba.njit above it)"
         )
-    if found := re.match(r"Unknown attribute '(\w+)' of type (\w+)\((.*)", first):
+    if found := re.match(r"Unknown attribute '(\w+)' of type (\w+)(.*)", first):
         module = re.search(r"<module '([\w.]+)'", found[3])
         return f"numba does not know {found[1]!r} of {module[1] if module else found[2]}"
     if "'$" in first and "return_value" in first:

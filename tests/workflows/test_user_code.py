@@ -174,3 +174,13 @@ def test_a_fault_that_shows_later_is_still_that_of_the_users_file(tmp_path):
     assert found is not None
     assert f"{file}, line 20:" in str(found)
     assert fault_of(ValueError("elsewhere")) is None
+
+
+@pytest.mark.parametrize(("decorator", "line"), [("", 11), ("@njit\n", 12)])
+def test_a_mistake_in_a_helper_is_named_where_it_is(decorator, line, tmp_path, capsys):
+    text = EFFECT.replace("def helper", f"{decorator}def helper").replace("return x * x", "return x.real_part")
+    (tmp_path / "mine.py").write_text(text.replace("p[0] * q[i]", "p[0] * helper(q[i])"), encoding="utf-8")
+    assert call(["model", "add", "mine", str(tmp_path / "model.toml"), "--effects", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "real_part" in error
+    assert f"mine.py, line {line}:" in error, error
