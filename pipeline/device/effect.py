@@ -268,7 +268,12 @@ def find_effects(folders: Sequence[Path] = ()) -> dict[str, Effect]:
     origins = sorted(module.name for module in pkgutil.iter_modules(library.__path__))
     for folder in folders:
         if not Path(folder).is_dir():
-            raise ConfigError("the folder of effects does not exist", value=str(folder))
+            raise ConfigError(
+                "the folder of effects does not exist",
+                value=str(folder),
+                allowed="a folder of Python files, one effect each",
+                next_step="correct --effects, or effect_folders of the model file",
+            )
         origins += sorted(str(path.resolve()) for path in Path(folder).glob("*.py") if not path.name.startswith("_"))
     found: dict[str, Effect] = {}
     for origin in dict.fromkeys(origins):

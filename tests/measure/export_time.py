@@ -17,6 +17,7 @@ from pipeline.store.run import create_run
 from pipeline.store.schema import devices_table
 
 _BLOCK = 12_800
+_REPORT = "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr); sys.exit(code)"
 
 
 def stored_run(results: Path, devices: int) -> None:
@@ -53,18 +54,16 @@ def main(devices: int, formats: tuple[str, ...]) -> None:
         print(f"{devices} devices")
         for chosen in formats:
             out = folder / chosen / "night.out"
-            code = (
-                "import resource, sys; from workflows.cli import call; "
-                f"code = call(['export', '--results', {str(folder / 'results')!r}, '--format', {chosen!r}, '--out', {str(out)!r}]); "
-                "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr); sys.exit(code)"
-            )
+            arguments = ["export", "--results", str(folder / "results"), "--format", chosen, "--out", str(out)]
+            code = f"import resource, sys; from workflows.cli import call; code = call({arguments!r}); {_REPORT}"
             before, started = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, time.monotonic()
             done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
             used = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
             size = sum(file.stat().st_size for file in out.parent.iterdir()) / 1e6
             memory = int(done.stderr.split()[-1]) / 1024
+            elapsed = time.monotonic() - started
             print(
-                f"{chosen:14s} {used:6.1f} s of processor, {time.monotonic() - started:6.1f} s, {memory:5.0f} MB of memory, {size:.0f} MB of files"
+                f"{chosen:14s} {used:6.1f} s of processor, {elapsed:6.1f} s, {memory:5.0f} MB of memory, {size:.0f} MB of files"
             )
 
 

@@ -1,5 +1,6 @@
 """``gyroscreen export``: every format is read back by a program of its own, and wrong input gives one typed message."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from pipeline.store.run import create_run
 from pipeline.store.schema import devices_table
 from workflows.cli import call
 
+PAGE = Path(__file__).parents[2] / "docs" / "exports.md"
 TOML = "[limits.split_hz]\nmax = 3.0\n"
 
 
@@ -119,6 +121,13 @@ def test_the_default_name_is_that_of_the_run(results, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert export(results) == 0
     assert (tmp_path / "night.csv").exists()
+
+
+@pytest.mark.parametrize("line", re.findall(r"^gyroscreen (export.*?) *#", PAGE.read_text(encoding="utf-8"), re.M))
+def test_the_commands_of_the_page_run(results, tmp_path, monkeypatch, line):
+    monkeypatch.chdir(tmp_path)
+    assert call([*line.replace("RUN", "night").split(), "--results", str(results)]) == 0
+    assert [path for path in tmp_path.iterdir() if path != results]
 
 
 CASES = {

@@ -1,7 +1,7 @@
 """Posterior draws as ArviZ ``InferenceData``, which is an ``xarray.DataTree`` since ArviZ 1.0; see :mod:`workflows.api`.
 
 Groups: ``posterior`` (chain, draw) by quantity, with the unit in the attributes of each variable; ``constant_data`` with the true
-values of a virtual device.  The attribute ``draws_from`` says what the draws are.
+values of a virtual device.  The attribute ``draws_from`` says what the draws are.  A "/" in a name becomes "_per_".
 
 Groups and dimensions follow the InferenceData schema of ArviZ (python.arviz.org/projects/base, "from_dict").
 """
@@ -122,10 +122,12 @@ def _tree(
             next_step='pip install "gyroscreen[arviz]"',
         ) from None
     known_draws = {name: values for name, values in draws.items() if np.isfinite(values).any()}
-    groups = {"posterior": {name: np.asarray(values)[None] for name, values in known_draws.items()}}
+    # xarray reads "/" in a name as a path.
+    stored = {name: name.replace("/", "_per_") for name in known_draws}
+    groups = {"posterior": {stored[name]: np.asarray(values)[None] for name, values in known_draws.items()}}
     groups |= {"constant_data": {name: np.asarray(value) for name, value in truth.items()}} if truth else {}
     tree = from_dict(groups)
-    known = _UNITS | dict(units or {})
+    known = _UNITS | {stored.get(name, name): unit for name, unit in (units or {}).items()}
     for group in groups:
         for name in groups[group]:
             tree[group][name].attrs["unit"] = known.get(name.removeprefix("true_"), "")

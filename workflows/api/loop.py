@@ -81,6 +81,10 @@ def check(campaign: Source) -> CheckedCampaign:
     ------
     ConfigError, MeasurementError : the measurement cannot be read.
     UsageError : a modal record, which has no samples.
+
+    Example
+    -------
+    >>> gs.check("campaign").findings[["severity", "record", "text"]]
     """
     return checked(_measured(campaign))
 
