@@ -4,9 +4,14 @@ import inspect
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from pipeline.errors import ConfigError, GyroscreenError, MeasurementError, UsageError
+from pipeline.experiment.envelopes import EnvelopeRecord
+from pipeline.experiment.instrument import Instrument
+from pipeline.experiment.tones import ToneCampaign, ToneRecord
 from pipeline.store.run import create_run
 from pipeline.store.schema import devices_table
 from tests.pipeline.experiment.checks.planted_faults import healthy
@@ -132,3 +137,30 @@ def test_identify_judges_by_limits_of_a_table_and_of_a_file(tmp_path):
         assert (found.columns["verdict"], found.columns["failed_limits"]) == ("fail", "split_hz")
         assert "verdict by the given limits: fail" in str(found)
     assert "verdict" not in gs.identify(healthy()).columns
+
+
+def test_what_was_read_prints_in_short_and_is_drawn():
+    campaign = healthy()
+    assert len(repr(campaign).splitlines()) == 1 + len(campaign.records)
+    assert "samples at" in repr(campaign.records[0])
+    f = np.linspace(500.0, 520.0, 50)
+    record = ToneRecord("up.csv", "sweep", f, np.ones((50, 1), complex), np.exp(1j * f)[:, None])
+    assert "50 rows" in repr(record)
+    decay = EnvelopeRecord("decay.csv", np.linspace(0.0, 1.0, 50), np.exp(-f)[:, None] + 1e-9)
+    for read in (
+        ToneCampaign("a", (record,), Instrument(1.0)),
+        ToneCampaign("a", (), Instrument(1.0), envelopes=(decay,)),
+    ):
+        assert isinstance(gs.figures.channels(read), Figure)
+    assert isinstance(gs.figures.channels(campaign), Figure)
+    made = gs.simulate({"split_hz": 1.5}, seed=3)
+    assert "split" not in repr(made).partition("true: ")[0]
+    assert "f1_hz = " in repr(made)
+
+
+def test_a_run_is_exported_from_python(stored, tmp_path):
+    files = gs.open_run(results=stored).export(tmp_path / "night.stdf")
+    assert files == (tmp_path / "night.stdf",)
+    assert files[0].read_bytes()[4:6] == bytes([2, 4])
+    with pytest.raises(UsageError, match="suffix of no format"):
+        gs.open_run(results=stored).export(tmp_path / "night.doc")

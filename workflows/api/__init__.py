@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from .loop import check, compare, diagnose, identify, load_limits, load_model, read_campaign, refine
     from .loop import simulate as simulate
     from .loop import write_campaign as write_campaign
-    from .night import ScreeningRun, open_run, run
+    from .night import ScreeningRun
+    from .runs import open_run, run
 
 __all__ = [
     "Model",
@@ -59,8 +60,8 @@ _HOME = {
     "Model": "pipeline.device.model",
     "find_effects": "pipeline.device.effect",
     "ScreeningRun": "workflows.api.night",
-    "open_run": "workflows.api.night",
-    "run": "workflows.api.night",
+    "open_run": "workflows.api.runs",
+    "run": "workflows.api.runs",
     "inference_data": "workflows.api.draws",
 }
 

@@ -13,22 +13,27 @@ from __future__ import annotations
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from threadpoolctl import threadpool_limits
 
 from pipeline.errors import UsageError
 from pipeline.experiment.record import Campaign
+from pipeline.experiment.tones import ToneCampaign
 from reports.devices import Devices
 from reports.html.style import Drawing
+from reports.learning.figures.amplitudes import amplitudes_figure
 from reports.learning.figures.columns import columns_figure
 from reports.learning.figures.decays import decay_pictures
 from reports.learning.figures.ladder import four_thetas_plot, ladder_plot, residue_plot
 from reports.learning.figures.records import Picture, record_figures
-from reports.learning.figures.tones import tone_pictures
+from reports.learning.figures.tones import tone_pictures, tones_figure
 from reports.learning.page import modes_of
 from reports.run.figures import device_corner, run_figures
 from reports.run.worst import device_estimates
 
+from ..device.measured import Measured
 from ..learning import Result
 from ..learning.views import PageViews, views_of
+from ..studies.paper.devices import StudySizes
 from .night import ScreeningRun
 
 
@@ -146,9 +151,32 @@ def tone(result: Result, number: int = 0) -> Figure:
     return _one(result, f"tone-{number}")
 
 
-def channels(campaign: Campaign) -> Figure:
-    """Each channel of the first records of a campaign against time, and its amplitude against frequency."""
-    return columns_figure(campaign.records)
+def channels(campaign: Measured) -> Figure:
+    """What was read: channels of the first records against time and frequency; sweeps and responses against frequency.
+
+    Amplitudes of free decays are drawn where a campaign has nothing else.
+    """
+    if isinstance(campaign, Campaign):
+        return columns_figure(campaign.records)
+    if isinstance(campaign, ToneCampaign) and campaign.records:
+        return tones_figure(campaign.records)
+    if isinstance(campaign, ToneCampaign) and (campaign.timed or campaign.envelopes):
+        return columns_figure(campaign.timed.records) if campaign.timed else amplitudes_figure(campaign.envelopes)
+    raise _nothing("channels", "a campaign: a modal record has no channels")
+
+
+def paper(sizes: StudySizes | None = None) -> dict[str, Figure]:
+    """The figures of the paper, recomputed, by name: figure-4, figure-5, figure-6, hankel, thetas, orders, steps.
+
+    ``sizes``: how much is computed; by default what ``gyroscreen paper`` computes, which takes a minute.
+    """
+    from reports.paper.page import paper_figures
+
+    from ..studies.paper.page import paper_content
+
+    with threadpool_limits(limits=1):
+        content = paper_content(sizes or StudySizes())
+    return {name: drawing.figure for name, drawing in paper_figures(content).items()}
 
 
 def save(figure: Figure, path: str | Path, dpi: float = 150.0) -> Path:

@@ -1,9 +1,9 @@
-"""A night: start a run, open a run, and its tables, yields, queries and report; see :mod:`workflows.api`."""
+"""A night: the tables, yields, queries, report and exports of a stored run; see :mod:`workflows.api`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from pipeline.errors import UsageError, unwritable
 from pipeline.quantities import NAMES
 from pipeline.store.columns import StoredRun, StoredTable, with_run
 from pipeline.store.query import query as query_results
-from pipeline.store.read import PREFIX, find_run
+from pipeline.store.read import PREFIX
 from pipeline.store.run import open_run as open_store
 from pipeline.store.schema import COLUMNS
 from reports.devices import Devices, rows_of
@@ -25,14 +25,13 @@ from reports.run.content import RunContent, run_content
 from reports.words.notebook import run_sentence
 from reports.yields import Yield
 
-from ..config import RunConfig, config_of_run, load_config
+from ..config import RunConfig, config_of_run
 from ..screening import outcome
 
 if TYPE_CHECKING:
     import pandas as pd
 
 T = TypeVar("T")
-DEFAULT_RESULTS = "results"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -174,6 +173,27 @@ class ScreeningRun:
         known = {name: value for name, value in true.items() if math.isfinite(value)}
         return {name: drawn.number(name) for name in NAMES}, known
 
+    def export(self, out: str | Path, format: str | None = None) -> tuple[Path, ...]:
+        """Write the run for other programs; returns the files.
+
+        Parameters
+        ----------
+        out : the file; its suffix chooses the format: .csv, .xlsx, .stdf (one per lot), .png (wafer maps, one page per lot).
+        format : "csv", "xlsx", "stdf", "wafermap-png" or "wafermap-csv" instead.
+
+        Raises
+        ------
+        UsageError : an unknown format, no devices, or a file that cannot be written.
+        ConfigError : a package of an extra is not installed.
+
+        Example
+        -------
+        >>> night.export("night.stdf")
+        """
+        from ..screening.exports import export
+
+        return export(self.results, self.run_id, format, Path(out)).files
+
     def inference_data(self, device_id: str) -> Any:
         """The posterior draws of a device for ArviZ; see :func:`workflows.api.draws.inference_data`."""
         from .draws import inference_data
@@ -194,74 +214,6 @@ class ScreeningRun:
         from ..learning.tables import html
 
         return html(str(self).splitlines(), (self.yields,))
-
-
-def open_run(run: str = "latest", results: str | Path = DEFAULT_RESULTS) -> ScreeningRun:
-    """Open a stored run.
-
-    Parameters
-    ----------
-    run : its id, "latest", or the path of its folder (``nightly/run=<id>``).
-    results : folder that contains the runs; not used with the path of a folder.
-
-    Raises
-    ------
-    UsageError : there is no such run, or none at all.
-    IntegrityError : a manifest is damaged.
-
-    Example
-    -------
-    >>> night = gs.open_run(results="nightly")
-    >>> night.yields
-    """
-    if Path(run).name.startswith(PREFIX):
-        folder = Path(run)
-        run, results = folder.name.removeprefix(PREFIX), folder.parent
-    found = find_run(Path(results), None if run == "latest" else run)
-    return ScreeningRun(Path(results), found.name.removeprefix(PREFIX))
-
-
-def run(
-    config: str | Path | None = None,
-    *,
-    devices: int | None = None,
-    seed: int | None = None,
-    out: str | Path = DEFAULT_RESULTS,
-    workers: int = 0,
-    quiet: bool = False,
-) -> ScreeningRun:
-    """Identify and judge a batch of devices on local workers, and store results and report, as ``gyroscreen run`` does.
-
-    Parameters
-    ----------
-    config : run configuration (TOML); by default the shipped one, 200 devices of the paper's experiment.
-    devices, seed : in place of those of the configuration.
-    out : folder that contains the runs.
-    workers : local worker processes; 0: one per core.
-    quiet : show no progress.
-
-    Raises
-    ------
-    ConfigError : a wrong key or value.
-    IncompleteError : the run stopped before its end; ``gyroscreen run --resume latest`` continues it.
-
-    Example
-    -------
-    >>> night = gs.run(devices=100, out="nightly")
-    """
-    from ..screening.batch import run_batch
-    from ..screening.plan import plan, start
-
-    if workers < 0:
-        raise UsageError(
-            "workers is negative", value=workers, allowed="0 (one per core) or more", next_step="correct it"
-        )
-    given: Mapping[str, int | None] = {"devices": devices, "seed": seed}
-    overrides = {name: value for name, value in given.items() if value is not None}
-    planned = plan(load_config(None if config is None else Path(config), overrides))
-    planned, store = start(planned, Path(out))
-    result = run_batch(planned, store, Path(out), workers, quiet=quiet)
-    return ScreeningRun(Path(out), result.run_id)
 
 
 def _whole(table: StoredTable) -> pa.Table:

@@ -89,6 +89,12 @@ def tones_png(records: Sequence[ToneRecord], path: Path) -> None:
     ------
     OSError : the file cannot be written.
     """
+    with style():
+        tones_figure(records).savefig(path, format="png", dpi=110)
+
+
+def tones_figure(records: Sequence[ToneRecord]) -> Figure:
+    """What was read of each record: size and phase of each sense against frequency; at most eight."""
     rows = [(record, k) for record in records[:_FIGURES] for k in range(record.sense_v.shape[1])][:_FIGURES]
     with style():
         figure = Figure(figsize=(WIDTH, 1.0 + 1.9 * len(rows)), layout="constrained")
@@ -106,7 +112,7 @@ def tones_png(records: Sequence[ToneRecord], path: Path) -> None:
             left.set_title(literal(record.name))
         for axes in grid[-1]:
             axes.set_xlabel("frequency, Hz (dashed: down)")
-        figure.savefig(path, format="png", dpi=110)
+        return figure
 
 
 def fitting_unit(largest: float) -> tuple[str, float]:
