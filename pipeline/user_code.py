@@ -10,6 +10,7 @@ import ast
 import re
 import traceback
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,14 @@ _UNCOMPILED = (
     ast.ImportFrom,
     ast.Delete,
 )
+
+
+def content_digest(file: Path) -> str:
+    """SHA-256 of the content of a file; "" where it cannot be read, which loading it reports."""
+    try:
+        return sha256(file.read_bytes()).hexdigest()
+    except OSError:
+        return ""
 
 
 def fault(what: str, error: BaseException, file: str | Path, next_step: str, allowed: str = "") -> ConfigError:

@@ -21,7 +21,7 @@ from typing import Literal
 
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.errors import ConfigError
-from pipeline.user_code import fault
+from pipeline.user_code import content_digest, fault
 
 from .site import Site
 
@@ -86,14 +86,22 @@ class Irregularity:
     act: Callable[[Mapping[str, float], Site], Change]
 
 
-@lru_cache(maxsize=32)
 def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
     """All irregularities by name: the shipped ones and those in ``folders``, with one ``IRREGULARITY`` in each file.
+
+    A folder whose files were changed is read again.
 
     Raises
     ------
     ConfigError : a folder does not exist; a file cannot be imported or defines no irregularity; a name occurs twice.
     """
+    files = [path for folder in folders for path in sorted(Path(folder).glob("*.py"))]
+    return _found(folders, tuple(content_digest(path) for path in files))
+
+
+@lru_cache(maxsize=32)
+def _found(folders: tuple[str, ...], digests: tuple[str, ...]) -> Mapping[str, Irregularity]:
+    """The same for files with these contents."""
     from . import irregularities
 
     modules: list[tuple[str, ModuleType]] = [

@@ -38,7 +38,7 @@ from typing import Any
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
-from ..user_code import fault, fault_at, line_of
+from ..user_code import content_digest, fault, fault_at, line_of
 from . import effects as library
 from .declared import LookAlike, SizeRange
 from .force_law import Laws
@@ -227,9 +227,10 @@ def _effect_of(module: ModuleType, where: str) -> Effect:
     return effect
 
 
-@lru_cache(maxsize=256)
 def load_effect(origin: str) -> Effect:
     """The effect in a module of the library ("cubic_stiffness") or in a user's file ("/some/folder/my_effect.py").
+
+    A file that was changed is read again, so that a notebook need not be started again.
 
     Raises
     ------
@@ -237,6 +238,12 @@ def load_effect(origin: str) -> Effect:
     """
     if not origin.endswith(".py"):
         return _effect_of(importlib.import_module(f"{library.__name__}.{origin}"), origin)
+    return _user_effect(origin, content_digest(Path(origin)))
+
+
+@lru_cache(maxsize=256)
+def _user_effect(origin: str, digest: str) -> Effect:
+    """The effect in a user's file with this content."""
     path = Path(origin)
     name = f"user_effect_{sha256(str(path.resolve()).encode()).hexdigest()[:12]}_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)

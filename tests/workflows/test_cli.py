@@ -163,7 +163,7 @@ def test_the_version_is_that_of_the_distribution(capfd):
     [
         (
             [],
-            "run rare query report verify identify paper init check simulate compare diagnose refine demo effects model "
+            "run rare query report export verify identify paper init check simulate compare diagnose refine demo effects model "
             "benchmark",
         ),
         (["model"], "show add drop export"),

@@ -184,3 +184,20 @@ def test_a_mistake_in_a_helper_is_named_where_it_is(decorator, line, tmp_path, c
     error = capsys.readouterr().err
     assert "real_part" in error
     assert f"mine.py, line {line}:" in error, error
+
+
+def test_a_corrected_file_is_read_again_in_the_same_process(tmp_path, capsys):
+    file, arguments = (
+        tmp_path / "mine.py",
+        ["model", "add", "mine", str(tmp_path / "model.toml"), "--effects", str(tmp_path)],
+    )
+    file.write_text(EFFECT.replace("p[0] * q[i]", "p[0] * qx[i]"), encoding="utf-8")
+    assert call(arguments) == 2
+    file.write_text(EFFECT, encoding="utf-8")
+    assert call(arguments) == 0
+    leaf = tmp_path / "mine" / "leaf_mass.py"
+    leaf.parent.mkdir()
+    leaf.write_text(IRREGULARITY.replace("complex_normal", "complexnormal_"), encoding="utf-8")
+    assert call(_dry_run(tmp_path)) == 2
+    leaf.write_text(IRREGULARITY, encoding="utf-8")
+    assert call(_dry_run(tmp_path)) == 0

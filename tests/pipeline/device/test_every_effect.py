@@ -85,7 +85,6 @@ def test_an_effect_whose_null_is_not_exactly_absent_is_refused(
         f"EFFECT = Effect(name='offset', law='l', source='s', signature='s', parameters=(P,), {law})\n",
         encoding="utf-8",
     )
-    load_effect.cache_clear()
     model = replace(DEFAULT_COMPARE_MODEL, effect_folders=(str(tmp_path),))
     if not stage:
         assert "offset" in model.with_effect("offset").effects
@@ -172,7 +171,6 @@ def test_a_wrong_effect_file_is_a_config_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="fails when it is run"):
         find_effects((tmp_path,))
     (tmp_path / "broken.py").write_text("x = 1\n", encoding="utf-8")
-    load_effect.cache_clear()
     with pytest.raises(ConfigError, match="no EFFECT"):
         find_effects((tmp_path,))
     with pytest.raises(ConfigError, match="folder of effects does not exist"):
