@@ -99,7 +99,10 @@ def export(
         Path | None, typer.Option(help="The file; STDF files and map pages are one per lot, with its name added.")
     ] = None,
 ) -> None:
-    """Write a run for other programs: CSV, Excel, STDF V4, wafer maps as pictures or as a table."""
+    """Write a run as CSV, Excel, STDF V4 or wafer maps.
+
+    Wafer maps are pictures (wafermap-png) or a table (wafermap-csv).
+    """
     from ..export import export as command
 
     command(run, results, format, out)
