@@ -4,9 +4,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from stub_runs import stub_block, stub_runs
 
 from pipeline.user_code import fault_of
+from populations.draw import draw
 from workflows.cli import call
+from workflows.screening.settings import population
 
 EFFECT = '''"""Some film."""
 import math
@@ -201,3 +204,23 @@ def test_a_corrected_file_is_read_again_in_the_same_process(tmp_path, capsys):
     assert call(_dry_run(tmp_path)) == 2
     leaf.write_text(IRREGULARITY, encoding="utf-8")
     assert call(_dry_run(tmp_path)) == 0
+
+
+def test_a_fault_of_later_devices_names_the_users_file_and_not_the_copy_of_the_run(tmp_path, monkeypatch, capsys):
+    def drawn(source, at):
+        draw(population(source[0]), 1, at.first, at.count)
+        return stub_block()(source, at)
+
+    stub_runs(monkeypatch, drawn)
+    file = tmp_path / "mine" / "leaf_mass.py"
+    file.parent.mkdir()
+    later = '    if site.index.max() >= 30:\n        p["absent"]\n    return Change('
+    file.write_text(IRREGULARITY.replace("    return Change(", later), encoding="utf-8")
+    arguments = [one for one in _dry_run(tmp_path) if one != "--dry-run"]
+    config = tmp_path / "run.toml"
+    config.write_text(
+        config.read_text(encoding="utf-8").replace("devices = 2", "devices = 40\nblock = 10"), encoding="utf-8"
+    )
+    assert call([*arguments, "--out", str(tmp_path / "results")]) == 2
+    error = capsys.readouterr().err
+    assert f"{file}, line 7: KeyError: 'absent'" in error, error
