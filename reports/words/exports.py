@@ -12,3 +12,8 @@ def unplaced_sentence(unplaced: int) -> str:
     """Devices without a place on the integer grid of a wafer map."""
     what = "device has" if unplaced == 1 else "devices have"
     return f"{unplaced} {what} no die coordinates: the position is unknown or not on a grid"
+
+
+def unfinished_sentence(run: str, devices: int) -> str:
+    """A run that is not complete."""
+    return f"the run {run} is not complete: its {devices} stored devices were exported"

@@ -117,6 +117,14 @@ def test_a_long_text_is_cut_with_a_remark(tmp_path, capsys):
     assert (tmp_path / "night.stdf").exists()
 
 
+def test_a_run_that_is_not_complete_is_exported_with_a_remark(tmp_path, capsys):
+    store = create_run(tmp_path / "results", "night", TOML, {"seed": 1})
+    store.commit_block(0, devices_table({"device_id": ["a", "b"], "split_hz": [1.0, 2.0], "status": ["ok"] * 2}), None)
+    assert export(tmp_path / "results", "--out", str(tmp_path / "night.csv")) == 0
+    assert "not complete: its 2 stored devices" in capsys.readouterr().err
+    assert len(pd.read_csv(tmp_path / "night.csv")) == 2
+
+
 def test_the_default_name_is_that_of_the_run(results, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert export(results) == 0

@@ -28,7 +28,7 @@ from pipeline.store.read import PREFIX, find_run
 from pipeline.store.schema import DEVICES
 from reports.devices import Devices
 from reports.limits import Limits
-from reports.words.exports import cut_sentence, unplaced_sentence
+from reports.words.exports import cut_sentence, unfinished_sentence, unplaced_sentence
 
 from ..config import config_of_run
 
@@ -88,6 +88,8 @@ def export(results: Path, run: str | None, format: str | None, out: Path | None)
         files, remarks = _WRITERS[chosen](tables, limits, out or Path(f"{name}{_SUFFIX[chosen]}"))
         for file in files:
             _write(file)
+        if tables.manifest.status != "complete":
+            remarks.append(unfinished_sentence(name, tables.devices.num_rows))
         return Exported(tuple(file.path for file in files), tuple(remarks))
 
     return with_run(results, name, written)
