@@ -89,7 +89,6 @@ def check(campaign: Source) -> CheckedCampaign:
     return checked(_measured(campaign))
 
 
-@threadpool_limits.wrap(limits=1)
 def identify(
     campaign: Source, model: GivenModel = None, limits: GivenLimits = None, *, seed: int = 1
 ) -> IdentifiedDevice:
@@ -113,7 +112,9 @@ def identify(
     >>> found.quantities.loc["theta_deg", ["value", "sd"]]
     """
     own = None if model is None else _model(model, ())
-    return identified(_measured(campaign), own, _limits(limits), seed)
+    # A context, because the decorator would hide the types of the call.
+    with threadpool_limits(limits=1):
+        return identified(_measured(campaign), own, _limits(limits), seed)
 
 
 def compare(
