@@ -41,6 +41,7 @@ from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.errors import ConfigError
 from pipeline.quantities import MODEL
 
+from .changes import COMPLEX, change_shapes, check_change
 from .irregularity import CHANGES, Change
 from .nominal import NominalDevice
 from .symmetric import Symmetric, as_complex, axis_deg, congruence, inverse_root, product, rotated
@@ -68,10 +69,6 @@ class Structure:
     damping_anisotropy: ComplexArray
 
 
-COMPLEX = frozenset({"anisotropy", "post_offset_mm", "damping_anisotropy"})
-ROWS = {"ln_area": 4, "ln_gap": 4, "ln_arm": 4, "ln_channel": 4, "ln_gas": 2}
-
-
 def combine(changes: Iterable[tuple[str, Change]], count: int, springs: int) -> Structure:
     """Sum of named changes for ``count`` devices with ``springs`` springs.
 
@@ -79,23 +76,14 @@ def combine(changes: Iterable[tuple[str, Change]], count: int, springs: int) -> 
     ------
     ConfigError : a change has the wrong shape, is complex instead of real, or is not finite.
     """
-    rows = {**ROWS, "ln_spring": springs, "azimuth_rad": springs}
-    shape = {name: (rows[name], count) if name in rows else (count,) for name in CHANGES}
+    shape = change_shapes(count, springs)
     total = {name: np.zeros(shape[name], complex if name in COMPLEX else float) for name in CHANGES}
     for source, change in changes:
+        check_change(source, change, count, springs)
         for name in CHANGES:
             part = getattr(change, name)
-            if part is None:
-                continue
-            complex_for_real = np.iscomplexobj(part) and name not in COMPLEX
-            if np.shape(part) != shape[name] or complex_for_real or not np.all(np.isfinite(part)):
-                raise ConfigError(
-                    f"irregularity {source}: {name} has the wrong shape or type, or is not finite",
-                    value=np.shape(part),
-                    allowed=f"finite {'complex' if name in COMPLEX else 'real'} numbers of shape {shape[name]}",
-                    next_step="correct act() of the irregularity, or the values of its parameters",
-                )
-            total[name] = total[name] + part
+            if part is not None:
+                total[name] = total[name] + part
     return Structure(**total)
 
 

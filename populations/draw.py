@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.arrays import FloatArray, IntArray
 from pipeline.errors import UsageError
 
+from .acting import acted
 from .assembly import Structure, combine, effects, inverse_quality, parameters, stiffness
 from .drawn import DrawnNumbers, RecordedNumbers
 from .irregularity import Change, Stage
@@ -86,7 +87,7 @@ def draw_with(spec: PopulationSpec, index: IntArray, placed: Places, numbers: Nu
     changes: list[tuple[str, Stage, Change]] = []
     for irregularity, values in spec.found():
         site = Site(irregularity.name, recorded, index, placed, device, spec.wafer, operating)
-        changes.append((irregularity.name, irregularity.stage, irregularity.act(values, site)))
+        changes.append((irregularity.name, irregularity.stage, acted(irregularity, values, site)))
 
     springs = len(device.spring_azimuth_deg)
 

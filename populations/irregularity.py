@@ -21,6 +21,7 @@ from typing import Literal
 
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.errors import ConfigError
+from pipeline.user_code import content_digest, fault
 
 from .site import Site
 
@@ -85,14 +86,22 @@ class Irregularity:
     act: Callable[[Mapping[str, float], Site], Change]
 
 
-@lru_cache(maxsize=32)
 def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
     """All irregularities by name: the shipped ones and those in ``folders``, with one ``IRREGULARITY`` in each file.
+
+    A folder whose files were changed is read again.
 
     Raises
     ------
     ConfigError : a folder does not exist; a file cannot be imported or defines no irregularity; a name occurs twice.
     """
+    files = [path for folder in folders for path in sorted(Path(folder).glob("*.py"))]
+    return _found(folders, tuple(content_digest(path) for path in files))
+
+
+@lru_cache(maxsize=32)
+def _found(folders: tuple[str, ...], digests: tuple[str, ...]) -> Mapping[str, Irregularity]:
+    """The same for files with these contents."""
     from . import irregularities
 
     modules: list[tuple[str, ModuleType]] = [
@@ -125,7 +134,7 @@ def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:
 
 
 def _load(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"irregularity_{path.stem}", path)
+    spec = importlib.util.spec_from_file_location(f"user_irregularity_{path.stem}", path)
     # The suffix .py guarantees a spec with a loader.
     assert spec is not None
     assert spec.loader is not None
@@ -133,9 +142,11 @@ def _load(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise ConfigError(
-            f"irregularity file {path} cannot be imported ({type(error).__name__}: {error})",
-            allowed="a Python file that defines IRREGULARITY",
-            next_step="correct it; see docs/add-an-irregularity.md",
+        raise fault(
+            "the file of an irregularity fails when it is run",
+            error,
+            path,
+            "correct this line; see docs/add-an-irregularity.md",
+            "a Python file that defines IRREGULARITY",
         ) from error
     return module

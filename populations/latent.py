@@ -28,6 +28,7 @@ from scipy.special import ndtr
 from pipeline.arrays import FloatArray, IntArray
 from pipeline.errors import ConfigError, UsageError
 
+from .acting import acted
 from .draw import Draw, draw_with
 from .layout import Places, die_centres
 from .nominal import Wafer
@@ -180,7 +181,7 @@ def latent_space(spec: PopulationSpec) -> LatentSpace:
     placed = _places(spec.wafer, np.zeros(1))
     for irregularity, values in spec.found():
         site = Site(irregularity.name, recorder, own, placed, spec.device, spec.wafer, spec.operating)
-        irregularity.act(values, site)
+        acted(irregularity, values, site)
     size = {_DIE: 1, **recorder.size}
     names: list[str] = []
     first: dict[str, int] = {}

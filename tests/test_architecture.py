@@ -16,7 +16,18 @@ MAY_IMPORT = {
     "workflows": {"pipeline", "populations", "reports"},
 }
 #: What every part of pipeline may import.
-BASE = {"errors", "input_limits", "arrays", "axial", "toml_files", "quantities", "threads", "plain", "performance"}
+BASE = {
+    "errors",
+    "input_limits",
+    "arrays",
+    "axial",
+    "toml_files",
+    "quantities",
+    "threads",
+    "plain",
+    "performance",
+    "user_code",
+}
 #: The parts of pipeline, and the other parts that each may import.
 PARTS = {
     "performance": set(),

@@ -20,6 +20,7 @@ import typer
 from typer.exceptions import TyperException
 
 from pipeline.errors import GyroscreenError, printable_lines
+from pipeline.user_code import fault_of
 
 from .commands.groups import benchmarks, devices, models, nights, populations, screening
 from .process import INTERRUPTED, end_like_ctrl_c, keep_memory, repeat_lost_interrupts, survive_any_encoding
@@ -117,6 +118,8 @@ def call(arguments: Sequence[str] | None = None) -> int:
         reason = (error.strerror or "").lower()
         return _failed(f"error: a path cannot be used: {reason}: {shown!r}; next: check the path and permissions", 2)
     except Exception as error:
+        if (own := fault_of(error)) is not None:
+            return _failed(f"error: {own}", own.exit_code)
         # No input should lead here: an error that is not typed is a defect of gyroscreen.
         return _failed(_defect(error), 70)
     return 0

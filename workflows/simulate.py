@@ -52,13 +52,16 @@ def standard_excitations(seed: int) -> tuple[tuple[str, Role, Excitation], ...]:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulated:
     """A simulated campaign, with the model and all its true parameters by name, each in its unit."""
 
     campaign: Campaign
     model: Model
     parameters: dict[str, float]
+
+    def __repr__(self) -> str:
+        return f"{self.campaign!r}\n  true: {', '.join(f'{name} = {value:.6g}' for name, value in self.parameters.items())}"
 
 
 def parse_values(text: str) -> dict[str, float]:

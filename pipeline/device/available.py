@@ -9,6 +9,7 @@ from pathlib import Path
 from .effect import Effect, find_effects
 from .exact_null import with_exact_nulls
 from .several_modes import with_more_modes
+from .tried_out import with_working_stages
 
 
 def available_effects(folders: Sequence[str] = ()) -> dict[str, Effect]:
@@ -16,7 +17,7 @@ def available_effects(folders: Sequence[str] = ()) -> dict[str, Effect]:
 
     Raises
     ------
-    ConfigError : as in ``find_effects``, or the null of an effect of the user is not exactly "no effect".
+    ConfigError : as in ``find_effects``, or an effect of the user fails, or its null is not exactly "no effect".
     """
     return _with(folders) if folders else dict(_of_package())
 
@@ -28,4 +29,5 @@ def _of_package() -> dict[str, Effect]:
 
 
 def _with(folders: Sequence[str]) -> dict[str, Effect]:
-    return with_more_modes(with_exact_nulls(find_effects(tuple(Path(folder) for folder in folders))))
+    found = find_effects(tuple(Path(folder) for folder in folders))
+    return with_more_modes(with_exact_nulls(with_working_stages(found)))

@@ -38,6 +38,7 @@ from typing import Any
 
 from ..arrays import FloatArray
 from ..errors import ConfigError
+from ..user_code import content_digest, fault, fault_at, line_of
 from . import effects as library
 from .declared import LookAlike, SizeRange
 from .force_law import Laws
@@ -226,9 +227,10 @@ def _effect_of(module: ModuleType, where: str) -> Effect:
     return effect
 
 
-@lru_cache(maxsize=256)
 def load_effect(origin: str) -> Effect:
     """The effect in a module of the library ("cubic_stiffness") or in a user's file ("/some/folder/my_effect.py").
+
+    A file that was changed is read again, so that a notebook need not be started again.
 
     Raises
     ------
@@ -236,6 +238,12 @@ def load_effect(origin: str) -> Effect:
     """
     if not origin.endswith(".py"):
         return _effect_of(importlib.import_module(f"{library.__name__}.{origin}"), origin)
+    return _user_effect(origin, content_digest(Path(origin)))
+
+
+@lru_cache(maxsize=256)
+def _user_effect(origin: str, digest: str) -> Effect:
+    """The effect in a user's file with this content."""
     path = Path(origin)
     name = f"user_effect_{sha256(str(path.resolve()).encode()).hexdigest()[:12]}_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
@@ -243,16 +251,17 @@ def load_effect(origin: str) -> Effect:
         raise ConfigError("not a Python file", value=origin)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    guide = "correct this line; see docs/add-an-effect.md"
     try:
         spec.loader.exec_module(module)
-    except ConfigError:
-        raise
-    except Exception as error:
-        raise ConfigError(
-            "the file of an effect fails when it is run",
-            value=f"{origin}: {type(error).__name__}: {error}",
-            next_step="run it with python to see where",
+    except ConfigError as error:
+        why = f"{error.what}: {error.value!r}" if error.value is not None else error.what
+        line = line_of(error, origin)
+        raise fault_at(
+            "the declaration of an effect", why, origin, line, error.next_step or guide, error.allowed
         ) from error
+    except Exception as error:
+        raise fault("the file of an effect fails when it is run", error, origin, guide) from error
     return _effect_of(module, origin)
 
 
@@ -266,7 +275,12 @@ def find_effects(folders: Sequence[Path] = ()) -> dict[str, Effect]:
     origins = sorted(module.name for module in pkgutil.iter_modules(library.__path__))
     for folder in folders:
         if not Path(folder).is_dir():
-            raise ConfigError("the folder of effects does not exist", value=str(folder))
+            raise ConfigError(
+                "the folder of effects does not exist",
+                value=str(folder),
+                allowed="a folder of Python files, one effect each",
+                next_step="correct --effects, or effect_folders of the model file",
+            )
         origins += sorted(str(path.resolve()) for path in Path(folder).glob("*.py") if not path.name.startswith("_"))
     found: dict[str, Effect] = {}
     for origin in dict.fromkeys(origins):

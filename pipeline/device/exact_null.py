@@ -18,27 +18,12 @@ import numpy as np
 from ..arrays import ComplexArray, FloatArray
 from ..errors import ConfigError
 from .effect import Context, Effect
-from .force_law import Laws
+from .example import Example, example_of, force_input, random
 from .mechanics import Mechanics
-from .plant import PlantSpec
 from .readout import plain_readout
 
 #: Change at the null, relative to what it changes or to the change at one scale of the parameters, that counts as rounding.
 _ROUNDING = 1e-12
-_GYRO = {
-    "f1_hz": 534.5,
-    "f2_hz": 536.4,
-    "f3_hz": 590.3,
-    "zeta1": 3.2e-4,
-    "zeta2": 1.6e-4,
-    "zeta3": 1.2e-3,
-    "theta_deg": -33.2,
-    "rocking_gain": 13.0,
-    "updown_gain": 29.0,
-    "sense_imbalance": 0.04,
-    "drive_imbalance": 0.001,
-}
-_MODAL = {"f1_hz": 534.5, "zeta1": 3.2e-4, "gain1_s1d1": 13.0}
 _POINTS = 6
 
 
@@ -65,37 +50,28 @@ def with_exact_nulls(found: Mapping[str, Effect]) -> Mapping[str, Effect]:
 @lru_cache(maxsize=256)
 def changed_stage(effect: Effect) -> str:
     """Name of the first stage that is not exactly absent at the null; empty if all are."""
-    gyro = bool({"gyro", "updown"} & set(effect.plants))
-    plant = PlantSpec().build() if gyro else PlantSpec("modal").build()
-    values = _GYRO if gyro else _MODAL
-    members = effect.members(plant.shape)
-    if all(member.grid for member in members):
+    example = example_of(effect)
+    if all(member.grid for member in effect.members(example.shape)):
         return ""
-    p = np.array([m.grid[len(m.grid) // 2] if m.grid else m.null for m in members])
-    scale = p + np.array([0.0 if m.grid else m.scale for m in members])
-    context, device = Context(5.0, 5.0, values, axes=len(plant.shape.axes)), plant.mechanics(values)
+    p, context, shape = example.null, example.context, example.shape
     changes: dict[str, Callable[[], float]] = {
-        "drive": lambda: _of_samples(effect.drive, p, context, plant.shape.drives),
-        "mechanics": lambda: _of_mechanics(effect, p, context, device),
-        "force": lambda: _of_force(effect, p, scale, device, plant.drive_motion(), len(plant.shape.axes)),
-        "sense": lambda: _of_sense(effect, p, context, plant.shape.senses),
-        "readout": lambda: _of_readout(effect, p, context, plant.shape.senses, plant.shape.drives),
-        "adc": lambda: _of_samples(effect.adc, p, context, plant.shape.senses),
+        "drive": lambda: _of_samples(effect.drive, p, context, shape.drives),
+        "mechanics": lambda: _of_mechanics(effect, p, context, example.mechanics),
+        "force": lambda: _of_force(effect, example),
+        "sense": lambda: _of_sense(effect, p, context, shape.senses),
+        "readout": lambda: _of_readout(effect, p, context, shape.senses, shape.drives),
+        "adc": lambda: _of_samples(effect.adc, p, context, shape.senses),
     }
     for stage in effect.stages:
         try:
             with np.errstate(all="ignore"):
                 change = changes[stage]() if stage in changes else 0.0
         except Exception:
-            # A stage that fails is reported where it is used, with its record.
+            # Not at the null; a stage that fails elsewhere has been refused before (``tried_out``).
             continue
         if change > _ROUNDING:
             return stage
     return ""
-
-
-def _random(*shape: int) -> FloatArray:
-    return np.random.default_rng(0).standard_normal(shape)
 
 
 def _apart(after: FloatArray | ComplexArray, before: FloatArray | ComplexArray) -> float:
@@ -107,7 +83,7 @@ def _apart(after: FloatArray | ComplexArray, before: FloatArray | ComplexArray) 
 def _of_samples(
     stage: Callable[[FloatArray, FloatArray, Context], FloatArray] | None, p: FloatArray, context: Context, width: int
 ) -> float:
-    v = _random(_POINTS, width)
+    v = random(_POINTS, width)
     return 0.0 if stage is None else _apart(stage(v.copy(), p, context), v)
 
 
@@ -124,29 +100,22 @@ def _of_mechanics(effect: Effect, p: FloatArray, context: Context, before: Mecha
     return max(worst, float(through), *(float(np.linalg.norm(one[:, :n, n:])) for one in square))
 
 
-def _of_force(
-    effect: Effect, p: FloatArray, scale: FloatArray, device: Mechanics, motion: FloatArray, axes: int
-) -> float:
+def _of_force(effect: Effect, example: Example) -> float:
     """The force on the device's own coordinates at the null, relative to that at one scale of the parameters."""
-    assert effect.force is not None
-    n, own = device.stiffness.shape[1], axes * (1 + effect.memories) if effect.has_coordinates else 0
-    damping, stiffness = (np.pad(one[0], (0, own)) for one in (device.damping, device.stiffness))
-    drive, gap = np.pad(device.drive[0], ((0, own), (0, 0))), np.pad(motion, ((0, 0), (0, own)))
-    laws = Laws(damping, stiffness, drive, gap, 5.0, 5.0, axes)
-    q, qd, u = 1e-4 * _random(n + own), _random(n + own), _random(drive.shape[1])
+    given = force_input(effect, example)
 
     def at(values: FloatArray) -> FloatArray:
-        out = np.zeros(n + own)
+        out = np.zeros(given.q.size)
         assert effect.force is not None
-        effect.force(0.5, q, qd, u, np.append(values, n) if own else values, laws, out)
-        return out[:n]
+        effect.force(0.5, given.q, given.qd, given.u, given.parameters(values), given.laws, out)
+        return out[: given.n]
 
-    return float(np.linalg.norm(at(p)) / np.linalg.norm(at(scale)))
+    return float(np.linalg.norm(at(example.null)) / np.linalg.norm(at(example.scale)))
 
 
 def _of_sense(effect: Effect, p: FloatArray, context: Context, senses: int) -> float:
     assert effect.sense is not None
-    x, s = 1e-4 * _random(_POINTS, senses), _random(_POINTS, senses)
+    x, s = 1e-4 * random(_POINTS, senses), random(_POINTS, senses)
     return _apart(effect.sense(x, s.copy(), s.copy(), np.linspace(0.0, 0.5, _POINTS), p, context), s)
 
 

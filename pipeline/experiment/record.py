@@ -68,7 +68,7 @@ class BadStretch:
         return {"time_s": ends, "samples": self.stop - self.first, "reason": self.reason}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """One uniformly sampled run of an experiment.
 
@@ -109,6 +109,11 @@ class Record:
     elapsed_s: float = 0.0
     period_samples: int | None = None
 
+    def __repr__(self) -> str:
+        (samples, drives), senses = self.drive_v.shape, self.sense_v.shape[1]
+        what = f"{samples} samples at {self.sample_rate_hz:g} Hz, {drives} drives, {senses} senses"
+        return f"<Record {self.name}, {self.role or 'no role'}: {what}>"
+
     @property
     def good(self) -> BoolArray | None:
         """(N, S) whether each sense sample is good; ``None`` where all are."""
@@ -136,7 +141,7 @@ class Frame:
 PAPER_FRAME = Frame()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Campaign:
     """All records of one device.
 
@@ -166,6 +171,9 @@ class Campaign:
     systematic: Systematic = EXACT
     frame: Frame = PAPER_FRAME
     operation: DeclaredOperation = UNDECLARED
+
+    def __repr__(self) -> str:
+        return "\n  ".join([f"<Campaign {self.device_id}: {len(self.records)} records>", *map(repr, self.records)])
 
     def with_role(self, role: Role) -> tuple[Record, ...]:
         """The records with this role, in order."""

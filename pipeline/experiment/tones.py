@@ -25,7 +25,7 @@ from .record import Campaign, Role
 ToneKind = Literal["sweep", "frf"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ToneRecord:
     """Rows of one file that were measured one after the other.
 
@@ -56,6 +56,10 @@ class ToneRecord:
     bias_v: float | None = None
     file: str | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        (rows, drives), senses = self.drive_v.shape, self.sense_v.shape[1]
+        return f"<ToneRecord {self.name}, {self.role or 'no role'}: {self.kind}, {rows} rows, {drives} drives, {senses} senses>"
 
     @property
     def level_v(self) -> FloatArray:

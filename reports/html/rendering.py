@@ -1,6 +1,6 @@
 """From frozen content to HTML: the environment that every page shares.
 
-Autoescape is on; only figures from :func:`reports.html.style.to_svg` enter as markup.
+Autoescape is on; only figures (:class:`reports.html.style.Drawing`) enter as markup.
 All numbers are formatted here: values are rounded according to their sd, shares are shown in percent.
 """
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -137,6 +139,31 @@ def panels(
         hspace=between / height,
     )
     return figure, [list(row) for row in grid]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A figure that was drawn within :func:`style`, for a page or for a notebook.
+
+    Templates show it as inline SVG; ``figure`` belongs to no pyplot state.
+
+    Parameters
+    ----------
+    figure : the figure.
+    name : unique in the page; letters, digits and hyphens.
+    description : what the figure shows, as alternative text; plain text.
+    """
+
+    figure: Figure
+    name: str
+    description: str
+
+    def __html__(self) -> str:
+        """The figure as markup of a page."""
+        with style(), warnings.catch_warnings():
+            # Text stays text in an SVG, so a letter that matplotlib's own font lacks does no harm.
+            warnings.filterwarnings("ignore", message="Glyph")
+            return to_svg(self.figure, self.name, self.description)
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:

@@ -10,15 +10,16 @@ import math
 from markupsafe import Markup
 
 from ..html.rendering import environment, number, stylesheet
+from ..html.style import Drawing
 from ..words.quantities import SUPERSCRIPT
 from .content import PaperContent, PrintedNumber
 from .figures import axes as paper_axes
 from .figures import identification as paper_identification
 
 
-def render_paper(content: PaperContent) -> str:
-    """The page as HTML text; the same content gives the same page."""
-    figures = {
+def paper_figures(content: PaperContent) -> dict[str, Drawing]:
+    """All figures of the page by name."""
+    return {
         "figure-4": paper_identification.records(content.records),
         "figure-5": paper_identification.broadband(content.responses),
         "figure-6": paper_identification.zoomed(content.responses),
@@ -27,10 +28,14 @@ def render_paper(content: PaperContent) -> str:
         "orders": paper_axes.orders(content.orders),
         "steps": paper_axes.steps(content.steps),
     }
+
+
+def render_paper(content: PaperContent) -> str:
+    """The page as HTML text; the same content gives the same page."""
     env = environment()
     env.filters.update(printed=printed, ours=ours, deviation=deviation)
     page = env.get_template("paper.html.j2")
-    return page.render(c=content, figures=figures, stylesheet=stylesheet(), style_here=Markup(_STYLE))
+    return page.render(c=content, figures=paper_figures(content), stylesheet=stylesheet(), style_here=Markup(_STYLE))
 
 
 _STYLE = """

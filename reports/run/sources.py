@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from ..attribution.content import LOSS, Attribution
+from ..html.style import Drawing
 from ..interval_estimate import IntervalEstimate
 from ..words.attribution import METHOD, UNDETERMINED, source_words, verdict_words
 from ..words.quantities import label, percent
@@ -22,13 +23,13 @@ class LossSources:
 
     Parameters
     ----------
-    figure : the bars as SVG; "" where nothing or everything is lost.
+    figure : the bars; ``None`` where nothing or everything is lost.
     summary, verdicts, method : sentences.
     columns : limited quantities whose loss the table has.
     rows : name of a source, its share of the loss to each limit in percent with the half of its 95 % interval.
     """
 
-    figure: str
+    figure: Drawing | None
     summary: str
     verdicts: str
     method: str
@@ -63,7 +64,7 @@ def loss_sources(found: Attribution) -> LossSources:
         else f"Of {found.samples} devices drawn from the population none or all are truly lost: there is nothing to attribute."
     )
     return LossSources(
-        tornado(bars) if bars else "",
+        tornado(bars) if bars else None,
         summary,
         verdict_words(found.verdicts),
         METHOD,

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.arrays import BoolArray, FloatArray
 
 from ..coded import IntArray
-from ..devices import Devices
+from ..devices import Devices, rows_of
 from ..limits import Limits
 
 
@@ -101,6 +101,12 @@ _OWN = (
     *("verdict", "status", "status_reason", "failed_limits", "p_pass", "error"),
 )
 _ESTIMATE = ("{}", "{}_sd", "{}_q05", "{}_q95", "true_{}")
+
+
+def device_estimates(devices: Devices, limits: Limits, device_id: str) -> tuple[WorstEstimate, ...]:
+    """Theta, split, c12, imbalance and the limited quantities of one device; empty where there is no such device."""
+    row = Devices(rows_of(devices.table, device_id))
+    return _describe(row, limits, 0, "", float("nan")).estimates if len(row) else ()
 
 
 def _describe(devices: Devices, limits: Limits, k: int, why: str, margin: float) -> WorstDevice:

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from ..html.style import ACCENT, BEFORE, INK, MUTED, RULE, panels, style, to_svg
+from ..html.style import ACCENT, BEFORE, INK, MUTED, RULE, Drawing, panels, style
 from ..words.trend import axis_label, night_label
 from .charted import YIELD
 from .content import TrendChart
@@ -22,7 +22,7 @@ _NAMED = 4
 _LIMITS = "#b9c3cc"
 
 
-def control_charts(charts: Sequence[TrendChart], run_id: str, name: str = "control-charts") -> str:
+def control_charts(charts: Sequence[TrendChart], run_id: str, name: str = "control-charts") -> Drawing:
     """A panel for each chart, two in a row: band of the limits of a single night, intervals of the nights, alarms as crosses.
 
     ``run_id`` is the night that is judged, marked by a ring where a chart has it.
@@ -37,7 +37,7 @@ def control_charts(charts: Sequence[TrendChart], run_id: str, name: str = "contr
             else:
                 axes.set_axis_off()
         figure.legend(handles=_handles(), loc="lower left", ncols=4, bbox_to_anchor=(0.06, 0.0), columnspacing=1.6)
-        return to_svg(figure, name, "Control charts: value of each night, limits of a single night, alarms")
+        return Drawing(figure, name, "Control charts: value of each night, limits of a single night, alarms")
 
 
 def _panel(axes: Axes, chart: TrendChart, run_id: str) -> None:

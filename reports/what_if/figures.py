@@ -1,4 +1,4 @@
-"""The figures of a what-if page: SVG text, "" if there is nothing to draw."""
+"""The figures of a what-if page; ``None`` if there is nothing to draw."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from ..html.style import ACCENT, BEFORE, INK, MUTED, RULE, literal, panels, style, to_svg
+from ..html.style import ACCENT, BEFORE, INK, MUTED, RULE, Drawing, literal, panels, style
 from ..words.quantities import UNITS, label
 from .costs import LimitCurve, PairLoss
 
@@ -16,10 +16,10 @@ _COLUMNS = 3
 MOST_PAIRS = 8
 
 
-def curve_panels(curves: Sequence[LimitCurve], name: str = "limit-curves") -> str:
+def curve_panels(curves: Sequence[LimitCurve], name: str = "limit-curves") -> Drawing | None:
     """The yield against each end of each limit, with its 95 % band; the old and the new end as lines."""
     if not curves:
-        return ""
+        return None
     with style():
         rows = -(-len(curves) // _COLUMNS)
         figure, grid = panels(rows, _COLUMNS, 1.75, left=0.62, between=0.82, bottom=0.62, gap=0.3, sharey=True)
@@ -31,7 +31,7 @@ def curve_panels(curves: Sequence[LimitCurve], name: str = "limit-curves") -> st
             axes.set_visible(False)
         for row in grid:
             row[0].set_ylabel("yield, %")
-        return to_svg(figure, name, "Yield against the position of each limit, the others held")
+        return Drawing(figure, name, "Yield against the position of each limit, the others held")
 
 
 def _curve(axes: Axes, curve: LimitCurve, top: float) -> None:
@@ -51,11 +51,11 @@ def _curve(axes: Axes, curve: LimitCurve, top: float) -> None:
     axes.set_axisbelow(True)
 
 
-def pair_bars(pairs: Sequence[PairLoss], devices: int, name: str = "limit-pairs") -> str:
+def pair_bars(pairs: Sequence[PairLoss], devices: int, name: str = "limit-pairs") -> Drawing | None:
     """The devices lost to the costliest pairs of limits: to one alone, to the other alone, and to both together."""
     shown = [pair for pair in pairs if pair.devices > 0][:MOST_PAIRS]
     if not shown:
-        return ""
+        return None
     with style():
         figure, grid = panels(1, 1, 0.36 * len(shown) + 0.15, left=3.7, bottom=0.55, top=0.4, right=0.6)
         axes = grid[0][0]
@@ -87,4 +87,4 @@ def pair_bars(pairs: Sequence[PairLoss], devices: int, name: str = "limit-pairs"
         axes.set_axisbelow(True)
         axes.set_xlabel("devices that pass without the pair, % of all")
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.995), ncols=3, handlelength=1.2, borderaxespad=0.1)
-        return to_svg(figure, name, "Loss to the costliest pairs of limits")
+        return Drawing(figure, name, "Loss to the costliest pairs of limits")

@@ -25,8 +25,8 @@ from pipeline.store.read import read_run
 from tests.pipeline.experiment.checks.planted_faults import healthy
 from tests.stub_runs import run_arguments, stub_block, stub_runs
 from workflows.cli import call
-from workflows.commands import identify as identify_command
 from workflows.commands import learn
+from workflows.device import identified as identify_device_module
 from workflows.process import deaf_children, repeat_lost_interrupts
 from workflows.screening import batch
 from workflows.screening.block import BlockTables, DeviceBlock
@@ -84,7 +84,7 @@ def _campaign(tmp: Path) -> str:
 def _identify(status: str) -> Case:
     def case(tmp: Path, patch: pytest.MonkeyPatch) -> list[str]:
         found = Identification({"device_id": "A17", "status": status, "status_reason": "why"}, {})
-        patch.setattr(identify_command, "identify_device", lambda *_, **__: found)
+        patch.setattr(identify_device_module, "identify_device", lambda *_, **__: found)
         return ["identify", _campaign(tmp)]
 
     return case

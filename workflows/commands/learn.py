@@ -11,24 +11,20 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from pipeline.criticism.announce import announce
-from pipeline.criticism.problem import FitResult
 from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
 from pipeline.errors import NegativeError, printable_lines, unwritable
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
-from pipeline.experiment.record import Campaign
-from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
-from pipeline.learning.joint.answers import JointAnswers
 from reports.limits import Limits, load_limits
 
-from ..learning import ComparisonResult, DiagnosisResult, Measured, RefinementResult, Result, SelectionResult
+from ..device.measured import Measured
+from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
 from ..learning.progress import working
-from ..learning.views import joint_record_views, record_views, tone_views
 
 PAGES: dict[type[Result], str] = {
     ComparisonResult: "compare.html",
@@ -73,9 +69,7 @@ def _answer(
     measured = read_measurement(path)
     page = None
     with working(command.__name__, quiet=json):
-        found = command(
-            _fitted(measured) if isinstance(measured, Campaign) else measured, _model(model, folders), limits
-        )
+        found = command(measured, _model(model, folders), limits)
         if out is not None:
             if isinstance(found, SelectionResult):
                 found = found.with_drive_files(out)
@@ -107,13 +101,6 @@ def _require_positive(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAns
             allowed="adequate or class",
             next_step="see where it lies with --out FOLDER; try effects of your own with --effects FOLDER",
         )
-
-
-def _fitted(campaign: Campaign) -> Campaign:
-    """The campaign; where no record has the role "fit", all have."""
-    if campaign.with_role("fit"):
-        return campaign
-    return replace(campaign, records=tuple(replace(r, role="fit") for r in campaign.records))
 
 
 def _model(path: Path | None, folders: Sequence[Path]) -> Model:
@@ -149,35 +136,20 @@ def _write_page(
 
 def _page(measured: Measured, found: Result, folders: Sequence[Path], truth: str | None) -> str:
     # Drawing takes a second to load; a command without a page does not wait for it.
-    from reports.learning.page import RecordView, ToneView, render_learning_page
+    from reports.learning.page import render_learning_page
 
-    joint = found.answers.problem if isinstance(found.answers, JointAnswers) else None
+    from ..learning.views import views_of
 
-    def views(fit: CampaignFit | FitResult) -> list[RecordView]:
-        """Each driven record in the time domain with the model's prediction; none for modal records."""
-        if isinstance(fit, FitResult):
-            return [] if joint is None else joint_record_views(joint, fit)
-        return record_views(measured, fit) if isinstance(measured, Campaign) else []
-
-    def tones(fit: CampaignFit | FitResult) -> list[ToneView]:
-        """Each pass of a sweep and each frequency response, with the model's prediction."""
-        return [] if joint is None or not isinstance(fit, FitResult) else tone_views(joint, fit)
-
-    first = ComparisonResult(found.answers)
-    diagnosis = refinement = after = None
-    if isinstance(found, DiagnosisResult):
-        diagnosis = found.answer
-    if isinstance(found, RefinementResult):
-        diagnosis, refinement, after = found.first_diagnosis, found.answer, views(found.after)
+    views = views_of(found)
     return render_learning_page(
         measured.name if isinstance(measured, ModalRecord) else measured.device_id,
-        first.answer,
-        diagnosis,
-        refinement,
-        before=views(first.fit),
-        after=after,
-        tones=tones(first.fit),
-        tones_after=tones(found.after) if isinstance(found, RefinementResult) else (),
+        views.comparison,
+        views.diagnosis,
+        views.refinement,
+        before=views.before,
+        after=views.after,
+        tones=views.tones,
+        tones_after=views.tones_after,
         library=find_effects(tuple(folders)),
         truth=truth,
     )

@@ -22,7 +22,6 @@ from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.experiment.files.modal_record import ModalRecord
-from pipeline.experiment.record import Campaign
 from pipeline.experiment.tones import ToneCampaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer, to_builtins
@@ -37,6 +36,7 @@ from pipeline.learning.next_experiment.separating import Proposal
 from reports.limits import Limits
 from reports.words.terminal import lines_of
 
+from ..device.measured import Measured, with_fit_records
 from . import tables
 from .device_verdict import verdict_of, with_verdicts
 
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
 
-Measured = Campaign | ModalRecord | ToneCampaign
 Answers = CampaignAnswers | ModalAnswers | JointAnswers
 
 
@@ -79,6 +78,7 @@ def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Lim
 
 
 def _answers(measured: Measured, model: Model) -> Answers:
+    measured = with_fit_records(measured)
     if isinstance(measured, ToneCampaign):
         return joint_answers(measured, model)
     return modal_answers(measured, model) if isinstance(measured, ModalRecord) else campaign_answers(measured, model)
@@ -230,6 +230,11 @@ class DiagnosisResult(SelectionResult):
     def candidates(self) -> pd.DataFrame:
         """One row per absent effect, the most significant first."""
         return tables.candidates_table(self.answer.candidates)
+
+    @property
+    def sizes(self) -> pd.DataFrame:
+        """One row per parameter of each absent effect: value, sd, unit."""
+        return tables.sizes_table(self.answer.candidates, self.problem.model)
 
     def shown(self) -> tuple[pd.DataFrame, ...]:
         """The candidates."""

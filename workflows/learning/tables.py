@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pipeline.device.model import Model
-from pipeline.learning.answers import CandidateAnswer, Place, RecordErrors, RungAnswer, Values, to_builtins
+from pipeline.learning.answers import Answer, CandidateAnswer, Place, RecordErrors, RungAnswer, Values, to_builtins
 from pipeline.quantities import QUANTITIES
 
 if TYPE_CHECKING:
@@ -18,11 +18,27 @@ _RUNG = (
 )  # fmt: skip
 
 
+#: A pair of numbers in an answer -> its two columns.
+_PAIRS = {
+    "band_hz": ("band_low_hz", "band_high_hz"), "time_s": ("time_from_s", "time_to_s"),
+    "response_v": ("response_low_v", "response_high_v"), "measured": ("measured_re", "measured_im"),
+    "model": ("model_re", "model_im"), "F_dof": ("F_dof", "F_dof_residual"),
+}  # fmt: skip
+
+
+def _numbers(answer: Answer) -> dict[str, Any]:
+    """An answer as one row: each pair of numbers as two columns of numbers."""
+    row: dict[str, Any] = {}
+    for name, value in to_builtins(answer).items():
+        row |= dict(zip(_PAIRS[name], value or (None, None))) if name in _PAIRS else {name: value}
+    return row
+
+
 def where_table(places: Sequence[Place]) -> pd.DataFrame:
     """One row per place: family, kind, location, share of the misfit in its family, error."""
     import pandas as pd
 
-    table = pd.DataFrame([to_builtins(place) for place in places]).dropna(axis="columns", how="all")
+    table = pd.DataFrame([_numbers(place) for place in places]).dropna(axis="columns", how="all")
     return table.astype({"harmonic": "Int64"}) if "harmonic" in table else table
 
 
@@ -47,11 +63,31 @@ def parameters_table(values: Values, model: Model, effects: Sequence[str] = ()) 
 
 
 def candidates_table(candidates: Sequence[CandidateAnswer]) -> pd.DataFrame:
-    """One row per absent effect, the most significant first; sizes as {parameter: (value, sd)}."""
+    """One row per absent effect, the most significant first; ``sizes_table`` has their sizes."""
     import pandas as pd
 
-    table = pd.DataFrame([{**to_builtins(one), "estimate": dict(one.estimate)} for one in candidates])
+    table = pd.DataFrame([_numbers(one) for one in candidates]).drop(columns="estimate", errors="ignore")
     return table.set_index("effect") if "effect" in table else table
+
+
+def sizes_table(candidates: Sequence[CandidateAnswer], model: Model) -> pd.DataFrame:
+    """One row per parameter of each absent effect: value and sd by one step from the given model, and the unit."""
+    import pandas as pd
+
+    effects = model.library
+    units = {
+        (name, known): p.unit
+        for name in {one.effect for one in candidates} & effects.keys()
+        for p in effects[name].members(model.built.shape)
+        for known in (p.name, effects[name].full_name(p))
+    }
+    rows = [
+        (one.effect, name, *value, units.get((one.effect, name), ""))
+        for one in candidates
+        for name, value in one.estimate.items()
+    ]
+    names = ["effect", "parameter", "value", "sd", "unit"]
+    return pd.DataFrame(rows, columns=names).set_index(["effect", "parameter"])
 
 
 def ladder_table(ladder: Sequence[RungAnswer]) -> pd.DataFrame:

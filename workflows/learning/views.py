@@ -1,19 +1,65 @@
-"""Records beside a fitted model, as the pages take them."""
+"""Answers, and records beside the fitted models, as the pages take them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.criticism.problem import FitResult
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
+from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
+from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.joint.problem import JointProblem
 from pipeline.learning.timed.part import TimePart
 from pipeline.learning.tones.part import TonePart
 from reports.learning.record_view import RecordView
 from reports.learning.tone_view import ToneView
+
+from . import ComparisonResult, DiagnosisResult, RefinementResult, Result
+
+
+@dataclass(frozen=True, eq=False)
+class PageViews:
+    """What the page of a result shows: answers; records and tones with the first model and, after refine, with the last one."""
+
+    comparison: ComparisonAnswer
+    diagnosis: DiagnosisAnswer | None
+    refinement: RefinementAnswer | None
+    before: list[RecordView]
+    after: list[RecordView] | None
+    tones: list[ToneView]
+    tones_after: list[ToneView]
+
+
+def views_of(found: Result) -> PageViews:
+    """The content of the page of a result."""
+    problem, first = found.problem, ComparisonResult(found.answers)
+    diagnosis = refinement = after = None
+    tones_after: list[ToneView] = []
+    if isinstance(found, DiagnosisResult):
+        diagnosis = found.answer
+    if isinstance(found, RefinementResult):
+        diagnosis, refinement = found.first_diagnosis, found.answer
+        after, tones_after = _records(problem, found.after), _tones(problem, found.after)
+    before, tones = _records(problem, first.fit), _tones(problem, first.fit)
+    return PageViews(first.answer, diagnosis, refinement, before, after, tones, tones_after)
+
+
+def _records(problem: object, fit: CampaignFit | FitResult) -> list[RecordView]:
+    """Each driven record in the time domain with the prediction of a fit; none for a modal record."""
+    if isinstance(problem, JointProblem) and isinstance(fit, FitResult):
+        return joint_record_views(problem, fit)
+    if isinstance(problem, CampaignProblem) and isinstance(fit, CampaignFit):
+        return record_views(problem.measured, fit)
+    return []
+
+
+def _tones(problem: object, fit: CampaignFit | FitResult) -> list[ToneView]:
+    """Each pass of a sweep and each frequency response, with the prediction of a fit."""
+    return tone_views(problem, fit) if isinstance(problem, JointProblem) and isinstance(fit, FitResult) else []
 
 
 def record_views(campaign: Campaign, fit: CampaignFit) -> list[RecordView]:

@@ -21,7 +21,7 @@ from .block import BlockTables
 from .cluster import cluster
 from .dispatch import guarded_in_parallel
 from .guard import Begin
-from .inputs import with_own_code
+from .inputs import faults_in_the_users_folder, with_own_code
 from .outcome import RunResult, finish
 from .parts import (
     BLOCK_FAULTS,
@@ -61,12 +61,13 @@ def run_blocks(
     count = min(count, len(left)) if examined else count
     address = None if scheduler is None else scheduler.address
     store.log({"event": "start", "workers": count, "scheduler": address, "blocks": len(left)})
-    config, copies = with_own_code(planned.config, planned.inputs)
+    config, copies, folders = with_own_code(planned.config, planned.inputs)
     remote = {} if scheduler is None else copies
     with (
         cluster(count, scheduler) as client,
         shipped(client, remote),
         progress(planned.devices, finished, quiet) as shown,
+        faults_in_the_users_folder(folders),
     ):
         limit_s = config.run.device_limit_s
         items, whole = block_items(left, planned.campaigns), Assembly({block.index: block for block in left})

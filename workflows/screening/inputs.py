@@ -12,7 +12,7 @@ import atexit
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -164,8 +164,8 @@ def with_stored_code(config: RunConfig, inputs: Inputs) -> RunConfig:
     return _moved(config, {folder: _unpacked(folder, inputs)[0] for folder in _changed_folders(config, inputs)})
 
 
-def with_own_code(config: RunConfig, inputs: Inputs) -> tuple[RunConfig, dict[str, str]]:
-    """``config`` with copies of all of the user's effects and irregularities, and the copies (path -> text).
+def with_own_code(config: RunConfig, inputs: Inputs) -> tuple[RunConfig, dict[str, str], dict[str, str]]:
+    """``config`` with copies of all of the user's effects and irregularities, the copies (path -> text), copy -> folder.
 
     A worker that starts hours later would otherwise load what the user has changed since: half of a night would have had
     another effect than the rest.
@@ -173,7 +173,22 @@ def with_own_code(config: RunConfig, inputs: Inputs) -> tuple[RunConfig, dict[st
     folders = dict.fromkeys(str(Path(one.path).parent) for one in inputs.of(*_CODE))
     unpacked = {folder: _unpacked(folder, inputs) for folder in folders}
     texts = {path: text for _, own in unpacked.values() for path, text in own.items()}
-    return _moved(config, {folder: copy for folder, (copy, _) in unpacked.items()}), texts
+    moved = {folder: copy for folder, (copy, _) in unpacked.items()}
+    return _moved(config, moved), texts, {copy: folder for folder, copy in moved.items()}
+
+
+@contextmanager
+def faults_in_the_users_folder(folders: Mapping[str, str]) -> Iterator[None]:
+    """Errors of the user's code name the user's file, not its copy; ``folders``: copy -> folder."""
+    try:
+        yield
+    except ConfigError as error:
+        what = error.what
+        for copy, folder in folders.items():
+            what = what.replace(copy, folder)
+        if what == error.what:
+            raise
+        raise ConfigError(what, value=error.value, allowed=error.allowed, next_step=error.next_step) from error
 
 
 def _moved(config: RunConfig, moved: Mapping[str, str]) -> RunConfig:

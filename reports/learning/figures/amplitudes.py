@@ -22,6 +22,12 @@ def amplitudes_png(records: Sequence[EnvelopeRecord], path: Path) -> None:
     ------
     OSError : the file cannot be written.
     """
+    with style():
+        amplitudes_figure(records).savefig(path, format="png", dpi=110)
+
+
+def amplitudes_figure(records: Sequence[EnvelopeRecord]) -> Figure:
+    """The amplitude of each sense of each record against time, on a logarithmic scale; at most eight."""
     rows = [(record, k) for record in records for k in range(record.amplitude_v.shape[1])][:_FIGURES]
     with style():
         figure = Figure(figsize=(WIDTH, 1.0 + 1.9 * len(rows)), layout="constrained")
@@ -33,4 +39,4 @@ def amplitudes_png(records: Sequence[EnvelopeRecord], path: Path) -> None:
             axes.set_ylabel(f"sense {k + 1}, {unit} peak")
             axes.set_title(literal(record.name))
         grid[-1].set_xlabel("time, s")
-        figure.savefig(path, format="png", dpi=110)
+        return figure

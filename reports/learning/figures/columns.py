@@ -20,12 +20,18 @@ _RECORDS = 6
 
 
 def columns_png(records: tuple[Record, ...], path: Path) -> None:
-    """Write the figure of ``records`` to ``path`` (PNG); at most the first six records and eight channels of each.
+    """Write the figure of ``records`` to ``path`` (PNG).
 
     Raises
     ------
     OSError : the file cannot be written.
     """
+    with style():
+        columns_figure(records).savefig(path, format="png", dpi=110)
+
+
+def columns_figure(records: tuple[Record, ...]) -> Figure:
+    """The figure of ``records``; at most the first six records and eight channels of each."""
     rows = [
         (record, kind, k)
         for record in records[:_RECORDS]
@@ -45,7 +51,7 @@ def columns_png(records: tuple[Record, ...], path: Path) -> None:
             time_axes.set_title(literal(record.name) if (kind, k) == _first(record) else "")
         grid[-1][0].set_xlabel("time [s]")
         grid[-1][1].set_xlabel("frequency [Hz], amplitude")
-        figure.savefig(path, format="png", dpi=110)
+        return figure
 
 
 def _first(record: Record) -> tuple[str, int]:

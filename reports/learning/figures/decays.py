@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from pipeline.arrays import FloatArray
 from pipeline.experiment.decays.backbone import Oscillation, backbone
 
-from ...html.style import AFTER, BEFORE, panels, style, to_svg
+from ...html.style import AFTER, BEFORE, Drawing, panels, style
 from ..record_view import RecordView
 from .records import Picture
 
@@ -62,7 +62,7 @@ def _nearest(found: Sequence[Oscillation], f_hz: float) -> Oscillation | None:
 Mark = tuple[Oscillation, Sequence[Oscillation | None], bool]
 
 
-def _figure(marks: Sequence[Mark], name: str) -> str:
+def _figure(marks: Sequence[Mark], name: str) -> Drawing:
     with style():
         figure, grid = panels(1, 2, 2.6, left=0.85, bottom=0.55, top=0.12, gap=0.9)
         frequency, damping = grid[0]
@@ -92,7 +92,7 @@ def _figure(marks: Sequence[Mark], name: str) -> str:
         words = (
             "Frequency and damping ratio of the pieces of a free decay against amplitude, measured and by the models"
         )
-        return to_svg(figure, name, words)
+        return Drawing(figure, name, words)
 
 
 def _measured(axes: Axes, marks: Sequence[Mark], value: FloatArray) -> None:

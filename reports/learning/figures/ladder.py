@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter
 
 from pipeline.learning.answers import Measured, Place, RungAnswer
 
-from ...html.style import ACCENT, AFTER, BEFORE, INK, MUTED, RULE, literal, log_ticks, panels, style, to_svg
+from ...html.style import ACCENT, AFTER, BEFORE, INK, MUTED, RULE, Drawing, literal, log_ticks, panels, style
 from ...words.campaign import FIRST_MODEL, effect_words, rung_name
 from ...words.quantities import entry_words, error_words
 
@@ -30,13 +30,13 @@ _FOUR = (("u₁", "s"), ("v₁", "o"), ("u₂", "D"), ("v₂", "^"))
 _OFFSETS = ((9, 3), (9, -11), (-37, 3), (-37, -11))
 
 
-def ladder_plot(ladder: Sequence[RungAnswer], refused: Sequence[str] = ()) -> str:
-    """Error [sigma] of each model above, its misfit below; refused effects to the right.  "" for a single model.
+def ladder_plot(ladder: Sequence[RungAnswer], refused: Sequence[str] = ()) -> Drawing | None:
+    """Error [sigma] of each model above, its misfit below; refused effects to the right.  ``None`` for a single model.
 
     Where no error in sigmas is known, the relative error alone: it has neither a noise floor nor a misfit.
     """
     if len(ladder) + len(refused) < 2:
-        return ""
+        return None
     relative = not any(rung.error_fit or rung.error_validate for rung in ladder)
     errors = [(r.relative_error, None) if relative else (r.error_fit, r.error_validate) for r in ladder]
     with style():
@@ -55,7 +55,7 @@ def ladder_plot(ladder: Sequence[RungAnswer], refused: Sequence[str] = ()) -> st
                 axes.axvspan(left, left + _NARROW, color="#f4f6f8", lw=0, zorder=0)
             top = grid[0][0].get_xaxis_transform()
             grid[0][0].text(left + 0.5 * _NARROW, 0.4, "refused", transform=top, ha="center", va="top", color=BEFORE)
-        return to_svg(
+        return Drawing(
             figure, "ladder", "Error and misfit of each model of the ladder, on fitted and on held-out records"
         )
 
@@ -150,10 +150,10 @@ def _bars(axes: Axes, ladder: Sequence[RungAnswer], pairs: Pairs, floor: float) 
     axes.set_axisbelow(True)
 
 
-def residue_plot(first: Sequence[Place], last: Sequence[Place]) -> str:
+def residue_plot(first: Sequence[Place], last: Sequence[Place]) -> Drawing | None:
     """A panel for each mode: its entries measured (circles) and with the models (crosses), in units of the mode's norm.
 
-    "" where the places are not entries of a modal record.
+    ``None`` where the places are not entries of a modal record.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def residue_plot(first: Sequence[Place], last: Sequence[Place]) -> str:
     """
     entries = sorted((one for one in first if one.mode), key=lambda one: (one.mode or 0, entry_words(one)))
     if not entries:
-        return ""
+        return None
     modelled = [(models, colour) for models, colour in ((first, BEFORE), (last, AFTER)) if models]
     modes = sorted({one.mode or 0 for one in entries})
     with style():
@@ -189,7 +189,7 @@ def residue_plot(first: Sequence[Place], last: Sequence[Place]) -> str:
             for (_, colour), label in zip(modelled, (FIRST_MODEL, "last model"))
         ]
         figure.legend(handles=handles, loc="lower center", ncols=3, borderaxespad=0.1)
-        return to_svg(
+        return Drawing(
             figure, "residues", "Residues of each mode at resonance in the complex plane, measured and modelled"
         )
 
@@ -203,11 +203,11 @@ def _entry(axes: Axes, entry: Place, models: Sequence[Place], colour: str) -> No
             axes.plot(one.model[1], one.model[0], "x", color=colour, ms=7, mew=1.6, zorder=4)
 
 
-def four_thetas_plot(ladder: Sequence[RungAnswer]) -> str:
-    """theta [deg] of the fit and the four thetas of the paper's route, for each model; "" where there are none."""
+def four_thetas_plot(ladder: Sequence[RungAnswer]) -> Drawing | None:
+    """theta [deg] of the fit and the four thetas of the paper's route, for each model; ``None`` where there are none."""
     rungs = [rung for rung in ladder if rung.four_thetas_deg and rung.theta_deg]
     if not rungs:
-        return ""
+        return None
     with style():
         figure, grid = panels(1, 1, 2.8, left=0.75, bottom=0.65, top=0.15)
         axes = grid[0][0]
@@ -226,7 +226,7 @@ def four_thetas_plot(ladder: Sequence[RungAnswer]) -> str:
         axes.legend(handles=handles, loc="upper right", ncols=5, borderaxespad=0.0)
         low, high = axes.get_ylim()
         axes.set_ylim(low, high + 0.18 * (high - low))
-        return to_svg(figure, "axes", "The four estimates of theta and the fit's, for every model of the ladder")
+        return Drawing(figure, "axes", "The four estimates of theta and the fit's, for every model of the ladder")
 
 
 def _theta(axes: Axes, place: float, theta_deg: Measured, **mark: Any) -> None:

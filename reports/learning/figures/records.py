@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from pipeline.arrays import FloatArray
 
-from ...html.style import AFTER, BEFORE, INK, MUTED, RULE, WIDTH, literal, log_ticks, panels, style, to_svg
+from ...html.style import AFTER, BEFORE, INK, MUTED, RULE, WIDTH, Drawing, literal, log_ticks, panels, style
 from ...words.numbers import number
 from ...words.quantities import listed
 from ..record_view import (
@@ -45,22 +44,22 @@ _STEP_DB = 5.0
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of one record: name of the record, a note on it, what is shown, and the SVG text."""
+    """A figure of one record: name of the record, a note on it, what is shown, and the figure."""
 
     record: str
     note: str
     what: str
-    svg: str
+    drawing: Drawing
 
 
 @dataclass(frozen=True)
 class RecordFigures:
-    """All figures of records; empty where nothing can be drawn."""
+    """All figures of records; empty or ``None`` where nothing can be drawn."""
 
     resonances: tuple[Picture, ...]
     spectrograms: tuple[Picture, ...]
-    level: str
-    channels: str
+    level: Drawing | None
+    channels: Drawing | None
 
 
 def record_figures(
@@ -76,28 +75,29 @@ def record_figures(
     pairs = record_pairs(before, after)
     chosen = pictured(pairs)
     windows = resonance_windows(parameters, [view for view, _ in pairs])
-    with warnings.catch_warnings():
-        # Text stays text in an SVG, so a letter that matplotlib's own font lacks does no harm.
-        warnings.filterwarnings("ignore", message="Glyph")
-        return RecordFigures(
-            resonances=_pictures(
-                (pair, f"around {listed([number(one) for one in window.centres_hz])} Hz", _resonance(pair, window, f"{k}-{j}"))
-                for k, pair in enumerate(chosen[:2])
-                for j, window in enumerate(windows)
-            ),
-            spectrograms=_pictures(
-                (pair, "over time and frequency", _spectrogram(pair, str(k))) for k, pair in enumerate(chosen)
-            ),
-            level=_levels(pairs) if pairs else "",
-            channels=_channels(pairs) if pairs else "",
-        )  # fmt: skip
+    return RecordFigures(
+        resonances=_pictures(
+            (
+                pair,
+                f"around {listed([number(one) for one in window.centres_hz])} Hz",
+                _resonance(pair, window, f"{k}-{j}"),
+            )
+            for k, pair in enumerate(chosen[:2])
+            for j, window in enumerate(windows)
+        ),
+        spectrograms=_pictures(
+            (pair, "over time and frequency", _spectrogram(pair, str(k))) for k, pair in enumerate(chosen)
+        ),
+        level=_levels(pairs) if pairs else None,
+        channels=_channels(pairs) if pairs else None,
+    )
 
 
-def _pictures(drawn: Iterable[tuple[RecordPair, str, str]]) -> tuple[Picture, ...]:
+def _pictures(drawn: Iterable[tuple[RecordPair, str, Drawing | None]]) -> tuple[Picture, ...]:
     return tuple(
-        Picture(pair[0].name, " (held out)" if pair[0].role == "validate" else "", what, svg)
-        for pair, what, svg in drawn
-        if svg
+        Picture(pair[0].name, " (held out)" if pair[0].role == "validate" else "", what, drawing)
+        for pair, what, drawing in drawn
+        if drawing is not None
     )
 
 
@@ -111,11 +111,11 @@ def _line(label: str, colour: str, width: float = 1.4, style: Any = "-") -> Line
     return Line2D([], [], color=colour, lw=width, ls=style, label=label)
 
 
-def _resonance(pair: RecordPair, window: FrequencyWindow, name: str) -> str:
+def _resonance(pair: RecordPair, window: FrequencyWindow, name: str) -> Drawing | None:
     """Rows are channels, columns the models; ticks at the top mark the resonances."""
     shown = [(spectra(view, window.band_hz), title, colour) for view, title, colour in _models(pair)]
     if not all(found.frequency_hz.size > 1 for found, _, _ in shown):
-        return ""
+        return None
     senses = pair[0].senses
     with style():
         figure, grid = panels(senses, len(shown), 1.85, sharex=True, sharey="row", between=0.16)
@@ -134,7 +134,7 @@ def _resonance(pair: RecordPair, window: FrequencyWindow, name: str) -> str:
         handles += [_line(f"residual {title}".strip(), colour) for _, title, colour in shown]
         handles.append(_line("noise", MUTED, 1.0, _DASHED))
         figure.legend(handles=handles, loc="lower left", ncols=5, handlelength=1.6)
-        return to_svg(figure, f"resonance-{name}", "Measured, model and residual spectra around a resonance")
+        return Drawing(figure, f"resonance-{name}", "Measured, model and residual spectra around a resonance")
 
 
 def _spectra(axes: Axes, found: RecordSpectra, channel: int, colour: str) -> None:
@@ -154,7 +154,7 @@ def _spectra(axes: Axes, found: RecordSpectra, channel: int, colour: str) -> Non
     axes.grid(axis="y", color=RULE, lw=0.5)
 
 
-def _spectrogram(pair: RecordPair, name: str) -> str:
+def _spectrogram(pair: RecordPair, name: str) -> Drawing | None:
     """Rows are the full band and the band of the drive, columns the models; white is the noise level."""
     models = _models(pair)
     nyquist = 0.5 * pair[0].sample_rate_hz
@@ -167,7 +167,7 @@ def _spectrogram(pair: RecordPair, name: str) -> str:
     rows = [(label, band, [time_frequency(view, parts, band) for view, _, _ in models]) for label, band, parts in bands]
     rows = [row for row in rows if all(found.over_noise_db.size for found in row[2])]
     if not rows:
-        return ""
+        return None
     top = max(float(np.quantile(found.over_noise_db, 0.999)) for _, _, pictures in rows for found in pictures)
     ceiling = float(np.clip(_STEP_DB * np.ceil(top / _STEP_DB), 15.0, 80.0))
     colours, drives = _scale(round(ceiling / _STEP_DB)), drive_frequency(pair[0])
@@ -193,7 +193,7 @@ def _spectrogram(pair: RecordPair, name: str) -> str:
         if drives[1].shape[0]:
             handles = [_line("drive frequency", AFTER, 1.3), _line("its harmonics", AFTER, 0.9, (0, (2, 2)))]
             figure.legend(handles=handles, loc="lower left", ncols=2)
-        return to_svg(figure, f"spectrogram-{name}", "Residual over time and frequency in units of the noise")
+        return Drawing(figure, f"spectrogram-{name}", "Residual over time and frequency in units of the noise")
 
 
 def _scale(steps: int) -> ListedColormap:
@@ -229,7 +229,7 @@ def _harmonics(axes: Axes, times_s: FloatArray, drives_hz: FloatArray, band_hz: 
                 axes.plot(times_s, inside, color=AFTER, lw=width, ls=dashes, alpha=0.85)
 
 
-def _levels(pairs: Sequence[RecordPair]) -> str:
+def _levels(pairs: Sequence[RecordPair]) -> Drawing | None:
     """A panel for each channel, a line for each record and model; held-out records are dashed."""
     senses = pairs[0][0].senses
     with style():
@@ -249,16 +249,16 @@ def _levels(pairs: Sequence[RecordPair]) -> str:
             axes.grid(color=RULE, lw=0.5)
             axes.set_xlabel(f"response of sense {channel + 1}, V rms" if senses > 1 else "response, V rms")
         if not any(len(axes.lines) > 1 for axes in rows[0]):
-            return ""
+            return None
         rows[0][0].set_ylabel("residual, σ rms")
         both = any(last is not None for _, last in pairs)
         handles = [_line("before", BEFORE, 1.5), _line("after", AFTER, 1.5)] if both else []
         handles += [_line("fitted", INK, 1.1), _line("held out", INK, 1.1, _HELD_OUT)]
         figure.legend(handles=[*handles, _line("noise", INK, 1.0, _DOTTED)], loc="lower left", ncols=5)
-        return to_svg(figure, "level", "Residual against the level of the response")
+        return Drawing(figure, "level", "Residual against the level of the response")
 
 
-def _channels(pairs: Sequence[RecordPair]) -> str:
+def _channels(pairs: Sequence[RecordPair]) -> Drawing:
     """One line for each record and channel, from the error of the first to that of the last model; 1 is the noise."""
     labels: list[str] = []
     rows: list[tuple[float, float]] = []
@@ -296,4 +296,4 @@ def _channels(pairs: Sequence[RecordPair]) -> str:
         if both:
             handles.append(Line2D([], [], ls="none", marker="o", ms=6.5, color=AFTER, label="after"))
         figure.legend(handles=[*handles, _line("noise", MUTED, 1.0, _DOTTED)], loc="lower left", ncols=3)
-        return to_svg(figure, "channel-errors", "Error of every record and channel")
+        return Drawing(figure, "channel-errors", "Error of every record and channel")

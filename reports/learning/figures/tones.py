@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from pipeline.arrays import ComplexArray, FloatArray
 from pipeline.experiment.tones import ToneRecord, passes_of
 
-from ...html.style import AFTER, BEFORE, INK, WIDTH, literal, panels, style, to_svg
+from ...html.style import AFTER, BEFORE, INK, WIDTH, Drawing, literal, panels, style
 from ..tone_view import ToneView
 from .records import Picture
 
@@ -49,7 +49,7 @@ def tone_pictures(before: Sequence[ToneView], after: Sequence[ToneView]) -> tupl
 Pair = tuple[ToneView, ToneView | None]
 
 
-def _figure(pairs: Sequence[Pair], channel: int, name: str) -> str:
+def _figure(pairs: Sequence[Pair], channel: int, name: str) -> Drawing:
     """Size and phase on the left, the Nyquist plane on the right, the residual below."""
     with style():
         figure, grid = panels(3, 2, 1.75, left=0.85, bottom=0.85, top=0.1, gap=0.8, between=0.18)
@@ -79,7 +79,7 @@ def _figure(pairs: Sequence[Pair], channel: int, name: str) -> str:
         nyquist.set_ylabel(f"imaginary part, {unit}")
         nyquist.set_aspect("equal", adjustable="datalim")
         _legend(figure_axes=nyquist, both=pairs[0][1] is not None)
-        return to_svg(figure, name, "Measured response, model and residual against frequency and in the Nyquist plane")
+        return Drawing(figure, name, "Measured response, model and residual against frequency and in the Nyquist plane")
 
 
 def tones_png(records: Sequence[ToneRecord], path: Path) -> None:
@@ -89,6 +89,12 @@ def tones_png(records: Sequence[ToneRecord], path: Path) -> None:
     ------
     OSError : the file cannot be written.
     """
+    with style():
+        tones_figure(records).savefig(path, format="png", dpi=110)
+
+
+def tones_figure(records: Sequence[ToneRecord]) -> Figure:
+    """What was read of each record: size and phase of each sense against frequency; at most eight."""
     rows = [(record, k) for record in records[:_FIGURES] for k in range(record.sense_v.shape[1])][:_FIGURES]
     with style():
         figure = Figure(figsize=(WIDTH, 1.0 + 1.9 * len(rows)), layout="constrained")
@@ -106,7 +112,7 @@ def tones_png(records: Sequence[ToneRecord], path: Path) -> None:
             left.set_title(literal(record.name))
         for axes in grid[-1]:
             axes.set_xlabel("frequency, Hz (dashed: down)")
-        figure.savefig(path, format="png", dpi=110)
+        return figure
 
 
 def fitting_unit(largest: float) -> tuple[str, float]:

@@ -10,14 +10,14 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pipeline.arrays import FloatArray
 
-from ...html.style import ACCENT, COLOURS, INK, MUTED, RULE, TRUTH, WIDTH, style, to_svg
+from ...html.style import ACCENT, COLOURS, INK, MUTED, RULE, TRUTH, WIDTH, Drawing, style
 from ..content import OrderView, StepsView
 
 _NAMES = ("u1", "v1", "u2", "v2")
 _SHADES = (ACCENT, COLOURS["fail"], TRUTH)
 
 
-def thetas(estimates: Mapping[str, FloatArray], name: str = "thetas") -> str:
+def thetas(estimates: Mapping[str, FloatArray], name: str = "thetas") -> Drawing:
     """The four estimates of theta, source -> (4,) [deg], one row per estimate and one marker colour per source."""
     with style():
         figure = Figure(figsize=(WIDTH, 2.4), layout="constrained")
@@ -40,10 +40,10 @@ def thetas(estimates: Mapping[str, FloatArray], name: str = "thetas") -> str:
         axes.set(xlabel="θ, deg", ylim=(-0.6, 3.6))
         axes.grid(axis="both", color=RULE, lw=0.5)
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-        return to_svg(figure, name, "The four estimates of theta: printed, from eq. (14), from a simulated record")
+        return Drawing(figure, name, "The four estimates of theta: printed, from eq. (14), from a simulated record")
 
 
-def orders(view: OrderView, name: str = "orders") -> str:
+def orders(view: OrderView, name: str = "orders") -> Drawing:
     """Errors of theta [deg] and split [mHz], and in-band phase change [deg], against the ARX order, by window."""
     with style():
         figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
@@ -70,10 +70,10 @@ def orders(view: OrderView, name: str = "orders") -> str:
             axes.axvline(40, color=MUTED, lw=0.8, ls=(0, (1, 2)))
             axes.grid(color=RULE, lw=0.5)
         panels[0].legend(loc="best")
-        return to_svg(figure, name, "Convergence with the order of the ARX model, for two and three seconds of data")
+        return Drawing(figure, name, "Convergence with the order of the ARX model, for two and three seconds of data")
 
 
-def steps(view: StepsView, name: str = "steps") -> str:
+def steps(view: StepsView, name: str = "steps") -> Drawing:
     """|error of theta| [deg] against the split [Hz]: two-step route, its limit without noise, and the one-step fit."""
     with style():
         figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
@@ -94,4 +94,4 @@ def steps(view: StepsView, name: str = "steps") -> str:
         panels[0].set_ylabel("|error of θ|, deg")
         handles, labels = panels[-1].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4)
-        return to_svg(figure, name, "Error of theta of the two-step route and of the one-step fit against the split")
+        return Drawing(figure, name, "Error of theta of the two-step route and of the one-step fit against the split")

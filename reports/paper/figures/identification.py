@@ -8,7 +8,7 @@ from matplotlib.ticker import MaxNLocator
 
 from pipeline.arrays import FloatArray
 
-from ...html.style import ACCENT, COLOURS, MUTED, RULE, TRUTH, WIDTH, style, to_svg
+from ...html.style import ACCENT, COLOURS, MUTED, RULE, TRUTH, WIDTH, Drawing, style
 from ..content import HankelView, PaperRecord, ResponseView
 
 _CHANNELS = (("S1/D1", 0, 0), ("S1/D2", 0, 1), ("S2/D1", 1, 0), ("S2/D2", 1, 1))
@@ -29,7 +29,7 @@ def _envelope(time_s: FloatArray, volts: FloatArray) -> tuple[FloatArray, FloatA
     return time_s[: count * size : size], pieces.min(axis=1), pieces.max(axis=1)
 
 
-def records(view: PaperRecord, name: str = "figure-4") -> str:
+def records(view: PaperRecord, name: str = "figure-4") -> Drawing:
     """Sense records [V] and their power spectral density [V^2/Hz], with resonances, their harmonics and hum marked."""
     with style():
         figure = Figure(figsize=(WIDTH, 5.2), layout="constrained")
@@ -53,10 +53,10 @@ def records(view: PaperRecord, name: str = "figure-4") -> str:
             spectrum.grid(color=RULE, lw=0.5)
         panels[1, 0].set_xlabel("time, s")
         panels[1, 1].set_xlabel(f"frequency, Hz    (▲ multiples of {view.line_hz:g} Hz)")
-        return to_svg(figure, name, "Sense records over three seconds and their power spectral densities")
+        return Drawing(figure, name, "Sense records over three seconds and their power spectral densities")
 
 
-def broadband(view: ResponseView, name: str = "figure-5") -> str:
+def broadband(view: ResponseView, name: str = "figure-5") -> Drawing:
     """Magnitude of the order-40 model over the whole band, four channels."""
     with style():
         figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
@@ -75,10 +75,10 @@ def broadband(view: ResponseView, name: str = "figure-5") -> str:
             axes.set_ylabel("gain, dB")
         for axes in panels[1]:
             axes.set_xlabel("frequency, Hz    (shaded: swept band)")
-        return to_svg(figure, name, "Broad-band frequency response of the order-40 model, four channels")
+        return Drawing(figure, name, "Broad-band frequency response of the order-40 model, four channels")
 
 
-def zoomed(view: ResponseView, name: str = "figure-6") -> str:
+def zoomed(view: ResponseView, name: str = "figure-6") -> Drawing:
     """Magnitude and phase around the rocking modes and around the up-down mode: order 40, six states by two methods, eq. (14)."""
     gap = int(np.argmax(np.diff(view.narrow_hz))) + 1
     parts = (slice(0, gap), slice(gap, None))
@@ -106,10 +106,10 @@ def zoomed(view: ResponseView, name: str = "figure-6") -> str:
             axes.set_xlabel("frequency, Hz")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=4)
-        return to_svg(figure, name, "Frequency response around the modes: order 40, six states, printed model")
+        return Drawing(figure, name, "Frequency response around the modes: order 40, six states, printed model")
 
 
-def hankel(view: HankelView, shown: int = 24, name: str = "hankel") -> str:
+def hankel(view: HankelView, shown: int = 24, name: str = "hankel") -> Drawing:
     """Hankel singular values, the first ``shown``: of the order-40 model of the record, of eq. (14), and as printed."""
     with style():
         figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
@@ -128,4 +128,4 @@ def hankel(view: HankelView, shown: int = 24, name: str = "hankel") -> str:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(color=RULE, lw=0.5)
         axes.legend(loc="upper right")
-        return to_svg(figure, name, "Hankel singular values")
+        return Drawing(figure, name, "Hankel singular values")

@@ -1,4 +1,4 @@
-"""The figures of a run's page, from its devices and its content: name -> SVG text, "" if there is nothing to draw."""
+"""The figures of a run's page, from its devices and its content: name -> figure, ``None`` if there is nothing to draw."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from pipeline.axial import difference, mean_axis
 from pipeline.quantities import AXES
 
 from ...devices import ColumnSource, Devices, rows_of
+from ...html.style import Drawing
 from ...limits import Limit
 from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
 from ..calibration import z_scores
 from ..content import RunContent
 from ..health import ROUTE_THETAS, miss
-from ..worst import WorstDevice
+from ..worst import WorstDevice, WorstEstimate
 from .calibration import coverage_dots, z_panels
 from .capability import capability_bars
 from .causes import CauseBar, StageBar, pareto_bars, stage_bars
@@ -31,8 +32,8 @@ from .yields import Span, yield_spans
 CORNER = {"theta_deg": "Δ theta", "split_hz": "Δ split", "c12_per_s": "Δ c12", "sense_imbalance": "Δ imbal."}
 
 
-def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
-    """All figures of the page by name; empty text where there is nothing to draw."""
+def run_figures(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
+    """All figures of the page by name; ``None`` where there is nothing to draw."""
     if not len(devices):
         return {}
     return {
@@ -42,43 +43,52 @@ def run_figures(devices: Devices, content: RunContent) -> dict[str, str]:
         **_maps(devices),
         **_distributions(devices, content),
         **_calibration(devices, content),
-        "route": _route(devices) if content.routes else "",
+        "route": _route(devices) if content.routes else None,
         "capability": capability_bars(content.capabilities),
-        "risk-curve": "" if content.risk_curve is None else risk_curve_figure(content.risk_curve, content.limits.rule),
+        "risk-curve": None
+        if content.risk_curve is None
+        else risk_curve_figure(content.risk_curve, content.limits.rule),
     }
 
 
-def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -> tuple[str, ...]:
-    """A corner plot for the first device of each kind of worst; "" for the others and for those without draws."""
+def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -> tuple[Drawing | None, ...]:
+    """A corner plot for the first device of each kind of worst; ``None`` for the others and for those without draws."""
     first = [device.why not in {other.why for other in worst[:k]} for k, device in enumerate(worst)]
     return tuple(
-        _corner(k, device, posterior) if chosen and posterior is not None else ""
+        device_corner(f"corner-{k}", device.device_id, device.estimates, posterior)
+        if chosen and posterior is not None
+        else None
         for k, (device, chosen) in enumerate(zip(worst, first, strict=True))
     )
 
 
-def _corner(k: int, device: WorstDevice, posterior: ColumnSource) -> str:
-    rows = Devices(rows_of(posterior, device.device_id))
-    truths = {estimate.quantity: estimate.truth for estimate in device.estimates}
+def device_corner(
+    name: str, device_id: str, estimates: Sequence[WorstEstimate], posterior: ColumnSource
+) -> Drawing | None:
+    """The corner plot of a device from its draws in ``posterior``; ``None`` where they are too few.
+
+    ``estimates`` gives the truths.
+    """
+    rows = Devices(rows_of(posterior, device_id))
+    truths = {estimate.quantity: estimate.truth for estimate in estimates}
     columns: list[FloatArray] = []
     shown: list[float] = []
     labels: list[str] = []
-    for name in CORNER:
-        values, truth = rows.number(name), truths.get(name, float("nan"))
+    for quantity, symbol in CORNER.items():
+        values, truth = rows.number(quantity), truths.get(quantity, float("nan"))
         if not np.isfinite(values).any():
             continue
         # Relative to the centre and scaled by powers of a thousand: digits that all draws share would crowd the ticks.
-        centre = mean_axis(values) if name in AXES else float(np.nanmean(values))
-        values = difference(values, centre) if name in AXES else values - centre
-        truth = float(difference(truth, centre)) if name in AXES else truth - centre
+        centre = mean_axis(values) if quantity in AXES else float(np.nanmean(values))
+        values = difference(values, centre) if quantity in AXES else values - centre
+        truth = float(difference(truth, centre)) if quantity in AXES else truth - centre
         exponent = _thousands(float(np.nanstd(values)))
         columns.append(values / 10.0**exponent)
         shown.append(truth / 10.0**exponent)
-        labels.append(f"{CORNER[name]}\n{_unit(exponent, UNITS[name])}")
+        labels.append(f"{symbol}\n{_unit(exponent, UNITS[quantity])}")
     if not columns:
-        return ""
-    drawn = corner_plot(labels, np.stack(columns, axis=1), shown, f"corner-{k}", f"Posterior of {device.device_id}")
-    return drawn or ""
+        return None
+    return corner_plot(labels, np.stack(columns, axis=1), shown, name, f"Posterior of {device_id}")
 
 
 def _thousands(sd: float) -> int:
@@ -145,9 +155,9 @@ def _spans(content: RunContent) -> list[Span]:
     return spans
 
 
-def _pareto(content: RunContent) -> str:
+def _pareto(content: RunContent) -> Drawing | None:
     if not content.pareto.failed:
-        return ""
+        return None
     bars = [
         CauseBar(f"{label(row.limit.quantity)} {limit_words(row.limit)}", row.failed, row.alone)
         for row in content.pareto.limits
@@ -155,9 +165,9 @@ def _pareto(content: RunContent) -> str:
     return pareto_bars(bars, content.pareto.failed)
 
 
-def _stages(content: RunContent) -> str:
+def _stages(content: RunContent) -> Drawing | None:
     if not content.stages:
-        return ""
+        return None
     bars = [
         StageBar(
             f"{label(row.limit.quantity)} {limit_words(row.limit)}" if row.limit else "all limits together",
@@ -170,11 +180,11 @@ def _stages(content: RunContent) -> str:
     return stage_bars([bars[0], *sorted(bars[1:], key=lambda bar: -(bar.fabrication + bar.packaging))])
 
 
-def _maps(devices: Devices) -> dict[str, str]:
+def _maps(devices: Devices) -> dict[str, Drawing | None]:
     x, y, wafers = devices.number("die_x_mm"), devices.number("die_y_mm"), devices.wafers()
     placed = np.isfinite(x) & np.isfinite(y) & ~wafers.equals("")
     if not placed.any():
-        return {"wafer-maps": "", "stacked-map": ""}
+        return {"wafer-maps": None, "stacked-map": None}
     verdicts = devices.text("verdict")
     return {
         "wafer-maps": wafer_maps(x[placed], y[placed], verdicts.at(placed), wafers.at(placed)),
@@ -182,7 +192,7 @@ def _maps(devices: Devices) -> dict[str, str]:
     }
 
 
-def _distributions(devices: Devices, content: RunContent) -> dict[str, str]:
+def _distributions(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
     limits: dict[str, Limit] = {limit.quantity: limit for limit in content.limits.limits}
     verdicts = devices.text("verdict")
     others = [name for name in limits if name not in ("theta_deg", "split_hz")]
@@ -198,13 +208,13 @@ def _distributions(devices: Devices, content: RunContent) -> dict[str, str]:
             limits.get("theta_deg"),
             limits.get("split_hz"),
         ),
-        "histograms": histograms(panels, verdicts) if panels else "",
+        "histograms": histograms(panels, verdicts) if panels else None,
     }
 
 
-def _calibration(devices: Devices, content: RunContent) -> dict[str, str]:
+def _calibration(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
     if not content.coverages:
-        return {"coverage": "", "z-scores": ""}
+        return {"coverage": None, "z-scores": None}
     panels = [(label(name), z_scores(devices, name)) for name in ("theta_deg", "split_hz")]
     return {
         "coverage": coverage_dots([(label(row.quantity), row) for row in content.coverages]),
@@ -212,7 +222,7 @@ def _calibration(devices: Devices, content: RunContent) -> dict[str, str]:
     }
 
 
-def _route(devices: Devices) -> str:
+def _route(devices: Devices) -> Drawing:
     virtual = bool(np.isfinite(devices.number("true_split_hz")).any())
     against = "true_" if virtual else ""
     of = "error" if virtual else "difference"

@@ -10,12 +10,12 @@ from scipy.special import ndtri
 
 from pipeline.arrays import FloatArray
 
-from ...html.style import ACCENT, COLOURS, INK, MUTED, POINTS, RULE, WIDTH, style, to_svg
+from ...html.style import ACCENT, COLOURS, INK, MUTED, POINTS, RULE, WIDTH, Drawing, style
 from ...html.style import panels as laid_out
 from ..calibration import NOMINAL, Coverage
 
 
-def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") -> str:
+def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") -> Drawing:
     """Coverage of the 90 % intervals of each (label, coverage), with the 95 % binomial band."""
     with style():
         height = 0.26 * len(rows) + 0.8
@@ -36,10 +36,10 @@ def coverage_dots(rows: Sequence[tuple[str, Coverage]], name: str = "coverage") 
         axes.set_ylim(-len(rows) + 0.5, 0.5)
         axes.set_xlim(min([100 * row.interval.low for _, row in rows] + [80.0]) - 1.0, 100.5)
         axes.set_xlabel("truth inside the 90 % interval, % of devices (band: chance; bars: 95 % intervals)")
-        return to_svg(figure, name, "Coverage of the 90 % intervals by quantity")
+        return Drawing(figure, name, "Coverage of the 90 % intervals by quantity")
 
 
-def z_panels(panels: Sequence[tuple[str, FloatArray]], name: str = "z-scores") -> str:
+def z_panels(panels: Sequence[tuple[str, FloatArray]], name: str = "z-scores") -> Drawing:
     """For each (label, z (n,)): histogram over the standard normal, and normal quantile plot."""
     with style():
         figure, rows = laid_out(1, 2 * len(panels), 2.25, left=0.6, bottom=0.5, top=0.15, gap=0.55)
@@ -59,4 +59,4 @@ def z_panels(panels: Sequence[tuple[str, FloatArray]], name: str = "z-scores") -
             quantile.plot([-4, 4], [-4, 4], color=INK, lw=0.9)
             quantile.set(xlabel="normal quantile", ylabel=f"z of {label}", xlim=(-4, 4), ylim=(-6.2, 6.2))
             quantile.grid(color=RULE, lw=0.5)
-        return to_svg(figure, name, "z-scores against the standard normal")
+        return Drawing(figure, name, "z-scores against the standard normal")

@@ -8,18 +8,18 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 
 from ...capability import Capability, Index
-from ...html.style import ACCENT, BEFORE, INK, MUTED, RULE, panels, style, to_svg
+from ...html.style import ACCENT, BEFORE, INK, MUTED, RULE, Drawing, panels, style
 from ...words.quantities import label, limit_words
 
 #: 1.33: the usual demand on a process (AIAG, PPAP manual: 1.33 acceptable with approval, 1.67 without).
 _DEMAND = 1.33
 
 
-def capability_bars(rows: Sequence[Capability], name: str = "capability") -> str:
-    """Cpk (within wafers) and Ppk (over all) of each quantity with 95 % intervals; "" without any."""
+def capability_bars(rows: Sequence[Capability], name: str = "capability") -> Drawing | None:
+    """Cpk (within wafers) and Ppk (over all) of each quantity with 95 % intervals; ``None`` without any."""
     shown = [row for row in rows if row.cpk is not None and row.ppk is not None]
     if not shown:
-        return ""
+        return None
     with style():
         figure, grid = panels(1, 1, 0.5 * len(shown) + 0.1, left=3.9, bottom=0.55, top=0.42, right=0.25)
         axes = grid[0][0]
@@ -48,7 +48,7 @@ def capability_bars(rows: Sequence[Capability], name: str = "capability") -> str
         axes.set_axisbelow(True)
         axes.set_xlabel("index; lines: 1 and 1.33")
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, handlelength=1.2, borderaxespad=0.1)
-        return to_svg(figure, name, "Capability of each limited quantity with its 95 % interval")
+        return Drawing(figure, name, "Capability of each limited quantity with its 95 % interval")
 
 
 def _interval(

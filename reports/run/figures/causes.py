@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ...html.style import COLOURS, MUTED, RULE, WIDTH, style, to_svg
+from ...html.style import COLOURS, MUTED, RULE, WIDTH, Drawing, style
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class StageBar:
     recovered: int
 
 
-def pareto_bars(bars: Sequence[CauseBar], total: int, name: str = "pareto") -> str:
+def pareto_bars(bars: Sequence[CauseBar], total: int, name: str = "pareto") -> Drawing:
     """Horizontal bars, most frequent first; the solid part breaks this limit only."""
     with style():
         height = 0.36 * len(bars) + 0.95
@@ -67,10 +67,10 @@ def pareto_bars(bars: Sequence[CauseBar], total: int, name: str = "pareto") -> s
         axes.grid(axis="x", color=RULE, lw=0.6)
         axes.set_axisbelow(True)
         figure.legend(loc="upper right", ncols=2, bbox_to_anchor=(0.97, 1.0), borderaxespad=0.1)
-        return to_svg(figure, name, "Failed devices by limit")
+        return Drawing(figure, name, "Failed devices by limit")
 
 
-def stage_bars(bars: Sequence[StageBar], name: str = "stages") -> str:
+def stage_bars(bars: Sequence[StageBar], name: str = "stages") -> Drawing:
     """To the right, devices lost in fabrication and in packaging; to the left, those that packaging recovered."""
     with style():
         height = 0.36 * len(bars) + 0.95
@@ -113,4 +113,4 @@ def stage_bars(bars: Sequence[StageBar], name: str = "stages") -> str:
         axes.grid(axis="x", color=RULE, lw=0.6)
         axes.set_axisbelow(True)
         figure.legend(loc="upper right", ncols=3, bbox_to_anchor=(0.97, 1.0), borderaxespad=0.1)
-        return to_svg(figure, name, "Devices lost in fabrication and in packaging, by limit")
+        return Drawing(figure, name, "Devices lost in fabrication and in packaging, by limit")

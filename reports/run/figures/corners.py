@@ -11,12 +11,12 @@ from matplotlib.ticker import MaxNLocator
 
 from pipeline.arrays import FloatArray
 
-from ...html.style import ACCENT, TRUTH, style, to_svg
+from ...html.style import ACCENT, TRUTH, Drawing, style
 
 
 def corner_plot(
     labels: Sequence[str], draws: FloatArray, truths: Sequence[float], name: str, description: str
-) -> str | None:
+) -> Drawing | None:
     """One- and two-dimensional marginals; ``None`` if fewer than two quantities vary or there are too few draws.
 
     Parameters
@@ -71,4 +71,4 @@ def corner_plot(
                 axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
                 axes.yaxis.set_label_coords(-0.48, 0.5)
         figure.subplots_adjust(left=0.2, bottom=0.17, right=0.98, top=0.98)
-        return to_svg(figure, name, description)
+        return Drawing(figure, name, description)

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from pipeline.arrays import FloatArray
 
 from ...coded import CodedText, coded
-from ...html.style import COLOURS, EDGES, HATCHES, INK, LIMIT, MARKERS, MUTED, POINTS, RULE, WIDTH, style, to_svg
+from ...html.style import COLOURS, EDGES, HATCHES, INK, LIMIT, MARKERS, MUTED, POINTS, RULE, WIDTH, Drawing, style
 from ...html.style import panels as laid_out
 from ...limits import Limit
 
@@ -27,7 +27,7 @@ def theta_and_split(
     theta_limit: Limit | None,
     split_limit: Limit | None,
     name: str = "theta-split",
-) -> str:
+) -> Drawing:
     """Left: theta as a rose of axes.  Middle: (split cos 2 theta, split sin 2 theta).  Right: histogram of split.
 
     Parameters
@@ -58,12 +58,12 @@ def theta_and_split(
             handletextpad=0.3,
             handlelength=1.2,
         )
-        return to_svg(figure, name, "Distributions of theta and of the split, with limits, by verdict")
+        return Drawing(figure, name, "Distributions of theta and of the split, with limits, by verdict")
 
 
 def histograms(
     panels: Sequence[tuple[str, FloatArray, Limit | None]], verdicts: Sequence[str], name: str = "histograms"
-) -> str:
+) -> Drawing:
     """A stacked histogram for each (label, (B,) values, limit), three in a row."""
     verdict = coded(verdicts)
     with style():
@@ -78,7 +78,7 @@ def histograms(
             _histogram(axes, values[known], verdict.at(known), limit)
             axes.set_xlabel(label)
             axes.set_ylabel("devices" if k % 3 == 0 else "")
-        return to_svg(figure, name, "Distributions of the limited quantities, with limits, by verdict")
+        return Drawing(figure, name, "Distributions of the limited quantities, with limits, by verdict")
 
 
 def _histogram(axes: Axes, values: FloatArray, verdict: CodedText, limit: Limit | None) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...decision_risk import RiskCurve
-from ...html.style import ACCENT, BEFORE, INK, RULE, panels, style, to_svg
+from ...html.style import ACCENT, BEFORE, INK, RULE, Drawing, panels, style
 from ...rules import Rule
 
 
-def risk_curve_figure(curve: RiskCurve, rule: Rule, name: str = "risk-curve") -> str:
+def risk_curve_figure(curve: RiskCurve, rule: Rule, name: str = "risk-curve") -> Drawing:
     """Accepted share, and consumer's and producer's risk, against the factor k of a guard band of k u; the truth dashed."""
     with style():
         figure, grid = panels(1, 2, 2.2, left=0.75, bottom=0.6, gap=0.8, top=0.4)
@@ -43,4 +43,4 @@ def risk_curve_figure(curve: RiskCurve, rule: Rule, name: str = "risk-curve") ->
             axes.set_axisbelow(True)
             if rule.by_estimate and rule.guard_factor is not None:
                 axes.axvline(rule.guard_factor, color=INK, lw=1.0)
-        return to_svg(figure, name, "Accepted share and risks against the guard band")
+        return Drawing(figure, name, "Accepted share and risks against the guard band")

@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from pipeline.arrays import FloatArray
 
-from ...html.style import ACCENT, COLOURS, POINTS, RULE, style, to_svg
+from ...html.style import ACCENT, COLOURS, POINTS, RULE, Drawing, style
 from ...html.style import panels as laid_out
 from ...words.quantities import SUPERSCRIPT
 
@@ -18,7 +18,7 @@ def route_scatter(
     split_hz: FloatArray,
     panels: Sequence[tuple[str, FloatArray, FloatArray | None]],
     name: str = "route",
-) -> str:
+) -> Drawing:
     """For each (label, |error| of the route, |error| of the posterior or None) a doubly logarithmic panel.
 
     Parameters
@@ -47,7 +47,7 @@ def route_scatter(
             axes.set(xlabel="split, Hz", ylabel=label)
             axes.grid(color=RULE, lw=0.5)
             axes.legend(loc="best", handletextpad=0.2)
-        return to_svg(figure, name, "Error of the paper's route and of the posterior against the split")
+        return Drawing(figure, name, "Error of the paper's route and of the posterior against the split")
 
 
 def _power_of_ten(value: float, _: object) -> str:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from ...attribution.content import FIELD, PLACE
-from ...html.style import INK, MUTED, RULE, WIDTH, literal, style, to_svg
+from ...html.style import INK, MUTED, RULE, WIDTH, Drawing, literal, style
 
 #: Okabe and Ito 2008; each bar also has its level in its name.
 LEVELS: Mapping[str, tuple[str, str, str]] = MappingProxyType(
@@ -36,7 +36,7 @@ class SourceBar:
     halved: tuple[float, float, float] | None
 
 
-def tornado(bars: Sequence[SourceBar], name: str = "tornado") -> str:
+def tornado(bars: Sequence[SourceBar], name: str = "tornado") -> Drawing:
     """Horizontal bars with intervals, in the given order from the top: shares, and beside them what halving would change."""
     with style():
         height = 0.34 * len(bars) + 0.95
@@ -73,7 +73,7 @@ def tornado(bars: Sequence[SourceBar], name: str = "tornado") -> str:
         figure.legend(
             handles=handles, loc="upper right", ncols=len(present), bbox_to_anchor=(0.97, 1.0), borderaxespad=0.1
         )
-        return to_svg(
+        return Drawing(
             figure, name, "Shares of the variance of the loss by irregularity and level, and what halving would change"
         )
 

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from pipeline.arrays import BoolArray, FloatArray
 
 from ...coded import IntArray, coded
-from ...html.style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, style, to_svg
+from ...html.style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, Drawing, style
 from ...html.style import panels as laid_out
 from ...yields import natural
 
@@ -26,9 +26,14 @@ MOST = 12
 
 
 def wafer_maps(
-    x_mm: FloatArray, y_mm: FloatArray, verdicts: Sequence[str], wafers: Sequence[str], name: str = "wafer-maps"
-) -> str:
-    """One small map per wafer in order of name, at most ``MOST``.
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    verdicts: Sequence[str],
+    wafers: Sequence[str],
+    name: str = "wafer-maps",
+    most: int = MOST,
+) -> Drawing:
+    """One small map per wafer in order of name, at most ``most``.
 
     Parameters
     ----------
@@ -36,7 +41,7 @@ def wafer_maps(
     verdicts, wafers : B each.
     """
     verdict, wafer = coded(verdicts), coded(wafers)
-    names = sorted(wafer.counts(), key=natural)[:MOST]
+    names = sorted(wafer.counts(), key=natural)[:most]
     radius = _radius(x_mm, y_mm)
     with style():
         across = min(COLUMNS, max(2, len(names)))
@@ -66,10 +71,10 @@ def wafer_maps(
                 )
             axes.set_title(f"{names[k]}: {passed} of {n} pass", fontsize=10)
         figure.legend(handles=_handles(), loc="lower left", ncols=3, handletextpad=0.3)
-        return to_svg(figure, name, "Verdicts at the die positions of each wafer")
+        return Drawing(figure, name, "Verdicts at the die positions of each wafer")
 
 
-def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str = "stacked-map") -> str:
+def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str = "stacked-map") -> Drawing:
     """All wafers on one: the share of devices that pass at each die position, and against the radius.
 
     Parameters
@@ -103,7 +108,7 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
         each = f"{n.min()}" if n.min() == n.max() else f"{n.min()} to {n.max()}"
         left.set_title(f"All wafers on one ({each} devices a die)")
         _by_radius(right, np.hypot(x_mm[known], y_mm[known]), passed[known], radius)
-        return to_svg(figure, name, "Share of passing devices by die position and by radius")
+        return Drawing(figure, name, "Share of passing devices by die position and by radius")
 
 
 def _places(x_mm: FloatArray, y_mm: FloatArray, radius: float) -> tuple[FloatArray, IntArray]:

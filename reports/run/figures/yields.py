@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from ...html.style import ACCENT, MUTED, RULE, WIDTH, style, to_svg
+from ...html.style import ACCENT, MUTED, RULE, WIDTH, Drawing, style
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Span:
     high: float
 
 
-def yield_spans(spans: Sequence[Span], name: str = "yield-spans") -> str:
+def yield_spans(spans: Sequence[Span], name: str = "yield-spans") -> Drawing:
     """Each span as a bar with its value, grouped by the question that it answers."""
     with style():
         rows: list[tuple[str, Span | None]] = []
@@ -61,4 +61,4 @@ def yield_spans(spans: Sequence[Span], name: str = "yield-spans") -> str:
         axes.grid(axis="x", color=RULE, lw=0.6)
         axes.set_axisbelow(True)
         axes.set_xlabel("yield, %")
-        return to_svg(figure, name, "Intervals of the yield by source of uncertainty")
+        return Drawing(figure, name, "Intervals of the yield by source of uncertainty")

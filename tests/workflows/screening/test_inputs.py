@@ -19,7 +19,6 @@ from pipeline.store.provenance import provenance
 from pipeline.store.read import read_run
 from pipeline.store.run import create_run
 from pipeline.store.schema import devices_table
-from populations.irregularity import find
 from populations.spec import DEFAULT
 from tests.drawn_devices import IRREGULARITY, drawn_block
 from tests.pipeline.experiment.checks.planted_faults import healthy
@@ -149,7 +148,6 @@ def test_irregularities_and_effects_of_the_user_are_kept_with_the_run(fab, tmp_p
     assert call(arguments) == 130
     (tmp_path / "mine" / "own.py").write_text(IRREGULARITY.format(factor=3.0), encoding="utf-8")
     (tmp_path / "laws" / "own.py").unlink()
-    find.cache_clear()
     stub_runs(monkeypatch, drawn_block)
     assert resumed(tmp_path) == 0
     assert digest(tmp_path / "results") == digest(tmp_path / "whole")
@@ -256,7 +254,6 @@ def test_code_that_changes_during_a_night_does_not_enter_it_nor_its_report(fab, 
         if at.index == 2:
             (tmp_path / "mine" / "own.py").write_text(IRREGULARITY.format(factor=3.0), encoding="utf-8")
             shutil.rmtree(tmp_path / "laws")
-            find.cache_clear()
             _model.cache_clear()
         return drawn_block(source, at)
 

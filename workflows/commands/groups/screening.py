@@ -1,4 +1,4 @@
-"""Declaration of the commands of the screening run: run, rare, query, report, attribute, grr, verify."""
+"""Declaration of the commands of the screening run: run, rare, query, report, attribute, grr, export, verify."""
 
 from __future__ import annotations
 
@@ -166,6 +166,26 @@ def grr(
     command(run, results, limits, json)
 
 
+def export(
+    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    results: Results = DEFAULT_RESULTS,
+    format: Annotated[
+        str | None,
+        typer.Option(help="csv, xlsx, stdf, wafermap-png or wafermap-csv; default: the suffix of --out, else csv."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The file; STDF files and map pages are one per lot, with its name added.")
+    ] = None,
+) -> None:
+    """Write a run as CSV, Excel, STDF V4 or wafer maps.
+
+    Wafer maps are pictures (wafermap-png) or a table (wafermap-csv).
+    """
+    from ..export import export as command
+
+    command(run, results, format, out)
+
+
 def verify(
     results: Results = DEFAULT_RESULTS,
     json: Json = False,
@@ -184,4 +204,4 @@ def verify(
     command(results, json, repair)
 
 
-COMMANDS = (run, rare, query, report, attribute, grr, verify)
+COMMANDS = (run, rare, query, report, attribute, grr, export, verify)

@@ -1,4 +1,4 @@
-"""gyroscreen identify, for sweeps and frequency responses: the parameters of the given model, by least squares."""
+"""Sweeps and frequency responses: the parameters of the given model, by least squares."""
 
 from __future__ import annotations
 

@@ -1,0 +1,1 @@
+"""One measured device, for commands and notebooks: its measurement, what was checked and what was identified."""
