@@ -91,7 +91,7 @@ class Attribution:
 
 
 @dataclass(frozen=True)
-class WhatIf:
+class ChangedLoss:
     """A change of the population and what it does to the share of lost devices.
 
     Parameters

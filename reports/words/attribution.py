@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..attribution.content import FIELD, LOSS, PLACE, Attribution, OutputShares, Source, StoredShares, WhatIf
+from ..attribution.content import FIELD, LOSS, PLACE, Attribution, ChangedLoss, OutputShares, Source, StoredShares
 from ..attribution.reweighting import LEAST_LOTS_WITH_LOSS, ChangedShare
 from ..interval_estimate import IntervalEstimate
 from ..yields import clopper_pearson
@@ -116,7 +116,7 @@ def _stored_lines(found: StoredShares | None) -> list[str]:
     return lines
 
 
-def what_if_lines(found: WhatIf) -> list[str]:
+def what_if_lines(found: ChangedLoss) -> list[str]:
     """What ``gyroscreen attribute --what-if`` prints."""
     changes = ", ".join(f"{name} = {number(new)} (now {number(old)})" for name, (old, new) in found.changes.items())
     lines = [

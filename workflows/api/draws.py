@@ -31,7 +31,7 @@ _STORED, _SAMPLED, _NORMAL = (
 
 
 @runtime_checkable
-class StoredDraws(Protocol):
+class HasDraws(Protocol):
     """A run, which keeps draws of its devices."""
 
     def draws_of(self, device_id: str) -> tuple[dict[str, FloatArray], dict[str, float]]:
@@ -39,7 +39,7 @@ class StoredDraws(Protocol):
 
 
 def inference_data(
-    source: StoredDraws | IdentifiedDevice | ComparisonResult | RefinementResult | CampaignFit,
+    source: HasDraws | IdentifiedDevice | ComparisonResult | RefinementResult | CampaignFit,
     device_id: str | None = None,
     *,
     seed: int = 1,
@@ -62,7 +62,7 @@ def inference_data(
     >>> found = gs.inference_data(night, "D000003")
     >>> found.posterior["theta_deg"].std()
     """
-    if isinstance(source, StoredDraws):
+    if isinstance(source, HasDraws):
         draws, truth = source.draws_of(device_id or "")
         return _tree(draws, truth, _STORED)
     if device_id is not None:

@@ -22,7 +22,7 @@ from populations.latent import latent_space
 from populations.spec import PopulationSpec
 from populations.spreads import spread_numbers
 from populations.stored import DIE, draw_stored, number_names
-from reports.attribution.content import WhatIf
+from reports.attribution.content import ChangedLoss
 from reports.attribution.reweighting import LEAST_LOTS_WITH_LOSS, log_weights, paired_share, reweighted_share
 from reports.decision import conforms
 from reports.devices import Devices
@@ -75,7 +75,7 @@ def _number(text: str) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def what_if(config: RunConfig, folder: Path, devices: StoredTable, text: str) -> WhatIf:
+def what_if(config: RunConfig, folder: Path, devices: StoredTable, text: str) -> ChangedLoss:
     """The share of lost devices of a run if its population were changed as ``text`` says.
 
     Raises
@@ -111,7 +111,7 @@ def what_if(config: RunConfig, folder: Path, devices: StoredTable, text: str) ->
         lots = min(one.lots_with_loss for one in weighted.values())
         if lots < LEAST_LOTS_WITH_LOSS:
             weighted, refusal = None, refused("few_lots", f"{lots:.1f}")
-    return WhatIf(
+    return ChangedLoss(
         changes,
         len(found.lot),
         int(np.unique(found.lot).size),

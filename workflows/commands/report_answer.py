@@ -7,25 +7,22 @@ from typing import Any
 
 from pipeline.plain import plain
 from pipeline.store.columns import StoredRun, with_run
-from pipeline.store.run import open_run
 from reports.capability import capabilities
 from reports.common_errors import given_common, with_common
 from reports.decision_risk import K_CURVE, decision_risks, risk_curve
 from reports.devices import Devices
 from reports.yields import yield_of_verdicts
 
-from ..screening.inputs import FILE as INPUTS
+from ..screening.outcome import config_of_stored
 from ..screening.shared_errors import shared_shifts
-from ..what_if.run import stored_config
 from ..what_if.tables import capability_table, limits_table, risk_curve_table, risk_table, yield_table
 
 
 def report_answer(results: Path, run_id: str, page: Path) -> dict[str, Any]:
     """Yield, risks and capability of a run as plain data; ``page`` is its report."""
-    inputs = open_run(results, run_id).page(INPUTS)
 
     def counted(tables: StoredRun) -> dict[str, Any]:
-        config = stored_config(tables, inputs, run_id)
+        config = config_of_stored(results, tables)
         limits, devices = config.judged_by(), Devices(tables.devices)
         common = shared_shifts(config, devices)
         total = with_common(

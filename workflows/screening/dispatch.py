@@ -6,7 +6,6 @@ its task needs, so nothing is lost with a worker but the items it had.  A worker
 
 from __future__ import annotations
 
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,15 +16,14 @@ from queue import Empty, SimpleQueue
 from typing import Any, Generic, NoReturn, TypeVar
 from uuid import uuid4
 
-from distributed import Client, Future, KilledWorker, get_worker
+from distributed import Client, Future, KilledWorker
 
 from pipeline.errors import GyroscreenError, IncompleteError
 
 from .cluster import local_workers
 from .faults import LOSSES, Ending, Faults, Sign, TimeLimit, Try, after_exception, after_loss
-from .guard import guarded
 from .heartbeats import Heartbeats
-from .worker_process import SIGNS, leave_sign, send_sign
+from .item_task import item_task
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -84,24 +82,6 @@ def guarded_in_parallel(
     """
     dispatch = _Dispatch(client, function, constant, items, faults, TimeLimit(limit_s), patience_s, watch)
     yield from dispatch.results()
-
-
-def _task(function: Callable[..., Any], constant: Any, item: Any, key: str, topic: str, limit_s: float | None) -> Any:
-    """One item in a worker: its result, and the duration of each of its devices [s]."""
-    if limit_s is None:
-        return function(constant, item), ()
-    worker, folder = get_worker(), os.environ.get(SIGNS)
-
-    def report(device: int, limit: float) -> None:
-        if folder is not None:
-            leave_sign(folder, key, device, limit)
-        else:
-            send_sign(worker, topic, {"key": key, "device": device, "limit": limit})
-
-    seconds: list[float] = []
-    with guarded(report, limit_s, seconds) as begin:
-        result = function(constant, item, begin)
-    return result, seconds
 
 
 class _RecomputedError(Exception):
@@ -190,7 +170,7 @@ class _Dispatch(Generic[In, Out]):
         key = f"{self._function.__name__}-{uuid4().hex}"
         limit = None if self._limit is None else self._limit.now_s
         arguments = (self._function, self._constant, tried.item, key, self._topic, limit)
-        future = self._client.submit(_task, *arguments, key=key, pure=False)
+        future = self._client.submit(item_task, *arguments, key=key, pure=False)
         self._flight[key] = (tried, future)
         self._watch(key, future)
 

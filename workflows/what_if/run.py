@@ -15,9 +15,8 @@ from reports.what_if.content import WhatIf, what_if
 from reports.what_if.judge import judge_again
 from reports.what_if.table import replaced
 
-from ..config import RunConfig, config_of_run
 from ..screening.inputs import FILE as INPUTS
-from ..screening.inputs import read_inputs, with_stored_code
+from ..screening.outcome import config_of_stored
 from ..screening.shared_errors import shared_shifts
 from .common import given_new_limits
 from .gate import status_by
@@ -47,7 +46,7 @@ def judged_run(results: Path, run_id: str, limits: Limits, limits_name: str) -> 
     inputs = open_run(results, run_id).page(INPUTS)
 
     def judged(tables: StoredRun) -> JudgedRun:
-        config = stored_config(tables, inputs, run_id)
+        config = config_of_stored(results, tables)
         old = config.judged_by()
         before = Devices(tables.devices)
         names = tuple(dict.fromkeys((*old.quantities, *limits.quantities)))
@@ -75,12 +74,6 @@ def judged_run(results: Path, run_id: str, limits: Limits, limits_name: str) -> 
         return JudgedRun(content, before, after, given)
 
     return with_run(results, run_id, judged)
-
-
-def stored_config(tables: StoredRun, inputs: bytes | None, run_id: str) -> RunConfig:
-    """The configuration of a run, with the user's code as the run stored it in ``inputs``."""
-    config = config_of_run(tables.config_toml, f"run.toml of {run_id}")
-    return config if inputs is None else with_stored_code(config, read_inputs(inputs, f"{INPUTS} of {run_id}"))
 
 
 def _check(draws: StoredDraws, limits: Limits, where: str) -> None:

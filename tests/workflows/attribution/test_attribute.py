@@ -202,7 +202,7 @@ def test_blocks_without_numbers_are_skipped(tmp_path):
 def test_a_population_without_loss_has_no_bars():
     nothing = OutputShares("loss", 0.0, ())
     section = loss_sources(Attribution(100, (nothing,), None))
-    assert section.figure == ""
+    assert section.figure is None
     assert "nothing to attribute" in section.summary
     assert any("nothing to attribute" in line for line in attribution_lines(Attribution(100, (nothing,), None)))
 
@@ -210,6 +210,8 @@ def test_a_population_without_loss_has_no_bars():
 def test_names_and_levels_of_own_irregularities_cannot_break_the_figure():
     share = IntervalEstimate(0.5, 0.1, 0.3, 0.7)
     own = OutputShares("loss", 0.1, (SourceShare(Source("a$b<script>", "batch"), share),))
-    figure = loss_sources(Attribution(100, (own,), None)).figure
+    drawing = loss_sources(Attribution(100, (own,), None)).figure
+    assert drawing is not None
+    figure = drawing.__html__()
     assert "<script>" not in figure
     assert "a$b&lt;script&gt;, batch" in figure

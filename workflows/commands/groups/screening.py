@@ -105,7 +105,7 @@ def report(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Write the report of a run again, judge it by other limits, or compare nights.
+    """Write the report again, by other limits too; compare nights.
 
     With --limits, the stored posterior draws are judged again and a page beside the report shows what changes.  With --against, a
     comparison is stored as trend.html beside the report.  The report and the results stay as they are.
