@@ -207,7 +207,6 @@ def test_a_first_night_has_nothing_to_compare_with_and_says_so(fab, capfd):
         (["--against", "last:3", "--alarm", "f1_hz.min=3", "--alarm", "f1_hz.max=2"], "crossed"),
         (["--against", "last:3", "--leave-out", "gone"], "--leave-out names no earlier run"),
         (["--alarm", "yield.min=0.5"], "--alarm belongs to --against"),
-        (["--json"], "--json belongs to --against"),
     ],
 )
 def test_wrong_arguments_are_one_line_with_exit_code_2(fab, capfd, arguments, says):

@@ -91,11 +91,11 @@ def test_workers_on_other_machines_get_the_code_of_the_user(encrypted, certifica
         assert call(arguments) == 0
 
     def elsewhere(*given: Any) -> Any:
-        config, copies = with_own_code(*given)
+        config, copies, folders = with_own_code(*given)
         assert [Path(path).name for path in copies] == ["own.py"]
         for path in copies:
             shutil.rmtree(Path(path).parent)
-        return config, copies
+        return config, copies, folders
 
     monkeypatch.setattr(batch, "with_own_code", elsewhere)
     monkeypatch.setattr(batch, "block_task", drawn_task)
