@@ -1,0 +1,237 @@
+"""Restricted maximum likelihood of the variances of a lot's random parts.
+
+    g_c = 1/2 (y' P V_c P y - tr P V_c)      in ln v_c, V_c the part of V that v_c multiplies
+    A_cd = 1/2 y' P V_c P V_d P y            average information
+
+Steps are Newton steps in ln v with A, damped until the likelihood rises.  A variance that falls to ``FLOOR`` of its start is at
+its boundary, zero, and has an upper limit only.
+
+Source: Gilmour, Thompson, Cullis, Biometrics 51 (1995) 1440 (average information); Satterthwaite, Biometrics Bull. 2 (1946) 110
+(chi-square interval of a variance with matched moments).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from ...arrays import BoolArray, FloatArray
+from .design import LotDesign, arranged
+from .elimination import (
+    LotFactor,
+    LotSolution,
+    device_covariance,
+    factorised,
+    log_likelihood,
+    posterior_covariance,
+    solved,
+)
+from .measured import MeasuredLot
+from .model import LotModel
+
+#: Variances are bounded to this factor below and above 1; below it a spread is 1e-4 of the one that its columns were made for.
+FLOOR, CEILING = 1e-8, 1e8
+STEPS = 60
+#: The fit ends where a step would raise ln L by less than this: a variance is then within 1e-4 of its sd of the maximum.
+TOLERANCE = 1e-8
+#: Fall of ln L to the end of a one-sided 95 % limit: chi2(1, 0.90) / 2.
+ONE_SIDED = 1.3528
+
+
+@dataclass(frozen=True, eq=False)
+class LotFit:
+    """A fitted model.
+
+    Parameters
+    ----------
+    lot, model : the data of the fit.
+    variances : (C,) v of each random part.
+    log_likelihood : restricted, at the end.
+    information : (C, C) average information in ln v.
+    score : (C,) derivative in ln v.
+    converged : whether the last step was too small to matter.
+    """
+
+    lot: MeasuredLot
+    design: LotDesign
+    variances: FloatArray
+    log_likelihood: float
+    information: FloatArray
+    score: FloatArray
+    converged: bool
+
+    @property
+    def model(self) -> LotModel:
+        """The model."""
+        return self.design.model
+
+    @cached_property
+    def factor(self) -> LotFactor:
+        """Factors of V."""
+        return factorised(self.design, self.variances)
+
+    @cached_property
+    def solution(self) -> LotSolution:
+        """Predictions for the measured values."""
+        return solved(self.factor, centred(self.lot, self.model)[..., None])
+
+    @property
+    def at_zero(self) -> BoolArray:
+        """(C,) whether a variance is at its boundary."""
+        return np.asarray((self.variances <= 10.0 * FLOOR) | (self.score < 0.0) & (self.variances <= 1e-5))
+
+    def log_sd(self) -> FloatArray:
+        """(C,) sd of ln v, infinite at the boundary."""
+        free = ~self.at_zero
+        sd = np.full(len(self.variances), np.inf)
+        if np.any(free):
+            inner = self.information[np.ix_(free, free)]
+            covariance = np.linalg.pinv(inner, rcond=1e-12, hermitian=True)
+            sd[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            lost = np.diag(inner) <= 0.0
+            sd[np.flatnonzero(free)[lost]] = np.inf
+        return sd
+
+    def interval(self, level: float = 0.90) -> FloatArray:
+        """(C, 2) interval of sqrt(v): nu v / chi2_nu with nu = 2 / Var(ln v); from 0 at the boundary."""
+        tail = 0.5 * (1.0 - level)
+        found = np.empty((len(self.variances), 2))
+        for k, (v, sd, zero) in enumerate(zip(self.variances, self.log_sd(), self.at_zero)):
+            if zero or not np.isfinite(sd) or sd > 3.0:
+                found[k] = 0.0, self._upper(k)
+                continue
+            # One that is known to a factor of 3 or worse may be zero.
+            nu = 2.0 / max(sd * sd, 1e-12)
+            found[k] = np.sqrt(nu * v / chi2.ppf([1.0 - tail, tail], nu)) if nu > 0.3 else (0.0, self._upper(k))
+        return found
+
+    def _upper(self, k: int) -> float:
+        """sqrt(v) at which ln L has fallen by ``ONE_SIDED``, with the other variances held."""
+
+        def fall(v: float) -> float:
+            trial = self.variances.copy()
+            trial[k] = v
+            return self.log_likelihood - _value(self.design, trial, self.lot)
+
+        low = max(float(self.variances[k]), FLOOR)
+        high = low
+        while fall(high) < ONE_SIDED:
+            low, high = high, high * 10.0
+            if high > CEILING:
+                return float("inf")
+        for _ in range(12):
+            middle = np.sqrt(low * high)
+            low, high = (low, middle) if fall(middle) > ONE_SIDED else (middle, high)
+        return float(np.sqrt(high))
+
+
+def centred(lot: MeasuredLot, model: LotModel) -> FloatArray:
+    """(n, q) values less the prediction of the population; zero where nothing was seen."""
+    return np.where(lot.seen, np.nan_to_num(lot.values) - model.offset, 0.0)
+
+
+def _value(design: LotDesign, variances: FloatArray, lot: MeasuredLot) -> float:
+    factor = factorised(design, variances)
+    solution = solved(factor, centred(lot, design.model)[..., None])
+    return log_likelihood(factor, float(solution.quadratic[0]))
+
+
+def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -> LotFit:
+    """Fit the variances of ``model`` to the devices of ``lot``; held-out wafers are not looked for here."""
+    design = arranged(lot, model)
+    y = centred(lot, model)[..., None]
+    v = np.array([part.start for part in model.random]) if start is None else np.array(start, dtype=np.float64)
+    v = np.clip(v, FLOOR, CEILING)
+    damping, converged = 1e-3, False
+    factor = factorised(design, v)
+    solution = solved(factor, y)
+    value = log_likelihood(factor, float(solution.quadratic[0]))
+    score, information = derivatives(factor, solution)
+    for _ in range(STEPS):
+        free = ~((v <= FLOOR) & (score < 0.0)) & ~((v >= CEILING) & (score > 0.0))
+        step = np.zeros_like(v)
+        if np.any(free):
+            inner = information[np.ix_(free, free)]
+            inner = inner + np.diag(damping * np.diag(inner) + 1e-6 + np.maximum(-score[free], 0.0) * 0.5)
+            step[free] = np.clip(np.linalg.solve(inner, score[free]), -4.0, 2.0)
+        trial = np.clip(v * np.exp(step), FLOOR, CEILING)
+        if abs(float(np.vdot(score, np.log(trial / v)))) < TOLERANCE:
+            converged = True
+            break
+        other = factorised(design, trial)
+        found = solved(other, y)
+        higher = log_likelihood(other, float(found.quadratic[0]))
+        if higher > value - 1e-9:
+            v, factor, solution, value = trial, other, found, higher
+            damping = max(damping / 5.0, 1e-6)
+            score, information = derivatives(factor, solution)
+        else:
+            damping = max(damping * 10.0, 1e-2)
+            if damping > 1e6:
+                break
+    return LotFit(lot, design, v, value, information, score, converged)
+
+
+def derivatives(factor: LotFactor, solution: LotSolution) -> tuple[FloatArray, FloatArray]:
+    """Score (C,) and average information (C, C) in ln v, for the first right-hand side of ``solution``."""
+    design = factor.design
+    count = len(factor.variances)
+    squares = squares_of(factor, solution)[:, 0]
+    expected = np.zeros(count)
+    wafer, lot, whole, _ = posterior_covariance(factor)
+    for covariance, (low, high) in zip((wafer, lot, whole), _level_columns(design)):
+        size = high - low
+        variance = np.einsum("uii->i", covariance[:, :size, :size])
+        np.add.at(expected, design.part[low:high], len(covariance) - variance)
+    own = device_covariance(factor, wafer)
+    for k, part in enumerate(design.own_part.tolist()):
+        scaled = factor.white @ design.own[k] @ factor.white.transpose(0, 2, 1)
+        expected[part] += factor.variances[part] * float(np.vdot(scaled, own))
+    score = 0.5 * (squares - expected)
+    worked = working_values(factor, solution)
+    again = solved(factor, worked)
+    back = np.einsum("nji,njb->nib", factor.white, design.unpadded(again.residual))
+    information = 0.5 * np.einsum("nic,nid->cd", worked, back)
+    return score, 0.5 * (information + information.T)
+
+
+def _level_columns(design: LotDesign) -> tuple[tuple[int, int], ...]:
+    a, b, c = design.ends
+    return (0, a), (a, b), (b, c)
+
+
+def squares_of(factor: LotFactor, solution: LotSolution) -> FloatArray:
+    """(C, B) y' P V_c P y of each part, for each right-hand side."""
+    design = factor.design
+    found = np.zeros((len(factor.variances), solution.quadratic.size))
+    for normals, (low, high) in zip(solution.normals, _level_columns(design)):
+        np.add.at(found, design.part[low:high], np.einsum("urb,urb->rb", normals, normals))
+    if len(design.own_part):
+        back = np.einsum("nji,njb->nib", factor.white, design.unpadded(solution.residual))
+        for k, part in enumerate(design.own_part.tolist()):
+            found[part] += factor.variances[part] * np.einsum("nib,nib->b", back, design.own[k] @ back)
+    return found
+
+
+def working_values(factor: LotFactor, solution: LotSolution) -> FloatArray:
+    """(n, q, C) V_c P y of each part, for the first right-hand side."""
+    design = factor.design
+    n, q = design.seen.shape
+    found = np.zeros((n, q, len(factor.variances)))
+    scale = np.where(design.part >= 0, np.sqrt(factor.variances[design.part]), 0.0)
+    wafer_of = np.empty(n, dtype=np.int64)
+    there = design.slots >= 0
+    wafer_of[design.slots[there]] = np.nonzero(there)[0]
+    units = (wafer_of, design.lot_of[wafer_of], np.zeros(n, dtype=np.int64))
+    for normals, unit, (low, high) in zip(solution.normals, units, _level_columns(design)):
+        for part in np.unique(design.part[low:high]).tolist():
+            mine = low + np.flatnonzero(design.part[low:high] == part)
+            own = normals[unit][:, mine - low, 0] * scale[mine]
+            found[:, :, part] += np.einsum("nqr,nr->nq", design.columns[:, :, mine], own)
+    back = np.einsum("nji,nj->ni", factor.white, design.unpadded(solution.residual)[..., 0])
+    for k, part in enumerate(design.own_part.tolist()):
+        found[:, :, part] += factor.variances[part] * np.einsum("nij,nj->ni", design.own[k], back)
+    return found
