@@ -159,8 +159,12 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
             step[free] = np.clip(np.linalg.solve(inner, score[free]), -4.0, 2.0)
         trial = np.clip(v * np.exp(step), FLOOR, CEILING)
         if abs(float(np.vdot(score, np.log(trial / v)))) < TOLERANCE:
-            converged = True
-            break
+            # The derivative in ln v vanishes as v falls to zero, so that the last decades are jumped over.
+            falling = (v > FLOOR) & (v < 1e-3) & (score < 0.0)
+            if not np.any(falling):
+                converged = True
+                break
+            trial = np.where(falling, FLOOR, v)
         other = factorised(design, trial)
         found = solved(other, y)
         higher = log_likelihood(other, float(found.quadratic[0]))
@@ -170,7 +174,8 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
             score, information = derivatives(factor, solution)
         else:
             damping = max(damping * 10.0, 1e-2)
-            if damping > 1e6:
+            if damping > 1e6 or not np.any(step):
+                converged = not np.any(step)
                 break
     return LotFit(lot, design, v, value, information, score, converged)
 

@@ -1,0 +1,106 @@
+"""What the loop knows of a population at the devices of a lot, as arrays, and the population of a table that has none.
+
+Shapes: n devices, q quantities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from .generic import generic_irregularities
+from .measured import MeasuredLot
+from .model import FixedPart, LotModel, RandomPart, means
+
+Part = RandomPart | FixedPart
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceMixture:
+    """A change that a share of the devices has, such as a leaking lid: N(mean, columns columns') (n, q), (n, q, m)."""
+
+    name: str
+    mean: FloatArray
+    columns: FloatArray
+    share: float
+
+    def subset(self, chosen: BoolArray) -> DeviceMixture:
+        """For the devices where ``chosen`` (n,)."""
+        return replace(self, mean=self.mean[chosen], columns=self.columns[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class LotPopulation:
+    """A population at the devices of a lot.
+
+    Parameters
+    ----------
+    name : of the population.
+    model : parts of the population, whose v = 1 and coefficients 0 are the values of its file.
+    candidates : parts of irregularities that the file lacks or holds at null.
+    mixtures : changes that a share of the devices has.
+    curvature : (q, q) covariance of what the first order leaves out.
+    meanings : candidate -> its meaning in one line.
+    """
+
+    name: str
+    model: LotModel
+    candidates: tuple[Part, ...] = ()
+    mixtures: tuple[DeviceMixture, ...] = ()
+    curvature: FloatArray | None = None
+
+
+def spread_of(lot: MeasuredLot) -> FloatArray:
+    """(q,) robust sd of each quantity over all devices; 1 where it is zero."""
+    middle = np.nanmedian(lot.values, axis=0)
+    sd = 1.4826 * np.nanmedian(np.abs(lot.values - middle), axis=0)
+    sd = np.where(sd > 0.0, sd, np.nanstd(lot.values, axis=0))
+    return np.where(sd > 0.0, sd, 1.0)
+
+
+def nested_population(lot: MeasuredLot) -> LotPopulation:
+    """For a table without a population file: means, and spreads of lots, wafers and devices of each quantity."""
+    n, q = lot.values.shape
+    scale = spread_of(lot)
+    levels = [level for level in ("lot", "wafer") if int(lot.codes(level).max()) > 0]
+    # One wafer in each lot: the two levels are one.
+    if len(levels) == 2 and lot.codes("wafer").max() == lot.codes("lot").max():
+        levels.remove("wafer")
+    parts = []
+    for level in (*levels, "device"):
+        for k, quantity in enumerate(lot.quantities):
+            columns = np.zeros((n, q, 1))
+            columns[:, k, 0] = scale[k]
+            parts.append(RandomPart(f"{level}_spread({quantity})", level, columns, start=0.3))  # type: ignore[arg-type]
+    return LotPopulation("nested", LotModel((means(n, q),), tuple(parts), np.zeros((n, q))))
+
+
+def generic_parts(lot: MeasuredLot, scale: FloatArray, probes: bool) -> tuple[Part, ...]:
+    """Parts of all generic irregularities that apply to the lot; only the probes, or only the others."""
+    return tuple(
+        part
+        for one in generic_irregularities().values()
+        if one.applies(lot) and one.probe == probes
+        for part in one.parts(lot, scale)
+    )
+
+
+def distinct(fixed: Sequence[FixedPart], others: Sequence[FixedPart], cosine: float = 0.999) -> tuple[FixedPart, ...]:
+    """Those of ``others`` that are not combinations of ``fixed`` and of each other, to within ``cosine``."""
+    kept: list[FixedPart] = []
+    columns = [part.columns.reshape(-1, part.columns.shape[2]) for part in fixed]
+    for part in others:
+        flat = part.columns.reshape(-1, part.columns.shape[2])
+        size = float(np.sum(flat**2))
+        if size == 0.0:
+            continue
+        known = np.concatenate(columns, axis=1)
+        # Quantities have different units; each is compared in its own.
+        left = flat - known @ np.linalg.lstsq(known, flat, rcond=None)[0]
+        if float(np.sum(left**2)) > (1.0 - cosine**2) * size and float(np.sum(left**2)) > 1e-6 * size:
+            kept.append(part)
+            columns.append(flat)
+    return tuple(kept)
