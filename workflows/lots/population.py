@@ -69,9 +69,11 @@ def population_at(
             offset=linear.base[:, chosen],
         ),
         candidates=_absent(linear, larger, chosen),
-        mixtures=tuple(
-            DeviceMixture(one.irregularity, one.mean[:, chosen], one.columns[:, chosen], one.share)
-            for one in linear.switched
+        mixtures=_mixtures(linear, chosen),
+        absent_mixtures=tuple(
+            one
+            for one in _mixtures(larger, chosen)
+            if one.name not in {known.irregularity for known in linear.switched}
         ),
         curvature=np.cov(left.T).reshape(len(chosen), len(chosen)),
     )
@@ -79,6 +81,13 @@ def population_at(
 
 def _part(stream: LinearStream, chosen: IntArray) -> RandomPart:
     return RandomPart(stream.name, LEVELS[stream.level], stream.columns[:, chosen], field_mm=stream.field_mm)
+
+
+def _mixtures(linear: LinearPopulation, chosen: IntArray) -> tuple[DeviceMixture, ...]:
+    return tuple(
+        DeviceMixture(one.irregularity, one.mean[:, chosen], one.columns[:, chosen], one.share)
+        for one in linear.switched
+    )
 
 
 def _patterns(

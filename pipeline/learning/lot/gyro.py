@@ -1,9 +1,11 @@
 """Coordinates in which the devices of a gyro lot are nearly linear in their irregularities.
 
-    a = -(split / f) exp(2 i theta)                              f = (f1 + f2)/2, components x (0 deg) and y (45 deg)
+    k = (f1^2 + f2^2)/2,   k3 = f3^2                             mean rocking and up-down stiffness over inertia
+    a = -(f2^2 - f1^2) / (f2^2 + f1^2) exp(2 i theta)            components x (0 deg) and y (45 deg)
     c = 2 pi (zeta1 f1 + zeta2 f2),    d = (2 pi (zeta1 f1 - zeta2 f2) + i c12) exp(2 i theta) / c
-    logarithms of f, f3, c, c3 = 4 pi zeta3 f3 and of both gains; imbalances as they are
+    logarithms of c, c3 = 4 pi zeta3 f3 and of both gains; imbalances as they are
 
+Springs and electrostatic softening add up in k and k3, so these are exact where logarithms of the frequencies would be curved.
 split and theta are a badly behaved pair (theta is undefined at split 0); a is normal where its causes are.  The map is one to
 one, so that a device drawn in these coordinates has all quantities that limits are given for.
 
@@ -24,15 +26,16 @@ NEEDED = (
     "theta_deg", "split_hz", "f1_hz", "f2_hz", "f3_hz", "zeta1", "zeta2", "zeta3", "c12_per_s",
     "rocking_gain", "updown_gain", "sense_imbalance", "drive_imbalance",
 )  # fmt: skip
+UNITS = ("Hz^2", "1", "1", "Hz^2", *("1",) * 8)
 COORDINATES = (
-    "ln_rocking", "anisotropy_x", "anisotropy_y", "ln_updown", "ln_damping", "damping_anisotropy_x",
+    "rocking_hz2", "anisotropy_x", "anisotropy_y", "updown_hz2", "ln_damping", "damping_anisotropy_x",
     "damping_anisotropy_y", "ln_updown_damping", "ln_rocking_gain", "ln_updown_gain", "sense_imbalance", "drive_imbalance",
 )  # fmt: skip
 MEANINGS = {
-    "ln_rocking": "ln of the mean rocking frequency [Hz]",
+    "rocking_hz2": "mean square of the rocking frequencies",
     "anisotropy_x": "stiffness anisotropy along 0 and 90 deg",
     "anisotropy_y": "stiffness anisotropy along +-45 deg",
-    "ln_updown": "ln of the up-down frequency [Hz]",
+    "updown_hz2": "square of the up-down frequency",
     "ln_damping": "ln of the rocking damping rate [1/s]",
     "damping_anisotropy_x": "damping anisotropy along 0 and 90 deg",
     "damping_anisotropy_y": "damping anisotropy along +-45 deg",
@@ -45,20 +48,22 @@ MEANINGS = {
 
 
 def coordinates(p: Mapping[str, FloatArray]) -> FloatArray:
-    """(B, 12) [1] in the order of ``COORDINATES`` from the parameters ``NEEDED``, each (B,) [units of MODEL]."""
+    """(B, 12) [Hz^2 for the two squares, else 1] in the order of ``COORDINATES`` from the parameters ``NEEDED``, each (B,) [units of MODEL]."""
     f1, f2 = p["f1_hz"], p["f2_hz"]
     turn = np.exp(2j * np.deg2rad(p["theta_deg"]))
-    anisotropy = -p["split_hz"] / (0.5 * (f1 + f2)) * turn
+    square = 0.5 * (f1 * f1 + f2 * f2)
+    # f2^2 - f1^2 from the split, which is known better than the difference of f1 and f2.
+    anisotropy = -p["split_hz"] * (f1 + f2) / (2.0 * square) * turn
     first, second = TAU * p["zeta1"] * f1, TAU * p["zeta2"] * f2
     damping = first + second
     # C = mean (1 + d): along theta it is c11 - c22 = 2 mean Re, and the mean is (c11 + c22)/2 = first + second.
     d = (first - second + 1j * p["c12_per_s"]) * turn / damping
     return np.stack(
         [
-            np.log(0.5 * (f1 + f2)),
+            square,
             anisotropy.real,
             anisotropy.imag,
-            np.log(p["f3_hz"]),
+            p["f3_hz"] ** 2,
             np.log(damping),
             d.real,
             d.imag,
@@ -74,24 +79,24 @@ def coordinates(p: Mapping[str, FloatArray]) -> FloatArray:
 
 def parameters(c: FloatArray) -> dict[str, FloatArray]:
     """The reverse of :func:`coordinates` for (.., 12): each (..) [units of MODEL]."""
-    f = np.exp(c[..., 0])
     anisotropy = c[..., 1] + 1j * c[..., 2]
-    split = np.abs(anisotropy) * f
+    size = np.minimum(np.abs(anisotropy), 1.0 - 1e-9)
+    f1, f2 = np.sqrt(c[..., 0] * (1.0 - size)), np.sqrt(c[..., 0] * (1.0 + size))
+    f3 = np.sqrt(c[..., 3])
     double = np.angle(-anisotropy)
     theta = 0.5 * np.rad2deg(double)
     theta = np.where(theta <= -90.0, theta + 180.0, theta)
-    f1, f2 = f - 0.5 * split, f + 0.5 * split
     damping = np.exp(c[..., 4])
     d = (c[..., 5] + 1j * c[..., 6]) * np.exp(-1j * double) * damping
     return {
         "theta_deg": theta,
-        "split_hz": split,
+        "split_hz": f2 - f1,
         "f1_hz": f1,
         "f2_hz": f2,
-        "f3_hz": np.exp(c[..., 3]),
+        "f3_hz": f3,
         "zeta1": (damping + d.real) / (2.0 * TAU * f1),
         "zeta2": (damping - d.real) / (2.0 * TAU * f2),
-        "zeta3": np.exp(c[..., 7] - c[..., 3]) / (2.0 * TAU),
+        "zeta3": np.exp(c[..., 7]) / (2.0 * TAU * f3),
         "c12_per_s": d.imag,
         "rocking_gain": np.exp(c[..., 8]),
         "updown_gain": np.exp(c[..., 9]),

@@ -18,17 +18,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray
 from ...criticism.announce import announce
 from ...criticism.budget import ALPHA
 from .elimination import log_likelihood
-from .measured import MeasuredLot
-from .model import FixedPart, LotModel, RandomPart, means, merged
+from .model import LotModel, RandomPart
 from .null import null_draws
-from .outcome import HeldOut, held_out, members, with_curvature, with_mixture
-from .population import DeviceMixture, LotPopulation, Part, distinct, generic_parts, spread_of
-from .reml import LotFit, fitted
+from .outcome import HeldOut, left_out
+from .population import DeviceMixture, Part, generic_parts, spread_of
+from .prepared import PreparedLot, free, sorted_out
+from .reml import LotFit
 from .scores import LotScore, scored
+from .tails import OUTLIERS, mixture_scores, outliers, tail_scores
 
 #: Lots drawn for a null: the number of independent tests is then known to 5 %.
 DRAWS = 400
@@ -36,67 +37,8 @@ DRAWS = 400
 REFITTED = 6
 #: Deviances within this of each other do not tell two candidates apart: a likelihood ratio below 100.
 RIVAL = 2.0 * np.log(100.0)
-#: Rungs of a ladder.
-RUNGS = 8
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedLot:
-    """A lot ready for fits.
-
-    Parameters
-    ----------
-    measured : as read.
-    whole : with the linearization's covariance, and without the changes of the mixtures.
-    model : of all its devices, with free means and patterns.
-    mixtures : with the share that was found.
-    leaking : mixture -> (n,) devices that belong to it.
-    """
-
-    measured: MeasuredLot
-    population: LotPopulation
-    whole: MeasuredLot
-    model: LotModel
-    mixtures: tuple[DeviceMixture, ...]
-    leaking: dict[str, BoolArray]
-
-    @property
-    def fit_lot(self) -> MeasuredLot:
-        """The devices that fits may see."""
-        return self.whole.subset(~self.whole.is_held)
-
-    def fit(self, model: LotModel, start: FloatArray | None = None) -> LotFit:
-        """Fit to the devices that fits may see."""
-        return fitted(self.fit_lot, model.subset(~self.whole.is_held), start)
-
-
-def free(model: LotModel) -> LotModel:
-    """The model with a free mean of each quantity, patterns that are not combinations of others, and merged random parts."""
-    n, q = model.offset.shape
-    base = means(n, q)
-    patterns = [part for part in model.fixed if part.name != base.name]
-    return replace(model, fixed=(base, *distinct([base], patterns)), random=merged(model.random))
-
-
-def prepared(lot: MeasuredLot, population: LotPopulation) -> PreparedLot:
-    """Tell the devices of each mixture apart by the population's own spreads, then by the fitted ones."""
-    model = free(population.model)
-    whole = with_curvature(lot, population.curvature)
-    v = np.ones(len(model.random))
-    leaking: dict[str, BoolArray] = {}
-    mixtures: list[DeviceMixture] = list(population.mixtures)
-    clean = whole
-    for _ in range(2 if mixtures else 0):
-        clean = whole
-        for k, mixture in enumerate(mixtures):
-            chosen = members(whole, model, v, mixture)
-            leaking[mixture.name] = chosen
-            # At least half a device, so that a lot without one still may have one.
-            mixtures[k] = replace(mixture, share=float((chosen.sum() + 0.5) / (chosen.size + 1.0)))
-            clean = with_mixture(clean, mixture, chosen)
-        held = clean.is_held
-        v = fitted(clean.subset(~held), model.subset(~held)).variances
-    return PreparedLot(lot, population, clean, model, tuple(mixtures), leaking)
+#: Rungs of a ladder, and candidates that may be refused before the search ends.
+RUNGS, REFUSED = 8, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,14 +80,30 @@ def candidates_of(ready: PreparedLot, model: LotModel, library: Sequence[str] | 
     return tuple(part for part in parts if part.name not in present)
 
 
-def diagnosed(ready: PreparedLot, fit: LotFit, parts: Sequence[Part], seed: int = 0) -> LotDiagnosis:
-    """Score every candidate of ``parts`` (for all devices) and every probe at ``fit``."""
+def mixtures_of(ready: PreparedLot, library: Sequence[str] | None = None) -> tuple[DeviceMixture, ...]:
+    """Absent mixtures: those of the population's candidates, then outliers of no known kind."""
+    present = {mixture.name for mixture in ready.mixtures}
+    physical = [one for one in ready.population.absent_mixtures if library is None or one.name in library]
+    every = (*physical, outliers(ready.whole, spread_of(ready.whole)))
+    return tuple(one for one in every if one.name not in present)
+
+
+def diagnosed(
+    ready: PreparedLot,
+    fit: LotFit,
+    parts: Sequence[Part],
+    mixtures: Sequence[DeviceMixture] = (),
+    seed: int = 0,
+) -> LotDiagnosis:
+    """Score every candidate of ``parts`` and ``mixtures`` (for all devices) and every probe at ``fit``."""
     seen = ~ready.whole.is_held
     own = [_subset(part, seen) for part in parts]
     probes = generic_parts(fit.lot, spread_of(fit.lot), probes=True)
     draws = null_draws(fit, DRAWS, seed)
     found = scored(fit.lot, fit.design, draws, [*own, *probes], ~fit.at_zero)
-    named, shapes = found[: len(own)], found[len(own) :]
+    out = left_out(fit.lot, fit.model, fit.variances)
+    named = (*found[: len(own)], *mixture_scores(out, [one.subset(seen) for one in mixtures]))
+    shapes = (*found[len(own) :], *tail_scores(fit.lot, out))
 
     def order(score: LotScore) -> tuple[float, float]:
         return (score.log_p, -score.z)
@@ -164,6 +122,7 @@ class LotRung:
     Parameters
     ----------
     part : added on this rung; ``None`` on the first.
+    ready : the lot, with the mixtures of this rung.
     fit : its fit.
     model : for all devices.
     outcome : errors and log scores.
@@ -173,6 +132,7 @@ class LotRung:
     """
 
     part: str | None
+    ready: PreparedLot
     fit: LotFit
     model: LotModel
     outcome: HeldOut
@@ -202,9 +162,12 @@ class LotLadder:
         )
 
 
-def deviance(fit: LotFit) -> float:
+def deviance(rung: LotRung) -> float:
     """-2 ln L plus 2 for each free coefficient, so that fixed and random parts compare."""
-    return -2.0 * log_likelihood(fit.factor, float(fit.solution.quadratic[0]), False) + 2.0 * fit.design.fixed
+    fit, ready = rung.fit, rung.ready
+    value = log_likelihood(fit.factor, float(fit.solution.quadratic[0]), False)
+    value += float(np.sum(ready.log_share[~ready.whole.is_held]))
+    return -2.0 * value + 2.0 * fit.design.fixed
 
 
 def status_of(gain: float | None) -> str | None:
@@ -217,8 +180,9 @@ def status_of(gain: float | None) -> str | None:
 
 def first_rung(ready: PreparedLot) -> LotRung:
     """The population with its spreads, patterns and means refitted."""
-    fit = ready.fit(ready.model)
-    return LotRung(None, fit, ready.model, held_out(ready.whole, ready.model, fit.variances), 0.0, None)
+    model = free(ready.population.model)
+    fit = ready.fit(model)
+    return LotRung(None, ready, fit, model, ready.outcome(model, fit.variances), 0.0, None)
 
 
 def refined(ready: PreparedLot, library: Sequence[str] | None = None, seed: int = 0) -> LotLadder:
@@ -228,44 +192,57 @@ def refined(ready: PreparedLot, library: Sequence[str] | None = None, seed: int 
     refused: set[str] = set()
     while True:
         rung = rungs[-1]
-        parts = [part for part in candidates_of(ready, rung.model, library) if part.name not in refused]
-        announce(f"rung {len(rungs)}: {len(parts)} candidates")
-        found = diagnosed(ready, rung.fit, parts, seed + len(rungs))
+        parts = [part for part in candidates_of(rung.ready, rung.model, library) if part.name not in refused]
+        mixtures = [one for one in mixtures_of(rung.ready, library) if one.name not in refused]
+        announce(f"rung {len(rungs)}: {len(parts) + len(mixtures)} candidates")
+        found = diagnosed(rung.ready, rung.fit, parts, mixtures, seed + len(rungs))
         if not found.significant or len(rungs) > RUNGS:
             break
-        by_name = {part.name: part for part in parts}
-        tried = [
-            (score.name, *_refit(ready, rung, by_name[score.name])) for score in found.significant[:REFITTED]
-        ]
-        tried.sort(key=lambda one: one[3])
-        name, model, fit, best = tried[0]
-        fall = deviance(rung.fit) - best
+        by_name: dict[str, Part | DeviceMixture] = {one.name: one for one in (*parts, *mixtures)}
+        tried = [_tried(rung, by_name[score.name]) for score in found.significant[:REFITTED]]
+        # Outliers of no known kind explain everything that a known kind explains.
+        tried.sort(key=lambda one: (one.part == OUTLIERS and len(tried) > 1, deviance(one)))
+        best = tried[0]
+        fall = deviance(rung) - deviance(best)
         if fall < RIVAL:
-            refused |= {one[0] for one in tried}
-            if len(refused) > 20:
+            refused |= {str(one.part) for one in tried}
+            if len(refused) > REFUSED:
                 break
             continue
-        rivals = tuple((other[0], other[3] - best) for other in tried[1:] if other[3] - best < RIVAL)
-        outcome = held_out(ready.whole, model, fit.variances)
-        before = rung.outcome.log_score_validate
-        count = int(ready.whole.is_held.sum())
-        gain = None if before is None else (_number(outcome.log_score_validate) - before) * count
-        rungs.append(LotRung(name, fit, model, outcome, fall, status_of(gain), rivals))
+        above = [(str(one.part), deviance(one) - deviance(best)) for one in tried[1:]]
+        gain = _gain(rung.outcome, best.outcome, int(ready.whole.is_held.sum()))
+        rungs.append(
+            replace(
+                best,
+                delta_deviance=fall,
+                status=status_of(gain),
+                rivals=tuple((name, more) for name, more in above if more < RIVAL and name != OUTLIERS),
+            )
+        )
     return LotLadder(tuple(rungs), found, _verdict(tuple(rungs), found))
 
 
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
+def _gain(before: HeldOut, after: HeldOut, devices: int) -> float | None:
+    """Rise of the log score of all held-out devices."""
+    if before.log_score_validate is None or after.log_score_validate is None:
+        return None
+    return (after.log_score_validate - before.log_score_validate) * devices
 
 
-def _refit(ready: PreparedLot, rung: LotRung, part: Part) -> tuple[LotModel, LotFit, float]:
-    model = rung.model.with_part(part)
-    start = rung.fit.variances
-    if isinstance(part, RandomPart):
-        start = np.append(start, part.start)
+def _tried(rung: LotRung, part: Part | DeviceMixture) -> LotRung:
+    """The rung with one more part, refitted."""
     # A variance that was at zero may be needed beside the new part.
-    fit = ready.fit(model, np.maximum(start, 1e-4))
-    return model, fit, deviance(fit)
+    start = np.maximum(rung.fit.variances, 1e-4)
+    ready, model = rung.ready, rung.model
+    if isinstance(part, DeviceMixture):
+        mixtures = (*ready.mixtures, part)
+        ready = sorted_out(ready.measured, ready.population, mixtures, model, rung.fit.variances)
+    else:
+        model = model.with_part(part)
+        if isinstance(part, RandomPart):
+            start = np.append(start, part.start)
+    fit = ready.fit(model, start)
+    return LotRung(part.name, ready, fit, model, ready.outcome(model, fit.variances), 0.0, None)
 
 
 def _verdict(rungs: tuple[LotRung, ...], last: LotDiagnosis) -> str:
@@ -291,8 +268,3 @@ def fixed_effects(fit: LotFit) -> dict[str, tuple[float, float]]:
                 found[label] = (float(fit.solution.coefficients[at + k, 0]), float(sd[at + k]))
         at += width
     return found
-
-
-def is_fixed(part: Part) -> bool:
-    """Whether a part has coefficients rather than a variance."""
-    return isinstance(part, FixedPart)

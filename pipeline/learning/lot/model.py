@@ -20,7 +20,9 @@ from ...arrays import FloatArray
 
 LotLevel = Literal["device", "wafer", "lot", "tester", "all"]
 #: 1 - cosine of two covariance contributions below which no lot of a few thousand devices tells them apart.
-PROPORTIONAL = 1e-6
+PROPORTIONAL = 1e-4
+#: Share of the whole spread of a quantity, below which a part counts in it by less than its own size.
+SMALL = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +109,12 @@ def merged(parts: Sequence[RandomPart]) -> tuple[RandomPart, ...]:
     their Gram matrix over a sample of devices.
     """
     found: list[RandomPart] = []
+    unit = unit_of(parts)
     for part in parts:
-        size = float(np.sum(part.columns**2))
-        if size == 0.0:
+        if not np.any(part.columns):
             continue
         for k, other in enumerate(found):
-            if (part.level, part.field_mm) == (other.level, other.field_mm) and _proportional(part, other):
+            if (part.level, part.field_mm) == (other.level, other.field_mm) and _proportional(part, other, unit):
                 found[k] = _sum(other, part)
                 break
         else:
@@ -120,16 +122,29 @@ def merged(parts: Sequence[RandomPart]) -> tuple[RandomPart, ...]:
     return tuple(found)
 
 
-def _proportional(a: RandomPart, b: RandomPart) -> bool:
+def unit_of(parts: Sequence[RandomPart]) -> FloatArray | float:
+    """(q,) sd of each quantity by all parts together, at v = 1; 1 where there are none."""
+    if not parts:
+        return 1.0
+    sd = np.sqrt(sum(np.mean(np.sum(part.columns**2, axis=2), axis=0) for part in parts))
+    return np.where(sd > 0.0, sd, 1.0)
+
+
+def _proportional(a: RandomPart, b: RandomPart, unit: FloatArray | float) -> bool:
     step = max(1, len(a.columns) // 24)
-    first, second = (p.columns[::step].reshape(-1, p.columns.shape[-1]) for p in (a, b))
+    # Quantities have different units: each counts by what the two parts do to it.
+    scale = np.sqrt(np.mean(a.columns**2, axis=(0, 2)) + np.mean(b.columns**2, axis=(0, 2)))
+    scale = np.maximum(scale, SMALL * unit)[:, None]
+    first, second = ((p.columns[::step] / scale).reshape(-1, p.columns.shape[-1]) for p in (a, b))
     one, two = first @ first.T, second @ second.T
     cosine = np.vdot(one, two) / np.sqrt(np.vdot(one, one) * np.vdot(two, two))
     return bool(1.0 - cosine < PROPORTIONAL)
 
 
 def _sum(a: RandomPart, b: RandomPart) -> RandomPart:
-    va, vb = float(np.sum(a.columns**2)), float(np.sum(b.columns**2))
+    each = np.sum(a.columns**2, axis=(0, 2)), np.sum(b.columns**2, axis=(0, 2))
+    most = int(np.argmax(each[0] / np.maximum(each[0] + each[1], 1e-300) * (each[0] > 0.0)))
+    va, vb = float(each[0][most]), float(each[1][most])
     weight = va / (va + vb)
     members = (
         *((name, share * weight) for name, share in a.shares),

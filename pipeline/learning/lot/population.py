@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from .generic import generic_irregularities
 from .measured import MeasuredLot
-from .model import FixedPart, LotModel, RandomPart, means
+from .model import SMALL, FixedPart, LotModel, RandomPart, means
 
 Part = RandomPart | FixedPart
 
@@ -41,9 +41,9 @@ class LotPopulation:
     name : of the population.
     model : parts of the population, whose v = 1 and coefficients 0 are the values of its file.
     candidates : parts of irregularities that the file lacks or holds at null.
+    absent_mixtures : changes of a share of the devices that the file lacks.
     mixtures : changes that a share of the devices has.
     curvature : (q, q) covariance of what the first order leaves out.
-    meanings : candidate -> its meaning in one line.
     """
 
     name: str
@@ -51,6 +51,7 @@ class LotPopulation:
     candidates: tuple[Part, ...] = ()
     mixtures: tuple[DeviceMixture, ...] = ()
     curvature: FloatArray | None = None
+    absent_mixtures: tuple[DeviceMixture, ...] = ()
 
 
 def spread_of(lot: MeasuredLot) -> FloatArray:
@@ -88,19 +89,23 @@ def generic_parts(lot: MeasuredLot, scale: FloatArray, probes: bool) -> tuple[Pa
     )
 
 
-def distinct(fixed: Sequence[FixedPart], others: Sequence[FixedPart], cosine: float = 0.999) -> tuple[FixedPart, ...]:
-    """Those of ``others`` that are not combinations of ``fixed`` and of each other, to within ``cosine``."""
+def distinct(
+    fixed: Sequence[FixedPart], others: Sequence[FixedPart], unit: FloatArray | float, cosine: float = 0.999
+) -> tuple[FixedPart, ...]:
+    """Those of ``others`` that are not combinations of ``fixed`` and of each other, to within ``cosine``.
+
+    A part must also move some quantity by ``SMALL`` of its spread ``unit`` (q,).
+    """
     kept: list[FixedPart] = []
-    columns = [part.columns.reshape(-1, part.columns.shape[2]) for part in fixed]
+    weight = (1.0 / np.broadcast_to(np.asarray(unit), fixed[0].columns.shape[1:2]))[:, None]
+    columns = [(one.columns * weight).reshape(-1, one.columns.shape[2]) for one in fixed]
     for part in others:
-        flat = part.columns.reshape(-1, part.columns.shape[2])
-        size = float(np.sum(flat**2))
-        if size == 0.0:
-            continue
+        scaled = part.columns * weight
+        flat = scaled.reshape(-1, scaled.shape[2])
+        moving = float(np.sum((scaled - scaled.mean(axis=0)) ** 2))
         known = np.concatenate(columns, axis=1)
-        # Quantities have different units; each is compared in its own.
-        left = flat - known @ np.linalg.lstsq(known, flat, rcond=None)[0]
-        if float(np.sum(left**2)) > (1.0 - cosine**2) * size and float(np.sum(left**2)) > 1e-6 * size:
+        left = float(np.sum((flat - known @ np.linalg.lstsq(known, flat, rcond=None)[0]) ** 2))
+        if left > (1.0 - cosine**2) * moving and left > SMALL**2 * len(part.columns):
             kept.append(part)
             columns.append(flat)
     return tuple(kept)

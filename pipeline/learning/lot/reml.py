@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from ...arrays import BoolArray, FloatArray
 from .design import LotDesign, arranged
@@ -37,6 +37,10 @@ FLOOR, CEILING = 1e-8, 1e8
 STEPS = 60
 #: The fit ends where a step would raise ln L by less than this: a variance is then within 1e-4 of its sd of the maximum.
 TOLERANCE = 1e-8
+#: Three steps in a row that raise ln L by less than this each end the fit, too: 1e-5 of what one sd of a parameter costs.
+LEVEL = 1e-5
+#: sd of ln v over that with all other variances known, above which the part shares a sum with others.
+RIDGE = 1.5
 #: Fall of ln L to the end of a one-sided 95 % limit: chi2(1, 0.90) / 2.
 ONE_SIDED = 1.3528
 
@@ -96,16 +100,23 @@ class LotFit:
         return sd
 
     def interval(self, level: float = 0.90) -> FloatArray:
-        """(C, 2) interval of sqrt(v): nu v / chi2_nu with nu = 2 / Var(ln v); from 0 at the boundary."""
+        """(C, 2) interval of sqrt(v).
+
+        nu v / chi2_nu with nu = 2 / Var(ln v), where few units of the level limit what is known.  Where parts that are nearly
+        alike share a sum, v +- z sd(v), because the sum is what is linear in v.  From 0 at the boundary.
+        """
         tail = 0.5 * (1.0 - level)
         found = np.empty((len(self.variances), 2))
+        alone = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
         for k, (v, sd, zero) in enumerate(zip(self.variances, self.log_sd(), self.at_zero)):
-            if zero or not np.isfinite(sd) or sd > 3.0:
+            if zero or not np.isfinite(sd):
                 found[k] = 0.0, self._upper(k)
-                continue
-            # One that is known to a factor of 3 or worse may be zero.
-            nu = 2.0 / max(sd * sd, 1e-12)
-            found[k] = np.sqrt(nu * v / chi2.ppf([1.0 - tail, tail], nu)) if nu > 0.3 else (0.0, self._upper(k))
+            elif sd > RIDGE * alone[k]:
+                reach = float(norm.ppf(1.0 - tail)) * sd
+                found[k] = np.sqrt(v * np.maximum([1.0 - reach, 1.0 + reach], 0.0))
+            else:
+                nu = 2.0 / max(sd * sd, 1e-12)
+                found[k] = np.sqrt(nu * v / chi2.ppf([1.0 - tail, tail], nu))
         return found
 
     def _upper(self, k: int) -> float:
@@ -145,7 +156,7 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
     y = centred(lot, model)[..., None]
     v = np.array([part.start for part in model.random]) if start is None else np.array(start, dtype=np.float64)
     v = np.clip(v, FLOOR, CEILING)
-    damping, converged = 1e-3, False
+    damping, converged, level = 1e-3, False, 0
     factor = factorised(design, v)
     solution = solved(factor, y)
     value = log_likelihood(factor, float(solution.quadratic[0]))
@@ -153,31 +164,48 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
     for _ in range(STEPS):
         free = ~((v <= FLOOR) & (score < 0.0)) & ~((v >= CEILING) & (score > 0.0))
         step = np.zeros_like(v)
-        if np.any(free):
+        if level >= 3:
+            step[_falling(v, score)] = np.log(FLOOR)
+        elif np.any(free):
             inner = information[np.ix_(free, free)]
             inner = inner + np.diag(damping * np.diag(inner) + 1e-6 + np.maximum(-score[free], 0.0) * 0.5)
             step[free] = np.clip(np.linalg.solve(inner, score[free]), -4.0, 2.0)
         trial = np.clip(v * np.exp(step), FLOOR, CEILING)
         if abs(float(np.vdot(score, np.log(trial / v)))) < TOLERANCE:
             # The derivative in ln v vanishes as v falls to zero, so that the last decades are jumped over.
-            falling = (v > FLOOR) & (v < 1e-3) & (score < 0.0)
-            if not np.any(falling):
+            if not np.any(_falling(v, score)):
                 converged = True
                 break
-            trial = np.where(falling, FLOOR, v)
-        other = factorised(design, trial)
+            trial = np.where(_falling(v, score), FLOOR, v)
+        try:
+            other = factorised(design, trial)
+        except np.linalg.LinAlgError:  # variances so far apart that rounding makes V indefinite
+            damping = max(damping * 10.0, 1e-2)
+            continue
         found = solved(other, y)
         higher = log_likelihood(other, float(found.quadratic[0]))
         if higher > value - 1e-9:
+            # Along a ridge of parts that are nearly alike, steps stay long while the likelihood is level.
+            level = level + 1 if higher - value < LEVEL else 0
             v, factor, solution, value = trial, other, found, higher
             damping = max(damping / 5.0, 1e-6)
             score, information = derivatives(factor, solution)
+            if level >= 3 and not np.any(_falling(v, score)):
+                converged = True
+                break
+            if level >= 10:
+                break
         else:
             damping = max(damping * 10.0, 1e-2)
             if damping > 1e6 or not np.any(step):
                 converged = not np.any(step)
                 break
     return LotFit(lot, design, v, value, information, score, converged)
+
+
+def _falling(v: FloatArray, score: FloatArray) -> BoolArray:
+    """(C,) small variances that the likelihood pushes to zero."""
+    return np.asarray((v > FLOOR) & (v < 1e-3) & (score < 0.0))
 
 
 def derivatives(factor: LotFactor, solution: LotSolution) -> tuple[FloatArray, FloatArray]:
