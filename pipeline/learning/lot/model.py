@@ -56,12 +56,14 @@ class RandomPart:
 class FixedPart:
     """Columns (n, q, p) with free coefficients, such as the means, or a pattern that is the same on every wafer.
 
-    ``size`` is the coefficient for which the columns were made; a free mean has none.
+    ``size`` is the coefficient for which the columns were made; a free mean has none.  ``members`` are the patterns that it
+    stands for, where no lot tells them apart.
     """
 
     name: str
     columns: FloatArray
     size: float | None = None
+    members: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

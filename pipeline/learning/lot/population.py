@@ -94,18 +94,35 @@ def distinct(
 ) -> tuple[FixedPart, ...]:
     """Those of ``others`` that are not combinations of ``fixed`` and of each other, to within ``cosine``.
 
-    A part must also move some quantity by ``SMALL`` of its spread ``unit`` (q,).
+    Two patterns with the same shape become one, their sum.  A part must also move some quantity by ``SMALL`` of its spread
+    ``unit`` (q,).
     """
     kept: list[FixedPart] = []
     weight = (1.0 / np.broadcast_to(np.asarray(unit), fixed[0].columns.shape[1:2]))[:, None]
-    columns = [(one.columns * weight).reshape(-1, one.columns.shape[2]) for one in fixed]
     for part in others:
-        scaled = part.columns * weight
-        flat = scaled.reshape(-1, scaled.shape[2])
-        moving = float(np.sum((scaled - scaled.mean(axis=0)) ** 2))
-        known = np.concatenate(columns, axis=1)
+        twin = next((k for k, one in enumerate(kept) if _alike(one, part, weight, cosine)), None)
+        if twin is not None:
+            other = kept[twin]
+            members = (*(other.members or (other.name,)), part.name)
+            kept[twin] = replace(other, columns=other.columns + part.columns, members=members)
+            continue
+        known = np.concatenate([(one.columns * weight).reshape(-1, one.columns.shape[2]) for one in (*fixed, *kept)], axis=1)
+        flat = (part.columns * weight).reshape(-1, part.columns.shape[2])
         left = float(np.sum((flat - known @ np.linalg.lstsq(known, flat, rcond=None)[0]) ** 2))
+        moving = float(np.sum(_moving(part, weight) ** 2))
         if left > (1.0 - cosine**2) * moving and left > SMALL**2 * len(part.columns):
             kept.append(part)
-            columns.append(flat)
     return tuple(kept)
+
+
+def _moving(part: FixedPart, weight: FloatArray) -> FloatArray:
+    scaled = part.columns * weight
+    return np.asarray(scaled - scaled.mean(axis=0))
+
+
+def _alike(a: FixedPart, b: FixedPart, weight: FloatArray, cosine: float) -> bool:
+    if a.columns.shape != b.columns.shape:
+        return False
+    one, two = _moving(a, weight), _moving(b, weight)
+    size = float(np.sqrt(np.sum(one**2) * np.sum(two**2)))
+    return size > 0.0 and abs(float(np.vdot(one, two))) > cosine * size

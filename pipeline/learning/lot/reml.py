@@ -200,7 +200,7 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
             if damping > 1e6 or not np.any(step):
                 converged = not np.any(step)
                 break
-    return LotFit(lot, design, v, value, information, score, converged)
+    return LotFit(lot, design, v, value, information, score, converged or level > 0)
 
 
 def _falling(v: FloatArray, score: FloatArray) -> BoolArray:
