@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from pipeline.errors import UsageError
@@ -41,13 +42,14 @@ class LotAnswers:
     table : the lot.
     spec : its population file; ``None``: nested spreads of each quantity.
     limits : of gyros.
+    without : irregularities that are no candidates.
     """
 
     table: LotTable
     spec: PopulationSpec | None
     limits: Limits = DEFAULT_LIMITS
     seed: int = 0
-    library: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
 
     @cached_property
     def ready(self) -> PreparedLot:
@@ -70,7 +72,7 @@ class LotAnswers:
                 allowed="die_x_mm and die_y_mm of every device [mm]",
                 next_step="name their columns in lot.toml, or leave --population out",
             )
-        return prepared(lot, population_at(self.spec, lot, self.table.stage, self.library))
+        return prepared(lot, population_at(self.spec, lot, self.table.stage))
 
     @property
     def conforms(self) -> Conforms | None:
@@ -92,7 +94,7 @@ class LotAnswers:
     @cached_property
     def _refined(self) -> tuple[LotRefinementAnswer, LotLadder]:
         with threadpool_limits(limits=1):
-            return refinement(self.ready, self.conforms, self.seed, self.library)
+            return refinement(self.ready, self.conforms, self.seed, self.without)
 
     @property
     def refinement(self) -> LotRefinementAnswer:
@@ -126,14 +128,7 @@ class LotAnswers:
         }
         added = [name for name in answer.irregularities if "(" not in name and name != "outliers"]
         spec = refined_spec(self.spec, factors, added)
-        return replace_name(spec, f"{self.spec.name}, refined on {self.table.lot.name}")
-
-
-def replace_name(spec: PopulationSpec, name: str) -> PopulationSpec:
-    """The population with another name."""
-    import msgspec
-
-    return msgspec.structs.replace(spec, name=name)
+        return structs.replace(spec, name=f"{self.spec.name}, refined on {self.table.lot.name}")
 
 
 def lot_answers(
@@ -141,7 +136,7 @@ def lot_answers(
     spec: PopulationSpec | None = None,
     limits: Limits = DEFAULT_LIMITS,
     seed: int = 0,
-    library: tuple[str, ...] | None = None,
+    without: tuple[str, ...] = (),
 ) -> LotAnswers:
     """Answers about a lot; a gyro lot without ``spec`` is compared with the shipped population.
 
@@ -158,9 +153,4 @@ def lot_answers(
             allowed="a lot with gyro = true",
             next_step="leave --population out: the generic irregularities work for any table",
         )
-    return LotAnswers(table, spec, limits, seed, library)
-
-
-def held_at(table: LotTable, wafers: tuple[str, ...]) -> LotTable:
-    """The lot with other wafers held out."""
-    return replace(table, lot=replace(table.lot, held=wafers))
+    return LotAnswers(table, spec, limits, seed, without)

@@ -34,13 +34,9 @@ LEVELS: Mapping[str, LotLevel] = {"lot": "lot", "wafer": "wafer", "die": "device
 
 
 def population_at(
-    spec: PopulationSpec, lot: MeasuredLot, stage: Stage = "package", library: Sequence[str] | None = None
+    spec: PopulationSpec, lot: MeasuredLot, stage: Stage = "package"
 ) -> LotPopulation:
     """The population at the devices of ``lot``, with the candidates that its file lacks.
-
-    Parameters
-    ----------
-    library : irregularities that may be candidates; all by default.
 
     Raises
     ------
@@ -59,7 +55,7 @@ def population_at(
     linear = linearized(spec, x, y, stage, coordinates)
     step = max(1, len(x) // CHECKED)
     left = curvature(spec, x[::step], y[::step], stage, coordinates, 0)[:, chosen]
-    trial = trial_spec(spec, library)
+    trial = trial_spec(spec)
     larger = linearized(trial, x, y, stage, coordinates)
     return LotPopulation(
         name=spec.name,
@@ -113,13 +109,12 @@ def _absent(linear: LinearPopulation, larger: LinearPopulation, chosen: IntArray
     return (*random, *fixed)
 
 
-def trial_spec(spec: PopulationSpec, library: Sequence[str] | None = None) -> PopulationSpec:
+def trial_spec(spec: PopulationSpec) -> PopulationSpec:
     """The population with every null parameter of every irregularity of the library at a trial size."""
     shipped = {one.name: values for one, values in load_spec(None).found()}
     tables = {name: dict(values) for name, values in spec.irregularity.items()}
     for name, one in find(spec.irregularity_folders).items():
-        if library is None or name in library or name in tables:
-            tables[name] = {**_trials(one, shipped.get(name, {}), tables.get(name, {})), **_set(tables.get(name, {}))}
+        tables[name] = {**_trials(one, shipped.get(name, {}), tables.get(name, {})), **_set(tables.get(name, {}))}
     return msgspec.structs.replace(spec, irregularity=tables)
 
 

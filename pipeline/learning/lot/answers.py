@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from msgspec import UNSET, UnsetType
+from scipy.stats import binom
 
 from ..answers import Answer, ByRole
 from .forecast import Conforms, YieldForecast, forecast
@@ -22,6 +23,8 @@ from .prepared import PreparedLot
 from .reml import LotFit
 from .scores import LotScore
 
+#: Probability of as many intervals that leave out 1, below which the spreads differ from the file.
+BY_CHANCE = 0.01
 #: Entries of a list that the JSON and the pages carry.
 LISTED = 12
 
@@ -181,8 +184,14 @@ def comparison(ready: PreparedLot, seed: int = 0) -> LotComparisonAnswer:
         fit_ok=rung.fit.converged,
         as_predicted=None
         if shown is None
-        else not found.significant and not found.structure and all(one.agrees for one in spreads.values()),
+        else not found.significant and not found.structure and _agree(spreads),
     )
+
+
+def _agree(spreads: Mapping[str, SpreadAnswer]) -> bool:
+    """Whether no more of the 90 % intervals leave out 1 than ``BY_CHANCE`` allows."""
+    outside = sum(not one.agrees for one in spreads.values())
+    return bool(binom.sf(outside - 1, len(spreads), 0.1) > BY_CHANCE)
 
 
 def diagnosis(ready: PreparedLot, seed: int = 0) -> LotDiagnosisAnswer:
@@ -242,10 +251,10 @@ def _separating(near: tuple[LotScore, ...]) -> dict[str, str]:
 
 
 def refinement(
-    ready: PreparedLot, conforms: Conforms | None, seed: int = 0, library: tuple[str, ...] | None = None
+    ready: PreparedLot, conforms: Conforms | None, seed: int = 0, without: tuple[str, ...] = ()
 ) -> tuple[LotRefinementAnswer, LotLadder]:
     """The ladder with the yield forecast of each rung; ``conforms`` judges values in the coordinates of the lot."""
-    ladder = refined(ready, library, seed)
+    ladder = refined(ready, without, seed)
     rungs = [_rung(rung, conforms, seed) for rung in ladder.rungs]
     first = _predicted_rung(ready, conforms, seed)
     last = ladder.rungs[-1]

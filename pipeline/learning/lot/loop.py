@@ -65,27 +65,32 @@ class LotDiagnosis:
         return tuple(score.name for score in self.candidates if not score.visible)
 
 
-def candidates_of(ready: PreparedLot, model: LotModel, library: Sequence[str] | None = None) -> tuple[Part, ...]:
+def candidates_of(ready: PreparedLot, model: LotModel, without: Sequence[str] = ()) -> tuple[Part, ...]:
     """Named candidates that the model lacks: those of the population, then the generic ones, for all devices.
 
-    ``library`` restricts the physical ones to irregularities of these names.
+    Irregularities of the names ``without`` are no candidates.
     """
     present = {name for part in model.random for name, _ in part.shares} | {part.name for part in model.fixed}
-    physical = [
-        part
-        for part in ready.population.candidates
-        if library is None or part.name.partition(".")[0] in library
-    ]
-    parts = (*physical, *generic_parts(ready.whole, spread_of(ready.whole), probes=False))
-    return tuple(part for part in parts if part.name not in present)
+    generic = generic_parts(ready.whole, spread_of(ready.whole), probes=False)
+    every = (*ready.population.candidates, *generic)
+    return tuple(part for part in every if part.name not in present and kind_of(part.name) not in without)
 
 
-def mixtures_of(ready: PreparedLot, library: Sequence[str] | None = None) -> tuple[DeviceMixture, ...]:
+def kind_of(part: str) -> str:
+    """Name of the irregularity that a part belongs to: "bow" of "bow(f1_hz)", "electrode_gap" of "electrode_gap.wafer"."""
+    return part.partition("(")[0].partition(".")[0]
+
+
+def is_generic(part: str) -> bool:
+    """Whether a part belongs to a generic irregularity."""
+    return "(" in part or part == OUTLIERS
+
+
+def mixtures_of(ready: PreparedLot, without: Sequence[str] = ()) -> tuple[DeviceMixture, ...]:
     """Absent mixtures: those of the population's candidates, then outliers of no known kind."""
     present = {mixture.name for mixture in ready.mixtures}
-    physical = [one for one in ready.population.absent_mixtures if library is None or one.name in library]
-    every = (*physical, outliers(ready.whole, spread_of(ready.whole)))
-    return tuple(one for one in every if one.name not in present)
+    every = (*ready.population.absent_mixtures, outliers(ready.whole, spread_of(ready.whole)))
+    return tuple(one for one in every if one.name not in present and one.name not in without)
 
 
 def diagnosed(
@@ -185,38 +190,45 @@ def first_rung(ready: PreparedLot) -> LotRung:
     return LotRung(None, ready, fit, model, ready.outcome(model, fit.variances), 0.0, None)
 
 
-def refined(ready: PreparedLot, library: Sequence[str] | None = None, seed: int = 0) -> LotLadder:
-    """The ladder; ``library`` restricts the physical candidates."""
+def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> LotLadder:
+    """The ladder; irregularities of the names ``without`` are no candidates."""
     announce("fitting the population")
     rungs = [first_rung(ready)]
     refused: set[str] = set()
     while True:
         rung = rungs[-1]
-        parts = [part for part in candidates_of(rung.ready, rung.model, library) if part.name not in refused]
-        mixtures = [one for one in mixtures_of(rung.ready, library) if one.name not in refused]
+        parts = [part for part in candidates_of(rung.ready, rung.model, without) if part.name not in refused]
+        mixtures = [one for one in mixtures_of(rung.ready, without) if one.name not in refused]
         announce(f"rung {len(rungs)}: {len(parts) + len(mixtures)} candidates")
         found = diagnosed(rung.ready, rung.fit, parts, mixtures, seed + len(rungs))
         if not found.significant or len(rungs) > RUNGS:
             break
         by_name: dict[str, Part | DeviceMixture] = {one.name: one for one in (*parts, *mixtures)}
         tried = [_tried(rung, by_name[score.name]) for score in found.significant[:REFITTED]]
-        # Outliers of no known kind explain everything that a known kind explains.
-        tried.sort(key=lambda one: (one.part == OUTLIERS and len(tried) > 1, deviance(one)))
-        best = tried[0]
-        fall = deviance(rung) - deviance(best)
+        tried.sort(key=deviance)
+        fall = deviance(rung) - deviance(tried[0])
         if fall < RIVAL:
             refused |= {str(one.part) for one in tried}
             if len(refused) > REFUSED:
                 break
             continue
-        above = [(str(one.part), deviance(one) - deviance(best)) for one in tried[1:]]
+        near = [one for one in tried if deviance(one) - deviance(tried[0]) < RIVAL or one.part == OUTLIERS]
+        # A generic part describes what a physical one explains, so that one is added; outliers explain anything.
+        near.sort(key=lambda one: (one.part == OUTLIERS, is_generic(str(one.part)), deviance(one)))
+        best = near[0]
+        fall = deviance(rung) - deviance(best)
+        rivals = [
+            (str(one.part), deviance(one) - deviance(best))
+            for one in near[1:]
+            if is_generic(str(one.part)) == is_generic(str(best.part)) and one.part != OUTLIERS
+        ]
         gain = _gain(rung.outcome, best.outcome, int(ready.whole.is_held.sum()))
         rungs.append(
             replace(
                 best,
                 delta_deviance=fall,
                 status=status_of(gain),
-                rivals=tuple((name, more) for name, more in above if more < RIVAL and name != OUTLIERS),
+                rivals=tuple(rivals),
             )
         )
     return LotLadder(tuple(rungs), found, _verdict(tuple(rungs), found))

@@ -76,7 +76,10 @@ class MeasuredLot:
         return np.asarray(np.isfinite(self.values))
 
     def codes(self, level: str) -> IntArray:
-        """(n,) number of the lot, wafer, package or tester of each device, from 0; 0 where the level is not known."""
+        """(n,) number of the lot, wafer, package, tester or place of each device, from 0; 0 where the level is not known."""
+        if level == "place":
+            at = np.round(np.nan_to_num(self.x_mm), 3) + 1j * np.round(np.nan_to_num(self.y_mm), 3)
+            return np.unique(at, return_inverse=True)[1].astype(np.int64)
         if level == "wafer":
             names = [f"{a}/{b}" for a, b in zip(self._label("lot"), self._label("wafer"))]
         else:

@@ -18,7 +18,8 @@ import numpy as np
 
 from ...arrays import FloatArray
 
-LotLevel = Literal["device", "wafer", "lot", "tester", "all"]
+#: "place" is a place on all wafers; only probes have it.
+LotLevel = Literal["device", "wafer", "lot", "tester", "all", "place"]
 #: 1 - cosine of two covariance contributions below which no lot of a few thousand devices tells them apart.
 PROPORTIONAL = 1e-4
 #: Share of the whole spread of a quantity, below which a part counts in it by less than its own size.

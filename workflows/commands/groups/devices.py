@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from .options import CampaignFolder, EffectFolders, Json, LimitsFile, Measurement, PageFolder, StartModel
+from .options import (
+    CampaignFolder,
+    EffectFolders,
+    Json,
+    LimitsFile,
+    LotOrMeasurement,
+    Measurement,
+    PageFolder,
+    PopulationFile,
+    StartModel,
+)
 
 
 def identify(
@@ -73,45 +83,74 @@ def simulate(
 
 
 def compare(
-    campaign: Measurement,
+    campaign: LotOrMeasurement,
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
     limits: LimitsFile = None,
+    population: PopulationFile = None,
     json: Json = False,
 ) -> None:
     """Fit a model to a campaign and show where it fails."""
+    if _for_a_lot("compare", campaign, population, out, limits, json, model):
+        return
     from ..learn import compare as command
 
     command(campaign, model, out, effects or [], json, limits)
 
 
 def diagnose(
-    campaign: Measurement,
+    campaign: LotOrMeasurement,
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
     limits: LimitsFile = None,
+    population: PopulationFile = None,
     json: Json = False,
 ) -> None:
     """Find the physical effect that the model lacks, if any."""
+    if _for_a_lot("diagnose", campaign, population, out, limits, json, model):
+        return
     from ..learn import diagnose as command
 
     command(campaign, model, out, effects or [], json, limits)
 
 
 def refine(
-    campaign: Measurement,
+    campaign: LotOrMeasurement,
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
     limits: LimitsFile = None,
+    population: PopulationFile = None,
     json: Json = False,
 ) -> None:
     """Diagnose, add the effect and refit, until none is missing."""
+    if _for_a_lot("refine", campaign, population, out, limits, json, model):
+        return
     from ..learn import refine as command
 
     command(campaign, model, out, effects or [], json, limits)
+
+
+def _for_a_lot(
+    command: Literal["compare", "diagnose", "refine"],
+    path: Path,
+    population: Path | None,
+    out: Path | None,
+    limits: Path | None,
+    json: bool,
+    model: Path | None,
+) -> bool:
+    """Whether ``path`` is a lot; it is then answered."""
+    if population is None and not path.is_dir() and path.suffix != ".toml":
+        return False
+    from ..lot import answer_lot, names_a_lot
+
+    if not names_a_lot(path, population):
+        return False
+    answer_lot(command, path, population, out, limits, json, model)
+    return True
 
 
 def demo(

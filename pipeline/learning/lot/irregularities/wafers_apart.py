@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 
-from ..generic import GenericIrregularity
+from ..generic import GenericIrregularity, by_quantity
 from ..measured import MeasuredLot
 from ..model import RandomPart
 
@@ -15,7 +15,7 @@ LENGTH = 0.3
 
 
 def fields(lot: MeasuredLot, scale: FloatArray) -> tuple[RandomPart, ...]:
-    """A Gaussian process on each wafer, for each quantity."""
+    """A Gaussian process on each wafer, and a value of each place, for each quantity."""
     found = []
     for k, quantity in enumerate(lot.quantities):
         columns = np.zeros((len(lot.device), len(scale), 1))
@@ -23,7 +23,8 @@ def fields(lot: MeasuredLot, scale: FloatArray) -> tuple[RandomPart, ...]:
         found.append(
             RandomPart(f"field({quantity})", "wafer", columns, field_mm=LENGTH * lot.radius_mm, start=0.04)
         )
-    return tuple(found)
+    ones = np.ones((len(lot.device), 1))
+    return (*found, *by_quantity("place", "place", lot, scale, ones))
 
 
 GENERIC = GenericIrregularity(
