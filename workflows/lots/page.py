@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-
-from pipeline.learning.lot.null import projected
+from pipeline.learning.lot.loop import LotRung, first_rung
 from pipeline.learning.lot.outcome import left_out
 from reports.lot.page import LotMaps, render_lot_page
 
@@ -15,31 +13,18 @@ from .loop import LotAnswers
 
 def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnswers, truth: str | None = None) -> str:
     """The page of a command; each one contains the comparison."""
-    ready = answers.ready
-    refinement = answers.refinement if command == "refine" else None
-    if refinement is not None:
-        rung = answers.ladder.rungs[-1]
-        maps = _maps(rung.ready.whole.subset(~rung.ready.whole.is_held), rung.fit.model, rung.fit.variances)
-        before = answers.ladder.rungs[0]
-    else:
-        from pipeline.learning.lot.loop import first_rung
-
-        before = first_rung(ready)
-        maps = None
-    first = _maps(before.fit.lot, before.fit.model, before.fit.variances)
+    rungs = answers.ladder.rungs if command == "refine" else (first_rung(answers.ready),)
     return render_lot_page(
         comparison=answers.comparison,
-        diagnosis=answers.diagnosis if command != "compare" else None,
-        refinement=refinement,
-        before=first,
-        after=maps,
+        diagnosis=answers.diagnosis if command == "diagnose" else None,
+        refinement=answers.refinement if command == "refine" else None,
+        before=_maps(rungs[0]),
+        after=_maps(rungs[-1]) if len(rungs) > 1 else None,
         truth=truth,
     )
 
 
-def _maps(lot, model, variances) -> LotMaps:  # type: ignore[no-untyped-def]
-    z = left_out(lot, model, variances).z
+def _maps(rung: LotRung) -> LotMaps:
+    lot = rung.fit.lot
+    z = left_out(lot, rung.fit.model, rung.fit.variances).z
     return LotMaps(lot.x_mm, lot.y_mm, lot.wafers, lot.quantities, z)
-
-
-_ = (np, projected)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -24,11 +24,11 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.learning.lot.gyro import COORDINATES, NEEDED, UNITS, coordinates, propagated
-from pipeline.learning.lot.loop import LotRung, deviance, first_rung, is_generic, kind_of, refined
+from pipeline.learning.lot.loop import LotRung, candidates_of, deviance, first_rung, kind_of
 from pipeline.learning.lot.measured import MeasuredLot, hold_out
 from pipeline.learning.lot.model import FixedPart
 from pipeline.learning.lot.population import Part
-from pipeline.learning.lot.prepared import PreparedLot, prepared
+from pipeline.learning.lot.prepared import PreparedLot, free, prepared
 from pipeline.learning.lot.table import LotTable
 from populations.draw import draw
 from populations.spec import PopulationSpec, load_spec
@@ -189,20 +189,13 @@ def _added(lot: MeasuredLot, one: HiddenPattern, quantity: str, size: float, g: 
     wafer, lots = lot.codes("wafer").astype(np.float64), lot.codes("lot").astype(np.float64)
     values = lot.values.copy()
     values[:, COORDINATES.index(quantity)] += size * one.shape(lot.x, lot.y, wafer, lots, g)
-    return msgspec_free_replace(lot, values)
-
-
-def msgspec_free_replace(lot: MeasuredLot, values: FloatArray) -> MeasuredLot:
-    """The lot with other values."""
-    from dataclasses import replace
-
     return replace(lot, values=values)
 
 
 def snr_of(ready: PreparedLot, hidden: HiddenLot, parts: tuple[Part, ...]) -> float:
-    """Root of the deviance that the best of the accepted parts takes from the refitted baseline."""
+    """Root of the deviance that the best of the true parts takes from the refitted baseline."""
     base = first_rung(ready)
-    own = [part for part in parts if any(kind_of(part.name) in names for names in hidden.accepted)]
+    own = [part for part in parts if part.name in hidden.truth or kind_of(part.name) in hidden.truth]
     return max((float(np.sqrt(max(_fall(ready, base, part), 0.0))) for part in own), default=0.0)
 
 
@@ -252,21 +245,12 @@ def _sized(kind: LotKind, seed: int) -> tuple[HiddenLot, float | None]:
     for _ in range(7):
         population = population_at(hidden.spec, hidden.lot)
         ready = prepared(hidden.lot, population)
-        from pipeline.learning.lot.loop import candidates_of
-
-        snr = snr_of(ready, hidden, candidates_of(ready, ready_model(ready)))
+        snr = snr_of(ready, hidden, candidates_of(ready, free(population.model)))
         if SNR[0] <= snr <= SNR[1] or hidden.truth[0] == "lid_leak":
             break
         size *= 2.0 if snr < SNR[0] else 0.4
         hidden = hidden_lot(kind, seed, size)
     return hidden, snr
-
-
-def ready_model(ready: PreparedLot) -> Any:
-    """The free model of a prepared lot."""
-    from pipeline.learning.lot.prepared import free
-
-    return free(ready.population.model)
 
 
 def study(kinds: tuple[LotKind, ...], count: int, out: Path, seed: int) -> Iterator[dict[str, Any]]:
@@ -285,6 +269,3 @@ def study(kinds: tuple[LotKind, ...], count: int, out: Path, seed: int) -> Itera
                     file.write(json.dumps(row) + "\n")
                 done[(kind, seed + k)] = row
             yield done[(kind, seed + k)]
-
-
-_ = (is_generic, refined)

@@ -82,7 +82,7 @@ def factorised(design: LotDesign, variances: FloatArray) -> LotFactor:
     ------
     numpy.linalg.LinAlgError : a device has no variance in some direction, or a fixed column is a combination of others.
     """
-    d = design.noise + np.einsum("c,cnij->nij", variances[design.own_part], design.own)
+    d = design.noise + np.tensordot(variances[design.own_part], design.own, axes=1)
     root = np.linalg.cholesky(d)
     white = np.linalg.inv(root)
     log_det = 2.0 * float(np.sum(np.log(np.einsum("nii->ni", root))))

@@ -36,9 +36,11 @@ from .model import LotModel
 FLOOR, CEILING = 1e-8, 1e8
 STEPS = 60
 #: The fit ends where a step would raise ln L by less than this: a variance is then within 1e-4 of its sd of the maximum.
-TOLERANCE = 1e-8
-#: Three steps in a row that raise ln L by less than this each end the fit, too: 1e-5 of what one sd of a parameter costs.
-LEVEL = 1e-5
+TOLERANCE = 1e-10
+#: Three steps in a row that raise ln L by less than this each end the fit, too: 2e-5 of what one sd of a parameter costs.
+LEVEL = 2e-5
+#: A fit that used all its steps has converged if the last ``SETTLED`` that counted raised ln L by less than ``LEVELLED``.
+SETTLED, LEVELLED = 10, 5e-3
 #: sd of ln v over that with all other variances known, above which the part shares a sum with others.
 RIDGE = 1.5
 #: Fall of ln L to the end of a one-sided 95 % limit: chi2(1, 0.90) / 2.
@@ -157,9 +159,11 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
     v = np.array([part.start for part in model.random]) if start is None else np.array(start, dtype=np.float64)
     v = np.clip(v, FLOOR, CEILING)
     damping, converged, level = 1e-3, False, 0
+    values: list[float] = []
     factor = factorised(design, v)
     solution = solved(factor, y)
     value = log_likelihood(factor, float(solution.quadratic[0]))
+    values.append(value)
     score, information = derivatives(factor, solution)
     for _ in range(STEPS):
         free = ~((v <= FLOOR) & (score < 0.0)) & ~((v >= CEILING) & (score > 0.0))
@@ -188,6 +192,7 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
             # Along a ridge of parts that are nearly alike, steps stay long while the likelihood is level.
             level = level + 1 if higher - value < LEVEL else 0
             v, factor, solution, value = trial, other, found, higher
+            values.append(value)
             damping = max(damping / 5.0, 1e-6)
             score, information = derivatives(factor, solution)
             if level >= 3 and not np.any(_falling(v, score)):
@@ -200,7 +205,9 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
             if damping > 1e6 or not np.any(step):
                 converged = not np.any(step)
                 break
-    return LotFit(lot, design, v, value, information, score, converged or level > 0)
+    # A ridge is level although its end is not reached: the parts there share a sum, which the interval says.
+    converged = converged or value - values[-min(len(values), SETTLED)] < LEVELLED
+    return LotFit(lot, design, v, value, information, score, converged)
 
 
 def _falling(v: FloatArray, score: FloatArray) -> BoolArray:

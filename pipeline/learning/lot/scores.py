@@ -67,8 +67,9 @@ def scored(
     active : (C,) the fitted parts whose variance is not at zero, and adapts.
     """
     nuisance = draws.squares[active]
+    basis = np.linalg.qr(design.columns[:, :, design.ends[2] :].reshape(-1, design.fixed))[0]
     rows = [
-        _of_fixed(part, design, draws) if isinstance(part, FixedPart) else _of_random(part, lot, design, draws, nuisance)
+        _of_fixed(part, design, draws, basis) if isinstance(part, FixedPart) else _of_random(part, lot, design, draws, nuisance)
         for part in parts
     ]
     if not rows:
@@ -94,16 +95,16 @@ def _independent_tests(log_p: FloatArray) -> float:
     return float(-smallest.size / np.sum(np.log1p(-smallest)))
 
 
-def _of_fixed(part: FixedPart, design: LotDesign, draws: NullDraws) -> tuple[FloatArray, float, float]:
+def _of_fixed(part: FixedPart, design: LotDesign, draws: NullDraws, basis: FloatArray) -> tuple[FloatArray, float, float]:
     x = part.columns * design.seen[..., None]
-    t = np.einsum("nqp,nqb->pb", x, draws.projected)
+    used = np.flatnonzero(np.any(x != 0.0, axis=(0, 2)))
+    t = x[:, used].reshape(-1, x.shape[2]).T @ draws.projected[:, used].reshape(-1, draws.projected.shape[2])
     # Cov(t) = X' P X, measured on the drawn lots; its scale without the fitted columns shows what they absorb.
     covariance = np.atleast_2d(np.cov(t[:, 1:]))
     values, vectors = np.linalg.eigh(covariance)
     keep = values > 1e-12 * max(float(values.max()), 1e-300)
-    fixed = design.columns[:, :, design.ends[2] :].reshape(-1, design.fixed)
     flat = x.reshape(-1, x.shape[2])
-    left = flat - fixed @ np.linalg.lstsq(fixed, flat, rcond=None)[0]
+    left = flat - basis @ (basis.T @ flat)
     share = float(np.sqrt(np.sum(left**2) / max(float(np.sum(flat**2)), 1e-300)))
     if share < ABSORBED or not np.any(keep):
         return np.zeros(t.shape[1]), 0.0, 0.0
