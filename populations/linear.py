@@ -161,7 +161,14 @@ def linearized(
     for one, values in present:
         read = recorders[one.name]
 
-        def moved(stream: str, entry: int, value: float, uniform: float = 1.0 - 2.0**-53) -> FloatArray:
+        def moved(
+            stream: str,
+            entry: int,
+            value: float,
+            uniform: float = 1.0 - 2.0**-53,
+            one: Irregularity = one,
+            values: Mapping[str, float] = values,
+        ) -> FloatArray:
             numbers = _ChosenNumbers(stream, entry, value, uniform)
             return seen({**at_zero, one.name: change(one, values, numbers)})
 
@@ -174,26 +181,24 @@ def linearized(
         patterns[one.name] = base - seen({name: c for name, c in at_zero.items() if name != one.name})
         if read.uniforms:
             on = moved("", 0, 0.0, 0.0)
-            columns = [
+            slopes = [
                 0.5 * (moved(stream, k, 1.0, 0.0) - moved(stream, k, -1.0, 0.0))
                 for stream, size in read.read.items()
                 for k in range(size)
             ]
-            share = _share(lambda uniform, m=moved, on=on: bool(np.array_equal(m("", 0, 0.0, uniform), on)))
+            share = _share(moved, on)
             if np.abs(on - base).max() > ROUNDING and share > 0.0:
-                empty = np.zeros((*base.shape, 0))
-                switched.append(
-                    LinearSwitch(one.name, on - base, np.stack(columns, axis=-1) if columns else empty, share)
-                )
+                own = np.stack(slopes, axis=-1) if slopes else np.zeros((*base.shape, 0))
+                switched.append(LinearSwitch(one.name, on - base, own, share))
     return LinearPopulation(base, seen({}), tuple(streams), patterns, tuple(switched))
 
 
-def _share(applies: Callable[[float], bool]) -> float:
+def _share(moved: Callable[[str, int, float, float], FloatArray], on: FloatArray) -> float:
     """The number that a uniform one is compared with, by bisection."""
     low, high = 0.0, 1.0
     for _ in range(24):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if applies(middle) else (low, middle)
+        low, high = (middle, high) if np.array_equal(moved("", 0, 0.0, middle), on) else (low, middle)
     return low
 
 
@@ -233,7 +238,9 @@ def curvature(
     zero = np.zeros(count, dtype=np.int64)
     placed = Places(lot=zero, wafer=zero, wafer_in_lot=zero, die=zero, x_mm=x_mm, y_mm=y_mm)
     changes = {
-        one.name: one.act(values, Site(one.name, numbers, np.arange(count), placed, spec.device, spec.wafer, spec.operating))
+        one.name: one.act(
+            values, Site(one.name, numbers, np.arange(count), placed, spec.device, spec.wafer, spec.operating)
+        )
         for one, values in spec.found()
         if one.stage in ("fabrication", stage)
     }

@@ -46,7 +46,14 @@ def forecast_figure(ladder: Sequence[LotRungAnswer], name: str = "forecast") -> 
             found = rung.forecast
             assert found is not None
             colour = AFTER if found.inside else BEFORE
-            left.plot([100 * found.low, 100 * found.high], [place, place], color=colour, lw=5, solid_capstyle="butt", alpha=0.45)
+            left.plot(
+                [100 * found.low, 100 * found.high],
+                [place, place],
+                color=colour,
+                lw=5,
+                solid_capstyle="butt",
+                alpha=0.45,
+            )
             left.plot([100 * found.mean], [place], "o" if found.inside else "X", color=colour, ms=7)
         measured = rungs[-1].forecast
         assert measured is not None
@@ -81,7 +88,9 @@ def spreads_figure(spreads: Mapping[str, SpreadAnswer], name: str = "spreads") -
             ends = np.clip([one.low, one.high], low_end, high_end)
             axes.plot(ends, [place, place], color=colour, lw=1.8)
             marker = "o" if low_end < one.ratio < high_end else "<" if one.ratio <= low_end else ">"
-            axes.plot([np.clip(one.ratio, low_end, high_end)], [place], marker if one.agrees else "X", color=colour, ms=6)
+            axes.plot(
+                [np.clip(one.ratio, low_end, high_end)], [place], marker if one.agrees else "X", color=colour, ms=6
+            )
         axes.set_xscale("log")
         axes.set_xlim(low_end, high_end)
         axes.set_xticks([0.1, 0.2, 0.5, 1, 2, 5, 10], ["≤ 0.1", "0.2", "0.5", "1", "2", "5", "≥ 10"])

@@ -1,7 +1,11 @@
-"""gyroscreen compare, diagnose, refine for a measured lot."""
+"""gyroscreen compare, diagnose, refine, simulate and demo for a measured lot, and the study of hidden irregularities."""
 
 from __future__ import annotations
 
+import json as json_
+import sys
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -95,7 +99,9 @@ def _require_positive(found: LotComparisonAnswer | LotDiagnosisAnswer | LotRefin
         isinstance(found, LotRefinementAnswer) and found.verdict == "fit_failed"
     )
     if failed:
-        raise NegativeError("the fit failed", next_step="look for extreme values in the table, or start from another file")
+        raise NegativeError(
+            "the fit failed", next_step="look for extreme values in the table, or start from another file"
+        )
     if isinstance(found, LotRefinementAnswer) and found.verdict == "unknown":
         raise NegativeError(
             "a misfit remains that no irregularity of the library explains",
@@ -103,3 +109,54 @@ def _require_positive(found: LotComparisonAnswer | LotDiagnosisAnswer | LotRefin
             allowed="adequate or class",
             next_step="see where it lies with --out FOLDER; write an irregularity of your own (docs/add-an-irregularity.md)",
         )
+
+
+def simulate_lot(out: Path, population: Path | None, irregularities: Sequence[str], seed: int) -> None:
+    """See ``gyroscreen simulate --help``, with --lot."""
+    from ..lots.simulate import simulate_lot as simulated
+
+    devices, wafers = simulated(out, _population(population) or load_spec(None), irregularities, seed)
+    print(f"{out}: {devices} devices of {wafers} wafers; what was changed is in truth.json")
+
+
+def demo_lot(out: Path, seed: int | None) -> None:
+    """See ``gyroscreen demo --help``, with --lot."""
+    from pipeline.learning.lot.table import LotTable
+
+    from ..lots.page import lot_page
+    from ..studies.lots import hidden_lot
+
+    start = time.monotonic()
+    chosen = int(time.time()) % 100_000 if seed is None else seed
+    hidden = hidden_lot("one", chosen)
+    print(f"a lot with a hidden irregularity was measured (seed {chosen}); searching ...", file=sys.stderr)
+    answers = lot_answers(LotTable(hidden.lot, True, "package", {}), hidden.spec)
+    with working("demo", quiet=False):
+        found = answers.refinement
+        truth = ", ".join(hidden.truth)
+        page = lot_page("refine", answers, truth)
+    print("\n".join(lot_lines(found)))
+    print(f"the truth: {truth}")
+    path = out / "ladder.html"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise unwritable("the page", out, error, "choose another folder with --out") from None
+    print(f"{path}  ({time.monotonic() - start:.0f} s)")
+
+
+def hidden_irregularities(kind: str, lots: int, seed: int, out: Path, json: bool) -> None:
+    """See ``gyroscreen benchmark hidden-irregularities --help``."""
+    from ..studies.lot_figures import figures
+    from ..studies.lots import KINDS, LotKind, study
+
+    if kind != "all" and kind not in KINDS:
+        raise UsageError("no such kind", value=kind, allowed=", ".join(("all", *KINDS)), next_step="correct --kind")
+    kinds: tuple[LotKind, ...] = tuple(one for one in KINDS if kind in ("all", one))
+    rows = []
+    for row in study(kinds, lots, out / "rows.jsonl", seed):
+        rows.append(row)
+        print(f"{row['kind']} {row['seed']}: {row['truth']} -> {row['verdict']} {row['named']}", file=sys.stderr)
+    found = figures(rows)
+    print(json_.dumps(found) if json else "\n".join(f"{name}: {value}" for name, value in found.items()))

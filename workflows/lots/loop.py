@@ -10,18 +10,12 @@ from msgspec import structs
 from threadpoolctl import threadpool_limits
 
 from pipeline.errors import UsageError
-from pipeline.learning.lot.answers import (
-    LotComparisonAnswer,
-    LotDiagnosisAnswer,
-    LotRefinementAnswer,
-    comparison,
-    diagnosis,
-    refinement,
-)
+from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswer, LotRefinementAnswer
 from pipeline.learning.lot.forecast import Conforms
 from pipeline.learning.lot.loop import LotLadder
 from pipeline.learning.lot.population import nested_population
 from pipeline.learning.lot.prepared import PreparedLot, prepared
+from pipeline.learning.lot.respond import comparison, diagnosis, refinement
 from pipeline.learning.lot.table import LotTable
 from populations.spec import PopulationSpec, load_spec
 from reports.limits import DEFAULT_LIMITS, Limits

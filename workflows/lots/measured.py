@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.errors import MeasurementError, UsageError
-from pipeline.learning.lot.table import LotFile, LotTable, lot_of_table, read_lot, read_table
+from pipeline.learning.lot.lot_file import LotFile
+from pipeline.learning.lot.table import LotTable, lot_of_table, read_lot, read_table
 from pipeline.store.manifest import NAME as MANIFEST
 from pipeline.store.read import PREFIX, read_run, run_folders
 

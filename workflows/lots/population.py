@@ -33,9 +33,7 @@ CHECKED = 400
 LEVELS: Mapping[str, LotLevel] = {"lot": "lot", "wafer": "wafer", "die": "device", "package": "device", "fixed": "all"}
 
 
-def population_at(
-    spec: PopulationSpec, lot: MeasuredLot, stage: Stage = "package"
-) -> LotPopulation:
+def population_at(spec: PopulationSpec, lot: MeasuredLot, stage: Stage = "package") -> LotPopulation:
     """The population at the devices of ``lot``, with the candidates that its file lacks.
 
     Raises
@@ -86,9 +84,7 @@ def _mixtures(linear: LinearPopulation, chosen: IntArray) -> tuple[DeviceMixture
     )
 
 
-def _patterns(
-    linear: LinearPopulation, patterns: Mapping[str, FloatArray], chosen: IntArray
-) -> tuple[FixedPart, ...]:
+def _patterns(linear: LinearPopulation, patterns: Mapping[str, FloatArray], chosen: IntArray) -> tuple[FixedPart, ...]:
     """What each irregularity changes with its random numbers at zero, where that differs over the wafer."""
     return tuple(
         FixedPart(f"{name}.pattern", own[:, chosen, None], size=1.0)
@@ -116,6 +112,12 @@ def trial_spec(spec: PopulationSpec) -> PopulationSpec:
     for name, one in find(spec.irregularity_folders).items():
         tables[name] = {**_trials(one, shipped.get(name, {}), tables.get(name, {})), **_set(tables.get(name, {}))}
     return msgspec.structs.replace(spec, irregularity=tables)
+
+
+def trial_values(spec: PopulationSpec, name: str) -> dict[str, float]:
+    """Every parameter of an irregularity that the population lacks or holds at null, at its trial size."""
+    shipped = {one.name: values for one, values in load_spec(None).found()}
+    return _trials(find(spec.irregularity_folders)[name], shipped.get(name, {}), spec.irregularity.get(name, {}))
 
 
 def _set(values: Mapping[str, float]) -> dict[str, float]:

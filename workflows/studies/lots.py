@@ -35,17 +35,12 @@ from populations.spec import PopulationSpec, load_spec
 
 from ..lots.loop import lot_answers
 from ..lots.population import population_at
+from ..lots.simulate import NOISE, measured_values
 
 LotKind = Literal["none", "one", "two", "left-out", "outside"]
 KINDS: tuple[LotKind, ...] = get_args(LotKind)
 LOTS, WAFERS, DIES = 5, 4, 40
 SNR = (10.0, 100.0)
-#: sd of the measurement, about ten times that of the shipped experiment.
-NOISE = {
-    "theta_deg": 0.01, "split_hz": 1e-3, "f1_hz": 1e-3, "f2_hz": 1e-3, "f3_hz": 3e-3, "zeta1": 1e-6, "zeta2": 1e-6,
-    "zeta3": 3e-6, "c12_per_s": 3e-3, "rocking_gain": 13e-3, "updown_gain": 28e-3, "sense_imbalance": 5e-4,
-    "drive_imbalance": 5e-4,
-}  # fmt: skip
 #: Irregularities that are hidden by leaving them out of the population file, with the parameters that set their size.
 PHYSICAL = {
     "sidewall_tilt": ("edge_deg",),
@@ -97,7 +92,13 @@ OUTSIDE: tuple[HiddenPattern, ...] = (
     HiddenPattern("spots", (), lambda x, y, w, l, g: _per(_step(x) * 1000.0 + _step(y), g)[0]),
 )
 #: The coordinates that a generic pattern may be hidden in, with the spread of a device.
-IN = {"anisotropy_x": 3.3e-3, "ln_damping": 0.25, "damping_anisotropy_y": 0.21, "ln_rocking_gain": 1.1e-2, "sense_imbalance": 5e-3}
+IN = {
+    "anisotropy_x": 3.3e-3,
+    "ln_damping": 0.25,
+    "damping_anisotropy_y": 0.21,
+    "ln_rocking_gain": 1.1e-2,
+    "sense_imbalance": 5e-3,
+}
 
 
 def _step(position: FloatArray) -> FloatArray:
@@ -132,7 +133,9 @@ def hidden_lot(kind: LotKind, seed: int, size: float = 1.0, truth: int | None = 
     lot = _measured(made, seed, g)
     patterns = [one for one in GENERIC if one.name in chosen]
     if kind == "left-out":
-        patterns = [one for one in GENERIC if one.name in ("edge_ring", "two_theta", "rows_and_columns", "reticle", "gradient")]
+        patterns = [
+            one for one in GENERIC if one.name in ("edge_ring", "two_theta", "rows_and_columns", "reticle", "gradient")
+        ]
         patterns = [patterns[first % len(patterns)]]
     elif kind == "outside":
         patterns = [OUTSIDE[first % len(OUTSIDE)]]
@@ -165,7 +168,16 @@ def _within(spec: PopulationSpec, name: str, parameter: str, size: float) -> flo
 
 def _with_random_magnitudes(spec: PopulationSpec, g: np.random.Generator) -> PopulationSpec:
     """Each spread and bow times exp(N(0, 0.25)); ratios, lengths and laws as they are."""
-    kept = ("correlation", "limit", "field_length_mm", "hz_per_mpa", "mean_ratio", "tcf_ppm_per_k", "ln_mean", "ln_spread")
+    kept = (
+        "correlation",
+        "limit",
+        "field_length_mm",
+        "hz_per_mpa",
+        "mean_ratio",
+        "tcf_ppm_per_k",
+        "ln_mean",
+        "ln_spread",
+    )
     tables = {
         name: {k: v if k in kept else v * float(np.exp(0.25 * g.standard_normal())) for k, v in values.items()}
         for name, values in spec.irregularity.items()
@@ -176,7 +188,7 @@ def _with_random_magnitudes(spec: PopulationSpec, g: np.random.Generator) -> Pop
 def _measured(spec: PopulationSpec, seed: int, g: np.random.Generator) -> MeasuredLot:
     made = draw(spec, seed, 0, LOTS * WAFERS * DIES)
     n = len(made.index)
-    values = {name: made.true[name] + NOISE[name] * g.standard_normal(n) for name in NEEDED}
+    values = measured_values(made, g)
     covariance = propagated(values, {name: np.full(n, NOISE[name]) for name in NEEDED})
     labels = {"lot": made.lot, "wafer": made.wafer}
     x, y, none = made.die_x_mm, made.die_y_mm, np.full(n, np.nan)

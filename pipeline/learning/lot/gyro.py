@@ -48,7 +48,7 @@ MEANINGS = {
 
 
 def coordinates(p: Mapping[str, FloatArray]) -> FloatArray:
-    """(B, 12) [Hz^2 for the two squares, else 1] in the order of ``COORDINATES`` from the parameters ``NEEDED``, each (B,) [units of MODEL]."""
+    """(B, 12) [``UNITS``] in the order of ``COORDINATES`` from the parameters ``NEEDED``, each (B,) [units of MODEL]."""
     f1, f2 = p["f1_hz"], p["f2_hz"]
     turn = np.exp(2j * np.deg2rad(p["theta_deg"]))
     square = 0.5 * (f1 * f1 + f2 * f2)

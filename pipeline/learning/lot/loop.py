@@ -163,7 +163,9 @@ class LotLadder:
     def classes(self) -> tuple[tuple[str, ...], ...]:
         """Added parts with those that this lot cannot tell from them."""
         return tuple(
-            (rung.part, *(name for name, _ in rung.rivals)) for rung in self.rungs if rung.part is not None and rung.rivals
+            (rung.part, *(name for name, _ in rung.rivals))
+            for rung in self.rungs
+            if rung.part is not None and rung.rivals
         )
 
 

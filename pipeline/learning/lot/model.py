@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import BoolArray, FloatArray
 
 #: "place" is a place on all wafers; only probes have it.
 LotLevel = Literal["device", "wafer", "lot", "tester", "all", "place"]
@@ -80,7 +80,7 @@ class LotModel:
         """Names of the random parts."""
         return tuple(part.name for part in self.random)
 
-    def subset(self, chosen: FloatArray) -> LotModel:
+    def subset(self, chosen: BoolArray) -> LotModel:
         """The model of the devices where ``chosen`` (n,)."""
         return LotModel(
             tuple(replace(part, columns=part.columns[chosen]) for part in self.fixed),

@@ -54,7 +54,9 @@ class LeftOut:
     @property
     def squared(self) -> FloatArray:
         """(n,) Mahalanobis distance squared, chi-square with as many degrees of freedom as quantities were seen."""
-        return np.asarray(np.einsum("ni,ni->n", self.residual, np.linalg.solve(self.covariance, self.residual[..., None])[..., 0]))
+        return np.asarray(
+            np.einsum("ni,ni->n", self.residual, np.linalg.solve(self.covariance, self.residual[..., None])[..., 0])
+        )
 
 
 def evaluated(lot: MeasuredLot, model: LotModel, variances: FloatArray) -> tuple[LotDesign, LotFactor, float, float]:
@@ -90,7 +92,9 @@ def left_out(lot: MeasuredLot, model: LotModel, variances: FloatArray) -> LeftOu
     scaled = device_covariance(factor, posterior_covariance(factor)[0])
     own = factor.white.transpose(0, 2, 1) @ scaled @ factor.white
     covariance = np.linalg.inv(own)
-    return LeftOut(np.einsum("nij,nj->ni", covariance, p), covariance, design.seen)
+    return LeftOut(
+        np.asarray(np.einsum("nij,nj->ni", covariance, p)), np.asarray(covariance, dtype=np.float64), design.seen
+    )
 
 
 @dataclass(frozen=True)

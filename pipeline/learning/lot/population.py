@@ -106,7 +106,9 @@ def distinct(
             members = (*(other.members or (other.name,)), part.name)
             kept[twin] = replace(other, columns=other.columns + part.columns, members=members)
             continue
-        known = np.concatenate([(one.columns * weight).reshape(-1, one.columns.shape[2]) for one in (*fixed, *kept)], axis=1)
+        known = np.concatenate(
+            [(one.columns * weight).reshape(-1, one.columns.shape[2]) for one in (*fixed, *kept)], axis=1
+        )
         flat = (part.columns * weight).reshape(-1, part.columns.shape[2])
         left = float(np.sum((flat - known @ np.linalg.lstsq(known, flat, rcond=None)[0]) ** 2))
         moving = float(np.sum(_moving(part, weight) ** 2))

@@ -69,7 +69,9 @@ def scored(
     nuisance = draws.squares[active]
     basis = np.linalg.qr(design.columns[:, :, design.ends[2] :].reshape(-1, design.fixed))[0]
     rows = [
-        _of_fixed(part, design, draws, basis) if isinstance(part, FixedPart) else _of_random(part, lot, design, draws, nuisance)
+        _of_fixed(part, design, draws, basis)
+        if isinstance(part, FixedPart)
+        else _of_random(part, lot, design, draws, nuisance)
         for part in parts
     ]
     if not rows:
@@ -95,7 +97,9 @@ def _independent_tests(log_p: FloatArray) -> float:
     return float(-smallest.size / np.sum(np.log1p(-smallest)))
 
 
-def _of_fixed(part: FixedPart, design: LotDesign, draws: NullDraws, basis: FloatArray) -> tuple[FloatArray, float, float]:
+def _of_fixed(
+    part: FixedPart, design: LotDesign, draws: NullDraws, basis: FloatArray
+) -> tuple[FloatArray, float, float]:
     x = part.columns * design.seen[..., None]
     used = np.flatnonzero(np.any(x != 0.0, axis=(0, 2)))
     t = x[:, used].reshape(-1, x.shape[2]).T @ draws.projected[:, used].reshape(-1, draws.projected.shape[2])

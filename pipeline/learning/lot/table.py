@@ -1,25 +1,4 @@
-"""Read a measured lot from a table: lot.toml says which columns there are and what they mean.
-
-    file = "lot.parquet"             # or CSV, beside lot.toml
-    gyro = true                      # the columns are result quantities of gyroscreen; else [quantity.NAME] tables
-    stage = "package"                # or "probe": dies in the wafer prober
-    prefix = ""                      # of the quantities, for example "true_"
-    [columns]                        # roles; each has its own name as default, and only device, lot, wafer are usual everywhere
-    lot = "lot"
-    wafer = "wafer"
-    x_mm = "die_x_mm"
-    [wafer]
-    radius_mm = 50.0                 # default: the largest distance of a die from the origin
-    [quantity.thickness]
-    column = "Thickness"             # default: the name of the table
-    sd = 0.5                         # of the measurement, or a column
-    transform = "log"                # or "linear"
-    unit = "nm"
-    scale = 0.1                      # to that unit
-    [hold]
-    wafers = ["L01/W02"]             # or share = 0.2; share = 0 holds nothing out
-    [limits.thickness]               # of a quantity that is no result quantity of gyroscreen
-    min = 199.0
+"""Read a measured lot from a table: lot.toml (``lot_file``) says which columns there are.
 
 Shapes: n devices, q quantities.
 """
@@ -29,83 +8,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
-from msgspec import Meta, Struct
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import ConfigError, MeasurementError
 from ...input_limits import check_path
 from ...toml_files import check_known, load
 from .gyro import COORDINATES, NEEDED, UNITS, coordinates, propagated
+from .lot_file import LotFile, LotHold, LotQuantity
 from .measured import MeasuredLot, hold_out
 
-Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
-Text = Annotated[str, Meta(min_length=1, max_length=128)]
 #: Largest table: 2 GB of float64.
 VALUES = 2**28
-
-
-class LotColumns(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Names of the columns by role."""
-
-    device: Text = "device_id"
-    lot: Text = "lot"
-    wafer: Text = "wafer"
-    package: Text = "package"
-    tester: Text = "tester"
-    time: Text = "time"
-    x_mm: Text = "die_x_mm"
-    y_mm: Text = "die_y_mm"
-
-
-class LotQuantity(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """One measured quantity."""
-
-    column: Text | None = None
-    sd: float | Text | None = None
-    transform: Literal["linear", "log"] = "linear"
-    unit: str = "1"
-    scale: float = 1.0
-
-
-class LotHold(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Wafers "lot/wafer" that are held out, or the share of them."""
-
-    wafers: tuple[str, ...] | None = None
-    share: Annotated[float, Meta(ge=0.0, le=0.8)] = 0.2
-
-
-class LotLimits(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Limits of one quantity, in its unit."""
-
-    min: float | None = None
-    max: float | None = None
-
-
-class LotWafer(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The wafer of the table."""
-
-    radius_mm: Positive | None = None
-
-
-class LotFile(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """lot.toml."""
-
-    file: Text
-    name: str | None = None
-    gyro: bool = False
-    prefix: str = ""
-    stage: Literal["package", "probe"] = "package"
-    columns: LotColumns = LotColumns()
-    wafer: LotWafer = LotWafer()
-    quantity: dict[str, LotQuantity] = {}
-    hold: LotHold = LotHold()
-    limits: dict[str, LotLimits] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +85,10 @@ def read_table(path: Path) -> pa.Table:
     check_path(path, "a table", MeasurementError)
     if path.suffix.lower() not in (".parquet", ".csv"):
         raise MeasurementError(
-            "a lot is read from Parquet or CSV", value=path.name, allowed=".parquet, .csv", next_step="convert the table"
+            "a lot is read from Parquet or CSV",
+            value=path.name,
+            allowed=".parquet, .csv",
+            next_step="convert the table",
         )
     try:
         if path.suffix.lower() == ".parquet":
@@ -197,7 +119,8 @@ def lot_of_table(table: pa.Table, found: LotFile, name: str, where: str) -> LotT
     if found.gyro and "status" in table.column_names:
         keep &= np.array(table["status"].to_pylist()) == "ok"
     if found.gyro:
-        quantities, units = COORDINATES, UNITS
+        quantities: tuple[str, ...] = COORDINATES
+        units: tuple[str, ...] = UNITS
         values, covariance = _gyro_values(table, found, where)
     else:
         quantities, units = tuple(found.quantity), tuple(q.unit for q in found.quantity.values())
@@ -205,7 +128,9 @@ def lot_of_table(table: pa.Table, found: LotFile, name: str, where: str) -> LotT
     keep &= np.any(np.isfinite(values), axis=1)
     known = np.any(np.isfinite(values[keep]), axis=0) if np.any(keep) else np.ones(len(quantities), dtype=np.bool_)
     chosen = np.flatnonzero(known)
-    x, y, time = (_numbers(table, getattr(found.columns, role), where, needed=False) for role in ("x_mm", "y_mm", "time"))
+    x, y, time = (
+        _numbers(table, getattr(found.columns, role), where, needed=False) for role in ("x_mm", "y_mm", "time")
+    )
     radius = found.wafer.radius_mm or float(np.nanmax(np.hypot(x, y), initial=0.0)) or 1.0
     labels = {
         level: tuple(str(one) for one in table[column].to_pylist())
@@ -261,9 +186,7 @@ def _limits(found: LotFile, lot: MeasuredLot, where: str) -> dict[str, tuple[flo
     return limits
 
 
-def _plain_values(
-    table: pa.Table, quantities: Mapping[str, LotQuantity], where: str
-) -> tuple[FloatArray, FloatArray]:
+def _plain_values(table: pa.Table, quantities: Mapping[str, LotQuantity], where: str) -> tuple[FloatArray, FloatArray]:
     values: list[FloatArray] = []
     variances: list[FloatArray] = []
     for name, one in quantities.items():
@@ -325,7 +248,10 @@ def _numbers(table: pa.Table, column: str, where: str, needed: bool = True) -> F
         own = own.cast(pa.timestamp("us")).cast(pa.int64())
     if not (pa.types.is_floating(own.type) or pa.types.is_integer(own.type) or pa.types.is_boolean(own.type)):
         raise MeasurementError(
-            f"{where}: a column holds no numbers", value=column, allowed="numbers", next_step="correct the column or its role"
+            f"{where}: a column holds no numbers",
+            value=column,
+            allowed="numbers",
+            next_step="correct the column or its role",
         )
     found = np.asarray(own.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
     return np.where(np.isfinite(found), found, np.nan)

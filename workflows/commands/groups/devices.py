@@ -72,11 +72,21 @@ def simulate(
     effect: Annotated[list[str] | None, typer.Option(help="NAME or NAME:param=value,..; can be repeated.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the device, the effect sizes and the noise.")] = 1,
     effects: EffectFolders = None,
+    lot: Annotated[bool, typer.Option("--lot", help="A measured lot instead of one device.")] = False,
+    population: PopulationFile = None,
+    irregularity: Annotated[
+        list[str] | None, typer.Option(help="With --lot: NAME or NAME:param=value,..; can be repeated.")
+    ] = None,
 ) -> None:
-    """Simulate the standard campaign of one virtual device.
+    """Simulate the standard campaign of one virtual device, or with --lot a measured lot of a population.
 
     The true parameters are written to truth.json.
     """
+    if lot or population is not None or irregularity:
+        from ..lot import simulate_lot
+
+        simulate_lot(out_dir, population, irregularity or [], seed)
+        return
     from ..model import simulate as command
 
     command(out_dir, config, device, effect or [], seed, effects or [])
@@ -156,8 +166,14 @@ def _for_a_lot(
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("demo"),
     seed: Annotated[int | None, typer.Option(help="Seed of the device and its effect; default: random.")] = None,
+    lot: Annotated[bool, typer.Option("--lot", help="Hide an irregularity in a lot instead.")] = False,
 ) -> None:
     """Hide an effect in a virtual device and let refine find it."""
+    if lot:
+        from ..lot import demo_lot
+
+        demo_lot(out, seed)
+        return
     from ..learn import demo as command
 
     command(out, seed)

@@ -20,9 +20,7 @@ def fields(lot: MeasuredLot, scale: FloatArray) -> tuple[RandomPart, ...]:
     for k, quantity in enumerate(lot.quantities):
         columns = np.zeros((len(lot.device), len(scale), 1))
         columns[:, k, 0] = scale[k]
-        found.append(
-            RandomPart(f"field({quantity})", "wafer", columns, field_mm=LENGTH * lot.radius_mm, start=0.04)
-        )
+        found.append(RandomPart(f"field({quantity})", "wafer", columns, field_mm=LENGTH * lot.radius_mm, start=0.04))
     ones = np.ones((len(lot.device), 1))
     return (*found, *by_quantity("place", "place", lot, scale, ones))
 
