@@ -107,13 +107,17 @@ def _step(position: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class HiddenLot:
-    """A lot with what is hidden in it, and the population file that the loop starts from."""
+    """A lot with what is hidden in it, and the population file that the loop starts from.
+
+    ``pattern`` is the last generic pattern that was added, as it was drawn.
+    """
 
     lot: MeasuredLot
     spec: PopulationSpec
     truth: tuple[str, ...]
     accepted: tuple[frozenset[str], ...]
     without: tuple[str, ...]
+    pattern: FixedPart | None = None
 
 
 def hidden_lot(kind: LotKind, seed: int, size: float = 1.0, truth: int | None = None) -> HiddenLot:
@@ -141,14 +145,17 @@ def hidden_lot(kind: LotKind, seed: int, size: float = 1.0, truth: int | None = 
         patterns = [OUTSIDE[first % len(OUTSIDE)]]
     names: list[str] = [name for name in chosen if name in PHYSICAL]
     accepted = [frozenset({name, *_physical_twins(name)}) for name in names]
+    pattern: FixedPart | None = None
     for one in patterns:
         quantity = list(IN)[int(g.integers(len(IN)))]
+        before = lot.values
         lot = _added(lot, one, quantity, 0.3 * size * IN[quantity], g)
+        pattern = FixedPart("the hidden pattern", (lot.values - before)[..., None])
         names.append(f"{one.name}({quantity})")
         accepted.append(frozenset({one.name, *one.twins}))
     # A smooth field is no twin: it is a probe.
     without = (patterns[0].name, *patterns[0].twins) if kind == "left-out" else ()
-    return HiddenLot(hold_out(lot), file, tuple(names), tuple(accepted), without)
+    return HiddenLot(hold_out(lot), file, tuple(names), tuple(accepted), without, pattern)
 
 
 def _physical_twins(name: str) -> tuple[str, ...]:
@@ -207,7 +214,9 @@ def _added(lot: MeasuredLot, one: HiddenPattern, quantity: str, size: float, g: 
 def snr_of(ready: PreparedLot, hidden: HiddenLot, parts: tuple[Part, ...]) -> float:
     """Root of the deviance that the best of the true parts takes from the refitted baseline."""
     base = first_rung(ready)
-    own = [part for part in parts if part.name in hidden.truth or kind_of(part.name) in hidden.truth]
+    own: list[Part] = [part for part in parts if kind_of(part.name) in hidden.truth]
+    if hidden.pattern is not None:
+        own = [hidden.pattern]
     return max((float(np.sqrt(max(_fall(ready, base, part), 0.0))) for part in own), default=0.0)
 
 
@@ -251,7 +260,7 @@ def judged(kind: LotKind, seed: int) -> dict[str, Any]:
 def _sized(kind: LotKind, seed: int) -> tuple[HiddenLot, float | None]:
     """A lot whose hidden part has an SNR within ``SNR``: its size is doubled or halved until it has."""
     size, hidden = 1.0, hidden_lot(kind, seed)
-    if kind in ("none", "outside", "two"):
+    if kind in ("none", "two"):
         return hidden, None
     snr = 0.0
     for _ in range(7):

@@ -107,13 +107,22 @@ def diagnosed(
     draws = null_draws(fit, DRAWS, seed)
     found = scored(fit.lot, fit.design, draws, [*own, *probes], ~fit.at_zero)
     out = left_out(fit.lot, fit.model, fit.variances)
-    named = (*found[: len(own)], *mixture_scores(out, [one.subset(seen) for one in mixtures]))
-    shapes = (*found[len(own) :], *tail_scores(fit.lot, out))
+    single, tails = mixture_scores(out, [one.subset(seen) for one in mixtures]), tail_scores(fit.lot, out)
+    families = sum(bool(family) for family in (found, single, tails))
+    named = _together((*found[: len(own)], *single), families)
+    shapes = _together((*found[len(own) :], *tails), families)
 
     def order(score: LotScore) -> tuple[float, float]:
         return (score.log_p, -score.z)
 
     return LotDiagnosis(fit, tuple(sorted(named, key=order)), tuple(sorted(shapes, key=order)))
+
+
+def _together(scores: Sequence[LotScore], families: int) -> tuple[LotScore, ...]:
+    """Scores whose p-values count all families of tests."""
+    return tuple(
+        replace(one, p_value=-float(np.expm1(families * np.log1p(-min(one.p_value, 1.0 - 1e-12))))) for one in scores
+    )
 
 
 def _subset(part: Part, chosen: BoolArray) -> Part:

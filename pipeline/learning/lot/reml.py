@@ -118,7 +118,7 @@ class LotFit:
                 found[k] = np.sqrt(v * np.maximum([1.0 - reach, 1.0 + reach], 0.0))
             else:
                 nu = 2.0 / max(sd * sd, 1e-12)
-                found[k] = np.sqrt(nu * v / chi2.ppf([1.0 - tail, tail], nu))
+                found[k] = np.sqrt(nu * v / np.maximum(chi2.ppf([1.0 - tail, tail], nu), 1e-12))
         return found
 
     def _upper(self, k: int) -> float:

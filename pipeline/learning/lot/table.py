@@ -244,6 +244,8 @@ def _numbers(table: pa.Table, column: str, where: str, needed: bool = True) -> F
             return np.full(table.num_rows, np.nan)
         check_known(column, table.column_names, where, "column")
     own: Any = table[column]
+    if pa.types.is_null(own.type):
+        return np.full(table.num_rows, np.nan)
     if pa.types.is_temporal(own.type):
         own = own.cast(pa.timestamp("us")).cast(pa.int64())
     if not (pa.types.is_floating(own.type) or pa.types.is_integer(own.type) or pa.types.is_boolean(own.type)):
