@@ -242,7 +242,11 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
                 rivals=tuple(rivals),
             )
         )
-    return LotLadder(tuple(rungs), found, _verdict(tuple(rungs), found))
+    verdict = _verdict(tuple(rungs), found)
+    if verdict == "unknown":
+        # What was added on the way to a misfit that remains may have taken its place.
+        rungs = [replace(rung, status="partial" if rung.status == "confirmed" else rung.status) for rung in rungs]
+    return LotLadder(tuple(rungs), found, verdict)
 
 
 def _gain(before: HeldOut, after: HeldOut, devices: int) -> float | None:
