@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from ...arrays import BoolArray, FloatArray
 from .design import LotDesign, arranged
@@ -43,8 +43,8 @@ LEVEL = 2e-5
 SETTLED, LEVELLED = 10, 5e-3
 #: sd of ln v over that with all other variances known, above which the part shares a sum with others.
 RIDGE = 1.5
-#: Fall of ln L to the end of a one-sided 95 % limit: chi2(1, 0.90) / 2.
-ONE_SIDED = 1.3528
+#: Likelihoods for one end of a profile.
+ENDS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,41 +104,56 @@ class LotFit:
     def interval(self, level: float = 0.90) -> FloatArray:
         """(C, 2) interval of sqrt(v).
 
-        nu v / chi2_nu with nu = 2 / Var(ln v), where few units of the level limit what is known.  Where parts that are nearly
-        alike share a sum, v +- z sd(v), because the sum is what is linear in v.  From 0 at the boundary.
+        nu v / chi2_nu with nu = 2 / Var(ln v), where few units of the level limit what is known.  At the boundary, and where
+        parts that are nearly alike share a sum, the ends of the profile likelihood.
         """
         tail = 0.5 * (1.0 - level)
+        drop = 0.5 * float(chi2.ppf(level, 1))
         found = np.empty((len(self.variances), 2))
         alone = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
         for k, (v, sd, zero) in enumerate(zip(self.variances, self.log_sd(), self.at_zero)):
-            if zero or not np.isfinite(sd):
-                found[k] = 0.0, self._upper(k)
-            elif sd > RIDGE * alone[k]:
-                reach = float(norm.ppf(1.0 - tail)) * sd
-                found[k] = np.sqrt(v * np.maximum([1.0 - reach, 1.0 + reach], 0.0))
+            if zero or not np.isfinite(sd) or sd > RIDGE * alone[k]:
+                found[k] = self._end(k, drop, lower=True), self._end(k, drop, lower=False)
             else:
                 nu = 2.0 / max(sd * sd, 1e-12)
                 found[k] = np.sqrt(nu * v / np.maximum(chi2.ppf([1.0 - tail, tail], nu), 1e-12))
         return found
 
-    def _upper(self, k: int) -> float:
-        """sqrt(v) at which ln L has fallen by ``ONE_SIDED``, with the other variances held."""
-
-        def fall(v: float) -> float:
-            trial = self.variances.copy()
-            trial[k] = v
-            return self.log_likelihood - _value(self.design, trial, self.lot)
-
-        low = max(float(self.variances[k]), FLOOR)
-        high = low
-        while fall(high) < ONE_SIDED:
-            low, high = high, high * 10.0
-            if high > CEILING:
+    def _end(self, k: int, drop: float, lower: bool) -> float:
+        """sqrt(v_k) at which the profile of ln L has fallen by ``drop``; 0 or infinity where it does not."""
+        v = float(self.variances[k])
+        if lower and (v <= 10.0 * FLOOR or self._fall(k, FLOOR) < drop):
+            return 0.0
+        # Distances from v in the direction asked for: ``inside`` costs too little, ``outside`` too much.
+        inside, outside = 0.0, v if lower else np.inf
+        far = min(2.0 * v / np.sqrt(max(float(self.information[k, k]), 1e-300)), 0.5 * outside)
+        for _ in range(ENDS):
+            fall = self._fall(k, v - far if lower else v + far)
+            if abs(fall - drop) < 0.1 * drop:
+                break
+            inside, outside = (far, outside) if fall < drop else (inside, far)
+            # A parabola through the maximum and this point, or the middle where it leaves the bracket.
+            guess = far * float(np.clip(np.sqrt(drop / max(fall, 1e-12)), 0.2, 5.0))
+            far = guess if inside < guess < outside else 0.5 * (inside + outside)
+            if far > CEILING:
                 return float("inf")
-        for _ in range(12):
-            middle = np.sqrt(low * high)
-            low, high = (low, middle) if fall(middle) > ONE_SIDED else (middle, high)
-        return float(np.sqrt(high))
+        return float(np.sqrt(v - far if lower else v + far))
+
+    def _fall(self, k: int, value: float) -> float:
+        """Fall of ln L where v_k is ``value`` and the others follow, as their average information says."""
+        v = self.variances
+        others = np.flatnonzero((np.arange(len(v)) != k) & ~self.at_zero)
+        trial = v.copy()
+        trial[k] = value
+        if others.size:
+            scaled = self.information / np.outer(v, v)
+            inner = scaled[np.ix_(others, others)] * (1.0 + 1e-9 * np.eye(others.size))
+            slope = np.linalg.lstsq(inner * np.outer(v[others], v[others]), scaled[others, k] * v[others], rcond=1e-10)[0]
+            trial[others] = v[others] - slope * v[others] * (value - v[k])
+        try:
+            return self.log_likelihood - _value(self.design, np.clip(trial, FLOOR, CEILING), self.lot)
+        except np.linalg.LinAlgError:
+            return float("inf")
 
 
 def centred(lot: MeasuredLot, model: LotModel) -> FloatArray:
