@@ -139,14 +139,23 @@ def spread_lines(spreads: Mapping[str, SpreadAnswer], only_different: bool) -> l
     chosen = {name: one for name, one in spreads.items() if not (only_different and one.agrees)}
     if not chosen:
         return ["all spreads agree with the file (90 % intervals)"] if spreads else []
-    head = "spreads that differ from the file" if only_different else "spreads"
-    lines = [f"{head} (ratio, 90 % interval; one in ten leaves its interval by chance):"]
+    if not only_different:
+        return ["spreads (sd, 90 % interval):", *(_absolute(name, one) for name, one in chosen.items())]
+    lines = ["spreads that differ from the file (ratio, 90 % interval; one in ten leaves its interval by chance):"]
     for name, one in list(chosen.items())[: 3 * _MOST]:
         stands = f"; stands for {', '.join(one.members)}" if one.members else ""
         lines.append(
             f"  {name}: {number(one.ratio, 3)} ({number(one.low, 3)} to {number(one.high, 3)}), {LEVELS[one.level]}{stands}"
         )
     return lines
+
+
+def _absolute(name: str, one: SpreadAnswer) -> str:
+    """The sd of the quantity that the part moves most, with its interval."""
+    sd = max(one.sd.values(), default=0.0)
+    unit = sd / one.ratio if one.ratio > 0.0 else 0.0
+    ends = f"{number(unit * one.low, 3)} to {number(unit * one.high, 3)}"
+    return f"  {name}: {number(sd, 5)} ({ends}), {LEVELS[one.level]}"
 
 
 def pattern_lines(patterns: Mapping[str, PatternAnswer]) -> list[str]:

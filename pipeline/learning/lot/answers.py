@@ -15,7 +15,10 @@ from ..answers import Answer, ByRole
 
 
 class SpreadAnswer(Answer, frozen=True, eq=False):
-    """A random part: its fitted sd over that of the file, with a 90 % interval, and the parts that it stands for."""
+    """A random part: its fitted sd over that of the file, with a 90 % interval, and the parts that it stands for.
+
+    ``sd`` : quantity -> fitted sd that the part gives it, rms over the devices [unit of the quantity].
+    """
 
     level: str
     ratio: float
@@ -23,6 +26,7 @@ class SpreadAnswer(Answer, frozen=True, eq=False):
     high: float
     members: tuple[str, ...]
     agrees: bool
+    sd: Mapping[str, float]
 
 
 class PatternAnswer(Answer, frozen=True, eq=False):

@@ -197,7 +197,7 @@ def status_of(gain: float | None) -> str | None:
 def first_rung(ready: PreparedLot) -> LotRung:
     """The population with its spreads, patterns and means refitted."""
     model = free(ready.population.model)
-    fit = ready.fit(model)
+    fit = ready.fit(model, np.maximum(ready.start, 1e-4))
     return LotRung(None, ready, fit, model, ready.outcome(model, fit.variances), 0.0, None)
 
 

@@ -28,6 +28,7 @@ class PreparedLot:
     whole : with the linearization's covariance, and without the changes of the mixtures.
     mixtures : with the share that was found.
     leaking : mixture -> (n,) devices that belong to it.
+    start : (C,) variances of the last fit that told them apart, where the next one starts.
     """
 
     measured: MeasuredLot
@@ -35,6 +36,7 @@ class PreparedLot:
     whole: MeasuredLot
     mixtures: tuple[DeviceMixture, ...]
     leaking: dict[str, BoolArray]
+    start: FloatArray
 
     @property
     def fit_lot(self) -> MeasuredLot:
@@ -105,4 +107,4 @@ def sorted_out(
             clean = with_mixture(clean, mixture, chosen)
         held = clean.is_held
         variances = fitted(clean.subset(~held), model.subset(~held), np.maximum(variances, 1e-4)).variances
-    return PreparedLot(lot, population, clean, tuple(found), leaking)
+    return PreparedLot(lot, population, clean, tuple(found), leaking, variances)

@@ -148,7 +148,9 @@ class LotFit:
         if others.size:
             scaled = self.information / np.outer(v, v)
             inner = scaled[np.ix_(others, others)] * (1.0 + 1e-9 * np.eye(others.size))
-            slope = np.linalg.lstsq(inner * np.outer(v[others], v[others]), scaled[others, k] * v[others], rcond=1e-10)[0]
+            slope = np.linalg.lstsq(inner * np.outer(v[others], v[others]), scaled[others, k] * v[others], rcond=1e-10)[
+                0
+            ]
             trial[others] = v[others] - slope * v[others] * (value - v[k])
         try:
             return self.log_likelihood - _value(self.design, np.clip(trial, FLOOR, CEILING), self.lot)

@@ -233,6 +233,11 @@ def spread_answers(fit: LotFit) -> dict[str, SpreadAnswer]:
             high=float(high),
             members=tuple(name for name, _ in part.members),
             agrees=bool(low <= 1.0 <= high),
+            sd={
+                name: float(np.sqrt(v) * size)
+                for name, size in zip(fit.lot.quantities, np.sqrt(np.mean(np.sum(part.columns**2, axis=2), axis=0)))
+                if size > 0.0
+            },
         )
         for part, v, (low, high) in zip(fit.model.random, fit.variances, fit.interval())
     }

@@ -125,8 +125,13 @@ def lot_of_table(table: pa.Table, found: LotFile, name: str, where: str) -> LotT
     else:
         quantities, units = tuple(found.quantity), tuple(q.unit for q in found.quantity.values())
         values, covariance = _plain_values(table, found.quantity, where)
+        _varying(values, found.quantity, where)
     keep &= np.any(np.isfinite(values), axis=1)
     known = np.any(np.isfinite(values[keep]), axis=0) if np.any(keep) else np.ones(len(quantities), dtype=np.bool_)
+    if found.gyro and np.any(keep):
+        known &= np.nanmax(np.where(known, values[keep], 0.0), axis=0) > np.nanmin(
+            np.where(known, values[keep], 0.0), axis=0
+        )
     chosen = np.flatnonzero(known)
     x, y, time = (
         _numbers(table, getattr(found.columns, role), where, needed=False) for role in ("x_mm", "y_mm", "time")
@@ -213,6 +218,18 @@ def _plain_values(table: pa.Table, quantities: Mapping[str, LotQuantity], where:
         variances.append(np.nan_to_num(sd) ** 2)
     stacked = np.stack(variances, axis=-1)
     return np.stack(values, axis=-1), stacked[..., None] * np.eye(len(values))
+
+
+def _varying(values: FloatArray, quantities: Mapping[str, LotQuantity], where: str) -> None:
+    for k, name in enumerate(quantities):
+        own = values[np.isfinite(values[:, k]), k]
+        if own.size and np.ptp(own) == 0.0:
+            raise MeasurementError(
+                f"{where}: [quantity.{name}] has the same value for every device",
+                value=float(own[0]),
+                allowed="quantities that differ between devices",
+                next_step="remove it",
+            )
 
 
 def _gyro_values(table: pa.Table, found: LotFile, where: str) -> tuple[FloatArray, FloatArray]:

@@ -47,6 +47,7 @@ def metal(tmp_path: Path) -> Path:
         "die_x_mm": x,
         "die_y_mm": y,
         "t": 500.0 * np.exp(0.01 * g.normal(size=6)[wafer] + 0.03 * bow + 0.01 * g.normal(size=120)),
+        "c": np.full(120, 5.0),
         "r": 50.0 + g.normal(size=6)[wafer] + g.normal(size=120),
     }
     pa_csv.write_csv(pa.table(columns), tmp_path / "metal.csv")
@@ -141,6 +142,7 @@ def test_an_irregularity_with_its_size(tmp_path, capsys):
         ('file = "metal.csv"\n[quantity.t]\n[hold]\nwafers = ["A/W9"]\n', 2, "unknown wafer"),
         ('file = "metal.csv"\n[quantity.t]\n[limits.u]\nmin = 1\n', 2, "unknown quantity"),
         ('file = "metal.csv"\n[quantity.t]\nsd = -1.0\n', 5, "negative"),
+        ('file = "metal.csv"\n[quantity.c]\n', 5, "same value for every device"),
         ('file = "nan.csv"\n[quantity.t]\n', 5, "no finite value"),
         ('file = "metal.csv"\n[quantity.t]\nuint = "m"\n', 2, "uint"),
     ],

@@ -20,6 +20,6 @@ def along(lot: MeasuredLot) -> FloatArray:
 GENERIC = GenericIrregularity(
     name="drift",
     meaning="one quantity drifts over time, or over the wafers in their order",
-    needs=("wafers",),
-    parts=lambda lot, scale: same_everywhere("drift", lot, scale, along(lot)),
+    needs=(),
+    parts=lambda lot, scale: same_everywhere("drift", lot, scale, along(lot)) if np.ptp(along(lot)) > 0.0 else (),
 )
