@@ -6,7 +6,7 @@ from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswe
 from pipeline.learning.lot.gyro import MEANINGS
 
 from ..html.rendering import environment, stylesheet
-from ..words.lot import ADAPTS, LEVELS, VERDICTS, compare_sentence
+from ..words.lot import ADAPTS, LEVELS, VERDICTS, compare_sentence, refine_sentence
 from .figures import LotMaps as LotMaps
 from .figures import forecast_figure, residual_maps, spreads_figure
 
@@ -26,7 +26,11 @@ def render_lot_page(
     before, after : residuals of the refitted population, and of the last rung of the ladder.
     truth : what was hidden, where that is known.
     """
-    verdict = refinement.verdict if refinement is not None else None if diagnosis is None else diagnosis.verdict
+    headline = compare_sentence(comparison)
+    if refinement is not None:
+        headline = refine_sentence(refinement)
+    elif diagnosis is not None:
+        headline = VERDICTS[diagnosis.verdict]
     added = refinement.irregularities if refinement is not None else ()
     template = environment().get_template("lot.html.j2")
     return template.render(
@@ -34,7 +38,7 @@ def render_lot_page(
         c=comparison,
         d=diagnosis,
         r=refinement,
-        headline=compare_sentence(comparison) if verdict is None else VERDICTS[verdict],
+        headline=headline,
         added=added,
         levels=LEVELS,
         meanings=MEANINGS,

@@ -37,6 +37,7 @@ VERDICTS: Mapping[str, str] = {
     "unknown": "Something is missing that no irregularity of the library explains.",
     "fit_failed": "The fit did not converge, so nothing can be said.",
 }
+EXPLAINED = "With what was added, nothing more is missing."
 #: What an error near one means, which readers of a refitted model need to know.
 ADAPTS = (
     "A refitted population always has an error near 1 on the wafers of the fit, because its spreads adapt: "
@@ -93,7 +94,7 @@ def diagnose_lot_lines(answer: LotDiagnosisAnswer) -> list[str]:
         lines.append(f"missing: {', '.join(answer.irregularities[:_MOST])}")
     lines += [f"  {name} would be told apart by {what}" for name, what in list(answer.separating.items())[:_MOST]]
     lines += _places("candidates:", answer.candidates)
-    lines += _places("structure that none of them explains:", answer.unexplained)
+    lines += _places("structure in the residual that has no name:", answer.unexplained)
     if answer.invisible:
         lines.append(f"this lot cannot show: {_some(answer.invisible)}")
     return lines
@@ -110,13 +111,18 @@ def refine_lot_lines(answer: LotRefinementAnswer) -> list[str]:
             f"{(rung.model + status)[:34]:34s} {number(rung.error_fit):>7s} {number(rung.error_validate):>9s} "
             f"{number(rung.log_score_fit):>10s} {number(rung.log_score_validate):>9s}  {forecast_words(rung.forecast)}"
         )
-    lines += [ADAPTS, VERDICTS[answer.verdict]]
+    lines += [ADAPTS, refine_sentence(answer)]
     lines += [f"class: {', '.join(names)}" for names in answer.classes]
     lines += mixture_lines(answer.mixtures)
     lines += _places("structure that nothing explains:", answer.unexplained)
     if answer.population_file is not UNSET:
         lines.append(f"the refined population: {answer.population_file}")
     return lines
+
+
+def refine_sentence(answer: LotRefinementAnswer) -> str:
+    """The verdict on the last rung, in one sentence."""
+    return EXPLAINED if answer.verdict == "adequate" and answer.irregularities else VERDICTS[answer.verdict]
 
 
 def forecast_words(found: ForecastAnswer | None) -> str:

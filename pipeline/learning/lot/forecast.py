@@ -2,7 +2,7 @@
 
     y_held = prediction(y_fit) + (y_held* - prediction(y_fit*)),      y* drawn from the model      (conditional simulation)
 
-The variances are drawn, too, from their normal posterior in ln v, so that the interval contains what a small lot does not know
+The variances are drawn, too, so that the interval contains what a small lot does not know
 of them.  Shapes: n devices, h of them held out, q quantities, B draws.
 
 Source: Chiles, Delfiner, Geostatistics (2012), 7.3 (conditioning by kriging).
@@ -17,12 +17,12 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from .design import arranged
-from .elimination import factorised, solved
+from .elimination import LotFactor, factorised, solved
 from .measured import MeasuredLot
 from .model import LotModel
 from .null import drawn_values
 from .population import DeviceMixture
-from .reml import LotFit, centred
+from .reml import centred
 
 Conforms = Callable[[FloatArray], BoolArray]
 #: Draws of the variances, and lots drawn with each.
@@ -53,7 +53,7 @@ def forecast(
     lot: MeasuredLot,
     model: LotModel,
     variances: FloatArray,
-    log_sd: FloatArray,
+    draw: Callable[[np.random.Generator], FloatArray],
     mixtures: Sequence[DeviceMixture],
     conforms: Conforms,
     measured: FloatArray,
@@ -63,7 +63,8 @@ def forecast(
 
     Parameters
     ----------
-    model, variances, log_sd : of the fit; the model lists all devices of the lot.
+    model, variances : of the fit; the model lists all devices of the lot.
+    draw : variances (C,) as well as they are known.
     mixtures : whose changes were taken out of the values, and are drawn anew for the held-out devices.
     conforms : values (.., q) to whether a device conforms to all limits (..).
     measured : (n, q) the values as measured.
@@ -77,8 +78,7 @@ def forecast(
     masked = arranged(hidden, model)
     yields: list[FloatArray] = []
     for k in range(VARIANCES):
-        sd = np.where(np.isfinite(log_sd), np.minimum(log_sd, 1.5), 0.0)
-        trial = variances if k == 0 else variances * np.exp(sd * generator.standard_normal(len(sd)))
+        trial = variances if k == 0 else draw(generator)
         drawn = drawn_values(factorised(every, trial), LOTS, generator)
         given = np.concatenate([centred(hidden, model)[..., None], drawn], axis=2)
         factor = factorised(masked, trial)
@@ -98,11 +98,8 @@ def forecast(
     return YieldForecast(float(found.mean()), float(low), float(high), own_yield, int(held.sum()), position)
 
 
-def _predicted(factor: object, columns: FloatArray, values: FloatArray) -> FloatArray:
+def _predicted(factor: LotFactor, columns: FloatArray, values: FloatArray) -> FloatArray:
     """(n, q, B) prediction of every device from the seen ones; ``columns`` (n, q, R) are not masked."""
-    from .elimination import LotFactor
-
-    assert isinstance(factor, LotFactor)
     design = factor.design
     solution = solved(factor, values)
     scale = np.where(design.part >= 0, np.sqrt(factor.variances[design.part]), 1.0)
@@ -117,9 +114,3 @@ def _predicted(factor: object, columns: FloatArray, values: FloatArray) -> Float
         if high > low:
             found = found + (columns[:, :, low:high] * scale[low:high]) @ normals
     return np.asarray(found)
-
-
-def fit_sd(fit: LotFit) -> FloatArray:
-    """(C,) sd of ln v for drawing: zero at the boundary."""
-    sd = fit.log_sd()
-    return np.where(np.isfinite(sd), sd, 0.0)

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray
+from .derivatives import squares_of
 from .elimination import LotFactor, LotSolution, solved
-from .reml import LotFit, squares_of
+from .reml import LotFit
 
 
 @dataclass(frozen=True, eq=False)

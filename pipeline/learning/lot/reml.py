@@ -19,16 +19,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from ...arrays import BoolArray, FloatArray
+from .derivatives import derivatives
 from .design import LotDesign, arranged
-from .elimination import (
-    LotFactor,
-    LotSolution,
-    device_covariance,
-    factorised,
-    log_likelihood,
-    posterior_covariance,
-    solved,
-)
+from .elimination import LotFactor, LotSolution, factorised, log_likelihood, solved
 from .measured import MeasuredLot
 from .model import LotModel
 
@@ -43,6 +36,8 @@ LEVEL = 2e-5
 SETTLED, LEVELLED = 10, 5e-3
 #: sd of ln v over that with all other variances known, above which the part shares a sum with others.
 RIDGE = 1.5
+#: Largest step of ln v that is drawn: a spread that one or two units determine may be anything.
+MOST = 3.0
 #: Likelihoods for one end of a profile.
 ENDS = 10
 
@@ -89,17 +84,31 @@ class LotFit:
         """(C,) whether a variance is at its boundary."""
         return np.asarray((self.variances <= 10.0 * FLOOR) | (self.score < 0.0) & (self.variances <= 1e-5))
 
+    @cached_property
+    def log_covariance(self) -> FloatArray:
+        """(C, C) covariance of ln v; zero for those at the boundary."""
+        free = np.flatnonzero(~self.at_zero & (np.diag(self.information) > 0.0))
+        found = np.zeros_like(self.information)
+        found[np.ix_(free, free)] = np.linalg.pinv(self.information[np.ix_(free, free)], rcond=1e-12, hermitian=True)
+        return found
+
     def log_sd(self) -> FloatArray:
         """(C,) sd of ln v, infinite at the boundary."""
-        free = ~self.at_zero
-        sd = np.full(len(self.variances), np.inf)
-        if np.any(free):
-            inner = self.information[np.ix_(free, free)]
-            covariance = np.linalg.pinv(inner, rcond=1e-12, hermitian=True)
-            sd[free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-            lost = np.diag(inner) <= 0.0
-            sd[np.flatnonzero(free)[lost]] = np.inf
-        return sd
+        variance = np.diag(self.log_covariance)
+        return np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), np.inf)
+
+    @property
+    def on_ridge(self) -> BoolArray:
+        """(C,) whether a part shares a sum with others that are nearly alike, so that the sum alone is known."""
+        alone = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        return np.asarray(self.log_sd() > RIDGE * alone)
+
+    def drawn(self, generator: np.random.Generator) -> FloatArray:
+        """(C,) variances as well as they are known: normal in ln v, or in v along a ridge, where the sum is linear in v."""
+        values, vectors = np.linalg.eigh(self.log_covariance)
+        step = vectors @ (np.sqrt(np.maximum(values, 0.0)) * generator.standard_normal(len(values)))
+        moved = np.where(self.on_ridge, np.maximum(1.0 + step, 0.0), np.exp(np.clip(step, -MOST, MOST)))
+        return np.asarray(np.clip(self.variances * moved, FLOOR, CEILING))
 
     def interval(self, level: float = 0.90) -> FloatArray:
         """(C, 2) interval of sqrt(v).
@@ -110,9 +119,9 @@ class LotFit:
         tail = 0.5 * (1.0 - level)
         drop = 0.5 * float(chi2.ppf(level, 1))
         found = np.empty((len(self.variances), 2))
-        alone = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        for k, (v, sd, zero) in enumerate(zip(self.variances, self.log_sd(), self.at_zero)):
-            if zero or not np.isfinite(sd) or sd > RIDGE * alone[k]:
+        ridge = self.at_zero | self.on_ridge
+        for k, (v, sd) in enumerate(zip(self.variances, self.log_sd())):
+            if ridge[k] or not np.isfinite(sd):
                 found[k] = self._end(k, drop, lower=True), self._end(k, drop, lower=False)
             else:
                 nu = 2.0 / max(sd * sd, 1e-12)
@@ -230,65 +239,3 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
 def _falling(v: FloatArray, score: FloatArray) -> BoolArray:
     """(C,) small variances that the likelihood pushes to zero."""
     return np.asarray((v > FLOOR) & (v < 1e-3) & (score < 0.0))
-
-
-def derivatives(factor: LotFactor, solution: LotSolution) -> tuple[FloatArray, FloatArray]:
-    """Score (C,) and average information (C, C) in ln v, for the first right-hand side of ``solution``."""
-    design = factor.design
-    count = len(factor.variances)
-    squares = squares_of(factor, solution)[:, 0]
-    expected = np.zeros(count)
-    wafer, lot, whole, _ = posterior_covariance(factor)
-    for covariance, (low, high) in zip((wafer, lot, whole), _level_columns(design)):
-        size = high - low
-        variance = np.einsum("uii->i", covariance[:, :size, :size])
-        np.add.at(expected, design.part[low:high], len(covariance) - variance)
-    own = device_covariance(factor, wafer)
-    for k, part in enumerate(design.own_part.tolist()):
-        scaled = factor.white @ design.own[k] @ factor.white.transpose(0, 2, 1)
-        expected[part] += factor.variances[part] * float(np.vdot(scaled, own))
-    score = 0.5 * (squares - expected)
-    worked = working_values(factor, solution)
-    again = solved(factor, worked)
-    back = np.einsum("nji,njb->nib", factor.white, design.unpadded(again.residual))
-    information = 0.5 * np.einsum("nic,nid->cd", worked, back)
-    return score, 0.5 * (information + information.T)
-
-
-def _level_columns(design: LotDesign) -> tuple[tuple[int, int], ...]:
-    a, b, c = design.ends
-    return (0, a), (a, b), (b, c)
-
-
-def squares_of(factor: LotFactor, solution: LotSolution) -> FloatArray:
-    """(C, B) y' P V_c P y of each part, for each right-hand side."""
-    design = factor.design
-    found = np.zeros((len(factor.variances), solution.quadratic.size))
-    for normals, (low, high) in zip(solution.normals, _level_columns(design)):
-        np.add.at(found, design.part[low:high], np.einsum("urb,urb->rb", normals, normals))
-    if len(design.own_part):
-        back = np.einsum("nji,njb->nib", factor.white, design.unpadded(solution.residual))
-        for k, part in enumerate(design.own_part.tolist()):
-            found[part] += factor.variances[part] * np.einsum("nib,nib->b", back, design.own[k] @ back)
-    return found
-
-
-def working_values(factor: LotFactor, solution: LotSolution) -> FloatArray:
-    """(n, q, C) V_c P y of each part, for the first right-hand side."""
-    design = factor.design
-    n, q = design.seen.shape
-    found = np.zeros((n, q, len(factor.variances)))
-    scale = np.where(design.part >= 0, np.sqrt(factor.variances[design.part]), 0.0)
-    wafer_of = np.empty(n, dtype=np.int64)
-    there = design.slots >= 0
-    wafer_of[design.slots[there]] = np.nonzero(there)[0]
-    units = (wafer_of, design.lot_of[wafer_of], np.zeros(n, dtype=np.int64))
-    for normals, unit, (low, high) in zip(solution.normals, units, _level_columns(design)):
-        for part in np.unique(design.part[low:high]).tolist():
-            mine = low + np.flatnonzero(design.part[low:high] == part)
-            own = normals[unit][:, mine - low, 0] * scale[mine]
-            found[:, :, part] += np.einsum("nqr,nr->nq", design.columns[:, :, mine], own)
-    back = np.einsum("nji,nj->ni", factor.white, design.unpadded(solution.residual)[..., 0])
-    for k, part in enumerate(design.own_part.tolist()):
-        found[:, :, part] += factor.variances[part] * np.einsum("nij,nj->ni", design.own[k], back)
-    return found

@@ -176,7 +176,7 @@ def _predicted_rung(ready: PreparedLot, conforms: Conforms | None, seed: int) ->
     found = None
     if conforms is not None:
         mixtures = ready.population.mixtures
-        found = forecast(ready.whole, model, ones, 0.0 * ones, mixtures, conforms, ready.measured.values, seed)
+        found = forecast(ready.whole, model, ones, lambda _: ones, mixtures, conforms, ready.measured.values, seed)
     return LotRungAnswer(
         irregularity=None,
         status=None,
@@ -198,7 +198,7 @@ def _rung(rung: LotRung, conforms: Conforms | None, seed: int) -> LotRungAnswer:
             ready.whole,
             rung.model,
             rung.fit.variances,
-            rung.fit.log_sd(),
+            rung.fit.drawn,
             ready.mixtures,
             conforms,
             ready.measured.values,

@@ -91,7 +91,7 @@ def test_forecasts_cover():
         ready = prepared(lot, nested_population(lot))
         rung = first_rung(ready)
         found = forecast(
-            ready.whole, rung.model, rung.fit.variances, rung.fit.log_sd(), (),
+            ready.whole, rung.model, rung.fit.variances, rung.fit.drawn, (),
             lambda values: (np.abs(values[..., 0]) < 1.5) & (values[..., 1] < 1.0), lot.values, seed,
         )  # fmt: skip
         assert found is not None

@@ -7,12 +7,13 @@ import pandas as pd
 import pytest
 
 from pipeline.errors import MeasurementError
+from pipeline.learning.lot.derivatives import derivatives
 from pipeline.learning.lot.design import arranged
 from pipeline.learning.lot.elimination import factorised, log_likelihood, solved
 from pipeline.learning.lot.measured import MeasuredLot, hold_out
 from pipeline.learning.lot.model import FixedPart, LotModel, RandomPart, means, merged
 from pipeline.learning.lot.outcome import left_out
-from pipeline.learning.lot.reml import centred, derivatives, fitted
+from pipeline.learning.lot.reml import centred, fitted
 from tests.nested_designs import MIXED_LM, nested_design
 
 OXIDE = Path(__file__).resolve().parents[5] / "shared" / "data" / "oxide" / "oxide.csv"
