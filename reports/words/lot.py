@@ -74,6 +74,8 @@ def compare_lot_lines(answer: LotComparisonAnswer) -> list[str]:
         lines.append(_outcome("as in the file", answer.error, answer.log_score))
     lines.append(_outcome("spreads refitted", answer.refitted.error, answer.refitted.log_score))
     lines += mixture_lines(answer.mixtures)
+    if answer.spreads_p_value is not None:
+        lines.append(f"all spreads together are those of the file: p {number(answer.spreads_p_value, 2)}")
     lines += spread_lines(answer.spreads, only_different=answer.error is not None)
     lines += pattern_lines(answer.patterns)
     lines += _places("where it fails after the refit:", answer.where)

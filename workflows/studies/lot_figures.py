@@ -33,6 +33,15 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     for name, place in (("first", 0), ("last", -1)):
         own = [row["forecast"][place]["inside"] for row in rows if row["forecast"] and row["forecast"][place]]
         share(f"held-out yield inside its 90 % forecast, {name} rung", own)
+    # The file holds the magnitudes that the lot was drawn with, so a ratio of 1 is the truth for what it does not lack.
+    covered = [
+        low <= 1.0 <= high
+        for row in rows
+        if row["kind"] == "none"
+        for name, (_, low, high) in row.get("spread_ratios", {}).items()
+        if name not in row["named"]
+    ]
+    share("spreads inside their 90 % interval, nothing hidden", covered)
     return found
 
 

@@ -74,7 +74,10 @@ class LotOutcomeAnswer(Answer, frozen=True, eq=False):
 
 
 class LotComparisonAnswer(Answer, frozen=True, eq=False):
-    """How well a population explains a lot, and where it fails."""
+    """How well a population explains a lot, and where it fails.
+
+    ``spreads_p_value`` : whether all spreads together are those of the file.
+    """
 
     lot: str
     population: str
@@ -86,6 +89,7 @@ class LotComparisonAnswer(Answer, frozen=True, eq=False):
     log_score: ByRole | None
     refitted: LotOutcomeAnswer
     spreads: Mapping[str, SpreadAnswer]
+    spreads_p_value: float | None
     patterns: Mapping[str, PatternAnswer]
     calibration: Mapping[str, CalibrationAnswer]
     where: tuple[PartAnswer, ...]

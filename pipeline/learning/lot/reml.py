@@ -34,7 +34,7 @@ TOLERANCE = 1e-10
 LEVEL = 2e-5
 #: A fit that used all its steps has converged if the last ``SETTLED`` that counted raised ln L by less than ``LEVELLED``.
 SETTLED, LEVELLED = 10, 5e-3
-#: sd of ln v over that with all other variances known, above which the part shares a sum with others.
+#: sd of v over that with all other variances known, above which the part shares a sum with others.
 RIDGE = 1.5
 #: Largest step of ln v that is drawn: a spread that one or two units determine may be anything.
 MOST = 3.0
@@ -84,6 +84,10 @@ class LotFit:
         """(C,) whether a variance is at its boundary."""
         return np.asarray((self.variances <= 10.0 * FLOOR) | (self.score < 0.0) & (self.variances <= 1e-5))
 
+    def at(self, variances: FloatArray) -> float:
+        """Restricted log likelihood at other variances (C,)."""
+        return _value(self.design, variances, self.lot)
+
     @cached_property
     def log_covariance(self) -> FloatArray:
         """(C, C) covariance of ln v; zero for those at the boundary."""
@@ -97,11 +101,17 @@ class LotFit:
         variance = np.diag(self.log_covariance)
         return np.where(variance > 0.0, np.sqrt(np.maximum(variance, 0.0)), np.inf)
 
-    @property
+    @cached_property
+    def _normalised(self) -> tuple[FloatArray, FloatArray]:
+        """Information in v with a diagonal of 1 (C, C), and the root of its diagonal (C,), which does not vanish with v."""
+        root = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        return self.information / np.outer(root, root), root / self.variances
+
+    @cached_property
     def on_ridge(self) -> BoolArray:
         """(C,) whether a part shares a sum with others that are nearly alike, so that the sum alone is known."""
-        alone = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        return np.asarray(self.log_sd() > RIDGE * alone)
+        inflation = np.diag(np.linalg.pinv(self._normalised[0], rcond=1e-10, hermitian=True))
+        return np.asarray(np.sqrt(np.maximum(inflation, 0.0)) > RIDGE)
 
     def drawn(self, generator: np.random.Generator) -> FloatArray:
         """(C,) variances as well as they are known: normal in ln v, or in v along a ridge, where the sum is linear in v."""
@@ -151,16 +161,20 @@ class LotFit:
     def _fall(self, k: int, value: float) -> float:
         """Fall of ln L where v_k is ``value`` and the others follow, as their average information says."""
         v = self.variances
-        others = np.flatnonzero((np.arange(len(v)) != k) & ~self.at_zero)
+        matrix, scale = self._normalised
+        others = np.flatnonzero(np.arange(len(v)) != k)
         trial = v.copy()
         trial[k] = value
-        if others.size:
-            scaled = self.information / np.outer(v, v)
-            inner = scaled[np.ix_(others, others)] * (1.0 + 1e-9 * np.eye(others.size))
-            slope = np.linalg.lstsq(inner * np.outer(v[others], v[others]), scaled[others, k] * v[others], rcond=1e-10)[
-                0
-            ]
-            trial[others] = v[others] - slope * v[others] * (value - v[k])
+        while others.size:
+            right = matrix[others, k] * scale[k] * (value - v[k])
+            steps = np.linalg.lstsq(matrix[np.ix_(others, others)], right, rcond=1e-9)[0] / scale[others]
+            found = v[others] - steps
+            # A variance that is at zero and would become negative stays there, and the rest follow without it.
+            stuck = (found < 0.0) & self.at_zero[others]
+            if not np.any(stuck):
+                trial[others] = found
+                break
+            others = others[~stuck]
         try:
             return self.log_likelihood - _value(self.design, np.clip(trial, FLOOR, CEILING), self.lot)
         except np.linalg.LinAlgError:
