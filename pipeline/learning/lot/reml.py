@@ -19,6 +19,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ...arrays import BoolArray, FloatArray
+from ...errors import MeasurementError
 from .derivatives import derivatives
 from .design import LotDesign, arranged
 from .elimination import LotFactor, LotSolution, factorised, log_likelihood, solved
@@ -193,14 +194,27 @@ def _value(design: LotDesign, variances: FloatArray, lot: MeasuredLot) -> float:
 
 
 def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -> LotFit:
-    """Fit the variances of ``model`` to the devices of ``lot``; held-out wafers are not looked for here."""
+    """Fit the variances of ``model`` to the devices of ``lot``; held-out wafers are not looked for here.
+
+    Raises
+    ------
+    MeasurementError : V is singular, or a mean is not determined.
+    """
     design = arranged(lot, model)
     y = centred(lot, model)[..., None]
     v = np.array([part.start for part in model.random]) if start is None else np.array(start, dtype=np.float64)
     v = np.clip(v, FLOOR, CEILING)
     damping, converged, level = 1e-3, False, 0
     values: list[float] = []
-    factor = factorised(design, v)
+    try:
+        factor = factorised(design, v)
+    except np.linalg.LinAlgError:
+        raise MeasurementError(
+            f"lot {lot.name} does not determine the means of its quantities",
+            value=", ".join(lot.quantities)[:120],
+            allowed="quantities that were measured on wafers that are not held out, with a spread or an sd",
+            next_step="leave a quantity out, or hold other wafers out with [hold]",
+        ) from None
     solution = solved(factor, y)
     value = log_likelihood(factor, float(solution.quadratic[0]))
     values.append(value)

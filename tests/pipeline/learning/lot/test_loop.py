@@ -62,6 +62,17 @@ def test_a_hidden_pattern_is_named(hidden, size):
         assert last.outcome.log_score_validate > first.outcome.log_score_validate
 
 
+def test_testers_that_disagree_are_named():
+    lot = table(8)
+    g = np.random.default_rng(8)
+    tester = g.integers(0, 6, len(lot.device))
+    object.__setattr__(lot, "values", lot.values + np.stack([0.0 * tester, g.normal(size=6)[tester]], 1))
+    object.__setattr__(lot, "labels", {**lot.labels, "tester": tuple(map(str, tester))})
+    ladder = refined(prepared(lot, nested_population(lot)))
+    assert ladder.added == ("tester_offset(y1)",)
+    assert ladder.verdict == "adequate"
+
+
 def test_a_pattern_of_no_library_is_unknown():
     lot = table(5, "spokes", 1.0)
     ladder = refined(prepared(lot, nested_population(lot)))

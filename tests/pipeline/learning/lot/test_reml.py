@@ -208,6 +208,14 @@ def test_whole_wafers_are_held_out():
     assert {name.split("/")[0] for name in many.held} == {"6", "7"}
 
 
+def test_a_mean_that_nothing_determines_is_refused():
+    lot = plain_lot(np.arange(48.0).reshape(24, 2) ** 0.5, ["a"] * 24, ["w"] * 24)
+    object.__setattr__(lot, "values", np.where(np.arange(2) == 1, np.nan, lot.values))
+    parts = (RandomPart("device", "device", np.eye(2)[None].repeat(24, 0)),)
+    with pytest.raises(MeasurementError, match="does not determine the means"):
+        fitted(lot, LotModel((means(24, 2),), parts, np.zeros((24, 2))))
+
+
 def test_too_few_devices_are_refused():
     with pytest.raises(MeasurementError, match="too few devices"):
         plain_lot(np.arange(3.0), ["a"] * 3, ["w"] * 3)
