@@ -78,9 +78,9 @@ def simulate(
         list[str] | None, typer.Option(help="With --lot: NAME or NAME:param=value,..; can be repeated.")
     ] = None,
 ) -> None:
-    """Simulate the standard campaign of one virtual device, or with --lot a measured lot of a population.
+    """Simulate the standard campaign of one virtual device.
 
-    The true parameters are written to truth.json.
+    With --lot a measured lot of a population instead. The true parameters are written to truth.json.
     """
     if lot or population is not None or irregularity:
         from ..lot import simulate_lot
