@@ -170,7 +170,7 @@ def test_the_version_is_that_of_the_distribution(capfd):
         (
             ["benchmark"],
             "coverage undetected foreign-gyros sweeps decays rare efficiency throughput scaling faults sequential lattice "
-            "silverbox hidden-effects hidden-irregularities",
+            "silverbox hidden-effects",
         ),
     ],
 )
