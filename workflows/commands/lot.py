@@ -40,11 +40,19 @@ def answer_lot(
     limits: Path | None,
     json: bool,
     model: Path | None,
+    effects: Sequence[Path] | None = None,
 ) -> None:
     """See ``gyroscreen compare --help``, with a lot."""
     if model is not None:
         raise UsageError(
             "a lot has no model file", value=str(model), allowed="--population", next_step="leave --model out"
+        )
+    if effects:
+        raise UsageError(
+            "a lot has irregularities instead of effects",
+            value=str(effects[0]),
+            allowed="irregularity_folders in the population file",
+            next_step="leave --effects out",
         )
     table = read_measured_lot(path)
     judged = DEFAULT_LIMITS if limits is None else load_limits(limits)

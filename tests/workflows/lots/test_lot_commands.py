@@ -164,6 +164,7 @@ def test_wrong_arguments_are_one_typed_line(metal, lot, tmp_path, capsys):
     cases = [
         (["compare", str(metal), "--population", "cloverleaf"], 2, "population file describes gyros"),
         (["compare", str(lot), "--model", "m.toml"], 2, "no model file"),
+        (["diagnose", str(lot), "--effects", str(tmp_path)], 2, "irregularities instead of effects"),
         (["compare", str(lot), "--population", "missing.toml"], 2, "cannot be read"),
         (["compare", str(tmp_path / "nothing"), "--population", "cloverleaf"], 5, "no such lot"),
         (["simulate", str(tmp_path / "a"), "--lot", "--irregularity", "bend"], 2, "no such irregularity"),

@@ -102,7 +102,7 @@ def compare(
     json: Json = False,
 ) -> None:
     """Fit a model to a campaign and show where it fails."""
-    if _for_a_lot("compare", campaign, population, out, limits, json, model):
+    if _for_a_lot("compare", campaign, population, out, limits, json, model, effects):
         return
     from ..learn import compare as command
 
@@ -119,7 +119,7 @@ def diagnose(
     json: Json = False,
 ) -> None:
     """Find the physical effect that the model lacks, if any."""
-    if _for_a_lot("diagnose", campaign, population, out, limits, json, model):
+    if _for_a_lot("diagnose", campaign, population, out, limits, json, model, effects):
         return
     from ..learn import diagnose as command
 
@@ -136,7 +136,7 @@ def refine(
     json: Json = False,
 ) -> None:
     """Diagnose, add the effect and refit, until none is missing."""
-    if _for_a_lot("refine", campaign, population, out, limits, json, model):
+    if _for_a_lot("refine", campaign, population, out, limits, json, model, effects):
         return
     from ..learn import refine as command
 
@@ -151,6 +151,7 @@ def _for_a_lot(
     limits: Path | None,
     json: bool,
     model: Path | None,
+    effects: list[Path] | None,
 ) -> bool:
     """Whether ``path`` is a lot; it is then answered."""
     if population is None and not path.is_dir() and path.suffix != ".toml":
@@ -159,7 +160,7 @@ def _for_a_lot(
 
     if not names_a_lot(path, population):
         return False
-    answer_lot(command, path, population, out, limits, json, model)
+    answer_lot(command, path, population, out, limits, json, model, effects)
     return True
 
 
