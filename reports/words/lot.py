@@ -76,6 +76,7 @@ def compare_lot_lines(answer: LotComparisonAnswer) -> list[str]:
     lines += mixture_lines(answer.mixtures)
     if answer.spreads_p_value is not None:
         lines.append(f"all spreads together are those of the file: p {number(answer.spreads_p_value, 2)}")
+        lines.append(f"all means and patterns together are those of the file: p {number(answer.means_p_value, 2)}")
     lines += spread_lines(answer.spreads, only_different=answer.error is not None)
     lines += pattern_lines(answer.patterns)
     lines += _places("where it fails after the refit:", answer.where)

@@ -76,7 +76,7 @@ class LotOutcomeAnswer(Answer, frozen=True, eq=False):
 class LotComparisonAnswer(Answer, frozen=True, eq=False):
     """How well a population explains a lot, and where it fails.
 
-    ``spreads_p_value`` : whether all spreads together are those of the file.
+    ``spreads_p_value``, ``means_p_value`` : whether all spreads, and all means and patterns, are those of the file.
     """
 
     lot: str
@@ -90,6 +90,7 @@ class LotComparisonAnswer(Answer, frozen=True, eq=False):
     refitted: LotOutcomeAnswer
     spreads: Mapping[str, SpreadAnswer]
     spreads_p_value: float | None
+    means_p_value: float | None
     patterns: Mapping[str, PatternAnswer]
     calibration: Mapping[str, CalibrationAnswer]
     where: tuple[PartAnswer, ...]

@@ -163,19 +163,20 @@ class LotFit:
         """Fall of ln L where v_k is ``value`` and the others follow, as their average information says."""
         v = self.variances
         matrix, scale = self._normalised
+        steps = np.zeros_like(v)
+        steps[k] = value - v[k]
         others = np.flatnonzero(np.arange(len(v)) != k)
-        trial = v.copy()
-        trial[k] = value
         while others.size:
-            right = matrix[others, k] * scale[k] * (value - v[k])
-            steps = np.linalg.lstsq(matrix[np.ix_(others, others)], right, rcond=1e-9)[0] / scale[others]
-            found = v[others] - steps
-            # A variance that is at zero and would become negative stays there, and the rest follow without it.
-            stuck = (found < 0.0) & self.at_zero[others]
-            if not np.any(stuck):
-                trial[others] = found
+            given = np.setdiff1d(np.arange(len(v)), others)
+            right = -matrix[np.ix_(others, given)] @ (scale[given] * steps[given])
+            steps[others] = np.linalg.lstsq(matrix[np.ix_(others, others)], right, rcond=1e-9)[0] / scale[others]
+            below = others[v[others] + steps[others] < 0.0]
+            if not below.size:
                 break
-            others = others[~stuck]
+            # A variance that would become negative is zero, and the rest follow with it.
+            steps[below] = FLOOR - v[below]
+            others = np.setdiff1d(others, below)
+        trial = v + steps
         try:
             return self.log_likelihood - _value(self.design, np.clip(trial, FLOOR, CEILING), self.lot)
         except np.linalg.LinAlgError:

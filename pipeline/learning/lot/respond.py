@@ -19,6 +19,7 @@ from .answers import (
     PatternAnswer,
     SpreadAnswer,
 )
+from .elimination import factorised, solved
 from .forecast import Conforms, YieldForecast, forecast
 from .loop import (
     LotDiagnosis,
@@ -34,10 +35,10 @@ from .loop import (
 from .outcome import HeldOut, calibrations, left_out
 from .population import generic_parts, spread_of
 from .prepared import PreparedLot
-from .reml import LotFit
+from .reml import LotFit, centred
 from .scores import LotScore
 
-#: p of all spreads together, below which they differ from the file.
+#: p of all spreads together, and of all means and patterns, below which they differ from the file.
 DIFFERENT = 0.01
 #: Entries of a list that the JSON and the pages carry.
 LISTED = 12
@@ -58,6 +59,7 @@ def comparison(ready: PreparedLot, seed: int = 0) -> LotComparisonAnswer:
     found = diagnosed(ready, rung.fit, generic_parts(ready.whole, spread_of(ready.whole), probes=False), (), seed)
     out = left_out(rung.fit.lot, rung.fit.model, rung.fit.variances)
     spreads, together = spread_answers(rung.fit), spreads_p_value(rung.fit)
+    fixed = fixed_p_value(rung.fit)
     where = [score for score in (*found.candidates, *found.probes) if score.p_value < 0.05]
     return LotComparisonAnswer(
         lot=ready.measured.name,
@@ -71,6 +73,7 @@ def comparison(ready: PreparedLot, seed: int = 0) -> LotComparisonAnswer:
         refitted=LotOutcomeAnswer(_errors(rung.outcome), _log_scores(rung.outcome)),
         spreads=spreads,
         spreads_p_value=None if shown is None else together,
+        means_p_value=None if shown is None else fixed,
         patterns=pattern_answers(rung.fit),
         calibration={
             one.quantity: CalibrationAnswer(one.sd, one.inside_90, one.p_value)
@@ -79,7 +82,9 @@ def comparison(ready: PreparedLot, seed: int = 0) -> LotComparisonAnswer:
         where=tuple(_part(score) for score in sorted(where, key=lambda one: one.log_p)[:LISTED]),
         mixtures={one.name: one.share for one in ready.mixtures},
         fit_ok=rung.fit.converged,
-        as_predicted=None if shown is None else not found.significant and not found.structure and together > DIFFERENT,
+        as_predicted=None
+        if shown is None
+        else not found.significant and not found.structure and min(together, fixed) > DIFFERENT,
     )
 
 
@@ -91,6 +96,13 @@ def spreads_p_value(fit: LotFit) -> float:
     """
     ratio = 2.0 * (fit.log_likelihood - fit.at(np.ones(len(fit.variances))))
     return float(chi2.sf(max(ratio, 0.0), len(fit.variances)))
+
+
+def fixed_p_value(fit: LotFit) -> float:
+    """p of b' Cov(b)^-1 b: means and patterns against those of the file, all together, with the spreads of the file."""
+    factor = factorised(fit.design, np.ones(len(fit.variances)))
+    b = solved(factor, centred(fit.lot, fit.model)[..., None]).coefficients[:, 0]
+    return float(chi2.sf(b @ np.linalg.solve(factor.fixed_inverse, b), len(b)))
 
 
 def diagnosis(ready: PreparedLot, seed: int = 0) -> LotDiagnosisAnswer:

@@ -75,6 +75,7 @@ def test_a_lot_of_the_population_is_as_predicted(lot, capsys):
     assert 0.005 < answer["mixtures"]["lid_leak"] < 0.08
     assert answer["devices"] + answer["held_devices"] == 400
     assert answer["spreads_p_value"] > 0.01
+    assert answer["means_p_value"] > 0.01
     assert call(["compare", str(lot / "lot.toml")]) == 0
     assert "as the population predicts" in capsys.readouterr().out
 
@@ -128,6 +129,8 @@ def test_an_irregularity_with_its_size(tmp_path, capsys):
     # The pattern is (1.5 / 0.6)^2 times that of the file.
     pattern = answer["patterns"]["sidewall_tilt.pattern"]
     assert abs(pattern["ratio"] - 6.25) < 4.0 * pattern["sd"]
+    assert answer["means_p_value"] < 1e-6
+    assert answer["as_predicted"] is False
 
 
 @pytest.mark.parametrize(
