@@ -34,7 +34,7 @@ TOLERANCE = 1e-10
 #: Three steps in a row that raise ln L by less than this each end the fit, too: 2e-5 of what one sd of a parameter costs.
 LEVEL = 2e-5
 #: A fit that used all its steps has converged if the last ``SETTLED`` that counted raised ln L by less than ``LEVELLED``.
-SETTLED, LEVELLED = 10, 5e-3
+SETTLED, LEVELLED = 10, 5e-2
 #: sd of v over that with all other variances known, above which the part shares a sum with others.
 RIDGE = 1.5
 #: Largest step of ln v that is drawn: a spread that one or two units determine may be anything.
