@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from .lots import hidden_irregularities
 from .options import Devices, Json, Seed, Workers
 
 app = typer.Typer(help="Measure the performance that the documentation claims.", no_args_is_help=True)
@@ -281,3 +282,7 @@ def hidden_effects(
     from ..hidden import hidden_effects as command
 
     command(kind, campaigns, only, seed, workers, out, json)
+
+
+# Its name would cut the summaries of all others in the list; docs/lots.md names it.
+app.command("hidden-irregularities", hidden=True)(hidden_irregularities)

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from .options import CampaignFolder, EffectFolders, Json, LimitsFile, Measurement, PageFolder, StartModel
+from .options import (
+    CampaignFolder,
+    EffectFolders,
+    Json,
+    LimitsFile,
+    LotOrMeasurement,
+    Measurement,
+    PageFolder,
+    PopulationFile,
+    StartModel,
+)
 
 
 def identify(
@@ -62,63 +72,109 @@ def simulate(
     effect: Annotated[list[str] | None, typer.Option(help="NAME or NAME:param=value,..; can be repeated.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the device, the effect sizes and the noise.")] = 1,
     effects: EffectFolders = None,
+    lot: Annotated[bool, typer.Option("--lot", help="A measured lot instead of one device.")] = False,
+    population: PopulationFile = None,
+    irregularity: Annotated[
+        list[str] | None, typer.Option(help="With --lot: NAME or NAME:param=value,..; can be repeated.")
+    ] = None,
 ) -> None:
     """Simulate the standard campaign of one virtual device.
 
-    The true parameters are written to truth.json.
+    With --lot a measured lot of a population instead. The true parameters are written to truth.json.
     """
+    if lot or population is not None or irregularity:
+        from ..lot import simulate_lot
+
+        simulate_lot(out_dir, population, irregularity or [], seed)
+        return
     from ..model import simulate as command
 
     command(out_dir, config, device, effect or [], seed, effects or [])
 
 
 def compare(
-    campaign: Measurement,
+    campaign: LotOrMeasurement,
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
     limits: LimitsFile = None,
+    population: PopulationFile = None,
     json: Json = False,
 ) -> None:
     """Fit a model to a campaign and show where it fails."""
+    if _for_a_lot("compare", campaign, population, out, limits, json, model, effects):
+        return
     from ..learn import compare as command
 
     command(campaign, model, out, effects or [], json, limits)
 
 
 def diagnose(
-    campaign: Measurement,
+    campaign: LotOrMeasurement,
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
     limits: LimitsFile = None,
+    population: PopulationFile = None,
     json: Json = False,
 ) -> None:
     """Find the physical effect that the model lacks, if any."""
+    if _for_a_lot("diagnose", campaign, population, out, limits, json, model, effects):
+        return
     from ..learn import diagnose as command
 
     command(campaign, model, out, effects or [], json, limits)
 
 
 def refine(
-    campaign: Measurement,
+    campaign: LotOrMeasurement,
     model: StartModel = None,
     out: PageFolder = None,
     effects: EffectFolders = None,
     limits: LimitsFile = None,
+    population: PopulationFile = None,
     json: Json = False,
 ) -> None:
     """Diagnose, add the effect and refit, until none is missing."""
+    if _for_a_lot("refine", campaign, population, out, limits, json, model, effects):
+        return
     from ..learn import refine as command
 
     command(campaign, model, out, effects or [], json, limits)
 
 
+def _for_a_lot(
+    command: Literal["compare", "diagnose", "refine"],
+    path: Path,
+    population: Path | None,
+    out: Path | None,
+    limits: Path | None,
+    json: bool,
+    model: Path | None,
+    effects: list[Path] | None,
+) -> bool:
+    """Whether ``path`` is a lot; it is then answered."""
+    if population is None and not path.is_dir() and path.suffix != ".toml":
+        return False
+    from ..lot import answer_lot, names_a_lot
+
+    if not names_a_lot(path, population):
+        return False
+    answer_lot(command, path, population, out, limits, json, model, effects)
+    return True
+
+
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("demo"),
     seed: Annotated[int | None, typer.Option(help="Seed of the device and its effect; default: random.")] = None,
+    lot: Annotated[bool, typer.Option("--lot", help="Hide an irregularity in a lot instead.")] = False,
 ) -> None:
     """Hide an effect in a virtual device and let refine find it."""
+    if lot:
+        from ..lot import demo_lot
+
+        demo_lot(out, seed)
+        return
     from ..learn import demo as command
 
     command(out, seed)

@@ -16,6 +16,12 @@ DEFAULT_RESULTS = Path("results")
 
 CampaignFolder = Annotated[Path, typer.Argument(help="A campaign folder or a record file.")]
 Measurement = Annotated[Path, typer.Argument(help="A campaign folder, a record file or a modal record (TOML).")]
+LotOrMeasurement = Annotated[
+    Path, typer.Argument(help="A campaign folder, a record file, a modal record, or a lot (lot.toml, a run).")
+]
+PopulationFile = Annotated[
+    Path | None, typer.Option("--population", help="Population file of a lot; default for gyros: the shipped one.")
+]
 StartModel = Annotated[Path | None, typer.Option("--model", help="Model file; default: the paper's model.")]
 PageFolder = Annotated[Path | None, typer.Option("--out", help="Write the page and its files to this folder.")]
 EffectFolders = Annotated[

@@ -1,0 +1,54 @@
+"""The page of a lot: what the population says, where it fails, what is missing, and the yield that it forecasts."""
+
+from __future__ import annotations
+
+from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswer, LotRefinementAnswer
+from pipeline.learning.lot.gyro import MEANINGS
+
+from ..html.rendering import environment, stylesheet
+from ..words.lot import ADAPTS, LEVELS, VERDICTS, compare_sentence, refine_sentence
+from .figures import LotMaps as LotMaps
+from .figures import forecast_figure, residual_maps, spreads_figure
+
+
+def render_lot_page(
+    comparison: LotComparisonAnswer,
+    diagnosis: LotDiagnosisAnswer | None,
+    refinement: LotRefinementAnswer | None,
+    before: LotMaps,
+    after: LotMaps | None,
+    truth: str | None = None,
+) -> str:
+    """The page as HTML, without any request to other hosts.
+
+    Parameters
+    ----------
+    before, after : residuals of the refitted population, and of the last rung of the ladder.
+    truth : what was hidden, where that is known.
+    """
+    headline = compare_sentence(comparison)
+    if refinement is not None:
+        headline = refine_sentence(refinement)
+    elif diagnosis is not None:
+        headline = VERDICTS[diagnosis.verdict]
+    added = refinement.irregularities if refinement is not None else ()
+    template = environment().get_template("lot.html.j2")
+    return template.render(
+        stylesheet=stylesheet(),
+        c=comparison,
+        d=diagnosis,
+        r=refinement,
+        headline=headline,
+        added=added,
+        levels=LEVELS,
+        meanings=MEANINGS,
+        adapts=ADAPTS,
+        truth=truth,
+        spreads=comparison.spreads if refinement is None else refinement.spreads,
+        patterns=comparison.patterns if refinement is None else refinement.patterns,
+        mixtures=comparison.mixtures if refinement is None else refinement.mixtures,
+        forecast=forecast_figure(refinement.ladder) if refinement is not None else "",
+        spreads_plot=spreads_figure(comparison.spreads if refinement is None else refinement.spreads),
+        before=residual_maps(before, "maps-before"),
+        after="" if after is None or not added else residual_maps(after, "maps-after", before),
+    )
