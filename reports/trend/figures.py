@@ -19,6 +19,8 @@ from .content import TrendChart
 
 #: Nights that are named below a chart; more would overlap.
 _NAMED = 4
+#: Limits that are farther from the nights than so many times their span are not drawn: two nights may give 100 spans.
+_NEAR = 6.0
 _LIMITS = "#b9c3cc"
 
 
@@ -72,17 +74,23 @@ def _panel(axes: Axes, chart: TrendChart, run_id: str) -> None:
 
 
 def _window(axes: Axes, chart: TrendChart, value: np.ndarray, *others: np.ndarray) -> None:
-    """All nights and the latest limits are inside; limits from very few nights, and wide intervals, may leave the window."""
+    """All nights are inside, and the latest limits where they do not dwarf them; wide intervals may leave the window."""
     low, high, lower, upper = others
-    ends = [*value, *(end for end in (lower[-1], upper[-1]) if np.isfinite(end))]
+    ends = list(value)
     spread = max(max(ends) - min(ends), 1e-9 * max(abs(max(ends)), 1e-9))
-    for k in range(len(value)):
-        ends += [end for end in (low[k], high[k]) if np.isfinite(end) and abs(end - value[k]) < spread]
+    near = [end for end in (*low, *high) if np.isfinite(end) and abs(end - value.mean()) < _NEAR * spread]
+    ends += near
+    spread = max(ends) - min(ends)
+    limits = [end for end in (lower[-1], upper[-1]) if np.isfinite(end)]
+    beyond = [end for end in limits if abs(end - value.mean()) > _NEAR * spread]
+    ends += [end for end in limits if end not in beyond]
     margin = 0.06 * (max(ends) - min(ends)) or 0.5
     bottom, top = min(ends) - margin, max(ends) + margin
     if chart.name == YIELD:
         bottom, top = max(bottom, -3.0), min(top, 103.0)
     axes.set_ylim(bottom, top)
+    if beyond:
+        axes.set_title("limits beyond the chart", loc="right", fontsize=9, color=MUTED, fontweight="normal")
 
 
 def _handles() -> list[Line2D | Patch]:

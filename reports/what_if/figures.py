@@ -75,13 +75,17 @@ def pair_bars(pairs: Sequence[PairLoss], devices: int, name: str = "limit-pairs"
                 start += scale * count
             low, high = scale * devices * pair.share.low, scale * devices * pair.share.high
             axes.plot([low, high], [-k, -k], color=INK, lw=1.0)
-            axes.text(max(start, high), -k, f"   {start:.1f} %", va="center", fontsize=10, color=MUTED)
+            axes.annotate(
+                f"{start:.1f} %", (max(start, high), -k), (6, 0), textcoords="offset points", va="center", fontsize=10,
+                color=MUTED,
+            )  # fmt: skip
         axes.set_yticks(
             [-k for k in range(len(shown))],
             [f"{label(one.first.quantity)}  and  {label(one.second.quantity)}" for one in shown],
         )
         axes.set_ylim(-len(shown) + 0.4, 0.6)
-        axes.set_xlim(left=0.0)
+        # Room for the last label.
+        axes.set_xlim(0.0, 1.12 * max(scale * max(devices * pair.share.high, pair.devices) for pair in shown))
         axes.tick_params(axis="y", length=0)
         axes.grid(axis="x", color=RULE, lw=0.5)
         axes.set_axisbelow(True)
