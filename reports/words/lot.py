@@ -105,13 +105,14 @@ def diagnose_lot_lines(answer: LotDiagnosisAnswer) -> list[str]:
 
 def refine_lot_lines(answer: LotRefinementAnswer) -> list[str]:
     """The ladder with the yield forecasts, and the verdict."""
+    names = [rung.model + (f" ({rung.status})" if rung.status else "") for rung in answer.ladder]
+    width = max(map(len, ["model", *names]))
     lines = [
-        f"{'model':34s} {'error':>7s} {'held out':>9s} {'log score':>10s} {'held out':>9s}  yield of the held-out wafers"
+        f"{'model':{width}s} {'error':>7s} {'held out':>9s} {'log score':>10s} {'held out':>9s}  yield of the held-out wafers"
     ]
-    for rung in answer.ladder:
-        status = f" ({rung.status})" if rung.status else ""
+    for name, rung in zip(names, answer.ladder):
         lines.append(
-            f"{(rung.model + status)[:34]:34s} {number(rung.error_fit):>7s} {number(rung.error_validate):>9s} "
+            f"{name:{width}s} {number(rung.error_fit):>7s} {number(rung.error_validate):>9s} "
             f"{number(rung.log_score_fit):>10s} {number(rung.log_score_validate):>9s}  {forecast_words(rung.forecast)}"
         )
     lines += [ADAPTS, refine_sentence(answer)]
