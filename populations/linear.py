@@ -203,7 +203,7 @@ def _share(moved: Callable[[str, int, float, float], FloatArray], on: FloatArray
 
 
 @dataclass(frozen=True)
-class _DrawnNumbers:
+class _FreshNumbers:
     """Independent standard normals for each device, which are kept by stream."""
 
     generator: np.random.Generator
@@ -234,7 +234,7 @@ def curvature(
     """What the first order leaves (B, q): drawn devices, with all their numbers independent, less their linear prediction."""
     count = len(x_mm)
     linear = linearized(spec, x_mm, y_mm, stage, coordinates)
-    numbers = _DrawnNumbers(np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed))))
+    numbers = _FreshNumbers(np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed))))
     zero = np.zeros(count, dtype=np.int64)
     placed = Places(lot=zero, wafer=zero, wafer_in_lot=zero, die=zero, x_mm=x_mm, y_mm=y_mm)
     changes = {

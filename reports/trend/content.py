@@ -37,7 +37,7 @@ class InputChange:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOutNight:
     """A run that is not in the charts, and why; ``charts`` names those that it is missing from, empty: all."""
 
     run_id: str
@@ -103,7 +103,7 @@ class TrendContent:
     changes: tuple[InputChange, ...]
     charts: tuple[TrendChart, ...]
     nights: tuple[str, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[LeftOutNight, ...]
     false_alarm: float
     alarms: tuple[Alarm, ...]
     broken_limits: tuple[Alarm, ...]

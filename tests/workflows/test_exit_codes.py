@@ -52,7 +52,7 @@ def _run(block: Any = None, text: str = "") -> Case:
 
 
 def _without_worker(tmp: Path, patch: pytest.MonkeyPatch) -> list[str]:
-    def in_parallel(*_: Any) -> Any:
+    def in_parallel(*_: Any, **__: Any) -> Any:
         raise IncompleteError("no worker is left")
 
     stub_runs(patch)

@@ -12,7 +12,7 @@ from reports.trend.charted import YIELD, night_limits
 from reports.trend.content import (
     FALSE_ALARM,
     InputChange,
-    LeftOut,
+    LeftOutNight,
     TrendContent,
     chart_alarms,
     charts_of,
@@ -105,15 +105,15 @@ def _read(results: Path, selection: Selection, names: Sequence[str]) -> tuple[li
     measured = selection.tonight.config.source.kind == "campaigns"
     tonight = _identified(read_night(results, selection.tonight, names, identities=measured))
     kept: list[tuple[StoredNight, NightSummary]] = []
-    left: list[LeftOut] = []
+    left: list[LeftOutNight] = []
     seen = {frozenset(tonight.device_id)}
     for stored in reversed(selection.earlier):
         night = read_night(results, stored, names, identities=measured)
         devices = frozenset(night.device_id)
         if not night.identified:
-            left.append(LeftOut(night.run_id, "no device could be identified"))
+            left.append(LeftOutNight(night.run_id, "no device could be identified"))
         elif measured and devices in seen:
-            left.append(LeftOut(night.run_id, "the same devices as a later night"))
+            left.append(LeftOutNight(night.run_id, "the same devices as a later night"))
         else:
             kept.append((stored, night.summary(names)))
             seen.add(devices)

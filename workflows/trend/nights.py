@@ -18,7 +18,7 @@ from pipeline.store.run import open_run
 from reports.devices import Devices
 from reports.limits import Limits
 from reports.trend.charted import CHARTED, COMPONENTS, YIELD
-from reports.trend.content import LeftOut
+from reports.trend.content import LeftOutNight
 from reports.trend.night import Night, night_of
 
 from ..config import RunConfig, config_of_run, with_stated_limits
@@ -56,7 +56,7 @@ class Selection:
 
     tonight: StoredNight
     earlier: tuple[StoredNight, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[LeftOutNight, ...]
 
 
 def stored_night(results: Path, manifest: Manifest) -> StoredNight:
@@ -101,17 +101,19 @@ def select(
             next_step="correct --leave-out",
         )
     kept: list[StoredNight] = []
-    left: list[LeftOut] = []
+    left: list[LeftOutNight] = []
     for manifest in reversed(runs):
         if len(kept) == most:
             break
         night = stored_night(results, manifest)
         reason = "named by --leave-out" if night.run_id in without else why_not(tonight, night, kept)
         if reason:
-            left.append(LeftOut(night.run_id, reason))
+            left.append(LeftOutNight(night.run_id, reason))
         else:
             kept.append(night)
-    other = [LeftOut(one.run_id, "judged by other limits", (YIELD,)) for one in kept if one.limits != tonight.limits]
+    other = [
+        LeftOutNight(one.run_id, "judged by other limits", (YIELD,)) for one in kept if one.limits != tonight.limits
+    ]
     return Selection(tonight, tuple(reversed(kept)), (*left, *other))
 
 

@@ -16,7 +16,7 @@ from reports.limits_origin import shipped_origin
 from reports.trend.charted import CHARTED, COMPONENTS
 from reports.trend.content import (
     InputChange,
-    LeftOut,
+    LeftOutNight,
     TrendContent,
     chart_alarms,
     charts_of,
@@ -63,7 +63,10 @@ def content(series: Sequence[Night], limits: Sequence[Limit] = (), gated: bool =
         changes=(InputChange("population", "population.operating.lid_pressure_pa", "25.0", "60.0"),),
         charts=charts,
         nights=tuple(night.run_id for night in series),
-        left_out=(LeftOut("20251231T000000-seed9", "not complete"), LeftOut("x", "judged by other limits", ("yield",))),
+        left_out=(
+            LeftOutNight("20251231T000000-seed9", "not complete"),
+            LeftOutNight("x", "judged by other limits", ("yield",)),
+        ),
         false_alarm=0.01,
         alarms=chart_alarms(charts, tonight.run_id),
         broken_limits=limit_alarms(tonight.summary(NAMES), limits),
@@ -151,7 +154,7 @@ def test_text_of_the_results_is_escaped(payload: str) -> None:
     hostile = replace(
         plain,
         changes=(InputChange("file", payload, payload, payload),),
-        left_out=(LeftOut(payload, payload),),
+        left_out=(LeftOutNight(payload, payload),),
         run_id=payload,
     )
     assert not added(render_trend(hostile), render_trend(plain))
