@@ -10,7 +10,9 @@ Shapes: B devices.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,30 +36,81 @@ class Draw:
     Parameters
     ----------
     index : device numbers n.
-    device_id, lot, wafer, package : names, "D000123", "L01", "L01-W03", "P000123".
-    die_x_mm, die_y_mm : centre of the die on its wafer (B,) [mm].
+    placed : their places; ``die_x_mm``, ``die_y_mm`` are the centres of the dies on their wafers (B,) [mm].
     fab : parameter of ``pipeline.quantities.MODEL`` -> (B,) [its unit], as the wafer prober measures it with its own
         channel gains.
     true : the same, as packaged, at the operating bias and temperature.
     effects : effect -> parameter -> (B,) [its unit], sizes of effects that are not parameters of the plant, as packaged.
-    causes : contributions of each irregularity, (B,), as packaged: "split_hz.<irregularity>" [Hz] (projected on the anisotropy
-        of the device, so that they add up to the split in first order), "frequency_hz.<irregularity>" [Hz] (mean rocking
-        frequency) and "ln_quality.<irregularity>" [1] (ln of the mean rocking Q).
+    changes : what each irregularity does, with its name and stage.
     numbers : the random numbers that the irregularities read.
+    spec : the population.
     """
 
     index: IntArray
-    device_id: tuple[str, ...]
-    lot: tuple[str, ...]
-    wafer: tuple[str, ...]
-    package: tuple[str, ...]
-    die_x_mm: FloatArray
-    die_y_mm: FloatArray
+    placed: Places
     fab: dict[str, FloatArray]
     true: dict[str, FloatArray]
     effects: dict[str, dict[str, FloatArray]]
-    causes: dict[str, FloatArray]
+    changes: tuple[tuple[str, Stage, Change], ...]
     numbers: DrawnNumbers
+    spec: PopulationSpec
+
+    # Names and contributions are made where they are asked for: an attribution draws a population 91 times, for its parameters
+    # alone, and needs half of the time without them.
+
+    @cached_property
+    def device_id(self) -> tuple[str, ...]:
+        """Names of the devices, "D000123"."""
+        return tuple(f"D{n:06d}" for n in self.index.tolist())
+
+    @cached_property
+    def lot(self) -> tuple[str, ...]:
+        """Names of their lots, "L01"."""
+        return tuple(f"L{lot + 1:02d}" for lot in self.placed.lot.tolist())
+
+    @cached_property
+    def wafer(self) -> tuple[str, ...]:
+        """Names of their wafers, "L01-W03"."""
+        return tuple(f"{lot}-W{wafer + 1:02d}" for lot, wafer in zip(self.lot, self.placed.wafer_in_lot.tolist()))
+
+    @cached_property
+    def package(self) -> tuple[str, ...]:
+        """Names of their packages, "P000123"."""
+        return tuple(f"P{n:06d}" for n in self.index.tolist())
+
+    @property
+    def die_x_mm(self) -> FloatArray:
+        """(B,) x of the centre of the die on its wafer [mm]."""
+        return self.placed.x_mm
+
+    @property
+    def die_y_mm(self) -> FloatArray:
+        """(B,) y of the centre of the die on its wafer [mm]."""
+        return self.placed.y_mm
+
+    @cached_property
+    def causes(self) -> dict[str, FloatArray]:
+        """Contributions of each irregularity, (B,), as packaged.
+
+        "split_hz.<irregularity>" [Hz] (projected on the anisotropy of the device, so that they add up to the split in first
+        order), "frequency_hz.<irregularity>" [Hz] (mean rocking frequency), "ln_quality.<irregularity>" [1] (ln of the mean
+        rocking Q).
+        """
+        device, found = self.spec.device, dict[str, FloatArray]()
+        count, springs = len(self.index), len(device.spring_azimuth_deg)
+        packaged = _structure(self.changes, count, springs, "fabrication", "package")
+        whole = stiffness(device, packaged, _bias(self.spec)).rocking.anisotropy
+        size = np.maximum(np.hypot(whole.real, whole.imag), np.finfo(np.float64).tiny)
+        for name, stage, change in self.changes:
+            if stage != "probe":
+                alone = combine([(name, change)], count, springs)
+                k = stiffness(device, alone, 1.0).rocking
+                along = (k.anisotropy.real * whole.real + k.anisotropy.imag * whole.imag) / size
+                loss, _ = inverse_quality(device, alone, 1.0)
+                found[f"split_hz.{name}"] = device.rocking_hz * along
+                found[f"frequency_hz.{name}"] = device.rocking_hz * (np.sqrt(k.mean) - 1.0)
+                found[f"ln_quality.{name}"] = np.log(1.0 / (loss * device.quality_rocking))
+        return found
 
 
 def draw(spec: PopulationSpec, seed: int, first: int, count: int) -> Draw:
@@ -89,42 +142,20 @@ def draw_with(spec: PopulationSpec, index: IntArray, placed: Places, numbers: Nu
         site = Site(irregularity.name, recorded, index, placed, device, spec.wafer, operating)
         changes.append((irregularity.name, irregularity.stage, acted(irregularity, values, site)))
 
-    springs = len(device.spring_azimuth_deg)
-
-    def structure(*stages: Stage) -> Structure:
-        return combine([(name, change) for name, stage, change in changes if stage in stages], count, springs)
-
-    bias = operating.bias_v / device.nominal_bias_v
-    packaged = structure("fabrication", "package")
+    springs, bias = len(device.spring_azimuth_deg), _bias(spec)
+    packaged = _structure(changes, count, springs, "fabrication", "package")
     true = parameters(device, packaged, bias, operating.lid_pressure_pa / device.nominal_pressure_pa)
     probe = operating.probe_pressure_pa / device.nominal_pressure_pa
-    fab = parameters(device, structure("fabrication", "probe"), 1.0, probe)
+    fab = parameters(device, _structure(changes, count, springs, "fabrication", "probe"), 1.0, probe)
+    sizes = effects(device, packaged, bias, true)
+    return Draw(index, placed, fab, true, sizes, tuple(changes), recorded.drawn(count), spec)
 
-    causes: dict[str, FloatArray] = {}
-    whole = stiffness(device, packaged, bias).rocking.anisotropy
-    size = np.maximum(np.hypot(whole.real, whole.imag), np.finfo(np.float64).tiny)
-    for name, stage, change in changes:
-        if stage != "probe":
-            alone = combine([(name, change)], count, springs)
-            k = stiffness(device, alone, 1.0).rocking
-            along = (k.anisotropy.real * whole.real + k.anisotropy.imag * whole.imag) / size
-            loss, _ = inverse_quality(device, alone, 1.0)
-            causes[f"split_hz.{name}"] = device.rocking_hz * along
-            causes[f"frequency_hz.{name}"] = device.rocking_hz * (np.sqrt(k.mean) - 1.0)
-            causes[f"ln_quality.{name}"] = np.log(1.0 / (loss * device.quality_rocking))
 
-    lots = tuple(f"L{lot + 1:02d}" for lot in placed.lot.tolist())
-    return Draw(
-        index=index,
-        device_id=tuple(f"D{n:06d}" for n in index.tolist()),
-        lot=lots,
-        wafer=tuple(f"{lot}-W{wafer + 1:02d}" for lot, wafer in zip(lots, placed.wafer_in_lot.tolist())),
-        package=tuple(f"P{n:06d}" for n in index.tolist()),
-        die_x_mm=placed.x_mm,
-        die_y_mm=placed.y_mm,
-        fab=fab,
-        true=true,
-        effects=effects(device, packaged, bias, true),
-        causes=causes,
-        numbers=recorded.drawn(count),
-    )
+def _structure(changes: Sequence[tuple[str, Stage, Change]], count: int, springs: int, *stages: Stage) -> Structure:
+    """The devices with the changes of some stages."""
+    return combine([(name, change) for name, stage, change in changes if stage in stages], count, springs)
+
+
+def _bias(spec: PopulationSpec) -> float:
+    """Operating over nominal bias [1]."""
+    return spec.operating.bias_v / spec.device.nominal_bias_v
