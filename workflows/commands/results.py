@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines, unwritable
+from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines
 from pipeline.store.manifest import Manifest
 from pipeline.store.query import LATEST, answer, write_table
 from pipeline.store.read import list_runs
@@ -78,6 +78,7 @@ def _name_run(runs: Sequence[Manifest], run: str) -> None:
 def report(run: str | None, results: Path, out: Path | None, limits: Path | None = None, json: bool = False) -> None:
     """See ``gyroscreen report --help``."""
     from ..screening.outcome import rendered_report, store_report, write_report
+    from .stored_page import written_page
     from .what_if import what_if_report
 
     runs = list_runs(results)
@@ -99,12 +100,7 @@ def report(run: str | None, results: Path, out: Path | None, limits: Path | None
         # The results may be read-only; the user asks for a page elsewhere.
         with suppress(IncompleteError):
             store_report(results, chosen, page)
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            out.write_text(page, encoding="utf-8")
-        except OSError as error:
-            raise unwritable("the page", out, error, "choose another file with --out") from None
-        path = out
+        path = written_page(page, out)
     if json:
         from .report_answer import report_answer
 

@@ -6,11 +6,11 @@ import json as json_
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipeline.errors import GateError, printable_lines, unwritable
-from pipeline.store.run import open_run
+from pipeline.errors import GateError, printable_lines
 from reports.words import trend as words
 
 from ..trend.answer import trend
+from .stored_page import stored_page
 
 #: The page of a trend in the folder of its run, beside report.html.
 PAGE = "trend.html"
@@ -34,18 +34,7 @@ def against(
     content = trend(results, run, other, alarms, without)
     from reports.trend.page import render_trend  # it loads matplotlib
 
-    page = render_trend(content)
-    if out is None:
-        store = open_run(results, content.run_id)
-        store.write_file(PAGE, page.encode("utf-8"))
-        path = store.folder / PAGE
-    else:
-        path = out
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            out.write_text(page, encoding="utf-8")
-        except OSError as error:
-            raise unwritable("the page", out, error, "choose another file with --out") from None
+    path = stored_page(render_trend(content), results, content.run_id, PAGE, out)
     if json:
         print(json_.dumps(content.to_dict() | {"headline": words.headline(content), "page": str(path)}))
     else:

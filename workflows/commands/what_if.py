@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from pipeline.errors import unwritable
 from reports.limits import load_limits
 
 
@@ -20,27 +19,15 @@ def what_if_report(run_id: str, results: Path, limits: Path, out: Path | None, j
     json : print one JSON object.
     """
     new = load_limits(limits)
-    from pipeline.store.run import open_run
     from reports.what_if.page import render_what_if
     from reports.words.what_if import what_if_lines
 
     from ..what_if.answer import answer
     from ..what_if.run import judged_run
+    from .stored_page import stored_page
 
     found = judged_run(results, run_id, new, limits.name)
-    page = render_what_if(found.content)
-    if out is None:
-        store = open_run(results, run_id)
-        name = page_name(limits)
-        store.write_file(name, page.encode("utf-8"))
-        path = store.folder / name
-    else:
-        path = out
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            out.write_text(page, encoding="utf-8")
-        except OSError as error:
-            raise unwritable("the page", out, error, "choose another file with --out") from None
+    path = stored_page(render_what_if(found.content), results, run_id, page_name(limits), out)
     if json:
         import json as json_
 

@@ -1,0 +1,33 @@
+"""Where a page about a run goes: into the folder of the run, or to the file that the user names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.errors import unwritable
+from pipeline.store.run import open_run
+
+
+def stored_page(page: str, results: Path, run_id: str, name: str, out: Path | None) -> Path:
+    """The path of ``page``, which is stored as ``name`` in the folder of the run; or written to ``out``.
+
+    Raises
+    ------
+    UsageError : the file that the user names cannot be written.
+    IncompleteError : the folder of the run cannot.
+    """
+    if out is not None:
+        return written_page(page, out)
+    store = open_run(results, run_id)
+    store.write_file(name, page.encode("utf-8"))
+    return store.folder / name
+
+
+def written_page(page: str, out: Path) -> Path:
+    """``out``, with ``page`` in it; raises as :func:`stored_page`."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise unwritable("the page", out, error, "choose another file with --out") from None
+    return out
