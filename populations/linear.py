@@ -141,7 +141,7 @@ def linearized(
     present = [(one, values) for one, values in spec.found() if one.stage in stages]
     device, operating = spec.device, spec.operating
     packaged = stage == "package"
-    bias = operating.bias_v / device.nominal_bias_v if packaged else 1.0
+    bias = spec.bias_ratio if packaged else 1.0
     pressure = operating.lid_pressure_pa if packaged else operating.probe_pressure_pa
 
     def change(one: Irregularity, values: Mapping[str, float], numbers: _ChosenNumbers) -> Change:
@@ -245,7 +245,7 @@ def curvature(
         if one.stage in ("fabrication", stage)
     }
     packaged = stage == "package"
-    bias = spec.operating.bias_v / spec.device.nominal_bias_v if packaged else 1.0
+    bias = spec.bias_ratio if packaged else 1.0
     pressure = spec.operating.lid_pressure_pa if packaged else spec.operating.probe_pressure_pa
     whole = combine(changes.items(), count, len(spec.device.spring_azimuth_deg))
     drawn = coordinates(parameters(spec.device, whole, bias, pressure / spec.device.nominal_pressure_pa))

@@ -41,6 +41,11 @@ class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         """kappa = I_p / I_0p."""
         return self.device.angular_gain
 
+    @property
+    def bias_ratio(self) -> float:
+        """Operating bias over the nominal one [1]."""
+        return self.operating.bias_v / self.device.nominal_bias_v
+
     def found(self) -> tuple[tuple[Irregularity, Mapping[str, float]], ...]:
         """The irregularities of this population, sorted by name, each with all its parameters."""
         known = find(self.irregularity_folders)

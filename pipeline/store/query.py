@@ -19,14 +19,14 @@ from ..sql.client import QueryProcess, SqlAnswer
 from ..sql.request import Question, file_schema
 from .manifest import Kind, Manifest
 from .output import FORMATS, write_table
-from .read import PREFIX, find_run, list_runs
+from .read import LATEST, PREFIX, find_run, list_runs
 from .views import columns_view, runs_view, view_schema
 
 __all__ = ["FORMATS", "answer", "query", "write_table"]
 
 MAX_ANSWER_BYTES = 1 << 30
 _TRIES = 20
-LATEST, ALL = "latest", "all"
+ALL = "all"
 _VIEWS: tuple[Kind, ...] = ("devices", "posterior", "irregularities")
 _UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 _UNITS |= {"KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}
@@ -72,7 +72,7 @@ def answer(
     if not timeout_s > 0.0:
         raise UsageError("the timeout is not a positive time", value=timeout_s, allowed="more than 0 s")
     request = Question(sql, _bytes_of(memory_limit), MAX_ANSWER_BYTES, rows)
-    find_run(results, None if run in (LATEST, ALL) else run)
+    find_run(results, None if run == ALL else run)
     for _ in range(_TRIES):
         with QueryProcess() as process:
             runs = list_runs(results)

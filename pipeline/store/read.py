@@ -20,6 +20,8 @@ from .parquet import decode_table
 
 CONFIG = "run.toml"
 PREFIX = "run="
+#: The name of the newest run.
+LATEST = "latest"
 #: How often a reader starts again because a writer replaced files while it read.
 _TRIES = 20
 #: "s3:" of s3://bucket; one letter is a drive of Windows.
@@ -83,7 +85,7 @@ def list_runs(results: Path) -> tuple[Manifest, ...]:
 
 
 def find_run(results: Path, run_id: str | None = None) -> Path:
-    """Folder of a run; without a name, of the newest.
+    """Folder of a run; without a name, and as "latest", of the newest.
 
     Raises
     ------
@@ -97,7 +99,7 @@ def find_run(results: Path, run_id: str | None = None) -> Path:
             value=str(results),
             next_step="make one with `gyroscreen run`, or name the folder with --results",
         )
-    if run_id is None:
+    if run_id in (None, LATEST):
         return results / f"{PREFIX}{list_runs(results)[-1].run_id}"
     folder = results / f"{PREFIX}{run_id}"
     if folder not in folders:

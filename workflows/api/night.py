@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import pyarrow as pa
 
 from pipeline.arrays import FloatArray
-from pipeline.errors import UsageError, unwritable
+from pipeline.errors import UsageError
 from pipeline.quantities import NAMES
 from pipeline.store.columns import StoredRun, StoredTable, with_run
 from pipeline.store.query import query as query_results
@@ -27,6 +27,7 @@ from reports.yields import Yield
 
 from ..config import RunConfig, config_of_run
 from ..screening import outcome
+from ..stored_page import written_page
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -139,12 +140,7 @@ class ScreeningRun:
         if out is None:
             return outcome.write_report(self.results, self.run_id)
         page = outcome.rendered_report(self.results, self.run_id)
-        try:
-            Path(out).parent.mkdir(parents=True, exist_ok=True)
-            Path(out).write_text(page, encoding="utf-8")
-        except OSError as error:
-            raise unwritable("the page", out, error, "choose another file") from None
-        return Path(out)
+        return written_page(page, Path(out), "choose another file")
 
     def draws_of(self, device_id: str) -> tuple[dict[str, FloatArray], dict[str, float]]:
         """Draws (n,) of a device by quantity, and its true values by true_<q>; only files that can hold it are read.

@@ -35,7 +35,7 @@ def open_run(run: str = "latest", results: str | Path = DEFAULT_RESULTS) -> Scre
     if Path(run).name.startswith(PREFIX):
         folder = Path(run)
         run, results = folder.name.removeprefix(PREFIX), folder.parent
-    found = find_run(Path(results), None if run == "latest" else run)
+    found = find_run(Path(results), run)
     return ScreeningRun(Path(results), found.name.removeprefix(PREFIX))
 
 

@@ -19,7 +19,7 @@ from ..screening.outcome import config_of_stored
 
 def attribute(run: str | None, results: Path, changes: str | None, samples: int, json: bool) -> None:
     """See ``gyroscreen attribute --help``."""
-    folder = find_run(results, None if run in (None, "latest") else run)
+    folder = find_run(results, run)
     if samples < 2:
         raise UsageError("too few --samples", value=samples, allowed="2 or more", next_step="raise --samples")
 

@@ -27,7 +27,7 @@ _ALWAYS = ("theta_deg", "split_hz")
 
 def grr(run: str | None, results: Path, limits: Path | None, json: bool) -> None:
     """See ``gyroscreen grr --help``."""
-    folder = find_run(results, None if run in (None, "latest") else run)
+    folder = find_run(results, run)
     own = None if limits is None else load_limits(limits)
 
     def studied(tables: StoredRun) -> list[GaugeStudy]:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines
 from pipeline.store.manifest import Manifest
-from pipeline.store.query import LATEST, answer, write_table
-from pipeline.store.read import list_runs
+from pipeline.store.query import answer, write_table
+from pipeline.store.read import LATEST, list_runs
 from pipeline.store.verify import verify as verify_results
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _name_run(runs: Sequence[Manifest], run: str) -> None:
 def report(run: str | None, results: Path, out: Path | None, limits: Path | None = None, json: bool = False) -> None:
     """See ``gyroscreen report --help``."""
     from ..screening.outcome import rendered_report, store_report, write_report
-    from .stored_page import written_page
+    from ..stored_page import written_page
     from .what_if import what_if_report
 
     runs = list_runs(results)

@@ -9,8 +9,8 @@ from pathlib import Path
 from pipeline.errors import GateError, printable_lines
 from reports.words import trend as words
 
+from ..stored_page import stored_page
 from ..trend.answer import trend
-from .stored_page import stored_page
 
 #: The page of a trend in the folder of its run, beside report.html.
 PAGE = "trend.html"

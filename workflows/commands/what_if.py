@@ -22,9 +22,9 @@ def what_if_report(run_id: str, results: Path, limits: Path, out: Path | None, j
     from reports.what_if.page import render_what_if
     from reports.words.what_if import what_if_lines
 
+    from ..stored_page import stored_page
     from ..what_if.answer import answer
     from ..what_if.run import judged_run
-    from .stored_page import stored_page
 
     found = judged_run(results, run_id, new, limits.name)
     path = stored_page(render_what_if(found.content), results, run_id, page_name(limits), out)

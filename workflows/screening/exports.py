@@ -74,7 +74,7 @@ def export(results: Path, run: str | None, format: str | None, out: Path | None)
     IntegrityError : the run is not what was committed.
     """
     chosen = _format(format, out)
-    folder = find_run(results, None if run in (None, "latest") else run)
+    folder = find_run(results, run)
     name = folder.name.removeprefix(PREFIX)
 
     def written(tables: StoredRun) -> Exported:

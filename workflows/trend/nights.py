@@ -74,7 +74,7 @@ def chosen(results: Path, run_id: str | None) -> tuple[StoredNight, tuple[Manife
     ------
     UsageError : there is no such run, or it has no devices.
     """
-    folder = find_run(results, None if run_id in (None, "latest") else run_id)
+    folder = find_run(results, run_id)
     runs = list_runs(results)
     names = [manifest.run_id for manifest in runs]
     place = names.index(folder.name.removeprefix(PREFIX))

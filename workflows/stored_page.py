@@ -23,11 +23,11 @@ def stored_page(page: str, results: Path, run_id: str, name: str, out: Path | No
     return store.folder / name
 
 
-def written_page(page: str, out: Path) -> Path:
-    """``out``, with ``page`` in it; raises as :func:`stored_page`."""
+def written_page(page: str, out: Path, next_step: str = "choose another file with --out") -> Path:
+    """``out``, with ``page`` in it; raises UsageError with ``next_step`` where it cannot be written."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise unwritable("the page", out, error, "choose another file with --out") from None
+        raise unwritable("the page", out, error, next_step) from None
     return out
