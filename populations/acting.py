@@ -15,7 +15,7 @@ from .changes import check_change
 from .irregularity import Change, Irregularity
 from .site import Site
 
-_GUIDE = "correct this line; see docs/add-an-irregularity.md"
+_GUIDE = "correct this line; see docs/how-to/add-an-irregularity.md"
 
 
 def acted(irregularity: Irregularity, values: Mapping[str, float], site: Site) -> Change:

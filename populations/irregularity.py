@@ -127,7 +127,7 @@ def _found(folders: tuple[str, ...], digests: tuple[str, ...]) -> Mapping[str, I
                 f"{where} must define one IRREGULARITY with a unique name",
                 value=irregularity,
                 allowed=f"a populations.irregularity.Irregularity not named {', '.join(sorted(found))}",
-                next_step="see docs/add-an-irregularity.md",
+                next_step="see docs/how-to/add-an-irregularity.md",
             )
         found[irregularity.name] = irregularity
     return dict(sorted(found.items()))
@@ -146,7 +146,7 @@ def _load(path: Path) -> ModuleType:
             "the file of an irregularity fails when it is run",
             error,
             path,
-            "correct this line; see docs/add-an-irregularity.md",
+            "correct this line; see docs/how-to/add-an-irregularity.md",
             "a Python file that defines IRREGULARITY",
         ) from error
     return module

@@ -133,7 +133,7 @@ def _unread(stream: str) -> ConfigError:
         "an irregularity reads other random numbers for some devices than for others",
         value=stream,
         allowed="the same levels, labels, sizes and lengths for all devices",
-        next_step="read them always, and use them where needed (docs/add-an-irregularity.md)",
+        next_step="read them always, and use them where needed (docs/how-to/add-an-irregularity.md)",
     )
 
 

@@ -11,7 +11,7 @@ from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
 
-#: Names of all effects of the library; the tests also cover the user's effect of docs/add-an-effect.md.
+#: Names of all effects of the library; the tests also cover the user's effect of docs/how-to/add-an-effect.md.
 LIBRARY = tuple(find_effects())
 USERS = "squeeze_film"
 INSTRUMENT = Instrument(antialias=AntiAlias())
@@ -20,8 +20,8 @@ RECORD = Record("chirp", 10_000.0, _DRIVE, np.zeros_like(_DRIVE))
 
 
 def example_file() -> str:
-    """The effect file that docs/add-an-effect.md shows."""
-    text = (Path(__file__).parents[1] / "docs" / "add-an-effect.md").read_text(encoding="utf-8")
+    """The effect file that docs/how-to/add-an-effect.md shows."""
+    text = (Path(__file__).parents[1] / "docs" / "how-to" / "add-an-effect.md").read_text(encoding="utf-8")
     block = re.search(r"```python\n(.*?)```", text, re.S)
     assert block is not None
     return block[1]

@@ -3,7 +3,7 @@
 ``commands/groups`` declares the commands; each one imports its implementation when it runs, so that --help responds at once.
 
 Exit codes: 0 done; 1 the answer is negative; 2 usage or configuration; 3 incomplete, can be resumed; 4 integrity;
-5 unreadable measurement; 70 an internal error; 130 interrupted.  docs/exit-codes.md lists what leads to each.
+5 unreadable measurement; 70 an internal error; 130 interrupted.  docs/reference/exit-codes.md lists what leads to each.
 """
 
 from __future__ import annotations

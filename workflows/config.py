@@ -225,7 +225,7 @@ def _check_figures(config: RunConfig, where: str) -> None:
                 f"{where}: [limits.{name}] limits a quantity that is unknown",
                 value={key: None for key in figure.needs if not point.declared(key)},
                 allowed="a figure whose inputs are declared",
-                next_step=f"declare {by_table(figure.missing(point))} (docs/performance.md), or leave the limit out",
+                next_step=f"declare {by_table(figure.missing(point))} (docs/explanation/performance.md), or leave the limit out",
             )
 
 

@@ -158,7 +158,7 @@ def _leaves_nothing(cache: FitCache, fit: FitResult, rules: Rules) -> bool:
     """Whether neither structure nor a significant absent term is left, so that other terms can equal ``fit`` but not exceed it.
 
     Those that can equal it are found by projection and refitted for its class (``verdict``).  Beside a cubic stiffness at SNR
-    185, refits of three others took 22 of 29 s (docs/selection.md).
+    185, refits of three others took 22 of 29 s (docs/explanation/selection.md).
     """
     # A level that is measured from the residual grows with what is left.
     if not fit.noise_known or fit.misfit or log_tail(fit.chi2, fit.dof) < np.log(rules.alpha_left):

@@ -223,7 +223,9 @@ def numbered(effect: Effect, k: int) -> Effect:
 def _effect_of(module: ModuleType, where: str) -> Effect:
     effect = getattr(module, "EFFECT", None)
     if not isinstance(effect, Effect):
-        raise ConfigError("no EFFECT = Effect(...) in this file", value=where, next_step="see docs/add-an-effect.md")
+        raise ConfigError(
+            "no EFFECT = Effect(...) in this file", value=where, next_step="see docs/how-to/add-an-effect.md"
+        )
     return effect
 
 
@@ -251,7 +253,7 @@ def _user_effect(origin: str, digest: str) -> Effect:
         raise ConfigError("not a Python file", value=origin)
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    guide = "correct this line; see docs/add-an-effect.md"
+    guide = "correct this line; see docs/how-to/add-an-effect.md"
     try:
         spec.loader.exec_module(module)
     except ConfigError as error:

@@ -69,7 +69,7 @@ def compiled_force(force: Callable[..., None]) -> Any:
             "the force law of an effect does not compile",
             value=f"{force.__module__}: {str(error).strip().splitlines()[0] if str(error).strip() else error}",
             allowed="plain arithmetic on numbers and arrays",
-            next_step="see docs/add-an-effect.md",
+            next_step="see docs/how-to/add-an-effect.md",
         ) from error
 
 

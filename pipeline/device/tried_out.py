@@ -26,7 +26,7 @@ from .force_law import compiled_force
 from .mechanics import Mechanics
 from .readout import Readout, plain_readout
 
-_GUIDE = "correct this line; docs/add-an-effect.md describes the stages"
+_GUIDE = "correct this line; docs/how-to/add-an-effect.md describes the stages"
 _PLAIN = "plain arithmetic on numbers and elements of arrays, math, functions under @numba.njit"
 _POINTS = 6
 

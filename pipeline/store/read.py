@@ -51,7 +51,7 @@ def check_results(results: Path) -> None:
             "results are kept in a folder, not at a URL: commits need renames and locks, which object storage lacks",
             value=str(results),
             allowed="a folder of a file system",
-            next_step="run in a folder and copy the finished run (docs/cluster.md)",
+            next_step="run in a folder and copy the finished run (docs/how-to/cluster.md)",
         )
 
 

@@ -73,5 +73,5 @@ def _differ(where: str) -> IntegrityError:
     return IntegrityError(
         f"{where}: the devices of table irregularities do not have the same numbers",
         allowed=f"columns {', '.join(irregularities_schema().names)}, the same numbers for each device",
-        next_step="an irregularity must read the same numbers for all devices (docs/add-an-irregularity.md)",
+        next_step="an irregularity must read the same numbers for all devices (docs/how-to/add-an-irregularity.md)",
     )

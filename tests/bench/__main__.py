@@ -1,7 +1,7 @@
 """Time each part of a device beside its peers, write the table, and report parts that became slower.
 
-    python -m tests.bench                  docs/parts.md anew; exit code 1 if a part became slower than docs/parts.json allows
-    python -m tests.bench --accept 3       time the parts 3 times and store their ratios: docs/parts.json and its table
+    python -m tests.bench                  docs/reference/parts.md anew; exit code 1 if a part became slower than allowed
+    python -m tests.bench --accept 3       time the parts 3 times and store their ratios: docs/reference/parts.json and its table
     python -m tests.bench -k arx           some benchmarks only, to the terminal; nothing is written
 
 Needs the extra "bench"; peers that are not installed are left out.
@@ -25,7 +25,7 @@ from .table import Results, results_of, table_of
 from .timing import SECONDS
 
 ROOT = Path(__file__).parents[2]
-PAGE, RATIOS = ROOT / "docs" / "parts.md", ROOT / "docs" / "parts.json"
+PAGE, RATIOS = ROOT / "docs" / "reference" / "parts.md", ROOT / "docs" / "reference" / "parts.json"
 
 
 def measured(only: str = "", seconds: float = SECONDS) -> Results:
@@ -73,7 +73,7 @@ def with_table(page: str, name: str, table: str) -> str:
 
 
 def write_table(name: str, table: str) -> None:
-    """Replace a table of docs/parts.md."""
+    """Replace a table of docs/reference/parts.md."""
     PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), name, table), encoding="utf-8")
 
 

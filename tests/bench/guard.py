@@ -14,7 +14,7 @@ from statistics import median
 
 from .table import Results
 
-#: The largest ratio of any part over its median was 1.11 in three runs at a load of 15 to 20 on two cores (docs/parts.md).
+#: Largest ratio of any part over its median: 1.11 in three runs at a load of 15 to 20 on two cores (docs/reference/parts.md).
 FACTOR = 1.3
 
 

@@ -1,4 +1,4 @@
-"""Results of pytest-benchmark as rows, and the table of docs/parts.md.
+"""Results of pytest-benchmark as rows, and the table of docs/reference/parts.md.
 
 All times are least processor times of one run.  A ratio is a part's time per device over that of the reference loop in the round
 before, median over the rounds.

@@ -140,7 +140,7 @@ What `init` and `refine` make of files that nobody in this project recorded, bes
 ../shared/data/measured. Everything below is written by
 
     python tests/measure/measured_data.py ../shared/data/measured OUT
-    python tests/measure/measured_data.py page OUT docs/measured.md
+    python tests/measure/measured_data.py page OUT docs/reference/measured.md
 
 `error` is the rms of the residual in units of the noise where silence or repeats measure it; `left` is the rms of the residual in
 parts of the rms of the record."""

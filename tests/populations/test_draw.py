@@ -119,7 +119,7 @@ def test_irregularity_declares_units_ranges_meanings_source_and_acts_at_its_stag
 
 def test_new_irregularity_in_a_folder_changes_no_other_draw(tmp_path: Path) -> None:
     # The code block of the documentation, as it stands there.
-    document = (Path(__file__).parents[2] / "docs" / "add-an-irregularity.md").read_text(encoding="utf-8")
+    document = (Path(__file__).parents[2] / "docs" / "how-to" / "add-an-irregularity.md").read_text(encoding="utf-8")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "leaf_mass.py").write_text(document.split("```python\n")[1].split("```")[0], encoding="utf-8")
     table = "[irregularity.leaf_mass]\ndie_pct = {}\n"

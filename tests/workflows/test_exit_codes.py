@@ -1,4 +1,4 @@
-"""Every exit code of docs/exit-codes.md, each produced by the command."""
+"""Every exit code of docs/reference/exit-codes.md, each produced by the command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from workflows.process import deaf_children, repeat_lost_interrupts
 from workflows.screening import batch
 from workflows.screening.block import BlockTables, DeviceBlock
 
-DOCS = Path(__file__).parents[2] / "docs" / "exit-codes.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "exit-codes.md"
 Case = Callable[[Path, pytest.MonkeyPatch], list[str]]
 
 

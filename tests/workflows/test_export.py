@@ -15,7 +15,7 @@ from pipeline.store.run import create_run
 from pipeline.store.schema import devices_table
 from workflows.cli import call
 
-PAGE = Path(__file__).parents[2] / "docs" / "exports.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "exports.md"
 TOML = "[limits.split_hz]\nmax = 3.0\n"
 
 

@@ -1,4 +1,4 @@
-"""The loop on modal records: hidden effects are named, noise alone names none, docs/paper-model.md states the results."""
+"""The loop on modal records: hidden effects are named, noise alone names none, explanation/paper-model.md states the results."""
 
 import json
 import re
@@ -26,7 +26,7 @@ from workflows.studies.modal import rungs_by_chance
 
 ROOT = Path(__file__).parents[2]
 EQ14 = ROOT.parent / "shared" / "paper" / "eq14.toml"
-PAGE = ROOT / "docs" / "paper-model.md"
+PAGE = ROOT / "docs" / "explanation" / "paper-model.md"
 PAPER = pytest.mark.skipif(not EQ14.exists(), reason="the paper's modal record is not beside the project")
 
 FILTER = AntiAlias("butterworth", 8, 4800.0)

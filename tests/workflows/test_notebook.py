@@ -1,4 +1,4 @@
-"""docs/notebook.ipynb runs as printed, with the public interface alone; its answers are frozen, print, and give tables."""
+"""tutorials/notebook.ipynb runs as printed, with the public interface alone; its answers are frozen and printable."""
 
 import ast
 import json
@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[2] / "docs" / "tutorials"
 
 
 def code_cells() -> list[str]:

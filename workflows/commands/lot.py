@@ -115,7 +115,7 @@ def _require_positive(found: LotComparisonAnswer | LotDiagnosisAnswer | LotRefin
             "a misfit remains that no irregularity of the library explains",
             value=found.verdict,
             allowed="adequate or class",
-            next_step="see where it lies with --out FOLDER; write an irregularity of your own (docs/add-an-irregularity.md)",
+            next_step="see where it lies with --out FOLDER; write your own irregularity (docs/how-to/add-an-irregularity.md)",
         )
 
 

@@ -223,7 +223,9 @@ def _text(result: Identification) -> list[str]:
         lines.append("  effects of the library were not scored here: run gyroscreen diagnose")
     if unknown := columns.get("figures_unknown"):
         needed = by_table(place for places in unknown.values() for place in places)
-        lines.append(f"  {len(unknown)} performance figures are unknown without {needed} (docs/performance.md)")
+        lines.append(
+            f"  {len(unknown)} performance figures are unknown without {needed} (docs/explanation/performance.md)"
+        )
     if bad := columns.get("bad_samples"):
         count = sum(one["samples"] for one in bad)
         lines.append(f"  {count} bad samples in {len(bad)} stretches were left out (gyroscreen check lists them)")

@@ -46,7 +46,7 @@ def read_measured_lot(path: Path) -> LotTable:
                 "the folder holds no lot",
                 value=str(path),
                 allowed="lot.toml beside a table, a run, or a folder of runs",
-                next_step="write lot.toml (docs/lots.md), or make a run with `gyroscreen run`",
+                next_step="write lot.toml (docs/how-to/lots.md), or make a run with `gyroscreen run`",
             )
         tables = read_run(folder, run)
         if tables.devices.num_rows == 0:

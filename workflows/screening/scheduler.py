@@ -78,7 +78,7 @@ def scheduler_of(
         plain = insecure or scheme in _LOCAL or _on_this_machine(rest)
         what = "the connection to a scheduler on another machine would not be encrypted"
         step = (
-            "start scheduler and workers with TLS (docs/cluster.md) and give --tls-ca, --tls-cert and --tls-key, "
+            "start scheduler and workers with TLS (docs/how-to/cluster.md) and give --tls-ca, --tls-cert and --tls-key, "
             "or accept the risk with --insecure"
         )
         _require(plain, what, address, step)

@@ -83,5 +83,5 @@ def _check(draws: StoredDraws, limits: Limits, where: str) -> None:
             f"{where}: the run knows nothing of a limited quantity",
             value=absent,
             allowed=", ".join(draws.known()) or "no quantity: no device was identified",
-            next_step="limit one of these, or declare what it needs (docs/performance.md) and run again",
+            next_step="limit one of these, or declare what it needs (docs/explanation/performance.md) and run again",
         )

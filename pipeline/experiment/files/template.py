@@ -57,7 +57,7 @@ def campaign_template(
         f"id = {encoded(name)}",
         *(["# angular_gain = 0.7             # I_p / I_0p, needed for rate biases in deg/s"] if gyro else []),
         *(
-            ["# [operation]: drive amplitude, gap, mass, .. for performance figures: docs/performance.md"]
+            ["# [operation]: drive amplitude, gap, mass, .. for performance figures: docs/explanation/performance.md"]
             if gyro
             else []
         ),

@@ -63,7 +63,7 @@ def read_lot(path: Path) -> LotTable:
     MeasurementError : the table cannot be read, lacks a column, or holds no device.
     """
     file = path / "lot.toml" if path.is_dir() else path
-    found = load(file, LotFile, "lot.toml", "write one (docs/lots.md)")
+    found = load(file, LotFile, "lot.toml", "write one (docs/how-to/lots.md)")
     if found.gyro == bool(found.quantity):
         raise ConfigError(
             f"{file.name}: the quantities are not given once",

@@ -15,7 +15,7 @@ from pipeline.store.read import read_run
 from pipeline.store.run import RunStore, create_run
 from pipeline.store.verify import verify
 
-#: 18 for the figure of docs/faults.md.
+#: 18 for the figure of docs/explanation/faults.md.
 QUERIES = int(os.environ.get("QUERIES", "2"))
 
 

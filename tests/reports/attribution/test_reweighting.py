@@ -44,7 +44,7 @@ def covered(level, factor, lots, limit, repeats=200):
 def test_intervals_hold_where_enough_lots_have_loss(level):
     lots, share, difference = covered(level, 0.5, 60, 0.8)
     assert lots > LEAST_LOTS_WITH_LOSS
-    # 200 repeats: 0.95 -+ 4 sd, and the difference loses a few percent (docs/loss.md).
+    # 200 repeats: 0.95 -+ 4 sd, and the difference loses a few percent (docs/how-to/loss.md).
     assert share > 0.885
     assert difference > 0.85
 

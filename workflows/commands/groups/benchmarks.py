@@ -284,5 +284,5 @@ def hidden_effects(
     command(kind, campaigns, only, seed, workers, out, json)
 
 
-# Its name would cut the summaries of all others in the list; docs/lots.md names it.
+# Its name would cut the summaries of all others in the list; docs/how-to/lots.md names it.
 app.command("hidden-irregularities", hidden=True)(hidden_irregularities)
