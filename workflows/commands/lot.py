@@ -132,11 +132,11 @@ def demo_lot(out: Path, seed: int | None) -> None:
     from pipeline.learning.lot.table import LotTable
 
     from ..lots.page import lot_page
-    from ..studies.lots import hidden_lot
+    from ..studies.lots import sized
 
     start = time.monotonic()
     chosen = int(time.time()) % 100_000 if seed is None else seed
-    hidden = hidden_lot("one", chosen)
+    hidden, _ = sized("one", chosen)
     print(f"a lot with a hidden irregularity was measured (seed {chosen}); searching ...", file=sys.stderr)
     answers = lot_answers(LotTable(hidden.lot, True, "package", {}), hidden.spec)
     with working("demo", quiet=False):

@@ -215,7 +215,7 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
         if not found.significant or len(rungs) > RUNGS:
             break
         by_name: dict[str, Part | DeviceMixture] = {one.name: one for one in (*parts, *mixtures)}
-        tried = [_tried(rung, by_name[score.name]) for score in found.significant[:REFITTED]]
+        tried = [with_part(rung, by_name[score.name]) for score in found.significant[:REFITTED]]
         tried.sort(key=deviance)
         fall = deviance(rung) - deviance(tried[0])
         if fall < RIVAL:
@@ -256,7 +256,7 @@ def _gain(before: HeldOut, after: HeldOut, devices: int) -> float | None:
     return (after.log_score_validate - before.log_score_validate) * devices
 
 
-def _tried(rung: LotRung, part: Part | DeviceMixture) -> LotRung:
+def with_part(rung: LotRung, part: Part | DeviceMixture) -> LotRung:
     """The rung with one more part, refitted."""
     # A variance that was at zero may be needed beside the new part.
     start = np.maximum(rung.fit.variances, 1e-4)

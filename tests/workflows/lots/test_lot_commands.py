@@ -220,7 +220,8 @@ def test_the_study_resumes(tmp_path, capsys, monkeypatch):
 
 
 def test_a_drawn_lot_of_the_study_is_judged():
-    from workflows.studies.lots import hidden_lot, judged
+    from workflows.studies.hidden_lots import hidden_lot
+    from workflows.studies.lots import judged
 
     assert hidden_lot("none", 3).truth == ()
     row = judged("none", 3)
