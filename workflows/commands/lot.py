@@ -156,8 +156,9 @@ def demo_lot(out: Path, seed: int | None) -> None:
 
 def hidden_irregularities(kind: str, lots: int, seed: int, out: Path, json: bool) -> None:
     """See ``gyroscreen benchmark hidden-irregularities --help``."""
+    from ..studies.hidden_lots import KINDS, LotKind
     from ..studies.lot_figures import figures
-    from ..studies.lots import KINDS, LotKind, study
+    from ..studies.lots import study
 
     if kind != "all" and kind not in KINDS:
         raise UsageError("no such kind", value=kind, allowed=", ".join(("all", *KINDS)), next_step="correct --kind")
