@@ -7,7 +7,8 @@ outside     a pattern of no library is hidden: unknown is right
 
 The SNR of what is hidden is the root of the deviance by which its own part improves the refitted baseline.  A random pattern has
 a random part, so that what a spread of the population absorbs does not count.  The seed chooses the irregularity (all in turn)
-and the SNR that its size is scaled to, log-uniform in ``SNR``.  A pattern that cannot reach 10 in one quantity is hidden in the next.
+and the SNR that its size is scaled to, log-uniform in ``SNR``.  A pattern that cannot reach 10 in one quantity is
+hidden in the next.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ def sized(kind: LotKind, seed: int) -> tuple[HiddenLot, tuple[float, ...]]:
     for turn in range(len(IN)):
         sizes = np.ones(len(hidden.truth))
         for _ in range(SIZINGS):
-            hidden = hidden_lot(kind, seed, tuple(sizes), turn)
+            hidden = hidden_lot(kind, seed, tuple(sizes.tolist()), turn)
             snr = np.array(snr_of(hidden))
             off = float(np.max(np.abs(np.log(np.maximum(snr, 1e-3) / wanted))))
             if best is None or off < best[0]:
