@@ -22,7 +22,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pipeline.learning.lot.loop import candidates_of, deviance, first_rung, kind_of, mixtures_of, with_part
+from pipeline.learning.lot.diagnosis import candidates_of, kind_of, mixtures_of
+from pipeline.learning.lot.loop import deviance, first_rung, with_part
 from pipeline.learning.lot.model import RandomPart
 from pipeline.learning.lot.population import DeviceMixture, Part
 from pipeline.learning.lot.prepared import prepared

@@ -26,7 +26,7 @@ from .reml import centred
 
 Conforms = Callable[[FloatArray], BoolArray]
 #: Draws of the variances, and lots drawn with each.
-VARIANCES, LOTS = 8, 50
+VARIANCES, LOTS = 20, 20
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,6 @@ class YieldForecast:
 def forecast(
     lot: MeasuredLot,
     model: LotModel,
-    variances: FloatArray,
     draw: Callable[[np.random.Generator], FloatArray],
     mixtures: Sequence[DeviceMixture],
     conforms: Conforms,
@@ -63,7 +62,7 @@ def forecast(
 
     Parameters
     ----------
-    model, variances : of the fit; the model lists all devices of the lot.
+    model : of the fit, for all devices of the lot.
     draw : variances (C,) as well as they are known.
     mixtures : whose changes were taken out of the values, and are drawn anew for the held-out devices.
     conforms : values (.., q) to whether a device conforms to all limits (..).
@@ -77,8 +76,8 @@ def forecast(
     every = arranged(replace(lot, values=np.nan_to_num(lot.values)), model)
     masked = arranged(hidden, model)
     yields: list[FloatArray] = []
-    for k in range(VARIANCES):
-        trial = variances if k == 0 else draw(generator)
+    for _ in range(VARIANCES):
+        trial = draw(generator)
         drawn = drawn_values(factorised(every, trial), LOTS, generator)
         given = np.concatenate([centred(hidden, model)[..., None], drawn], axis=2)
         factor = factorised(masked, trial)

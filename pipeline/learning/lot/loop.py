@@ -5,128 +5,38 @@
     diagnosed     score tests of all candidates and probes against one simulated null
     refined       the most likely of the best-scoring candidates is added and everything refitted, until none is significant
 
-A name needs a family-wise p below ``ALPHA`` and a refit.  Candidates whose refits are within ``RIVAL`` of the best deviance are
-one class.  Where a probe is significant and no candidate is, or stays so beside the best candidate, the misfit is unknown.
+A name needs a refit, whose likelihood ratio has a family-wise p below ``ALPHA``.  Candidates whose refits are within ``RIVAL`` of
+the best deviance are one class.  Where a probe is significant and no candidate is, or stays so beside the best candidate, the
+misfit is unknown.
 
 Shapes: n devices, q quantities, C random parts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
-from ...arrays import BoolArray
 from ...criticism.announce import announce
 from ...criticism.budget import ALPHA
+from .diagnosis import LotDiagnosis, candidates_of, diagnosed, is_generic, kind_of, mixtures_of
 from .elimination import log_likelihood
 from .model import LotModel, RandomPart
-from .null import null_draws
-from .outcome import HeldOut, left_out
-from .population import DeviceMixture, Part, generic_parts, spread_of
+from .outcome import HeldOut
+from .population import DeviceMixture, Part
 from .prepared import PreparedLot, free, sorted_out
 from .reml import LotFit
-from .scores import LotScore, scored
-from .tails import OUTLIERS, mixture_scores, outliers, tail_scores
+from .tails import OUTLIERS
 
-#: Lots drawn for a null: the number of independent tests is then known to 5 %.
-DRAWS = 400
-#: Candidates with the best scores that are refitted.
-REFITTED = 6
+#: Candidates with the best scores that are refitted, kinds of which the best one is, and others of the kind that is added.
+REFITTED, OF_KINDS, OF_ONE_KIND = 6, 8, 4
 #: Deviances within this of each other do not tell two candidates apart: a likelihood ratio below 100.
 RIVAL = 2.0 * np.log(100.0)
 #: Rungs of a ladder, and candidates that may be refused before the search ends.
 RUNGS, REFUSED = 8, 20
-
-
-@dataclass(frozen=True, eq=False)
-class LotDiagnosis:
-    """Scores of the named candidates and of the probes at one fit, best first."""
-
-    fit: LotFit
-    candidates: tuple[LotScore, ...]
-    probes: tuple[LotScore, ...]
-
-    @property
-    def significant(self) -> tuple[LotScore, ...]:
-        """Candidates that may be named."""
-        return tuple(score for score in self.candidates if score.p_value < ALPHA)
-
-    @property
-    def structure(self) -> tuple[LotScore, ...]:
-        """Probes that show structure."""
-        return tuple(score for score in self.probes if score.p_value < ALPHA)
-
-    @property
-    def invisible(self) -> tuple[str, ...]:
-        """Candidates that this lot cannot show."""
-        return tuple(score.name for score in self.candidates if not score.visible)
-
-
-def candidates_of(ready: PreparedLot, model: LotModel, without: Sequence[str] = ()) -> tuple[Part, ...]:
-    """Named candidates that the model lacks: those of the population, then the generic ones, for all devices.
-
-    Irregularities of the names ``without`` are no candidates.
-    """
-    present = {name for part in model.random for name, _ in part.shares} | {part.name for part in model.fixed}
-    generic = generic_parts(ready.whole, spread_of(ready.whole), probes=False)
-    every = (*ready.population.candidates, *generic)
-    return tuple(part for part in every if part.name not in present and kind_of(part.name) not in without)
-
-
-def kind_of(part: str) -> str:
-    """Name of the irregularity that a part belongs to: "bow" of "bow(f1_hz)", "electrode_gap" of "electrode_gap.wafer"."""
-    return part.partition("(")[0].partition(".")[0]
-
-
-def is_generic(part: str) -> bool:
-    """Whether a part belongs to a generic irregularity."""
-    return "(" in part or part == OUTLIERS
-
-
-def mixtures_of(ready: PreparedLot, without: Sequence[str] = ()) -> tuple[DeviceMixture, ...]:
-    """Absent mixtures: those of the population's candidates, then outliers of no known kind."""
-    present = {mixture.name for mixture in ready.mixtures}
-    every = (*ready.population.absent_mixtures, outliers(ready.whole, spread_of(ready.whole)))
-    return tuple(one for one in every if one.name not in present and one.name not in without)
-
-
-def diagnosed(
-    ready: PreparedLot,
-    fit: LotFit,
-    parts: Sequence[Part],
-    mixtures: Sequence[DeviceMixture] = (),
-    seed: int = 0,
-) -> LotDiagnosis:
-    """Score every candidate of ``parts`` and ``mixtures`` (for all devices) and every probe at ``fit``."""
-    seen = ~ready.whole.is_held
-    own = [_subset(part, seen) for part in parts]
-    probes = generic_parts(fit.lot, spread_of(fit.lot), probes=True)
-    draws = null_draws(fit, DRAWS, seed)
-    found = scored(fit.lot, fit.design, draws, [*own, *probes], ~fit.at_zero)
-    out = left_out(fit.lot, fit.model, fit.variances)
-    single, tails = mixture_scores(out, [one.subset(seen) for one in mixtures]), tail_scores(fit.lot, out)
-    families = sum(bool(family) for family in (found, single, tails))
-    named = _together((*found[: len(own)], *single), families)
-    shapes = _together((*found[len(own) :], *tails), families)
-
-    def order(score: LotScore) -> tuple[float, float]:
-        return (score.log_p, -score.z)
-
-    return LotDiagnosis(fit, tuple(sorted(named, key=order)), tuple(sorted(shapes, key=order)))
-
-
-def _together(scores: Sequence[LotScore], families: int) -> tuple[LotScore, ...]:
-    """Scores whose p-values count all families of tests."""
-    return tuple(
-        replace(one, p_value=-float(np.expm1(families * np.log1p(-min(one.p_value, 1.0 - 1e-12))))) for one in scores
-    )
-
-
-def _subset(part: Part, chosen: BoolArray) -> Part:
-    return replace(part, columns=part.columns[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,15 +122,14 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
         mixtures = [one for one in mixtures_of(rung.ready, without) if one.name not in refused]
         announce(f"rung {len(rungs)}: {len(parts) + len(mixtures)} candidates")
         found = diagnosed(rung.ready, rung.fit, parts, mixtures, seed + len(rungs))
-        if not found.significant or len(rungs) > RUNGS:
+        if not found.promising or len(rungs) > RUNGS:
             break
         by_name: dict[str, Part | DeviceMixture] = {one.name: one for one in (*parts, *mixtures)}
-        tried = [with_part(rung, by_name[score.name]) for score in found.significant[:REFITTED]]
-        tried.sort(key=deviance)
-        fall = deviance(rung) - deviance(tried[0])
-        if fall < RIVAL:
-            refused |= {str(one.part) for one in tried}
-            if len(refused) > REFUSED:
+        every = _refitted(rung, found, by_name)
+        tried = [one for one in every if _warranted(rung, one, found, by_name[str(one.part)])]
+        if not tried:
+            refused |= {str(one.part) for one in every}
+            if not found.significant or len(refused) > REFUSED:
                 break
             continue
         near = [one for one in tried if deviance(one) - deviance(tried[0]) < RIVAL or one.part == OUTLIERS]
@@ -247,6 +156,38 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
         # What was added on the way to a misfit that remains may have taken its place.
         rungs = [replace(rung, status="partial" if rung.status == "confirmed" else rung.status) for rung in rungs]
     return LotLadder(tuple(rungs), found, verdict)
+
+
+def _refitted(rung: LotRung, found: LotDiagnosis, by_name: Mapping[str, Part | DeviceMixture]) -> list[LotRung]:
+    """The rung with each of the best candidates, the most likely first.
+
+    Of each kind at least the best is refitted: 132 correlations would otherwise hide a physical cause whose variance they share.
+    """
+    first = {score.name for score in found.promising[:REFITTED]}
+    kinds: set[str] = set()
+    for score in found.promising:
+        if kind_of(score.name) not in kinds and len(kinds) < OF_KINDS:
+            kinds.add(kind_of(score.name))
+            first.add(score.name)
+    tried = sorted((with_part(rung, by_name[name]) for name in sorted(first)), key=deviance)
+    alike = [s.name for s in found.promising if s.name not in first and kind_of(s.name) == kind_of(str(tried[0].part))]
+    return sorted((*tried, *(with_part(rung, by_name[name]) for name in alike[:OF_ONE_KIND])), key=deviance)
+
+
+def _warranted(rung: LotRung, one: LotRung, found: LotDiagnosis, part: Part | DeviceMixture) -> bool:
+    """Whether the deviance falls by more than the best of all tests would make it fall by chance.
+
+    Half of chi-square with one degree of freedom for a variance, which may be zero (Self, Liang, JASA 82 (1987) 605).  A mixture
+    has no such law, so that its score decides.
+    """
+    fall = deviance(rung) - deviance(one)
+    if fall < RIVAL:
+        return False
+    if isinstance(part, DeviceMixture):
+        return one.part in {score.name for score in found.significant}
+    columns = part.columns.shape[2]
+    alone = 0.5 * chi2.sf(fall, 1) if isinstance(part, RandomPart) else chi2.sf(fall + 2.0 * columns, columns)
+    return -float(np.expm1(found.tests * np.log1p(-min(float(alone), 1.0 - 1e-12)))) < ALPHA
 
 
 def _gain(before: HeldOut, after: HeldOut, devices: int) -> float | None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import MeasurementError
@@ -31,9 +31,9 @@ FLOOR, CEILING = 1e-8, 1e8
 STEPS = 60
 #: The fit ends where a step would raise ln L by less than this: a variance is then within 1e-4 of its sd of the maximum.
 TOLERANCE = 1e-10
-#: Relative rounding of ln L, which is a sum of 10^4 terms: steps at the maximum lower it by as much.  Compared exactly, one lot
-#: in four ended with a damping that only grew, and a fit at its maximum was reported as failed.
-ROUNDING = 1e-10
+#: Relative rounding of ln L: V spans 10 decades, and steps at the maximum lower ln L by as much.  Compared exactly, one lot in
+#: four ended with a damping that only grew, and a fit at its maximum was reported as failed.
+ROUNDING = 1e-9
 #: Three steps in a row that raise ln L by less than this each end the fit, too: 2e-5 of what one sd of a parameter costs.
 LEVEL = 2e-5
 #: A fit that used all its steps has converged if the last ``SETTLED`` that counted raised ln L by less than ``LEVELLED``.
@@ -118,10 +118,14 @@ class LotFit:
         return np.asarray(np.sqrt(np.maximum(inflation, 0.0)) > RIDGE)
 
     def drawn(self, generator: np.random.Generator) -> FloatArray:
-        """(C,) variances as well as they are known: normal in ln v, or in v along a ridge, where the sum is linear in v."""
+        """(C,) variances as well as they are known: nu v / chi2_nu as in ``interval``, correlated as ln v is by a normal copula;
+        normal in v along a ridge, where the sum is linear in v."""
         values, vectors = np.linalg.eigh(self.log_covariance)
         step = vectors @ (np.sqrt(np.maximum(values, 0.0)) * generator.standard_normal(len(values)))
-        moved = np.where(self.on_ridge, np.maximum(1.0 + step, 0.0), np.exp(np.clip(step, -MOST, MOST)))
+        sd = np.sqrt(np.maximum(np.diag(self.log_covariance), 1e-12))
+        nu = 2.0 / sd**2
+        ratio = nu / np.maximum(chi2.isf(norm.cdf(step / sd), nu), 1e-300)
+        moved = np.where(self.on_ridge, np.maximum(1.0 + step, 0.0), np.clip(ratio, np.exp(-MOST), np.exp(MOST)))
         return np.asarray(np.clip(self.variances * moved, FLOOR, CEILING))
 
     def interval(self, level: float = 0.90) -> FloatArray:
@@ -226,19 +230,21 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
     for _ in range(STEPS):
         free = ~((v <= FLOOR) & (score < 0.0)) & ~((v >= CEILING) & (score > 0.0))
         step = np.zeros_like(v)
+        falling = _falling(v, score, information)
         if level >= 3:
-            step[_falling(v, score)] = np.log(FLOOR)
+            step[falling] = np.log(FLOOR)
         elif np.any(free):
             inner = information[np.ix_(free, free)]
             inner = inner + np.diag(damping * np.diag(inner) + 1e-6 + np.maximum(-score[free], 0.0) * 0.5)
             step[free] = np.clip(np.linalg.solve(inner, score[free]), -4.0, 2.0)
         trial = np.clip(v * np.exp(step), FLOOR, CEILING)
-        if abs(float(np.vdot(score, np.log(trial / v)))) < TOLERANCE:
+        promised = abs(float(np.vdot(score, np.log(trial / v))))
+        if promised < TOLERANCE:
             # The derivative in ln v vanishes as v falls to zero, so that the last decades are jumped over.
-            if not np.any(_falling(v, score)):
+            if not np.any(falling):
                 converged = True
                 break
-            trial = np.where(_falling(v, score), FLOOR, v)
+            trial = np.where(falling, FLOOR, v)
         try:
             other = factorised(design, trial)
         except np.linalg.LinAlgError:  # variances so far apart that rounding makes V indefinite
@@ -253,7 +259,7 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
             values.append(value)
             damping = max(damping / 5.0, 1e-6)
             score, information = derivatives(factor, solution)
-            if level >= 3 and not np.any(_falling(v, score)):
+            if level >= 3 and not np.any(_falling(v, score, information)):
                 converged = True
                 break
             if level >= 10:
@@ -261,13 +267,16 @@ def fitted(lot: MeasuredLot, model: LotModel, start: FloatArray | None = None) -
         else:
             damping = max(damping * 10.0, 1e-2)
             if damping > 1e6 or not np.any(step):
-                converged = not np.any(step)
+                converged = promised < LEVEL
                 break
     # A ridge is level although its end is not reached: the parts there share a sum, which the interval says.
     converged = converged or value - values[-min(len(values), SETTLED)] < LEVELLED
     return LotFit(lot, design, v, value, information, score, converged)
 
 
-def _falling(v: FloatArray, score: FloatArray) -> BoolArray:
-    """(C,) small variances that the likelihood pushes to zero."""
-    return np.asarray((v > FLOOR) & (v < 1e-3) & (score < 0.0))
+def _falling(v: FloatArray, score: FloatArray, information: FloatArray) -> BoolArray:
+    """(C,) small variances that the likelihood pushes to zero.
+
+    On the way to zero the score vanishes with v and the information with v^2; at a maximum above zero the score alone vanishes.
+    """
+    return np.asarray((v > FLOOR) & (v < 1e-3) & (score < 0.0) & (np.diag(information) < -score))

@@ -19,19 +19,10 @@ from .answers import (
     PatternAnswer,
     SpreadAnswer,
 )
+from .diagnosis import LotDiagnosis, candidates_of, diagnosed, mixtures_of
 from .elimination import factorised, solved
 from .forecast import Conforms, YieldForecast, forecast
-from .loop import (
-    LotDiagnosis,
-    LotLadder,
-    LotRung,
-    candidates_of,
-    diagnosed,
-    first_rung,
-    fixed_effects,
-    mixtures_of,
-    refined,
-)
+from .loop import LotLadder, LotRung, first_rung, fixed_effects, refined
 from .outcome import HeldOut, calibrations, left_out
 from .population import generic_parts, spread_of
 from .prepared import PreparedLot
@@ -192,7 +183,7 @@ def _predicted_rung(ready: PreparedLot, conforms: Conforms | None, seed: int) ->
     found = None
     if conforms is not None:
         mixtures = ready.population.mixtures
-        found = forecast(ready.whole, model, ones, lambda _: ones, mixtures, conforms, ready.measured.values, seed)
+        found = forecast(ready.whole, model, lambda _: ones, mixtures, conforms, ready.measured.values, seed)
     return LotRungAnswer(
         irregularity=None,
         status=None,
@@ -213,7 +204,6 @@ def _rung(rung: LotRung, conforms: Conforms | None, seed: int) -> LotRungAnswer:
         found = forecast(
             ready.whole,
             rung.model,
-            rung.fit.variances,
             rung.fit.drawn,
             ready.mixtures,
             conforms,

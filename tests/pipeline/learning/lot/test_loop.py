@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from pipeline.criticism.budget import ALPHA
+from pipeline.learning.lot.diagnosis import candidates_of, diagnosed, kind_of, mixtures_of
 from pipeline.learning.lot.forecast import forecast
 from pipeline.learning.lot.generic import generic_irregularities
-from pipeline.learning.lot.loop import candidates_of, diagnosed, first_rung, kind_of, mixtures_of, refined
+from pipeline.learning.lot.loop import first_rung, refined
 from pipeline.learning.lot.measured import MeasuredLot, hold_out
 from pipeline.learning.lot.population import nested_population
 from pipeline.learning.lot.prepared import prepared
@@ -102,7 +103,7 @@ def test_forecasts_cover():
         ready = prepared(lot, nested_population(lot))
         rung = first_rung(ready)
         found = forecast(
-            ready.whole, rung.model, rung.fit.variances, rung.fit.drawn, (),
+            ready.whole, rung.model, rung.fit.drawn, (),
             lambda values: (np.abs(values[..., 0]) < 1.5) & (values[..., 1] < 1.0), lot.values, seed,
         )  # fmt: skip
         assert found is not None
