@@ -38,6 +38,9 @@ PHYSICAL = {
     "lid_leak": ("fraction",),
 }
 
+#: Largest share of leaking lids: of a lot where most lids leak, the others are the exception.
+MOST = 0.15
+
 
 @dataclass(frozen=True)
 class HiddenPattern:
@@ -167,8 +170,8 @@ def _physical_twins(name: str) -> tuple[str, ...]:
 
 
 def _within(spec: PopulationSpec, name: str, parameter: str, size: float) -> float:
-    """The parameter times ``size``, at most the end of its declared range."""
-    high = next(p.high for p in find(())[name].parameters if p.name == parameter)
+    """The parameter times ``size``, at most the end of its declared range; ``MOST`` of the lids leak."""
+    high = MOST if name == "lid_leak" else next(p.high for p in find(())[name].parameters if p.name == parameter)
     return min(spec.irregularity[name][parameter] * size, high)
 
 

@@ -104,7 +104,10 @@ def diagnosed(
     draws = null_draws(fit, DRAWS, seed)
     found = scored(fit.lot, fit.design, draws, [*own, *probes], ~fit.at_zero)
     out = left_out(fit.lot, fit.model, fit.variances)
-    single, tails = mixture_scores(out, [one.subset(seen) for one in mixtures]), tail_scores(fit.lot, out)
+    single, tails = (
+        mixture_scores(out, [one.subset(seen) for one in mixtures]),
+        tail_scores(fit.lot, out, ready.in_mixture[seen]),
+    )
     families = sum(bool(family) for family in (found, single, tails))
     named = _together((*found[: len(own)], *single), families)
     shapes = _together((*found[len(own) :], *tails), families)

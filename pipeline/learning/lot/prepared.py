@@ -16,6 +16,10 @@ from .outcome import HeldOut, held_out, members, with_curvature, with_mixture
 from .population import DeviceMixture, LotPopulation, distinct
 from .reml import LotFit, fitted
 
+#: Passes in which the devices of a mixture are told apart, each with the spreads of the pass before; it ends when none changes.
+#: After two passes 7 of 68 leaking lids were still taken for sound ones, up to 5.4 sd off, and the lot was "unknown".
+PASSES = 8
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedLot:
@@ -42,6 +46,11 @@ class PreparedLot:
     def fit_lot(self) -> MeasuredLot:
         """The devices that fits may see."""
         return self.whole.subset(~self.whole.is_held)
+
+    @property
+    def in_mixture(self) -> BoolArray:
+        """(n,) whether a device belongs to a mixture."""
+        return np.any([np.zeros(len(self.whole.device), dtype=bool), *self.leaking.values()], axis=0)
 
     @property
     def log_share(self) -> FloatArray:
@@ -97,14 +106,16 @@ def sorted_out(
     whole = clean = with_curvature(lot, population.curvature)
     leaking: dict[str, BoolArray] = {}
     found = list(mixtures)
-    for _ in range(2 if mixtures else 0):
-        clean = whole
+    for _ in range(PASSES if mixtures else 0):
+        clean, before = whole, dict(leaking)
         for k, mixture in enumerate(found):
             chosen = members(clean, model, variances, mixture)
             leaking[mixture.name] = chosen
             # At least half a device, so that a lot without one still may have one.
             found[k] = replace(mixture, share=float((chosen.sum() + 0.5) / (chosen.size + 1.0)))
             clean = with_mixture(clean, mixture, chosen)
+        if before and all(np.array_equal(before[name], leaking[name]) for name in leaking):
+            break
         held = clean.is_held
         variances = fitted(clean.subset(~held), model.subset(~held), np.maximum(variances, 1e-4)).variances
     return PreparedLot(lot, population, clean, tuple(found), leaking, variances)

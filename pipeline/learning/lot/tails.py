@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import binom, chi2, kurtosistest, norm
 
-from ...arrays import FloatArray
+from ...arrays import BoolArray, FloatArray
 from .measured import MeasuredLot
 from .outcome import LeftOut
 from .population import DeviceMixture
@@ -57,9 +57,12 @@ def mixture_scores(out: LeftOut, mixtures: Sequence[DeviceMixture]) -> tuple[Lot
     return tuple(found)
 
 
-def tail_scores(lot: MeasuredLot, out: LeftOut) -> tuple[LotScore, ...]:
-    """Probes: heavy tails of each quantity, family-wise among them."""
-    z = out.z
+def tail_scores(lot: MeasuredLot, out: LeftOut, apart: BoolArray) -> tuple[LotScore, ...]:
+    """Probes: heavy tails of each quantity, family-wise among them, without the devices ``apart`` (n,).
+
+    Devices of a mixture are left out, because their own law (a leak, which has a lower end) is normal only to first order.
+    """
+    z = np.where(apart[:, None], np.nan, out.z)
     rows = []
     for k, quantity in enumerate(lot.quantities):
         own = z[np.isfinite(z[:, k]), k]
