@@ -17,7 +17,7 @@ from .population import DeviceMixture, LotPopulation, distinct
 from .reml import LotFit, fitted
 
 #: Passes in which the devices of a mixture are told apart, each with the spreads of the pass before; it ends when none changes.
-#: After two passes 7 of 68 leaking lids were still taken for sound ones, up to 5.4 sd off, and the lot was "unknown".
+#: Of 80 leaking lids of a lot (seed 4020 of the study) two passes found 61, and left devices 5.4 sd off among the sound ones.
 PASSES = 8
 
 
