@@ -22,6 +22,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pipeline.errors import ConfigError
 from pipeline.learning.lot.diagnosis import candidates_of, kind_of, mixtures_of
 from pipeline.learning.lot.loop import deviance, first_rung, with_part
 from pipeline.learning.lot.model import RandomPart
@@ -94,7 +95,11 @@ def sized(kind: LotKind, seed: int) -> tuple[HiddenLot, tuple[float, ...]]:
     for turn in range(len(IN)):
         sizes = np.ones(len(hidden.truth))
         for _ in range(SIZINGS):
-            hidden = hidden_lot(kind, seed, tuple(sizes.tolist()), turn)
+            try:
+                hidden = hidden_lot(kind, seed, tuple(sizes.tolist()), turn)
+            except ConfigError:  # so large that a device has no stiffness left
+                sizes = 0.5 * sizes
+                continue
             snr = np.array(snr_of(hidden))
             off = float(np.max(np.abs(np.log(np.maximum(snr, 1e-3) / wanted))))
             if best is None or off < best[0]:

@@ -135,7 +135,7 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
         near = [one for one in tried if deviance(one) - deviance(tried[0]) < RIVAL or one.part == OUTLIERS]
         # A generic part describes what a physical one explains, so that one is added; outliers explain anything.
         near.sort(key=lambda one: (one.part == OUTLIERS, is_generic(str(one.part)), deviance(one)))
-        best = near[0]
+        best = _sorted_again(near[0])
         fall = deviance(rung) - deviance(best)
         rivals = [
             (str(one.part), deviance(one) - deviance(best))
@@ -156,6 +156,19 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
         # What was added on the way to a misfit that remains may have taken its place.
         rungs = [replace(rung, status="partial" if rung.status == "confirmed" else rung.status) for rung in rungs]
     return LotLadder(tuple(rungs), found, verdict)
+
+
+def _sorted_again(rung: LotRung) -> LotRung:
+    """The rung with the devices of its mixtures told apart by its own spreads.
+
+    Spreads that had grown in place of the new part hid small leaks, which are heavy tails once the spreads are right.
+    """
+    ready = rung.ready
+    if not ready.mixtures:
+        return rung
+    ready = sorted_out(ready.measured, ready.population, ready.mixtures, rung.model, rung.fit.variances)
+    fit = ready.fit(rung.model, np.maximum(ready.start, 1e-4))
+    return replace(rung, ready=ready, fit=fit, outcome=ready.outcome(rung.model, fit.variances))
 
 
 def _refitted(rung: LotRung, found: LotDiagnosis, by_name: Mapping[str, Part | DeviceMixture]) -> list[LotRung]:
