@@ -1,4 +1,4 @@
-"""Names of pages in code, such as `docs/how-to/lots.md` or `damage.md`, become links, so that the sources stay readable as they are.
+"""Names of pages in code, such as `docs/how-to/lots.md`, become links; the sources stay readable as they are.
 
 A name of a page that does not exist is a fault, as a broken link is.
 """

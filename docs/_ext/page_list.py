@@ -1,7 +1,7 @@
 """The directive `pages`: the pages of a section, each with its title and its first sentence.
 
-    ```{pages} how-to
-    ```
+```{pages} how-to
+```
 """
 
 import re

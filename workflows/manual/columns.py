@@ -10,14 +10,20 @@ from pipeline.store.schema import DEVICES, POSTERIOR, Column
 
 from .markdown import NOTE, code, plain, table
 
-_TYPES = {"string": "text", "float64": "number", "float32": "number (32 bit)", "int32": "whole number", "int64": "whole number"}
+_TYPES = {
+    "string": "text",
+    "float64": "number",
+    "float32": "number (32 bit)",
+    "int32": "whole number",
+    "int64": "whole number",
+}
 #: Columns that every quantity has; the page describes them once.
 _OF_A_QUANTITY = ("{}", "{}_sd", "{}_q05", "{}_q95", "true_{}", "fab_{}", "{}_bias_bound")
 _ABOUT = """\
 # Columns of the results
 
-A run stores three tables as Parquet. `gyroscreen query` offers them as views, `gs.open_run()` as tables. Units are in the names of the
-columns, in the metadata of the Arrow fields, and in the view `columns`. A value that is not known is null, never NaN. An infinite
+A run stores three tables as Parquet. `gyroscreen query` offers them as views, `gs.open_run()` as tables. Units are in the names
+of the columns, in the metadata of the Arrow fields, and in the view `columns`. A value that is not known is null, never NaN. An infinite
 standard deviation means that the records do not determine the quantity.
 
 | table | one row per | where |

@@ -14,8 +14,8 @@ from .markdown import NOTE, block, code, plain, table
 _ABOUT = """\
 # Commands
 
-Each command prints its own help with `--help`. A wrong argument or a wrong file gives one line that says what is wrong, what is allowed and
-what to do next; [exit codes](exit-codes.md) lists the code of each outcome.
+Each command prints its own help with `--help`. A wrong argument or a wrong file gives one line that says what is wrong, what is
+allowed and what to do next; [exit codes](exit-codes.md) lists the code of each outcome.
 """
 
 
@@ -28,7 +28,9 @@ def commands_page(command_line: Any) -> str:
     """
     top = [_described("gyroscreen", command_line, level=2)] if _options(command_line) else []
     sections = [_described(name, command, level=2) for name, command in _leaves("gyroscreen", command_line)]
-    listed = [(f"[`{name}`](#{anchor(name)})", plain(_summary(one))) for name, one in _leaves("gyroscreen", command_line)]
+    listed = [
+        (f"[`{name}`](#{anchor(name)})", plain(_summary(one))) for name, one in _leaves("gyroscreen", command_line)
+    ]
     return "\n".join([NOTE, _ABOUT, table(("command", "what it does"), listed), *top, *sections])
 
 

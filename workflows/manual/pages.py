@@ -7,6 +7,7 @@ from typing import Any
 
 from .columns import columns_page
 from .commands import commands_page
+from .keys import file_pages
 
 
 def generated_pages(command_line: Any) -> Mapping[str, str]:
@@ -16,4 +17,5 @@ def generated_pages(command_line: Any) -> Mapping[str, str]:
     ----------
     command_line : the group of all commands, as ``typer.main.get_command`` gives it.
     """
-    return {"reference/columns.md": columns_page(), "reference/commands.md": commands_page(command_line)}
+    reference = {"columns.md": columns_page(), "commands.md": commands_page(command_line), **file_pages()}
+    return {f"reference/{name}": text for name, text in reference.items()}
