@@ -106,7 +106,7 @@ class Table:
 
 def file_pages() -> Mapping[str, str]:
     """Path below docs/reference/ -> page of each kind of file, and of their index."""
-    rows = [(f"[{plain(one.name)}]({one.page}.md)", one.about.replace("../", "../")) for one in FILES]
+    rows = [(f"[{plain(one.name)}]({one.page}.md)", one.about) for one in FILES]
     names = "\n".join(one.page for one in FILES)
     index = (
         f"{NOTE}\n# Files and their keys\n\nAll files are TOML. A key that is unknown, has the wrong type or is out of range is named in "
@@ -151,18 +151,24 @@ def _section(one: Table) -> str:
     title = "## Top level\n" if not one.header else f"## {code(one.header)}\n"
     known = meanings(one.kind)
     rows = [_key(field, known[field.name]) for field in fields(one.kind)]
-    intro = _intro(one.kind) if one.header else ""
-    return "\n".join([title, intro, table(("key", "default", "unit", "allowed", "meaning"), rows)])
+    about = [f"{plain(one.meaning[:1].upper() + one.meaning[1:])}.\n", *_more(one.kind)] if one.header else []
+    return "\n".join([title, *about, table(("key", "default", "unit", "allowed", "meaning"), rows)])
 
 
 def _key(field: FieldInfo, meaning: Meaning) -> tuple[str, str, str, str, str]:
     inner = [form.format(field.encode_name) for _, form in _structs(field.type)]
-    allowed = f"table {code(inner[0])}" if inner else plain(described(field.type))
+    allowed = f"table {code(inner[0])}" if inner else _allowed(field.type)
     plainly = [option for option in members(field.type) if option is not type(None) and not list(_structs(option))]
     if inner and plainly:
-        allowed += " or " + " or ".join(plain(described(option)) for option in plainly)
+        allowed += " or " + " or ".join(_allowed(option) for option in plainly)
     unit = "" if meaning.unit == "1" else plain(meaning.unit)
     return code(field.encode_name), _default(field), unit, allowed, plain(meaning.text)
+
+
+def _allowed(kind: Any) -> str:
+    """What a type allows; 1e+12, the end of a range that only keeps arithmetic finite, is left out."""
+    text = described(kind).replace(" and at most 1e+12", "").replace(" from 0 to 1e+12", " at least 0")
+    return plain(text.replace(" from -1e+12 to 1e+12", "").replace("e+", "e"))
 
 
 def _default(field: FieldInfo) -> str:
@@ -174,8 +180,8 @@ def _default(field: FieldInfo) -> str:
     return code(number(value) if isinstance(value, float) else encoded(value))
 
 
-def _intro(kind: type[Struct]) -> str:
-    """What the docstring of the struct says, without its roles."""
-    text = inspect.cleandoc(kind.__doc__ or "")
-    text = re.sub(r":\w+:`~?([^`]*)`", r"``\1``", text)
-    return "\n".join(f"{plain(' '.join(part.split()))}\n" for part in text.split("\n\n"))
+def _more(kind: type[Struct]) -> list[str]:
+    """What the docstring of the struct says beyond its summary."""
+    paragraphs = inspect.cleandoc(kind.__doc__ or "").split("\n\n")[1:]
+    unmarked = (re.sub(r":[a-z]+:`~?([^`]*)`", r"``\1``", " ".join(one.split())) for one in paragraphs)
+    return [f"{plain(one)}\n" for one in unmarked]

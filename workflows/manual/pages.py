@@ -7,6 +7,7 @@ from typing import Any
 
 from .columns import columns_page
 from .commands import commands_page
+from .effects import effect_pages
 from .keys import file_pages
 
 
@@ -17,5 +18,5 @@ def generated_pages(command_line: Any) -> Mapping[str, str]:
     ----------
     command_line : the group of all commands, as ``typer.main.get_command`` gives it.
     """
-    reference = {"columns.md": columns_page(), "commands.md": commands_page(command_line), **file_pages()}
+    reference = {"columns.md": columns_page(), "commands.md": commands_page(command_line), **file_pages(), **effect_pages()}
     return {f"reference/{name}": text for name, text in reference.items()}
