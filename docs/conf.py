@@ -17,9 +17,9 @@ templates_path: list[str] = []
 # A notebook of the same name as a page is renamed when the sources are copied.
 source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb", ".rst": "restructuredtext"}
 
-# A reference without a target is a fault, also one to a Python object; names of other packages have no target here.
+# A reference without a target is a fault; types in signatures are often internal, or those of other packages.
 nitpicky = True
-nitpick_ignore_regex = [(r"py:.*", r"(?!(pipeline|populations|reports|workflows)\.).*")]
+nitpick_ignore_regex = [(r"py:(class|obj|data)", r".*")]
 suppress_warnings = ["myst.header"]  # A page may skip a level of headings.
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence", "attrs_block", "attrs_inline", "fieldlist"]

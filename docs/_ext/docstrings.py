@@ -54,7 +54,8 @@ def as_rst(lines: list[str]) -> list[str]:
 
 
 def _process(app: Sphinx, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
-    lines[:] = as_rst(lines)
+    # What a role names may be internal, without a place in the manual.
+    lines[:] = as_rst([re.sub(r":[a-z:]+:`~?([^`]*)`", r"``\1``", line) for line in lines])
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

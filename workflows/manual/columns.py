@@ -22,9 +22,9 @@ _OF_A_QUANTITY = ("{}", "{}_sd", "{}_q05", "{}_q95", "true_{}", "fab_{}", "{}_bi
 _ABOUT = """\
 # Columns of the results
 
-A run stores three tables as Parquet. `gyroscreen query` offers them as views, `gs.open_run()` as tables. Units are in the names
-of the columns, in the metadata of the Arrow fields, and in the view `columns`. A value that is not known is null, never NaN. An infinite
-standard deviation means that the records do not determine the quantity.
+A run stores three tables as Parquet. `gyroscreen query` offers them as views, `gs.open_run()` as tables. Units are in the
+names of the columns, in the metadata of the Arrow fields, and in the view `columns`. A value that is not known is null,
+never NaN. An infinite standard deviation means that the records do not determine the quantity.
 
 | table | one row per | where |
 |---|---|---|

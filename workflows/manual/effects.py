@@ -22,29 +22,39 @@ _STAGES = {
     "adc": "ADC: the samples",
     "disturbance": "disturbance: lines with free amplitudes",
 }
-_PLANTS = {"gyro": "gyro", "updown": "gyro with the up-down mode", "modal": "modal", "resonator": "modal with one drive and one sense"}
-_PER = {"axis": "one per axis", "drive": "one per drive", "path": "one per sense and drive", "direction": "one per sense but the first"}
+_PLANTS = {
+    "gyro": "gyro",
+    "updown": "gyro with the up-down mode",
+    "modal": "modal",
+    "resonator": "modal with one drive and one sense",
+}
+_PER = {
+    "axis": "one per axis",
+    "drive": "one per drive",
+    "path": "one per sense and drive",
+    "direction": "one per sense but the first",
+}
 _ABOUT = """\
 # Effects
 
-An effect is one term in the physics of a device or of its read-out. `gyroscreen model add NAME model.toml` adds one to a model, `diagnose` and
-`refine` look for them. At its null value an effect does exactly nothing. psi = (psi_x, psi_y) is the rocking and z the up-down motion,
-both mass-normalised and in V s; v are the drive samples, x the motion of a sense electrode, S the volts of a pick-off before the
-filter. `docs/how-to/add-an-effect.md` shows how to write one of your own.
+An effect is one term in the physics of a device or of its read-out. `gyroscreen model add NAME model.toml` adds one to a
+model, `diagnose` and `refine` look for them. At its null value an effect does exactly nothing. psi = (psi_x, psi_y) is the
+rocking and z the up-down motion, both mass-normalised and in V s; v are the drive samples, x the motion of a sense
+electrode, S the volts of a pick-off before the filter. `docs/how-to/add-an-effect.md` shows how to write one of your own.
 """
 _ALIKE_ABOUT = """\
 ## Which effects look alike?
 
-`diagnose` puts effects that a campaign cannot tell apart into one class and names the record that would separate them. Two lists say in
-advance which effects these are.
+`diagnose` puts effects that a campaign cannot tell apart into one class and names the record that would separate them. Two
+lists say in advance which effects these are.
 
-The first list is declared by the effects and tested: near the size named there, the effects on the right together reproduce what the
-effect does to the standard campaign.
+The first list is declared by the effects and tested: near the size named there, the effects on the right together reproduce
+what the effect does to the standard campaign.
 """
 _COSINE_ABOUT = """\
-The second list is computed when this manual is built, from the pictures of the pages: |cosine| is the correlation between what the two
-effects leave in one chirp after a fit of the plant. 1 means that this one chirp cannot tell them apart. Other drive levels, other drive
-directions, or a silent record often can.
+The second list is computed when this manual is built, from the pictures of the pages: |cosine| is the correlation between
+what the two effects leave in one chirp after a fit of the plant. 1 means that this one chirp cannot tell them apart. Other
+drive levels, other drive directions, or a silent record often can.
 """
 
 
@@ -60,7 +70,11 @@ def effect_pages() -> Mapping[str, str]:
 def _index(library: Mapping[str, Effect], found: Mapping[str, EffectSignature]) -> str:
     listed = [(f"[`{name}`]({name}.md)", plain(one.signature)) for name, one in library.items()]
     declared = [
-        (f"[`{name}`]({name}.md)", " with ".join(map(code, like.effects)), "at every size" if like.always else "near an example")
+        (
+            f"[`{name}`]({name}.md)",
+            " with ".join(map(code, like.effects)),
+            "at every size" if like.always else "near an example",
+        )
         for name, one in library.items()
         for like in one.look_alikes
     ]
@@ -88,7 +102,10 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
         block(effect.law),
         f"Source: {plain(effect.source)}.\n",
         "## Parameters\n",
-        table(("parameter", "unit", "null", "range", "prior", "meaning"), [_parameter(effect, one) for one in effect.parameters]),
+        table(
+            ("parameter", "unit", "null", "range", "prior", "meaning"),
+            [_parameter(effect, one) for one in effect.parameters],
+        ),
         "## Signature\n",
         f"![Spectra and rms over time of a record, of its change by {effect.name}, and of what a fit of the plant leaves]"
         f"({effect.name}.svg)\n",
@@ -128,9 +145,19 @@ def _properties(effect: Effect) -> list[tuple[str, str]]:
         ("stages", "; ".join(_STAGES[stage] for stage in effect.stages)),
         ("plants", "; ".join(_PLANTS[plant] for plant in effect.plants)),
     ]
-    rows += [("a declared condition fixes it", plain(f"{effect.condition}_dps of the record"))] if effect.condition else []
-    rows += [("records", "only demodulated records (sweeps of a lock-in amplifier) have it as a candidate")] if effect.demodulated else []
-    rows += [("bias", "its law contains the bias: records at another bias help to identify it")] if effect.depends_on_bias else []
+    rows += (
+        [("a declared condition fixes it", plain(f"{effect.condition}_dps of the record"))] if effect.condition else []
+    )
+    rows += (
+        [("records", "only demodulated records (sweeps of a lock-in amplifier) have it as a candidate")]
+        if effect.demodulated
+        else []
+    )
+    rows += (
+        [("bias", "its law contains the bias: records at another bias help to identify it")]
+        if effect.depends_on_bias
+        else []
+    )
     rows += [("hold", "a wrongly declared hold of the drive samples looks like it")] if effect.mimics_hold else []
     rows += [("modes", "adds a mode; a model may hold it several times")] if effect.resonance else []
     rows += [("memory", f"{effect.memories} internal state per axis")] if effect.memories else []
@@ -154,4 +181,8 @@ def _look_alikes(effect: Effect, library: Mapping[str, Effect]) -> str:
 
 
 def _where(always: bool, example: Mapping[str, float]) -> str:
-    return "at every size" if always else "near " + ", ".join(f"{name} = {number(value)}" for name, value in example.items())
+    return (
+        "at every size"
+        if always
+        else "near " + ", ".join(f"{name} = {number(value)}" for name, value in example.items())
+    )

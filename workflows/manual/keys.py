@@ -40,8 +40,8 @@ FILES = (
     TomlFile(
         "campaign",
         "campaign.toml",
-        "Describes the records of one device. It lies in the folder of the records; `gyroscreen init FILE...` writes one for foreign "
-        "files.",
+        "Describes the records of one device. It lies in the folder of the records; `gyroscreen init FILE...` writes one "
+        "for foreign files.",
         CampaignTable,
         ("docs/how-to/sweeps.md",),
     ),
@@ -72,8 +72,8 @@ FILES = (
     TomlFile(
         "limits",
         "Limits file",
-        "Limits of the result quantities ({doc}`../columns` lists them) and the rule by which a device is judged. For theta, an axis, "
-        "the limits are the arc from `min` up to `max`, modulo 180 deg.",
+        "Limits of the result quantities ({doc}`../columns` lists them) and the rule by which a device is judged. For theta, "
+        "an axis, the limits are the arc from `min` up to `max`, modulo 180 deg.",
         LimitsTable,
         ("docs/how-to/limits.md",),
     ),
@@ -88,8 +88,8 @@ FILES = (
     TomlFile(
         "modal",
         "Modal record",
-        "Poles and residues that were identified elsewhere: each mode is (s R1 + R0) / (s^2 + 2 zeta w s + w^2). Rows are senses, "
-        "columns are drives.",
+        "Poles and residues that were identified elsewhere: each mode is (s R1 + R0) / (s^2 + 2 zeta w s + w^2). Rows are "
+        "senses, columns are drives.",
         ModalTable,
     ),
 )
@@ -109,8 +109,8 @@ def file_pages() -> Mapping[str, str]:
     rows = [(f"[{plain(one.name)}]({one.page}.md)", one.about) for one in FILES]
     names = "\n".join(one.page for one in FILES)
     index = (
-        f"{NOTE}\n# Files and their keys\n\nAll files are TOML. A key that is unknown, has the wrong type or is out of range is named in "
-        "one line, with what is allowed.\nThe unit of a key is the end of its name, or it is in the column *unit*.\n\n"
+        f"{NOTE}\n# Files and their keys\n\nAll files are TOML. A key that is unknown, has the wrong type or is out of range is "
+        "named in one line, with what is allowed.\nThe unit of a key is the end of its name, or it is in the column *unit*.\n\n"
         f"{table(('file', 'content'), rows)}\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"
     )
     return {"files/index.md": index} | {f"files/{one.page}.md": file_page(one) for one in FILES}

@@ -8,7 +8,9 @@ from typing import Any
 from .columns import columns_page
 from .commands import commands_page
 from .effects import effect_pages
+from .irregularities import irregularity_pages
 from .keys import file_pages
+from .python import python_page
 
 
 def generated_pages(command_line: Any) -> Mapping[str, str]:
@@ -18,5 +20,12 @@ def generated_pages(command_line: Any) -> Mapping[str, str]:
     ----------
     command_line : the group of all commands, as ``typer.main.get_command`` gives it.
     """
-    reference = {"columns.md": columns_page(), "commands.md": commands_page(command_line), **file_pages(), **effect_pages()}
+    reference = {
+        "columns.md": columns_page(),
+        "commands.md": commands_page(command_line),
+        "python.md": python_page(),
+        **file_pages(),
+        **effect_pages(),
+        **irregularity_pages(),
+    }
     return {f"reference/{name}": text for name, text in reference.items()}

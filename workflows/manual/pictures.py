@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from pipeline.arrays import FloatArray
-from reports.html.style import AFTER, BEFORE, MUTED, panels, style
+from reports.html.style import AFTER, BEFORE, MUTED, style
 
+from .patterns import Pattern
 from .signatures import SIGMA_V, EffectSignature
 
+#: Width of a picture [inch]: that of the text of a page.
+_WIDE = 9.0
 _AROUND_HZ = (500.0, 640.0)
 _BINS = 240
 _PIECES = 100
@@ -29,12 +33,17 @@ _LOOKS: tuple[dict[str, Any], ...] = (
 def signature_picture(found: EffectSignature) -> str:
     """Spectra around the resonances and over the full band, and the change over time, as the text of an SVG file."""
     with style():
-        figure, rows = panels(1, 3, 2.3, left=0.85, gap=0.75, bottom=0.95, top=0.4)
-        near, wide, time = rows[0]
-        for axes, limits, title in ((near, _AROUND_HZ, "Around the modes"), (wide, (0.0, found.rate_hz / 2.0), "Full band")):
+        figure = Figure(figsize=(_WIDE, 5.2))
+        (near, time), (wide, other) = figure.subplots(2, 2)
+        other.remove()
+        wide.set_subplotspec(wide.get_subplotspec().get_gridspec()[1, :])
+        figure.subplots_adjust(left=0.09, right=0.99, top=0.95, bottom=0.17, hspace=0.5, wspace=0.25)
+        for axes, limits, title in (
+            (near, _AROUND_HZ, "Around the modes"),
+            (wide, (0.0, found.rate_hz / 2.0), "Full band"),
+        ):
             _spectra(axes, found, limits)
-            axes.set(title=title, xlabel="frequency [Hz]")
-        near.set_ylabel("amplitude [mV]")
+            axes.set(title=title, xlabel="frequency [Hz]", ylabel="amplitude [mV]")
         _over_time(time, found)
         figure.legend(*near.get_legend_handles_labels(), loc="lower center", ncols=4)
         return svg_file(figure, found.effect)
@@ -86,3 +95,32 @@ def _over_time(axes: Axes, found: EffectSignature) -> None:
         axes.plot(middle, np.maximum(rms, 1e-12), **look)
     _level(axes, 1e3 * SIGMA_V)
     axes.set(title="Over time", xlabel="time [s]", ylabel="rms [mV]")
+
+
+def pattern_picture(found: Pattern) -> str:
+    """Maps of wafers, and the shares of the spreads of quantities where they are known, as the text of an SVG file."""
+    with style():
+        bars = bool(found.shares)
+        figure = Figure(figsize=(_WIDE, 4.6 if bars else 2.6))
+        grid = figure.add_gridspec(2 if bars else 1, len(found.maps), height_ratios=(1.2, 1.0) if bars else (1.0,))
+        figure.subplots_adjust(
+            left=0.2 if bars else 0.02, right=0.99, top=0.92, bottom=0.12 if bars else 0.05, hspace=0.2, wspace=0.1
+        )
+        largest = max(float(np.max(np.abs(one.values))) for one in found.maps) or 1.0
+        for k, one in enumerate(found.maps):
+            axes = figure.add_subplot(grid[0, k])
+            shown = axes.scatter(
+                one.x, one.y, c=one.values, s=42, marker="s", cmap="PuOr", vmin=-largest, vmax=largest, linewidths=0
+            )
+            axes.add_patch(Circle((0.0, 0.0), found.radius, fill=False, edgecolor=MUTED, linewidth=0.8))
+            axes.set(title=one.title, aspect="equal", xticks=(), yticks=())
+            axes.margins(0.08)
+            axes.set_frame_on(False)
+        bar = figure.colorbar(shown, ax=figure.axes, shrink=0.8 if not bars else 0.5, pad=0.02, anchor=(0.0, 1.0))
+        bar.set_label(found.what)
+        if bars:
+            axes = figure.add_subplot(grid[1, :])
+            names, values = zip(*reversed(found.shares))
+            axes.barh(names, [100.0 * value for value in values], color=AFTER, height=0.65)
+            axes.set(xlabel="rms change, as a share of the spread of the quantity in the population [%]")
+        return svg_file(figure, found.name)

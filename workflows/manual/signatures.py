@@ -4,8 +4,8 @@ The device is like that of the paper.  The record is a chirp of 1 s; the size of
 
     change = y(effect) - y(none)          left = (I - P) change
 
-P projects onto what the parameters of the plant and an offset per channel can change, so ``left`` is what a fit of the plant alone
-leaves.  Shapes: N samples, S senses.  Units: volts.
+P projects onto what the parameters of the plant and an offset per channel can change, so ``left`` is what a fit of the
+plant alone leaves. Shapes: N samples, S senses. Units: volts.
 """
 
 from __future__ import annotations
@@ -66,7 +66,9 @@ def effect_signature(effect: Effect) -> EffectSignature:
     random = np.random.default_rng(_SEED)
     sizes = sized(model, plant, effect.name, empty, instrument, SIGMA_V, random, SNR)
     change = forward(model, {**plant, **sizes}, empty, instrument) - record
-    return EffectSignature(effect.name, sizes, record, change, _left(change, jacobian(DEFAULT_COMPARE_MODEL, plant, empty, instrument)))
+    return EffectSignature(
+        effect.name, sizes, record, change, _left(change, jacobian(DEFAULT_COMPARE_MODEL, plant, empty, instrument))
+    )
 
 
 def alike(one: EffectSignature, other: EffectSignature) -> float:

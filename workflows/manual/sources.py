@@ -1,7 +1,8 @@
 """Where the sources of the manual are, and where it is built.
 
-The sources are the folder docs/ beside the packages, or the copy that a wheel holds in workflows/manual/sources.  The manual is
-built in the user's cache folder, by version and content of the sources and of the code that it describes, never beside the packages.
+The sources are the folder docs/ beside the packages, or the copy that a wheel holds in workflows/manual/sources. The manual
+is built in the user's cache folder, by version and content of the sources and of the code that it describes, never beside
+the packages.
 """
 
 from __future__ import annotations
