@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import ConfigError, NegativeError, unwritable
+from pipeline.errors import ConfigError, NegativeError, UsageError, unwritable
 
 from .pages import generated_pages
 from .sources import Sources
@@ -19,6 +19,8 @@ from .sources import Sources
 #: What the extra [docs] installs, by the names of the modules.
 _NEEDS = ("sphinx", "myst_nb", "pydata_sphinx_theme", "sphinx_design", "latex2mathml")
 _SHOWN = 20
+#: A file of every site that Sphinx builds.
+_MARK = "objects.inv"
 
 
 def require_tools() -> None:
@@ -49,10 +51,11 @@ def build(sources: Sources, out: Path, command_line: Any, *, strict: bool = Fals
     Raises
     ------
     ConfigError : a package of the extra [docs] is not installed.
-    UsageError : ``out`` cannot be written.
+    UsageError : ``out`` cannot be written, or holds something else than an earlier build.
     NegativeError : Sphinx failed, or warned while ``strict``.
     """
     require_tools()
+    _check_replaceable(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="manual-", dir=out.parent) as scratch:
@@ -65,6 +68,17 @@ def build(sources: Sources, out: Path, command_line: Any, *, strict: bool = Fals
     except OSError as error:
         raise unwritable("the manual", out, error) from None
     return out / "index.html"
+
+
+def _check_replaceable(out: Path) -> None:
+    """Refuse a folder that holds anything but an earlier build."""
+    if out.exists() and not (out / _MARK).exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(
+            "the folder for the manual holds something else",
+            value=str(out),
+            allowed="a new or empty folder, or one that holds an earlier build",
+            next_step="choose another folder",
+        )
 
 
 def staged(sources: Sources, work: Path, command_line: Any) -> None:

@@ -41,8 +41,8 @@ def anchor(name: str) -> str:
 
 def _leaves(prefix: str, group: Any) -> Iterator[tuple[str, Any]]:
     """Full name and command of every command that does something, hidden ones last."""
-    found = sorted(group.commands.items(), key=lambda item: item[1].hidden)
-    for name, command in found:
+    named = ((name, group.commands[name]) for name in group.list_commands(typer.Context(group)))
+    for name, command in sorted(named, key=lambda item: item[1].hidden):
         if hasattr(command, "commands"):
             yield from _leaves(f"{prefix} {name}", command)
         else:
@@ -70,8 +70,9 @@ def _described(name: str, command: Any, level: int) -> str:
 
 
 def _options(command: Any) -> list[Any]:
-    """The options of a command but --help."""
-    return [one for one in command.params if one.param_type_name == "option" and "--help" not in one.opts]
+    """The options of a command but those that every one has: --help, and --debug of the whole command line."""
+    common = {"--help"} if hasattr(command, "commands") else {"--help", "--debug"}
+    return [one for one in command.params if one.param_type_name == "option" and not common & set(one.opts)]
 
 
 def _summary(command: Any) -> str:

@@ -83,8 +83,8 @@ def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...]) -> s
             "## Picture\n",
             f"![Maps of four wafers and shares of the spreads by {one.name}]({one.name}.svg)\n",
             f"Population {code(spec.name)} drawn with and without it, with the same random numbers: the change {where}. "
-            "The maps show the quantity with the largest share, on two wafers of each of two lots. A share above 100 % is possible, "
-            "because other irregularities may cancel it.\n",
+            "The maps show the quantity with the largest share, on two wafers of each of two lots. A share above 100 % is "
+            "possible, because other irregularities may cancel it.\n",
         ]
     varies = f"varies by {', '.join(levels)}" if levels else "has no random numbers"
     return "\n".join(

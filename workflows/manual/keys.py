@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args, get_origin
@@ -22,7 +21,7 @@ from populations.spec import PopulationSpec
 from reports.limits import LimitsTable
 
 from ..config import RunConfig
-from .markdown import NOTE, code, number, plain, table
+from .markdown import NOTE, code, number, plain, table, without_roles
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ def _section(one: Table) -> str:
     known = meanings(one.kind)
     rows = [_key(field, known[field.name]) for field in fields(one.kind)]
     about = [f"{plain(one.meaning[:1].upper() + one.meaning[1:])}.\n", *_more(one.kind)] if one.header else []
-    return "\n".join([title, *about, table(("key", "default", "unit", "allowed", "meaning"), rows)])
+    return "\n".join([title, *about, table(("key", "meaning", "unit", "default", "allowed"), rows)])
 
 
 def _key(field: FieldInfo, meaning: Meaning) -> tuple[str, str, str, str, str]:
@@ -162,7 +161,7 @@ def _key(field: FieldInfo, meaning: Meaning) -> tuple[str, str, str, str, str]:
     if inner and plainly:
         allowed += " or " + " or ".join(_allowed(option) for option in plainly)
     unit = "" if meaning.unit == "1" else plain(meaning.unit)
-    return code(field.encode_name), _default(field), unit, allowed, plain(meaning.text)
+    return code(field.encode_name), plain(meaning.text), unit, _default(field), allowed
 
 
 def _allowed(kind: Any) -> str:
@@ -174,7 +173,7 @@ def _allowed(kind: Any) -> str:
 def _default(field: FieldInfo) -> str:
     if field.required:
         return "*required*"
-    value = field.default if field.default is not NODEFAULT else field.default_factory()  # type: ignore[operator]
+    value = field.default if field.default is not NODEFAULT else field.default_factory()
     if value is None or isinstance(value, Struct) or value in ("", (), {}, []):
         return ""
     return code(number(value) if isinstance(value, float) else encoded(value))
@@ -183,5 +182,4 @@ def _default(field: FieldInfo) -> str:
 def _more(kind: type[Struct]) -> list[str]:
     """What the docstring of the struct says beyond its summary."""
     paragraphs = inspect.cleandoc(kind.__doc__ or "").split("\n\n")[1:]
-    unmarked = (re.sub(r":[a-z]+:`~?([^`]*)`", r"``\1``", " ".join(one.split())) for one in paragraphs)
-    return [f"{plain(one)}\n" for one in unmarked]
+    return [f"{plain(without_roles(' '.join(one.split())))}\n" for one in paragraphs]

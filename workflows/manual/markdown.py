@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 #: A generated page says so to those who would edit it.
@@ -35,6 +36,11 @@ def plain(text: str) -> str:
         parts = [text]
     shown = [code(part) if k % 2 else _escaped(part) for k, part in enumerate(parts)]
     return "".join(shown)
+
+
+def without_roles(text: str) -> str:
+    """``text`` of a docstring with its Sphinx roles as code."""
+    return re.sub(r":[a-z:]+:`~?([^`]*)`", r"``\1``", text)
 
 
 def number(value: float) -> str:

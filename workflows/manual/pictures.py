@@ -19,7 +19,7 @@ from .patterns import Pattern
 from .signatures import SIGMA_V, EffectSignature
 
 #: Width of a picture [inch]: that of the text of a page.
-_WIDE = 9.0
+_WIDE = 7.8
 _AROUND_HZ = (500.0, 640.0)
 _BINS = 240
 _PIECES = 100
@@ -37,7 +37,7 @@ def signature_picture(found: EffectSignature) -> str:
         (near, time), (wide, other) = figure.subplots(2, 2)
         other.remove()
         wide.set_subplotspec(wide.get_subplotspec().get_gridspec()[1, :])
-        figure.subplots_adjust(left=0.09, right=0.99, top=0.95, bottom=0.17, hspace=0.5, wspace=0.25)
+        figure.subplots_adjust(left=0.09, right=0.99, top=0.95, bottom=0.2, hspace=0.5, wspace=0.3)
         for axes, limits, title in (
             (near, _AROUND_HZ, "Around the modes"),
             (wide, (0.0, found.rate_hz / 2.0), "Full band"),
@@ -45,7 +45,7 @@ def signature_picture(found: EffectSignature) -> str:
             _spectra(axes, found, limits)
             axes.set(title=title, xlabel="frequency [Hz]", ylabel="amplitude [mV]")
         _over_time(time, found)
-        figure.legend(*near.get_legend_handles_labels(), loc="lower center", ncols=4)
+        figure.legend(*near.get_legend_handles_labels(), loc="lower center", ncols=2)
         return svg_file(figure, found.effect)
 
 
@@ -104,7 +104,7 @@ def pattern_picture(found: Pattern) -> str:
         figure = Figure(figsize=(_WIDE, 4.6 if bars else 2.6))
         grid = figure.add_gridspec(2 if bars else 1, len(found.maps), height_ratios=(1.2, 1.0) if bars else (1.0,))
         figure.subplots_adjust(
-            left=0.2 if bars else 0.02, right=0.99, top=0.92, bottom=0.12 if bars else 0.05, hspace=0.2, wspace=0.1
+            left=0.23 if bars else 0.02, right=0.99, top=0.92, bottom=0.12 if bars else 0.05, hspace=0.2, wspace=0.1
         )
         largest = max(float(np.max(np.abs(one.values))) for one in found.maps) or 1.0
         for k, one in enumerate(found.maps):

@@ -10,7 +10,7 @@ from pipeline import errors
 from pipeline.errors import GyroscreenError
 
 from .. import api
-from .markdown import NOTE, code, table
+from .markdown import NOTE, code, table, without_roles
 
 _OWN = ("pipeline.", "populations.", "reports.", "workflows.")
 _ABOUT = """\
@@ -20,8 +20,8 @@ _ABOUT = """\
 from workflows import api as gs
 ```
 
-One import has everything. Calls take paths or what an earlier call returned. Answers are immutable and print as the commands do; their
-tables are pandas frames. `docs/tutorials/notebook.md` shows the interface in use. Names below are those of `gs`.
+One import has everything. Calls take paths or what an earlier call returned. Answers are immutable and print as the commands
+do; their tables are pandas frames. `docs/tutorials/notebook.md` shows the interface in use. Names below are those of `gs`.
 """
 
 
@@ -98,4 +98,4 @@ def _anchor(value: Any) -> str:
 
 
 def _summary(value: Any) -> str:
-    return " ".join(inspect.cleandoc(value.__doc__ or "").split("\n\n")[0].split())
+    return without_roles(" ".join(inspect.cleandoc(value.__doc__ or "").split("\n\n")[0].split()))

@@ -79,6 +79,7 @@ def cache_folder() -> Path:
     return base / "gyroscreen" / "manual"
 
 
-def built_folder(sources: Sources) -> Path:
-    """Folder of the manual of these sources, whether or not it is built yet."""
-    return cache_folder() / f"{metadata.version('gyroscreen')}-{sources.digest()}"
+def built_folder(sources: Sources, notebooks: bool = True) -> Path:
+    """Folder of the manual of these sources, with or without executed notebooks, whether or not it is built yet."""
+    plain = "" if notebooks else "-plain"
+    return cache_folder() / f"{metadata.version('gyroscreen')}-{sources.digest()}{plain}"
