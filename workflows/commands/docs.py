@@ -11,6 +11,7 @@ from typing import Any
 from reports.words.manual import BUILDING
 
 from ..manual.build import build, require_tools
+from ..manual.pages import generated_pages
 from ..manual.sources import built_folder, find_sources
 
 #: Builds that stay in the cache: those of other installations of the same user.
@@ -25,7 +26,7 @@ def docs(command_line: Any, out: Path | None, *, opens: bool, notebooks: bool, s
     if out is not None or strict or not page.exists():
         require_tools()
         print(BUILDING, file=sys.stderr)
-        page = build(sources, folder, command_line, strict=strict, notebooks=notebooks)
+        page = build(sources, generated_pages(command_line), folder, strict=strict, notebooks=notebooks)
         if out is None:
             _forget_old(folder)
     print(page)

@@ -8,12 +8,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from pipeline.errors import ConfigError, NegativeError, UsageError, unwritable
 
-from .pages import generated_pages
 from .sources import Sources
 
 #: What the extra [docs] installs, by the names of the modules.
@@ -39,12 +38,14 @@ def require_tools() -> None:
         )
 
 
-def build(sources: Sources, out: Path, command_line: Any, *, strict: bool = False, notebooks: bool = True) -> Path:
+def build(
+    sources: Sources, pages: Mapping[str, str], out: Path, *, strict: bool = False, notebooks: bool = True
+) -> Path:
     """Build the manual into the folder ``out``; returns its first page.
 
     Parameters
     ----------
-    command_line : the group of all commands, which the manual describes.
+    pages : path below docs/ -> text of the generated pages and pictures.
     strict : every warning of Sphinx is an error.
     notebooks : execute the notebooks; without it they show their code alone.
 
@@ -60,7 +61,7 @@ def build(sources: Sources, out: Path, command_line: Any, *, strict: bool = Fals
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="manual-", dir=out.parent) as scratch:
             work = Path(scratch)
-            staged(sources, work, command_line)
+            staged(sources, pages, work)
             _sphinx(work / "docs", work / "site", strict, notebooks)
             if out.exists():
                 shutil.rmtree(out)
@@ -81,13 +82,13 @@ def _check_replaceable(out: Path) -> None:
         )
 
 
-def staged(sources: Sources, work: Path, command_line: Any) -> None:
-    """Write the sources, with the generated pages, into the empty folder ``work``."""
+def staged(sources: Sources, pages: Mapping[str, str], work: Path) -> None:
+    """Write the sources, with the generated ``pages``, into the empty folder ``work``."""
     for path in sources.files:
         target = work / path.relative_to(sources.root)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, target)
-    for name, content in generated_pages(command_line).items():
+    for name, content in pages.items():
         target = work / "docs" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(content, encoding="utf-8")

@@ -13,7 +13,7 @@ from .markdown import NOTE, code, plain, table
 _TYPES = {
     "string": "text",
     "float64": "number",
-    "float32": "number (32 bit)",
+    "float32": "number, 32 bit",
     "int32": "whole number",
     "int64": "whole number",
 }
@@ -62,8 +62,8 @@ def columns_page() -> str:
 
 
 def _quantities(title: str, quantities: Sequence[Quantity]) -> tuple[str, str]:
-    rows = [(code(one.name), plain(one.unit), plain(one.meaning)) for one in quantities]
-    return f"### {title}\n", table(("quantity", "unit", "meaning"), rows)
+    rows = [(code(one.name), plain(one.meaning), plain(one.unit)) for one in quantities]
+    return f"### {title}\n", table(("quantity", "meaning", "unit"), rows)
 
 
 def _meaning(form: str) -> str:
@@ -79,5 +79,5 @@ def _meaning(form: str) -> str:
 
 
 def _columns(columns: Sequence[Column]) -> str:
-    rows = [(code(one.name), _TYPES[one.type], plain(one.unit), plain(one.meaning)) for one in columns]
-    return table(("column", "type", "unit", "meaning"), rows)
+    rows = [(code(one.name), plain(one.meaning), plain(one.unit), _TYPES[one.type]) for one in columns]
+    return table(("column", "meaning", "unit", "type"), rows)

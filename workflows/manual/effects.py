@@ -103,7 +103,7 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
         f"Source: {plain(effect.source)}.\n",
         "## Parameters\n",
         table(
-            ("parameter", "unit", "null", "range", "prior", "meaning"),
+            ("parameter", "meaning", "unit", "null", "range", "prior"),
             [_parameter(effect, one) for one in effect.parameters],
         ),
         "## Signature\n",
@@ -124,7 +124,8 @@ def _parameter(effect: Effect, one: Parameter) -> tuple[str, ...]:
     fixed = "; not fitted" if not one.fitted else ""
     limits = f"{number(one.low)} to {number(one.high)}"
     unit = "" if one.unit == "1" else plain(one.unit)
-    return code(name), unit, number(one.null), limits, plain(one.prior), plain(one.meaning + family + scanned + fixed)
+    meaning = plain(one.meaning + family + scanned + fixed)
+    return code(name), meaning, unit, number(one.null), limits, plain(one.prior)
 
 
 def _caption(effect: Effect, found: EffectSignature) -> str:

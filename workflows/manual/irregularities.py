@@ -97,7 +97,7 @@ def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...]) -> s
             f"Stage {code(one.stage)}; {varies}.\n",
             "## Parameters\n",
             f"Keys of `[irregularity.{one.name}]` in a population file.\n",
-            table(("key", "unit", "null", "cloverleaf", "range", "meaning"), parameters),
+            table(("key", "meaning", "unit", "null", "cloverleaf", "range"), parameters),
             *picture,
         ]
     )

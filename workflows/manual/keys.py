@@ -94,6 +94,21 @@ FILES = (
 )
 
 
+_SHORTER = (
+    (" and at most 1e+12", ""),
+    (" from 0 to 1e+12", " at least 0"),
+    (" from -1e+12 to 1e+12", ""),
+    ("e+", "e"),
+    (" that is not empty", ""),
+    (", each item ", " of "),
+    ("a whole number", "integer"),
+    ("a number", "number"),
+    ("a string", "text"),
+    ("a list", "list"),
+    ("a table", "table"),
+)
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of a TOML file: its header as written, its struct, and what the key that holds it means."""
@@ -166,8 +181,10 @@ def _key(field: FieldInfo, meaning: Meaning) -> tuple[str, str, str, str, str]:
 
 def _allowed(kind: Any) -> str:
     """What a type allows; 1e+12, the end of a range that only keeps arithmetic finite, is left out."""
-    text = described(kind).replace(" and at most 1e+12", "").replace(" from 0 to 1e+12", " at least 0")
-    return plain(text.replace(" from -1e+12 to 1e+12", "").replace("e+", "e"))
+    text = described(kind)
+    for long, short in _SHORTER:
+        text = text.replace(long, short)
+    return plain(text)
 
 
 def _default(field: FieldInfo) -> str:

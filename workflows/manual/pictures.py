@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from pipeline.arrays import FloatArray
-from reports.html.style import AFTER, BEFORE, MUTED, style
+from reports.html.style import AFTER, BEFORE, MUTED, log_ticks, style
 
 from .patterns import Pattern
 from .signatures import SIGMA_V, EffectSignature
@@ -37,7 +37,7 @@ def signature_picture(found: EffectSignature) -> str:
         (near, time), (wide, other) = figure.subplots(2, 2)
         other.remove()
         wide.set_subplotspec(wide.get_subplotspec().get_gridspec()[1, :])
-        figure.subplots_adjust(left=0.09, right=0.99, top=0.95, bottom=0.2, hspace=0.5, wspace=0.3)
+        figure.subplots_adjust(left=0.09, right=0.97, top=0.95, bottom=0.2, hspace=0.5, wspace=0.3)
         for axes, limits, title in (
             (near, _AROUND_HZ, "Around the modes"),
             (wide, (0.0, found.rate_hz / 2.0), "Full band"),
@@ -73,6 +73,7 @@ def _level(axes: Axes, noise: float) -> None:
     """The level of the noise [mV], and the axis from well below it."""
     axes.set_yscale("log")
     axes.set_ylim(noise / 30.0, axes.get_ylim()[1])
+    log_ticks(axes.yaxis)
     axes.axhline(noise, color=MUTED, linewidth=0.9, linestyle=(0, (1, 1.5)), label=f"noise of {1e3 * SIGMA_V:g} mV")
 
 

@@ -29,6 +29,8 @@ from ..simulate import sized
 SIGMA_V = 1e-3
 SNR = 300.0
 _RATE_HZ = 10_000.0
+#: Frequency of an additional mode [Hz].
+_MODE_HZ = 562.0
 _SEED = 1
 #: Amplitude of each hum line [V].
 _HUM_V = 1e-3
@@ -65,6 +67,12 @@ def effect_signature(effect: Effect) -> EffectSignature:
         return EffectSignature(effect.name, dict(zip((q.name for q in effect.parameters), p)), record, change, change)
     random = np.random.default_rng(_SEED)
     sizes = sized(model, plant, effect.name, empty, instrument, SIGMA_V, random, SNR)
+    if effect.resonance:
+        # Between the modes, where the chirp excites it; the change is proportional to the other parameters.
+        sizes[f"{effect.name}.{effect.resonance[0]}"] = _MODE_HZ
+        size = float(np.linalg.norm(forward(model, {**plant, **sizes}, empty, instrument) - record)) / SIGMA_V
+        free = {effect.full_name(one) for one in effect.members(model.built.shape) if not one.grid}
+        sizes = {name: value * (SNR / size if name in free else 1.0) for name, value in sizes.items()}
     change = forward(model, {**plant, **sizes}, empty, instrument) - record
     return EffectSignature(
         effect.name, sizes, record, change, _left(change, jacobian(DEFAULT_COMPARE_MODEL, plant, empty, instrument))
