@@ -1,5 +1,6 @@
 """Formulas as MathML, written when the manual is built: the pages need no script and no other host."""
 
+import re
 from typing import Any
 
 from docutils import nodes
@@ -13,10 +14,16 @@ log = logging.getLogger(__name__)
 
 def _mathml(latex: str, display: str, node: nodes.Element) -> str:
     try:
-        return str(convert(latex, display=display))
+        return _matrices(str(convert(latex, display=display)))
     except Exception as error:  # the converter has many kinds of errors
         log.warning("formula cannot be converted: %s: %s", latex, error, location=node, type="mathml")
         return f"<code>{latex}</code>"
+
+
+def _matrices(text: str) -> str:
+    """Parentheses around a matrix as its border: only fonts for mathematics have tall ones, and not every machine has one."""
+    fence = r"<mo[^>]*>(?:\(|&#x0*28;)</mo>(<mtable)(.*?</mtable>)<mo[^>]*>(?:\)|&#x0*29;)</mo>"
+    return re.sub(fence, r'\1 class="matrix"\2', text)
 
 
 def _inline(writer: Any, node: nodes.math) -> None:

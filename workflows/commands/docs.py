@@ -10,7 +10,7 @@ from typing import Any
 
 from reports.words.manual import BUILDING
 
-from ..manual.build import build, require_tools
+from ..manual.build import build, check
 from ..manual.pages import generated_pages
 from ..manual.sources import built_folder, find_sources
 
@@ -24,7 +24,7 @@ def docs(command_line: Any, out: Path | None, *, opens: bool, notebooks: bool, s
     folder = out or built_folder(sources, notebooks)
     page = folder / "index.html"
     if out is not None or strict or not page.exists():
-        require_tools()
+        check(folder)
         print(BUILDING, file=sys.stderr)
         page = build(sources, generated_pages(command_line), folder, strict=strict, notebooks=notebooks)
         if out is None:

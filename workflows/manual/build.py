@@ -22,12 +22,13 @@ _SHOWN = 20
 _MARK = "objects.inv"
 
 
-def require_tools() -> None:
-    """Check that the packages of the extra [docs] are installed.
+def check(out: Path) -> None:
+    """Check that the manual can be built into ``out``.
 
     Raises
     ------
-    ConfigError : one is not.
+    ConfigError : a package of the extra [docs] is not installed.
+    UsageError : ``out`` holds something else than an earlier build.
     """
     missing = [name for name in _NEEDS if importlib.util.find_spec(name) is None]
     if missing:
@@ -35,6 +36,13 @@ def require_tools() -> None:
             f"the manual needs packages that are not installed: {', '.join(missing)}",
             allowed="the extra [docs]",
             next_step='pip install "gyroscreen[docs]", or from the project\'s folder: pip install ".[docs]"',
+        )
+    if out.exists() and not (out / _MARK).exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(
+            "the folder for the manual holds something else",
+            value=str(out),
+            allowed="a new or empty folder, or one that holds an earlier build",
+            next_step="choose another folder",
         )
 
 
@@ -55,8 +63,7 @@ def build(
     UsageError : ``out`` cannot be written, or holds something else than an earlier build.
     NegativeError : Sphinx failed, or warned while ``strict``.
     """
-    require_tools()
-    _check_replaceable(out)
+    check(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="manual-", dir=out.parent) as scratch:
@@ -69,17 +76,6 @@ def build(
     except OSError as error:
         raise unwritable("the manual", out, error) from None
     return out / "index.html"
-
-
-def _check_replaceable(out: Path) -> None:
-    """Refuse a folder that holds anything but an earlier build."""
-    if out.exists() and not (out / _MARK).exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(
-            "the folder for the manual holds something else",
-            value=str(out),
-            allowed="a new or empty folder, or one that holds an earlier build",
-            next_step="choose another folder",
-        )
 
 
 def staged(sources: Sources, pages: Mapping[str, str], work: Path) -> None:

@@ -99,7 +99,8 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
         f"# {effect.name}\n",
         f"{plain(effect.signature[:1].upper() + effect.signature[1:])}.\n",
         "## Equation\n",
-        block(effect.law),
+        f"$$\n{effect.latex}\n$$\n" if effect.latex else "",
+        block(_lines(effect.law)),
         f"Source: {plain(effect.source)}.\n",
         "## Parameters\n",
         table(
@@ -115,6 +116,11 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
         _look_alikes(effect, library),
     ]
     return "\n".join(parts)
+
+
+def _lines(law: str) -> str:
+    """A law with its clauses on lines of their own."""
+    return law.replace(",  ", ",\n").replace(";  ", ";\n")
 
 
 def _parameter(effect: Effect, one: Parameter) -> tuple[str, ...]:

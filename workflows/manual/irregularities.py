@@ -130,11 +130,11 @@ def _parameter(one: IrregularityParameter, given: Mapping[str, float]) -> tuple[
     stated = number(given[one.name]) if one.name in given else ""
     return (
         code(one.name),
+        plain(one.meaning + assumption),
         unit,
         null,
         stated,
         f"{number(one.low)} to {number(one.high)}",
-        plain(one.meaning + assumption),
     )
 
 
