@@ -20,7 +20,8 @@ source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb", ".rst": "restructuredtex
 # A reference without a target is a fault; types in signatures are often internal, or those of other packages.
 nitpicky = True
 nitpick_ignore_regex = [(r"py:(class|obj|data)", r".*")]
-suppress_warnings = ["myst.header"]  # A page may skip a level of headings.
+# A page may skip a level of headings; a section may have no page of a kind yet.
+suppress_warnings = ["myst.header", "toc.empty_glob"]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence", "attrs_block", "attrs_inline", "fieldlist"]
 # Prices and shell variables are no formulas.
@@ -48,6 +49,9 @@ html_theme = "pydata_sphinx_theme"
 html_title = f"gyroscreen {release}"
 html_static_path = ["_static"]
 html_css_files = ["manual.css"]
+# Excerpts of the pages found would be fetched, which a browser refuses for files.
+html_show_search_summary = False
+html_context = {"default_mode": "auto"}
 html_show_sourcelink = False
 html_copy_source = False
 html_show_copyright = False
@@ -64,4 +68,4 @@ html_theme_options = {
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
-html_sidebars = {"index": [], "results": [], "changelog": []}
+html_sidebars = {"index": [], "results": [], "CONTRIBUTING": [], "changelog": []}

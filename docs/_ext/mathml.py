@@ -14,16 +14,26 @@ log = logging.getLogger(__name__)
 
 def _mathml(latex: str, display: str, node: nodes.Element) -> str:
     try:
-        return _matrices(str(convert(latex, display=display)))
+        return _adjusted(str(convert(latex, display=display)))
     except Exception as error:  # the converter has many kinds of errors
         log.warning("formula cannot be converted: %s: %s", latex, error, location=node, type="mathml")
         return f"<code>{latex}</code>"
 
 
-def _matrices(text: str) -> str:
-    """Parentheses around a matrix as its border: only fonts for mathematics have tall ones, and not every machine has one."""
-    fence = r"<mo[^>]*>(?:\(|&#x0*28;)</mo>(<mtable)(.*?</mtable>)<mo[^>]*>(?:\)|&#x0*29;)</mo>"
-    return re.sub(fence, r'\1 class="matrix"\2', text)
+_PRIME, _DOUBLE = "&#x02032;", "&#x02033;"
+_MATRIX = r"<mo[^>]*>&#x0*28;</mo>(<mtable)(.*?</mtable>)<mo[^>]*>&#x0*29;</mo>"
+_TWO_PRIMES = rf"<msup>(<msubsup>(?:(?!</msubsup>).)*)<mi>{_PRIME}</mi></msubsup><mi>{_PRIME}</mi></msup>"
+
+
+def _adjusted(text: str) -> str:
+    """What only fonts for mathematics draw well, which not every machine has: manual.css draws it by these classes.
+
+    Parentheses around a matrix become its border; primes and dots, which would be tiny, become larger.
+    """
+    text = re.sub(_MATRIX, r'\1 class="matrix"\2', text)
+    text = re.sub(_TWO_PRIMES, rf"\1<mi>{_DOUBLE}</mi></msubsup>", text)
+    text = re.sub(rf"<(m[io])>({_PRIME}|{_DOUBLE})</\1>", r'<mo class="mark">\2</mo>', text)
+    return re.sub(r"<mo>(&#x000A8;|&#x002D9;)</mo>", r'<mo class="mark">\1</mo>', text)
 
 
 def _inline(writer: Any, node: nodes.math) -> None:

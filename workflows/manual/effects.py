@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 
 from pipeline.device.effect import Effect, find_effects
@@ -13,6 +14,8 @@ from .signatures import SNR, EffectSignature, alike, effect_signature
 
 #: |cosine| of two signatures from which on the index lists the pair.
 _ALIKE = 0.9
+#: Columns of a block of code on a page.
+_COLUMNS = 76
 _STAGES = {
     "drive": "drive: volts to forces",
     "mechanics": "mechanics: linear, time-invariant",
@@ -119,8 +122,9 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
 
 
 def _lines(law: str) -> str:
-    """A law with its clauses on lines of their own."""
-    return law.replace(",  ", ",\n").replace(";  ", ";\n")
+    """A law with its clauses on lines of their own, none longer than the page is wide."""
+    clauses = law.replace(",  ", ",\n").replace(";  ", ";\n").splitlines()
+    return "\n".join(line for clause in clauses for line in textwrap.wrap(clause, _COLUMNS))
 
 
 def _parameter(effect: Effect, one: Parameter) -> tuple[str, ...]:
