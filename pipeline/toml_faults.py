@@ -33,7 +33,7 @@ def first_fault(value: Any, kind: Any, key: str = "") -> Fault | None:
 
     ``key`` is the dotted key of ``value``; empty at the top level.
     """
-    options = _options(kind)
+    options = members(kind)
     if isinstance(value, dict):
         for option in options:
             if _is_struct(option):
@@ -82,7 +82,7 @@ def _fault_in_struct(table: dict[str, Any], kind: type[msgspec.Struct], key: str
 
 def described(kind: Any) -> str:
     """What a msgspec type allows, in words: "a whole number from 1 to 64"."""
-    return " or ".join(dict.fromkeys(_words(option) for option in _options(kind) if option is not type(None)))
+    return " or ".join(dict.fromkeys(_words(option) for option in members(kind) if option is not type(None)))
 
 
 def _words(option: Any) -> str:
@@ -124,8 +124,10 @@ def _range(meta: Meta | None) -> str:
     return " " + " and ".join(parts) if parts else ""
 
 
-def _options(kind: Any) -> tuple[Any, ...]:
-    """The members of a union, else ``kind`` alone."""
+def members(kind: Any) -> tuple[Any, ...]:
+    """The members of a union, else ``kind`` alone; notes that are not msgspec's are left out."""
+    base, meta = _bare(kind)
+    kind = kind if meta is not None else base
     return get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
 
 
@@ -151,5 +153,5 @@ def _item_types(option: Any, count: int) -> tuple[Any, ...]:
 
 
 def _may_be_infinite(kind: Any) -> bool:
-    metas = [_bare(option) for option in _options(kind)]
+    metas = [_bare(option) for option in members(kind)]
     return any(base is Any or (meta is not None and meta.extra == MAY_BE_INFINITE) for base, meta in metas)

@@ -14,10 +14,11 @@ import msgspec
 
 from pipeline.errors import printable
 from pipeline.toml_files import encoded, key, table
+from pipeline.toml_keys import meanings
 
 from .irregularity import Irregularity, IrregularityParameter, find
 from .latent import latent_space
-from .nominal import NominalDevice, Operating, Wafer, meanings
+from .nominal import NominalDevice, Operating, Wafer
 from .site import Level
 from .spec import PopulationSpec, load_spec
 
@@ -105,7 +106,7 @@ def _table(name: str, values: msgspec.Struct) -> str:
     kind, about = _TABLES[name]
     known = meanings(kind)
     plain: dict[str, Any] = msgspec.to_builtins(values)
-    return f"{_comment(about)}[{name}]\n{_aligned([(f'{k} = {encoded(v)}', known[k]) for k, v in plain.items()])}"
+    return f"{_comment(about)}[{name}]\n{_aligned([(f'{k} = {encoded(v)}', known[k].text) for k, v in plain.items()])}"
 
 
 def _about(parameter: IrregularityParameter) -> str:

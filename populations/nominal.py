@@ -6,19 +6,12 @@ The unit of a field is the end of its name; ranges are checked when the file is 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, get_type_hints
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-
-@dataclass(frozen=True)
-class Meaning:
-    """What a key of a population file means, in a few words."""
-
-    text: str
-
+from pipeline.toml_keys import Meaning
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 Fraction = Annotated[float, Meta(ge=0.0, lt=1.0)]
@@ -36,18 +29,18 @@ class NominalDevice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     updown_hz: Annotated[Positive, Meaning("f3")]
     rocking_gain_per_s: Annotated[Positive, Meaning("l^2 K_S K_D / I_0p")]
     updown_gain_per_s: Annotated[Positive, Meaning("K_S K_D / m")]
-    angular_gain: Annotated[float, Meta(gt=0.0, le=2.0), Meaning("kappa = I_p / I_0p")]
-    quality_rocking: Annotated[Positive, Meaning("total Q of the rocking modes, at the nominal pressure")]
-    quality_updown: Annotated[Positive, Meaning("total Q of the up-down mode, at the nominal pressure")]
-    quality_anchor: Annotated[Positive, Meaning("Q of the anchor loss alone, all modes")]
-    quality_thermoelastic: Annotated[Positive, Meaning("Q of the thermoelastic loss alone, all modes")]
+    angular_gain: Annotated[float, Meta(gt=0.0, le=2.0), Meaning("kappa = I_p / I_0p", "1")]
+    quality_rocking: Annotated[Positive, Meaning("total Q of the rocking modes, at the nominal pressure", "1")]
+    quality_updown: Annotated[Positive, Meaning("total Q of the up-down mode, at the nominal pressure", "1")]
+    quality_anchor: Annotated[Positive, Meaning("Q of the anchor loss alone, all modes", "1")]
+    quality_thermoelastic: Annotated[Positive, Meaning("Q of the thermoelastic loss alone, all modes", "1")]
     spring_azimuth_deg: Annotated[
         tuple[float, ...], Meta(min_length=2, max_length=32), Meaning("(J,) of the springs, from the x axis")
     ]
     spring_width_um: Annotated[Positive, Meaning("of each spring")]
     crystal_angle_deg: Annotated[float, Meta(ge=-90.0, le=90.0), Meaning("from <100> to the x axis, on a (100) wafer")]
     arm_mm: Annotated[Positive, Meaning("l, distance of the electrodes from the centre along x and y")]
-    post_mass_fraction: Annotated[Fraction, Meaning("mass of the post over that of the moving part")]
+    post_mass_fraction: Annotated[Fraction, Meaning("mass of the post over that of the moving part", "1")]
     softening_hz_per_v2: Annotated[
         float, Meta(ge=-10.0, le=0.0), Meaning("shift of f0 by both drive electrodes together")
     ]
@@ -72,8 +65,8 @@ class Wafer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     diameter_mm: Annotated[Positive, Meaning("of the wafer")]
     pitch_mm: Annotated[Positive, Meaning("distance of neighbouring dies, along x and y")]
     edge_exclusion_mm: Annotated[float, Meta(ge=0.0, le=1000.0), Meaning("of die centres")]
-    lots_per_batch: Annotated[Count, Meaning("lots that are sampled in turn")]
-    wafers_per_lot: Annotated[Count, Meaning("wafers that are sampled of each lot")]
+    lots_per_batch: Annotated[Count, Meaning("lots that are sampled in turn", "1")]
+    wafers_per_lot: Annotated[Count, Meaning("wafers that are sampled of each lot", "1")]
 
 
 class Operating(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -83,10 +76,3 @@ class Operating(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     temperature_c: Annotated[float, Meta(ge=-200.0, le=400.0), Meaning("of the packaged device, on average")]
     lid_pressure_pa: Annotated[Positive, Meaning("under a tight lid, on average")]
     probe_pressure_pa: Annotated[Positive, Meaning("in the wafer prober")]
-
-
-def meanings(kind: type[msgspec.Struct]) -> dict[str, str]:
-    """Key -> meaning of one of the tables above."""
-    hints = get_type_hints(kind, include_extras=True)
-    notes = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: next((one.text for one in own if isinstance(one, Meaning)), "") for name, own in notes.items()}

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 
 from pipeline.errors import ConfigError
 from pipeline.toml_files import check_known, converted, decode, table
+from pipeline.toml_keys import Meaning
 
 from .extend import EXTENDS, SPECS, WITHOUT, whole
 from .irregularity import Irregularity, IrregularityParameter, find
@@ -29,12 +31,17 @@ ANGULAR_GAIN = "angular_gain"
 class PopulationSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A population.  :func:`load_spec` returns a checked one; instances pickle and compare by value."""
 
-    name: str
-    irregularity_folders: tuple[str, ...] = ()
-    device: NominalDevice
-    wafer: Wafer
-    operating: Operating
-    irregularity: dict[str, dict[str, float]] = {}
+    name: Annotated[str, Meaning("name of the population in reports")]
+    irregularity_folders: Annotated[
+        tuple[str, ...], Meaning("folders with your own irregularities, relative to this file")
+    ] = ()
+    device: Annotated[NominalDevice, Meaning("the device as designed")]
+    wafer: Annotated[Wafer, Meaning("wafer, lots and wafers of a batch")]
+    operating: Annotated[Operating, Meaning("operating point of packaged devices")]
+    irregularity: Annotated[
+        dict[str, dict[str, float]],
+        Meaning("irregularities of the population, one table each with its parameters", "that of the parameter"),
+    ] = {}
 
     @property
     def angular_gain(self) -> float:

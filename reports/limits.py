@@ -19,7 +19,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Struct
@@ -30,6 +30,7 @@ from pipeline.errors import ConfigError
 from pipeline.experiment.files.common_tables import Value
 from pipeline.quantities import AXES, NAMES
 from pipeline.toml_files import check_known, converted, load
+from pipeline.toml_keys import Meaning
 
 from .rules import Rule, RuleName, RuleTable, rule_of
 
@@ -94,15 +95,19 @@ class Limit:
 class BoundsTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """``[limits.<quantity>]``: one limit or both."""
 
-    min: Value | None = None
-    max: Value | None = None
+    min: Annotated[Value | None, Meaning("least conforming value; absent: no lower limit", "that of the quantity")] = (
+        None
+    )
+    max: Annotated[
+        Value | None, Meaning("largest conforming value; absent: no upper limit", "that of the quantity")
+    ] = None
 
 
 class LimitsTable(Struct, frozen=True, forbid_unknown_fields=True):
     """A limits file."""
 
-    rule: RuleTable | RuleName = RuleTable()
-    limits: dict[str, BoundsTable] = {}
+    rule: Annotated[RuleTable | RuleName, Meaning("rule by which a device is judged: a name or a table")] = RuleTable()
+    limits: Annotated[dict[str, BoundsTable], Meaning("limits by quantity, one table each")] = {}
 
 
 @dataclass(frozen=True)

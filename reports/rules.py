@@ -31,6 +31,7 @@ from msgspec import Meta, Struct
 from scipy.special import ndtr, ndtri
 
 from pipeline.errors import ConfigError
+from pipeline.toml_keys import Meaning
 
 RuleName = Literal["probability", "simple", "guard_band"]
 _PASS_AT, _FAIL_AT = 0.95, 0.05
@@ -42,12 +43,20 @@ _ConsumerRisk = Annotated[float, Meta(gt=0.0, lt=0.5)]
 class RuleTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """``[rule]`` as it is written; ``kind`` is another word for ``name``."""
 
-    name: RuleName | None = None
-    kind: RuleName | None = None
-    pass_at: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
-    fail_at: Annotated[float, Meta(ge=0.0, lt=1.0)] | None = None
-    k: _GuardFactor | None = None
-    consumer_risk: _ConsumerRisk | None = None
+    name: Annotated[RuleName | None, Meaning("probability, simple or guard_band; absent: probability")] = None
+    kind: Annotated[RuleName | None, Meaning("another word for name")] = None
+    pass_at: Annotated[
+        Annotated[float, Meta(gt=0.0, le=1.0)] | None,
+        Meaning("probability of conformity from which on a device passes; absent: 0.95", "1"),
+    ] = None
+    fail_at: Annotated[
+        Annotated[float, Meta(ge=0.0, lt=1.0)] | None,
+        Meaning("probability of conformity up to which a device fails; absent: 0.05", "1"),
+    ] = None
+    k: Annotated[_GuardFactor | None, Meaning("guard band in standard uncertainties", "1")] = None
+    consumer_risk: Annotated[
+        _ConsumerRisk | None, Meaning("probability of nonconformity that a pass may have, in place of k", "1")
+    ] = None
 
 
 @dataclass(frozen=True)

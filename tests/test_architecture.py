@@ -22,6 +22,7 @@ BASE = {
     "arrays",
     "axial",
     "toml_files",
+    "toml_keys",
     "quantities",
     "threads",
     "plain",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Struct
@@ -21,21 +21,18 @@ from pipeline.input_limits import RECORD_VALUES
 from pipeline.performance.figure import by_table, find_figures
 from pipeline.performance.operating_point import OperatingPoint
 from pipeline.toml_files import check_known, converted, decode, load
+from pipeline.toml_keys import Meaning
 from reports.limits import DEFAULT_LIMITS, BoundsTable, Limits, bounds_of, checked_limits
 from reports.rules import RuleName, RuleTable
 from reports.trend.charted import night_limits
 
+from .config_bench import ExperimentTable, HumTable, NoiseTable, RunDemodulationTable, RunInstrumentTable
 from .config_tables import (
     DiagnosisTable,
     EffectTable,
-    ExperimentTable,
     GateTable,
-    HumTable,
     IdentificationTable,
-    NoiseTable,
     PosteriorTable,
-    RunDemodulationTable,
-    RunInstrumentTable,
     RunTable,
     SamplingTable,
     SourceTable,
@@ -55,27 +52,33 @@ _COLUMNS = 5
 class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The configuration of a run."""
 
-    run: RunTable = RunTable()
-    source: SourceTable = SourceTable()
-    experiment: ExperimentTable = ExperimentTable()
-    instrument: RunInstrumentTable = RunInstrumentTable()
-    noise: NoiseTable = NoiseTable()
-    hum: HumTable = HumTable()
-    demodulation: RunDemodulationTable = RunDemodulationTable()
-    systematic: SystematicTable = SystematicTable()
-    operation: OperationTable = OperationTable()
-    effect_folders: tuple[str, ...] = ()
-    identification: IdentificationTable = IdentificationTable()
-    posterior: PosteriorTable = PosteriorTable()
-    gate: GateTable = GateTable()
-    targets: TargetsTable = TargetsTable()
-    trend: TrendTable = TrendTable()
-    trim: TrimTable | None = None
-    sampling: SamplingTable | None = None
-    effects: dict[str, EffectTable] = {}
-    diagnosis: DiagnosisTable = DiagnosisTable()
-    rule: RuleTable | RuleName = RuleTable()
-    limits: dict[str, BoundsTable] = {}
+    run: Annotated[RunTable, Meaning("devices, seed and workers")] = RunTable()
+    source: Annotated[SourceTable, Meaning("where the devices come from")] = SourceTable()
+    experiment: Annotated[ExperimentTable, Meaning("excitation of virtual devices")] = ExperimentTable()
+    instrument: Annotated[RunInstrumentTable, Meaning("hold, bias, filter and converter")] = RunInstrumentTable()
+    noise: Annotated[NoiseTable, Meaning("noise of virtual records")] = NoiseTable()
+    hum: Annotated[HumTable, Meaning("mains hum of virtual records")] = HumTable()
+    demodulation: Annotated[RunDemodulationTable, Meaning("how the rate signal is demodulated")] = (
+        RunDemodulationTable()
+    )
+    systematic: Annotated[SystematicTable, Meaning("errors that all devices of a tester share")] = SystematicTable()
+    operation: Annotated[OperationTable, Meaning("how the gyro is operated")] = OperationTable()
+    effect_folders: Annotated[tuple[str, ...], Meaning("folders with your own effects, relative to the file")] = ()
+    identification: Annotated[IdentificationTable, Meaning("band and window of the identification")] = (
+        IdentificationTable()
+    )
+    posterior: Annotated[PosteriorTable, Meaning("sampler and stored draws")] = PosteriorTable()
+    gate: Annotated[GateTable, Meaning("what a fit must satisfy")] = GateTable()
+    targets: Annotated[TargetsTable, Meaning("gates on the whole run")] = TargetsTable()
+    trend: Annotated[TrendTable, Meaning("alarms of night against night")] = TrendTable()
+    trim: Annotated[TrimTable | None, Meaning("electrostatic trim after the test; absent: none")] = None
+    sampling: Annotated[SamplingTable | None, Meaning("sampling towards rare losses")] = None
+    effects: Annotated[dict[str, EffectTable], Meaning("effects that virtual devices have, one table each")] = {}
+    diagnosis: Annotated[DiagnosisTable, Meaning("examination of misfits after the last block")] = DiagnosisTable()
+    rule: Annotated[RuleTable | RuleName, Meaning("rule by which a device is judged: a name or a table")] = RuleTable()
+    limits: Annotated[
+        dict[str, BoundsTable], Meaning("limits by quantity, one table each; absent: the shipped limits")
+    ] = {}
 
     def judged_by(self, where: str = "run configuration") -> Limits:
         """Limits and rule; the shipped limits if the file has no [limits].

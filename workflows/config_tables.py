@@ -12,24 +12,15 @@ from msgspec import Meta, Struct
 
 from pipeline.device.operation.trim import Target
 from pipeline.device.operation.trim_electrodes import Electrodes, standard_electrodes
-from pipeline.experiment.excitation import Chirp, Excitation, Multisine
 from pipeline.experiment.files.common_tables import (
-    AdcBits,
-    AdcTable,
-    AntiAliasTable,
-    DemodulationTable,
-    FilterOrder,
-    InstrumentTable,
     NotNegative,
-    PhaseError,
     Positive,
     Value,
 )
-from pipeline.experiment.instrument import Instrument
-from pipeline.experiment.noise.source import Kind, NoiseKind
 from pipeline.inference.gate import Gate
 from pipeline.inference.screening.sample import SamplerSettings
 from pipeline.toml_files import MAY_BE_INFINITE
+from pipeline.toml_keys import Meaning
 from reports.limits import BoundsTable, Limits
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -50,11 +41,15 @@ class RunTable(Struct, frozen=True, forbid_unknown_fields=True):
     ``device_limit_s`` is the time limit of a device [s]; absent: 20 times the median, at least 60 s.
     """
 
-    devices: Annotated[int, Meta(ge=1, le=10_000_000)] = 200
-    seed: Annotated[int, Meta(ge=0)] = 1
-    block: Annotated[int, Meta(ge=1, le=10_000)] = 25
-    workers: Annotated[int, Meta(ge=0, le=1024)] = 0
-    device_limit_s: Positive | None = None
+    devices: Annotated[int, Meta(ge=1, le=10_000_000), Meaning("number of virtual devices", "1")] = 200
+    seed: Annotated[int, Meta(ge=0), Meaning("seed of all random streams", "1")] = 1
+    block: Annotated[
+        int, Meta(ge=1, le=10_000), Meaning("devices that a worker processes before they are stored", "1")
+    ] = 25
+    workers: Annotated[int, Meta(ge=0, le=1024), Meaning("local worker processes; 0: one per core", "1")] = 0
+    device_limit_s: Annotated[
+        Positive | None, Meaning("time limit of a device; absent: 20 times the median, at least 60 s")
+    ] = None
 
 
 class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -65,116 +60,47 @@ class SourceTable(Struct, frozen=True, forbid_unknown_fields=True):
     ``store_irregularities``: keep the random numbers of each virtual device in the table ``irregularities``.
     """
 
-    kind: Literal["population", "campaigns"] = "population"
-    spec: str = "cloverleaf"
-    spec_toml: str | None = None
-    values: dict[str, float] = {}
-    path: str | None = None
-    store_irregularities: bool = True
-
-
-class ExperimentTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The excitation, the silent record before it, and the effects with sizes drawn by the population that virtual devices have.
-
-    The default has all linear ones.  The nightly model fits electrode mismatches if one of these two effects is named.
-    One start, stop [Hz] and amplitude [V] for each drive; ``period_s`` [s] is that of the multisine.
-    """
-
-    kind: Literal["chirp", "multisine"] = "chirp"
-    start_hz: tuple[Positive, ...] = (400.0, 700.0)
-    stop_hz: tuple[Positive, ...] = (700.0, 400.0)
-    amplitude_v: tuple[NotNegative, ...] = (2.0, 2.0)
-    duration_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 3.0
-    period_s: Positive = 3.0
-    silence_s: Positive = 1.0
-    effects: tuple[str, ...] = ("electrode_mismatch", "updown_tilt")
-
-    def excitation(self) -> Excitation:
-        """The excitation that the table describes."""
-        if self.kind == "chirp":
-            return Chirp(self.start_hz, self.stop_hz, self.amplitude_v, self.duration_s)
-        low = min(*self.start_hz, *self.stop_hz)
-        high = max(*self.start_hz, *self.stop_hz)
-        return Multisine(low, high, self.amplitude_v, self.duration_s, self.period_s)
-
-
-class RunAntiAliasTable(AntiAliasTable, frozen=True, forbid_unknown_fields=True):
-    """The analog filter before the converter; the default is the paper's."""
-
-    order: FilterOrder = 8
-    corner_hz: Positive = 4800.0
-
-
-class RunAdcTable(AdcTable, frozen=True, forbid_unknown_fields=True):
-    """The converter; the default is the paper's."""
-
-    bits: AdcBits = 16
-    full_scale_v: Positive = 10.0
-
-
-class RunInstrumentTable(InstrumentTable, frozen=True, forbid_unknown_fields=True):
-    """The instrument; the default is the paper's.  ``antialias = false`` and ``adc = false``: none."""
-
-    sample_rate_hz: Positive = 10_000.0
-    antialias: RunAntiAliasTable | Literal[False] = RunAntiAliasTable()
-    adc: RunAdcTable | Literal[False] = RunAdcTable()
-
-    def instrument(self) -> Instrument:
-        """The instrument that the table describes."""
-        return self.built(self.sample_rate_hz)
-
-
-class NoiseTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """Noise level: sigma [V], or the SNR [dB] of each device (rms of the signal in the window over sigma); and its kind.
-
-    ``coefficient`` belongs to "ar", ``corner_hz`` to "1/f", ``jitter_s`` to "jitter", ``gain_noise`` to "gain"; sigma of "1/f" is
-    that of its white part.
-    """
-
-    sigma_v: Positive | None = None
-    snr_db: Annotated[float, Meta(ge=-400.0, extra=MAY_BE_INFINITE)] | None = None
-    kind: Kind = "white"
-    coefficient: Annotated[float, Meta(gt=-1.0, lt=1.0)] = 0.7
-    corner_hz: NotNegative = 1000.0
-    jitter_s: NotNegative = 3e-7
-    gain_noise: NotNegative = 1e-3
-
-    def noise_kind(self) -> NoiseKind:
-        """The kind of noise that the table describes."""
-        return NoiseKind(self.kind, self.coefficient, self.corner_hz, self.jitter_s, self.gain_noise)
-
-
-class HumTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """Mains hum: amplitudes [V] of the harmonics 1, 2, .. of ``frequency_hz`` [Hz]; an empty list means no hum."""
-
-    frequency_hz: Literal[50, 60] = 60
-    amplitude_v: tuple[NotNegative, ...] = (0.005, 0.002, 0.003, 0.001, 0.002, 0.0005, 0.001, 0.0005, 0.0005)
-
-
-class RunDemodulationTable(DemodulationTable, frozen=True, forbid_unknown_fields=True):
-    """Phase error of the demodulation, and the mode whose frequency is omega_0."""
-
-    phase_error_deg: PhaseError = 1.0
+    kind: Annotated[
+        Literal["population", "campaigns"], Meaning("virtual devices of a population, or measured campaigns")
+    ] = "population"
+    spec: Annotated[str, Meaning("population: a shipped name, or a TOML file relative to this one")] = "cloverleaf"
+    spec_toml: Annotated[
+        str | None,
+        Meaning("text of the population, which a run writes into its run.toml; it takes precedence over spec"),
+    ] = None
+    values: Annotated[
+        dict[str, float],
+        Meaning(
+            'named assumptions of the population, or "irregularity.parameter", with other values',
+            "that of the assumption",
+        ),
+    ] = {}
+    path: Annotated[str | None, Meaning("folder that contains the campaign folders; for measured campaigns")] = None
+    store_irregularities: Annotated[bool, Meaning("whether the random numbers of each virtual device are stored")] = (
+        True
+    )
 
 
 class IdentificationTable(Struct, frozen=True, forbid_unknown_fields=True):
     """ARX order and window [s] of the paper's route, and the band [Hz] of the likelihood."""
 
-    order: Annotated[int, Meta(ge=10, le=80)] = 40
-    window_s: Positive = 2.0
-    low_hz: Positive = 400.0
-    high_hz: Positive = 700.0
+    order: Annotated[int, Meta(ge=10, le=80), Meaning("order of the ARX model of the paper's route", "1")] = 40
+    window_s: Annotated[Positive, Meaning("window of the paper's route")] = 2.0
+    low_hz: Annotated[Positive, Meaning("lower end of the band of the likelihood")] = 400.0
+    high_hz: Annotated[Positive, Meaning("upper end of the band of the likelihood")] = 700.0
 
 
 class PosteriorTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Size of the emcee ensembles, criteria of convergence, and the number of stored draws per device."""
 
-    ensembles: Annotated[int, Meta(ge=4, le=64)] = 4
-    walkers: Annotated[int, Meta(ge=24, le=4096)] = 96
-    steps: Annotated[int, Meta(ge=4, le=100_000)] = 8
-    rhat_max: Annotated[float, Meta(gt=1.0, extra=MAY_BE_INFINITE)] = 1.01
-    ess_min: NotNegative = 1000.0
-    stored_draws: Annotated[int, Meta(ge=0)] = 100
+    ensembles: Annotated[int, Meta(ge=4, le=64), Meaning("independent ensembles of the sampler", "1")] = 4
+    walkers: Annotated[int, Meta(ge=24, le=4096), Meaning("walkers of an ensemble", "1")] = 96
+    steps: Annotated[int, Meta(ge=4, le=100_000), Meaning("steps of each walker", "1")] = 8
+    rhat_max: Annotated[
+        float, Meta(gt=1.0, extra=MAY_BE_INFINITE), Meaning("largest R-hat of a converged posterior", "1")
+    ] = 1.01
+    ess_min: Annotated[NotNegative, Meaning("least effective sample size of a converged posterior", "1")] = 1000.0
+    stored_draws: Annotated[int, Meta(ge=0), Meaning("posterior draws that are stored per device; 0: none", "1")] = 100
 
     def settings(self) -> SamplerSettings:
         """Settings of the sampler."""
@@ -189,10 +115,19 @@ class GateTable(Struct, frozen=True, forbid_unknown_fields=True):
     the probability that an effect is found in a device that has none.
     """
 
-    error_max: Threshold = 1.1
-    theta_bias_max_deg: Threshold = 0.5
-    bias_fraction: Threshold = 0.05
-    effect_alpha: Annotated[float, Meta(ge=0.0, lt=1.0)] = 1e-3
+    error_max: Annotated[Threshold, Meaning("largest error of a device with status ok", "1")] = 1.1
+    theta_bias_max_deg: Annotated[Threshold, Meaning("largest bound of the bias of theta that the residual allows")] = (
+        0.5
+    )
+    bias_fraction: Annotated[
+        Threshold,
+        Meaning("largest bias that an undetected effect may cause, as a share of the width of the limits", "1"),
+    ] = 0.05
+    effect_alpha: Annotated[
+        float,
+        Meta(ge=0.0, lt=1.0),
+        Meaning("probability that an effect is found in a device that has none; 0: no search", "1"),
+    ] = 1e-3
 
     def gate(self, limits: Limits) -> Gate:
         """The gate that the table describes, for devices that are judged by ``limits``."""
@@ -207,12 +142,19 @@ class TrimTable(Struct, frozen=True, forbid_unknown_fields=True):
     ``softening_hz_per_v2`` is the shift [Hz/V^2] of the mode along the azimuth of a pair, ``gain_sd`` its relative sd.
     """
 
-    azimuth_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)
-    softening_hz_per_v2: Annotated[float, Meta(lt=0.0)] = -0.03
-    gain_sd: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.05
-    most_v: Threshold = 15.0
-    split_hz: NotNegative | None = 0.0
-    theta_deg: Value | None = None
+    azimuth_deg: Annotated[tuple[float, ...], Meaning("azimuth of each pair of trim electrodes, from the x axis")] = (
+        0.0,
+        45.0,
+        90.0,
+        135.0,
+    )
+    softening_hz_per_v2: Annotated[
+        float, Meta(lt=0.0), Meaning("shift of the mode along the azimuth of a pair")
+    ] = -0.03
+    gain_sd: Annotated[float, Meta(ge=0.0, lt=1.0), Meaning("relative sd of that shift", "1")] = 0.05
+    most_v: Annotated[Threshold, Meaning("largest trim voltage")] = 15.0
+    split_hz: Annotated[NotNegative | None, Meaning("split that the trim aims at; absent: any")] = 0.0
+    theta_deg: Annotated[Value | None, Meaning("theta that the trim aims at; absent: any")] = None
 
     def electrodes(self) -> Electrodes:
         """The electrodes that the table describes."""
@@ -230,10 +172,16 @@ class EffectTable(Struct, frozen=True, forbid_unknown_fields=True):
     Affected are a ``share`` of the devices, or the ids in ``devices``; if ``lots`` is given, only in those lots.
     """
 
-    size: dict[str, tuple[EffectSize, EffectSpread]]
-    share: Share = 1.0
-    devices: tuple[str, ...] = ()
-    lots: tuple[str, ...] = ()
+    size: Annotated[
+        dict[str, tuple[EffectSize, EffectSpread]],
+        Meaning(
+            "parameter = [mean, sd] of a normal distribution over the affected devices, clipped to the range",
+            "that of the parameter",
+        ),
+    ]
+    share: Annotated[Share, Meaning("share of the devices that is affected", "1")] = 1.0
+    devices: Annotated[tuple[str, ...], Meaning("ids of the affected devices, in place of share")] = ()
+    lots: Annotated[tuple[str, ...], Meaning("lots to which the effect is limited; empty: all")] = ()
 
 
 class DiagnosisTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -244,17 +192,22 @@ class DiagnosisTable(Struct, frozen=True, forbid_unknown_fields=True):
     probability of a false detection.
     """
 
-    enabled: bool = True
-    most: Annotated[int, Meta(ge=1)] = 200
-    sample: Annotated[int, Meta(ge=0)] | None = None
-    alpha: Annotated[float, Meta(gt=0.0, lt=0.5)] = 0.003
+    enabled: Annotated[bool, Meaning("whether misfits are examined")] = True
+    most: Annotated[int, Meta(ge=1), Meaning("misfits that are examined at most", "1")] = 200
+    sample: Annotated[
+        Annotated[int, Meta(ge=0)] | None,
+        Meaning("devices with status ok that are examined; absent: 2 % of them, at least 12", "1"),
+    ] = None
+    alpha: Annotated[float, Meta(gt=0.0, lt=0.5), Meaning("family-wise probability of a false detection", "1")] = 0.003
 
 
 class TargetsTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Gates on the whole run.  A gate that fails sets the exit code 1 and has no other effect."""
 
-    yield_min: Share | None = None
-    strict_convergence: bool = False
+    yield_min: Annotated[Share | None, Meaning("least yield; below it the exit code is 1", "1")] = None
+    strict_convergence: Annotated[bool, Meaning("whether a posterior that has not converged sets the exit code 1")] = (
+        False
+    )
 
 
 class SamplingTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -265,10 +218,17 @@ class SamplingTable(Struct, frozen=True, forbid_unknown_fields=True):
     population instead, to compare.
     """
 
-    limits: tuple[str, ...] = ()
-    devices: Annotated[int, Meta(ge=1, le=100_000_000)] = 20_000
-    precision: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.2
-    method: Literal["importance", "plain"] = "importance"
+    limits: Annotated[tuple[str, ...], Meaning("limited quantities whose loss is estimated; empty: all")] = ()
+    devices: Annotated[int, Meta(ge=1, le=100_000_000), Meaning("virtual devices of an estimate at most", "1")] = 20_000
+    precision: Annotated[
+        float,
+        Meta(gt=0.0, le=1.0),
+        Meaning("half-width of the 95 % interval of a loss that is decided, relative to the loss", "1"),
+    ] = 0.2
+    method: Annotated[
+        Literal["importance", "plain"],
+        Meaning("importance: sampling towards the loss; plain: devices as the population draws them"),
+    ] = "importance"
 
 
 class TrendTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -278,5 +238,11 @@ class TrendTable(Struct, frozen=True, forbid_unknown_fields=True):
     decide nothing); ``limits`` bound the yield of a night, "yield", and means of its quantities.
     """
 
-    false_alarm: Annotated[float, Meta(gt=0.0, lt=0.5)] | None = None
-    limits: dict[str, BoundsTable] = {}
+    false_alarm: Annotated[
+        Annotated[float, Meta(gt=0.0, lt=0.5)] | None,
+        Meaning("probability that a night in control raises any alarm; absent: charts decide nothing", "1"),
+    ] = None
+    limits: Annotated[
+        dict[str, BoundsTable],
+        Meaning('limits of the yield of a night ("yield") and of means of its quantities, one table each'),
+    ] = {}

@@ -75,7 +75,8 @@ class Effect:
     Parameters
     ----------
     name : name in model files and reports; also the name of the file.
-    law : the equation.
+    law : the equation, in plain text.
+    latex : the equation for the manual; an effect of your own needs none.
     source : citation or derivation.
     signature : how records show the effect, in words.
     parameters : parameters and families, in the order in which ``p`` holds them.
@@ -124,6 +125,7 @@ class Effect:
     memories: int = 0
     size: SizeRange | None = None
     number: int = 1
+    latex: str = ""
 
     def __post_init__(self) -> None:
         for required in ("name", "law", "source", "signature", "parameters", "plants"):

@@ -13,7 +13,8 @@ from .mechanics import Mechanics
 from .parameters import Shape
 from .plant import PlantSpec
 
-_GYRO = {
+#: Parameters of a device like that of the paper, each in its unit.
+GYRO = {
     "f1_hz": 534.5,
     "f2_hz": 536.4,
     "f3_hz": 590.3,
@@ -65,7 +66,7 @@ def example_of(effect: Effect) -> Example:
     """A gyro, or one mode where the effect applies to no gyro."""
     gyro = bool({"gyro", "updown"} & set(effect.plants))
     plant = PlantSpec().build() if gyro else PlantSpec("modal").build()
-    values = _GYRO if gyro else _MODAL
+    values = GYRO if gyro else _MODAL
     members, axes = effect.members(plant.shape), len(plant.shape.axes)
     p = np.array([m.grid[len(m.grid) // 2] if m.grid else m.null for m in members])
     scale = p + np.array([0.0 if m.grid else m.scale for m in members])

@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from msgspec import Meta, Struct
 
 from ..toml_files import load, table
+from ..toml_keys import Meaning
 from .plant import PlantSpec, Sense
 
 Count = Annotated[int, Meta(ge=1, le=64)]
@@ -28,11 +29,14 @@ Value = TypeVar("Value", float, str)
 class PlantTable(Struct, frozen=True, forbid_unknown_fields=True):
     """A plant with options."""
 
-    kind: Literal["gyro", "modal"]
-    modes: Count = 1
-    sense: Sense = "velocity"
-    senses: Count = 1
-    drives: Count = 1
+    kind: Annotated[
+        Literal["gyro", "modal"],
+        Meaning("gyro: the eleven parameters of the paper; modal: any number of modes, senses and drives"),
+    ]
+    modes: Annotated[Count, Meaning("number of modes of a modal plant", "1")] = 1
+    sense: Annotated[Sense, Meaning("what the senses of a modal plant measure")] = "velocity"
+    senses: Annotated[Count, Meaning("number of senses of a modal plant", "1")] = 1
+    drives: Annotated[Count, Meaning("number of drives of a modal plant", "1")] = 1
 
     def built(self) -> PlantSpec:
         """The plant that this table describes."""
@@ -44,11 +48,24 @@ class PlantTable(Struct, frozen=True, forbid_unknown_fields=True):
 class ModelTable(Struct, frozen=True, forbid_unknown_fields=True):
     """A model file.  ``[fixed.gain_drift] gamma = 0.1`` means the same as ``[fixed] "gain_drift.gamma" = 0.1``."""
 
-    plant: Literal["gyro"] | PlantTable = "gyro"
-    effects: tuple[str, ...] = ()
-    effect_folders: tuple[str, ...] = ()
-    fixed: dict[str, float | dict[str, float]] = {}
-    prior: dict[str, str | dict[str, str]] = {}
+    plant: Annotated[
+        Literal["gyro"] | PlantTable, Meaning('rigid-body model: "gyro", or a table for a modal plant')
+    ] = "gyro"
+    effects: Annotated[tuple[str, ...], Meaning("effects of the model, by name")] = ()
+    effect_folders: Annotated[
+        tuple[str, ...], Meaning("folders with your own effects, relative to the model file")
+    ] = ()
+    fixed: Annotated[
+        dict[str, float | dict[str, float]],
+        Meaning('parameter = value: parameters that are not fitted, as "effect.parameter"', "that of the parameter"),
+    ] = {}
+    prior: Annotated[
+        dict[str, str | dict[str, str]],
+        Meaning(
+            'parameter = "normal(mean, sd)" or "uniform(low, high)", in place of the declared prior',
+            "that of the parameter",
+        ),
+    ] = {}
 
 
 @dataclass(frozen=True)

@@ -35,27 +35,18 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import msgspec
-from msgspec import Meta
 
 from .. import toml_files as toml
 from ..errors import UsageError
+from .campaign_tables import CampaignTable, RecordTable
 from .decays.pieces import decay_pieces
 from .envelope_campaign import envelope_of
 from .files.channels import correct
 from .files.columns import assemble
 from .files.common_tables import (
-    ConditionsTable,
-    DemodulationTable,
-    DeviceTable,
-    InstrumentTable,
-    OperationTable,
-    Positive,
-    References,
-    SystematicTable,
-    Value,
     check_phase,
     references,
 )
@@ -64,7 +55,6 @@ from .files.mapping import Source
 from .files.modal_record import ModalRecord, decode_modal_record
 from .files.readers import existing, read_columns, read_records
 from .files.together import at_temperatures, check_same_shape, from_first_sample, roles_of, with_all_drives
-from .files.tone_columns import Quantity
 from .instrument import Instrument
 from .layout import layout_of
 from .record import PAPER_FRAME, Campaign, Channels, Record, Role
@@ -73,71 +63,6 @@ from .tones import ToneCampaign, ToneKind, ToneRecord
 from .write_campaign import write_campaign
 
 __all__ = ["read_campaign", "read_measurement", "write_campaign"]
-
-Sign = Literal[-1, 1]
-FileName = Annotated[str, Meta(min_length=1)]
-
-
-class RecordTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[[record]]``: a file or files, role, conditions [deg/s, V], and its samples ``start`` to ``stop`` (exclusive)."""
-
-    file: FileName | Annotated[list[FileName], Meta(min_length=1, max_length=8)]
-    name: str | None = None
-    role: Role | None = None
-    rate_dps: Value | None = None
-    bias_v: Value | None = None
-    temperature_c: Annotated[float, Meta(ge=-273.15, le=1000.0)] | None = None
-    at_rest: bool = True
-    start: Annotated[int, Meta(ge=0)] = 0
-    stop: Annotated[int, Meta(ge=1)] | None = None
-    period_samples: Annotated[int, Meta(ge=16)] | None = None
-    start_s: Annotated[float, Meta(ge=0.0, le=1e9)] | None = None
-    stop_s: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None
-    kind: ToneKind | Literal["time", "decay", "decay_amplitude"] | None = None
-    quantity: Quantity = "response"
-    reference_ohm: Positive = 50.0
-    averages: Annotated[int, Meta(ge=1)] = 1
-    frequency_hz: Positive | None = None
-    amplitude: Literal["peak", "rms"] = "peak"
-    time_constant_s: Positive | None = None
-    filter_poles: Annotated[int, Meta(ge=1, le=8)] | None = None
-    resolution_bandwidth_hz: Positive | None = None
-    columns: dict[str, Source] | None = None
-
-
-class ChannelsTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[channels]``: corrections of the files, in the units of :class:`pipeline.experiment.record.Channels`."""
-
-    sense_polarity: tuple[Sign, ...] | None = None
-    drive_polarity: tuple[Sign, ...] | None = None
-    sense_order: tuple[Annotated[int, Meta(ge=1)], ...] | None = None
-    drive_order: tuple[Annotated[int, Meta(ge=1)], ...] | None = None
-    drive_offset_v: tuple[Value, ...] | None = None
-    lag_samples: int = 0
-
-
-class LayoutTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``[layout]``: a row (x, y) or (x, y, z) for each sense column and each drive column (:mod:`pipeline.experiment.layout`)."""
-
-    senses: Annotated[list[list[Value]], Meta(min_length=2, max_length=64)] | None = None
-    drives: Annotated[list[list[Value]], Meta(min_length=2, max_length=64)] | None = None
-
-
-class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A campaign.toml."""
-
-    record: Annotated[list[RecordTable], Meta(min_length=1)]
-    kind: ToneKind | Literal["campaign", "decay_amplitude"] = "campaign"
-    device: DeviceTable = DeviceTable()
-    conditions: ConditionsTable = ConditionsTable()
-    demodulation: DemodulationTable = DemodulationTable()
-    instrument: InstrumentTable = InstrumentTable()
-    systematic: SystematicTable = SystematicTable()
-    operation: OperationTable = OperationTable()
-    reference: References = {}
-    columns: dict[str, Source] = {}
-    channels: ChannelsTable = ChannelsTable()
-    layout: LayoutTable | None = None
 
 
 def _records_of(

@@ -17,7 +17,6 @@ from populations.draw import Draw, draw
 from populations.edit import added, dropped
 from populations.extend import chain
 from populations.irregularity import find
-from populations.nominal import NominalDevice, Operating, Wafer, meanings
 from populations.spec import DEFAULT, PopulationSpec, load_spec
 
 OWN = """
@@ -161,12 +160,6 @@ def test_levels_are_those_between_which_devices_differ() -> None:
     assert levels["lid_leak"] == ("package",)
     assert levels["tester_gain"] == ("tester",)
     assert levels["sidewall_tilt"] == ()
-
-
-@pytest.mark.parametrize("kind", [NominalDevice, Wafer, Operating])
-def test_every_key_of_the_nominal_device_has_a_meaning(kind: type) -> None:
-    assert all(meanings(kind).values())
-    assert tuple(meanings(kind)) == kind.__struct_fields__
 
 
 def test_add_makes_a_file_that_extends_the_shipped_population_and_changes_no_device(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ from populations.draw import Draw, draw
 from reports.yields import clopper_pearson
 
 from ..config import RunConfig, load_config
-from ..config_tables import NoiseTable
+from ..config_bench import NoiseTable
 from ..process import worker_count
 from ..screening.cluster import cluster
 from ..screening.dispatch import in_parallel

@@ -28,7 +28,7 @@ from pipeline.inference.screening.result import Fitted
 from populations.draw import Draw, draw
 
 from ..config import RunConfig, load_config
-from ..config_tables import NoiseTable
+from ..config_bench import NoiseTable
 from ..screening.settings import population
 from ..screening.virtual_device import fit_virtual, physical_of
 from .coverage import Share, bounds_of, with_splits

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.errors import ConfigError
-from pipeline.experiment.campaign import CampaignTable
+from pipeline.experiment.campaign_tables import CampaignTable
 from pipeline.experiment.record import Campaign
 from pipeline.inference.estimate import RateSettings
 from pipeline.inference.systematic import rate_settings

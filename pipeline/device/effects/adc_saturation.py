@@ -17,6 +17,7 @@ def adc(y: FloatArray, p: FloatArray, context: Context) -> FloatArray:
 EFFECT = Effect(
     name="adc_saturation",
     law="y is clipped at +-level, the same level in both channels, below full scale",
+    latex=r"y \to \max(-L, \min(L, y)), \quad L\ \text{the same in both channels}",
     source="supply limits of the input amplifier",
     signature="flat peaks and odd harmonics; samples below the level are unchanged",
     parameters=(

@@ -22,6 +22,7 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 EFFECT = Effect(
     name="angular_rate",
     law="psi'' += -2 Omega I_p/I_0p [[0, -1], [1, 0]] psi'",
+    latex=r"\psi'' = \cdots - 2\,\Omega\,\frac{I_p}{I_{0p}} \begin{pmatrix} 0 & -1 \\ 1 & 0 \end{pmatrix} \psi'",
     source="the paper, eq. (2)",
     signature="antisymmetric cross-channel response (H12 - H21) at the rocking resonances",
     parameters=(

@@ -20,6 +20,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="capacitive_feedthrough",
     law="S += C dv/dt of the held drive, before the anti-alias filter",
+    latex=r"S = \cdots + C\,\frac{dv}{dt}",
     source="displacement current of a stray capacitance, i = C dv/dt",
     signature="broadband response that grows with frequency, in quadrature with the drive; antiresonances",
     parameters=(

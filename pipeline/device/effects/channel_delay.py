@@ -20,6 +20,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="channel_delay",
     law="exp(s tau/2) in channel 1, exp(-s tau/2) in channel 2;  their mean is the loop delay",
+    latex=r"S_1 \to e^{s\tau/2} S_1, \quad S_2 \to e^{-s\tau/2} S_2",
     source="channels sampled one after the other by one converter: Jenq, IEEE Trans. Instrum. Meas. 37 (1988) 245",
     signature="phase between the channels proportional to frequency, equal for all drives; amplitudes unchanged",
     parameters=(Parameter("tau", "s", -1e-3, 1e-3, "delay of channel 2 after channel 1", scale=1e-6),),

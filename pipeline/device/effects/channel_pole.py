@@ -16,6 +16,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="channel_pole",
     law="1 / (1 + s T) in one channel; what both channels have in common is the pick-off pole",
+    latex=r"S_k \to \frac{S_k}{1 + sT}, \quad k\ \text{one channel}",
     source="gain-bandwidth limit of a transimpedance amplifier; amplifiers differ by their feedback capacitance",
     signature="phase lag and gain loss of one channel that grow with frequency, equal for all drives",
     parameters=(

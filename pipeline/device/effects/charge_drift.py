@@ -25,6 +25,8 @@ def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatA
 EFFECT = Effect(
     name="charge_drift",
     law="V_b (1 + gamma t): F (1 + gamma t), S (1 + gamma t), K (1 - 2 kappa gamma t), kappa: electrostatic share of K",
+    latex=r"V_b \to V_b\,(1 + \gamma t): \quad F \to F\,(1 + \gamma t), \quad S \to S\,(1 + \gamma t),"
+    r" \quad K \to K\,(1 - 2\kappa\gamma t)",
     source="Liu et al., J. Semicond. 39 (2018) 084002: charge in dielectrics adds a voltage to the bias of a gyroscope",
     signature="drive and sense gains drift together, with a detuning of fixed proportion; reverses with the sweep direction",
     parameters=(

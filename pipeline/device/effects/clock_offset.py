@@ -18,6 +18,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="clock_offset",
     law="y(t (1 - delta)): a delay of delta t, t from the start of the record",
+    latex=r"y(t) \to y(t - \delta t)",
     source="converters with clocks of their own: Farina, Advancements in impulse response measurements, AES 122 (2007)",
     signature="phase lag proportional to frequency and to the time since the start of the record; amplitudes unchanged",
     parameters=(Parameter("delta", "ppm", -1e3, 1e3, "relative rate of the sense clock, minus 1", scale=0.1),),

@@ -22,6 +22,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="coulomb_friction",
     law="psi'' -= F psi' / sqrt(|psi'|^2 + s^2),  F >= 0",
+    latex=r"\psi'' = \cdots - \frac{F\,\psi'}{\sqrt{|\psi'|^2 + s^2}}, \quad F \ge 0",
     source="Coulomb's law, made smooth below the speed s: Olsson, Astrom, Canudas de Wit, Gafvert & Lischinsky, "
     "European J. Control 4 (1998) 176",
     signature="resonance peaks grow more than the level; a ring-down ends as a straight line; odd harmonics",

@@ -19,6 +19,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="cubic_damping",
     law="psi'' -= d |psi'|^2 psi',  d >= 0",
+    latex=r"\psi'' = \cdots - d\,|\psi'|^2\,\psi', \quad d \ge 0",
     source="Zaitsev, Shtempluck, Buks & Gottlieb, Nonlinear Dynamics 67 (2012) 859; Nayfeh & Mook (1979), section 3.3",
     signature="resonance peaks grow less than the level, by the square of the motion; no frequency shift",
     parameters=(Parameter("d", "1/(V^2 s)", 0.0, 1e6, "damping per squared velocity", scale=0.1),),

@@ -26,6 +26,7 @@ def potential(q: FloatArray, p: FloatArray, axes: int) -> FloatArray:
 EFFECT = Effect(
     name="cubic_stiffness",
     law="psi'' -= k3 |psi|^2 psi,  potential k3 |psi|^4 / 4",
+    latex=r"\psi'' = \cdots - k_3\,|\psi|^2\,\psi, \quad \text{potential}\ \frac{k_3}{4} |\psi|^4",
     source="Duffing oscillator, Nayfeh & Mook (1979), section 4.1; isotropic in psi by the fourfold symmetry of the suspension",
     signature="leaning peaks; frequency shift ~ level squared; up-sweep differs from down-sweep; third harmonic",
     parameters=(Parameter("k3", "1/(V^2 s^4)", -1e15, 1e15, "cubic stiffness, either sign", scale=1e9),),

@@ -17,6 +17,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="damping_drift",
     law="C (1 + gamma t) for all modes, t from the start of the record",
+    latex=r"C \to C\,(1 + \gamma t)",
     source="free-molecular gas damping is proportional to pressure, so C follows a leak or outgassing",
     signature="resonances that the sweep passes late are broader than those it passes early; reverses with the sweep direction",
     parameters=(

@@ -25,6 +25,8 @@ def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatA
 EFFECT = Effect(
     name="demodulation_phase_drift",
     law="phi = phi' t:  S cos(phi) + S_90 sin(phi), S_90 = omega_1 x for S = x': a lag that grows with time",
+    latex=r"S \to S\cos\varphi + S_{90}\sin\varphi, \quad \varphi = \varphi' t,"
+    r" \quad S_{90} = \omega_1 x\ \text{for}\ S = x'",
     source="phase error of synchronous demodulation: Saukoski, Aaltonen & Halonen, IEEE Sensors J. 7 (2007) 1639",
     signature="phase lag that grows during a record, nearly independent of frequency; amplitudes unchanged; no detuning",
     parameters=(

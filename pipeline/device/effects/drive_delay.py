@@ -20,6 +20,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="drive_delay",
     law="exp(s tau/2) for drive 1, exp(-s tau/2) for drive 2;  their mean is the loop delay",
+    latex=r"v_1 \to e^{s\tau/2} v_1, \quad v_2 \to e^{-s\tau/2} v_2",
     source="converters that are updated one after the other; a delay of both drives equals one of the read-out",
     signature="phase between the responses to the drives proportional to frequency, equal in all channels",
     parameters=(Parameter("tau", "s", -1e-3, 1e-3, "delay of drive 2 after drive 1", scale=1e-6),),

@@ -15,6 +15,7 @@ def drive(v: FloatArray, p: FloatArray, context: Context) -> FloatArray:
 EFFECT = Effect(
     name="drive_nonlinearity",
     law="force proportional to u = v + eps v^2 / (2 V_b);  eps = 1 for the ideal square law",
+    latex=r"\text{force} \propto u = v + \varepsilon\,\frac{v^2}{2 V_b}",
     source="(V_b + v)^2 = V_b^2 + 2 V_b (v + v^2 / (2 V_b)): Senturia, Microsystem Design (2001), section 6.4",
     signature="response at zero and twice the drive frequency and at sums of the drive frequencies, ~ level squared",
     parameters=(Parameter("eps", "1", -2.0, 2.0, "fraction of the ideal square law", scale=0.1),),

@@ -20,6 +20,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="drive_pole",
     law="1 / (1 + s T) in one drive; what both drives have in common equals the pick-off pole",
+    latex=r"v_k \to \frac{v_k}{1 + sT}, \quad k\ \text{one drive}",
     source="output resistance of the amplifier and capacitance of electrode and line: Senturia (2001), section 14.2",
     signature="phase lag and gain loss of the response to one drive that grow with frequency, equal in all channels",
     parameters=(

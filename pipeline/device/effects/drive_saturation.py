@@ -17,6 +17,7 @@ def drive(v: FloatArray, p: FloatArray, context: Context) -> FloatArray:
 EFFECT = Effect(
     name="drive_saturation",
     law="v is clipped at +-level, the same level for all drives",
+    latex=r"v \to \max(-L, \min(L, v)), \quad L\ \text{the same for all drives}",
     source="limited output swing of an amplifier: Khalil, Nonlinear Systems (2002), example 7.4 (saturation)",
     signature="response grows less than the drive above a level, below it not at all; odd harmonics of the drive",
     parameters=(

@@ -23,6 +23,8 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 EFFECT = Effect(
     name="electrode_misalignment",
     law="torques (tau_x, tau_y) rotated by phi relative to the sense frame",
+    latex=r"\begin{pmatrix} \tau_x \\ \tau_y \end{pmatrix} \to \begin{pmatrix} \cos\varphi & -\sin\varphi \\"
+    r" \sin\varphi & \cos\varphi \end{pmatrix} \begin{pmatrix} \tau_x \\ \tau_y \end{pmatrix}",
     source="misalignment of the two electrode masks; a rotation of both together is a gauge freedom of theta",
     signature="the residues of the rocking modes are not symmetric in the frame of the sense electrodes",
     parameters=(Parameter("phi", "deg", -45.0, 45.0, "angle from the sense frame to the drive frame", scale=0.1),),

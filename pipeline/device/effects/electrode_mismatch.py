@@ -28,6 +28,7 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 EFFECT = Effect(
     name="electrode_mismatch",
     law="imbalances: s, d up-down and s + m_S, d + m_D rocking; K_1 is scaled by 1 - imbalance, K_2 by 1 + imbalance",
+    latex=r"s_\text{rocking} = s_\text{up-down} + m_S, \quad d_\text{rocking} = d_\text{up-down} + m_D",
     source="a displaced electrode has another lever arm, so its gain differs between torque and force",
     signature="channel gains of the rocking modes differ from those of the up-down mode; no new frequency, no level dependence",
     parameters=(

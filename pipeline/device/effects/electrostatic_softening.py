@@ -23,6 +23,8 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="electrostatic_softening",
     law="force of electrode k: K_Dk {(V_b/2 + u_k)/(1 - x_k/g)^2 - V_b/2 - V_b x_k/g},  x = M_D^T psi + z",
+    latex=r"\frac{F_k}{K_{Dk}} = \frac{V_b/2 + u_k}{(1 - x_k/g)^2} - \frac{V_b}{2} - \frac{V_b\,x_k}{g},"
+    r" \quad x = M_D^T \psi + z",
     source="parallel plate, force (V_b + v)^2 / (g - x)^2: Senturia, Microsystem Design (2001), section 6.4",
     signature="like a softening cubic stiffness, with even harmonics and products of drive and motion; ~ bias squared",
     parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse of the drive gap", scale=10.0),),

@@ -17,6 +17,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="frequency_drift",
     law="K (1 + beta t) for all modes, t from the start of the record",
+    latex=r"K \to K\,(1 + \beta t)",
     source="temperature coefficient of Young's modulus of silicon: Hopcroft et al., JMEMS 19 (2010) 229",
     signature="detuning that grows during a record; reverses with the sweep direction",
     parameters=(

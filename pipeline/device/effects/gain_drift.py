@@ -15,6 +15,7 @@ def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatA
 EFFECT = Effect(
     name="gain_drift",
     law="S (1 + gamma t) in both channels, t from the start of the record",
+    latex=r"S \to S\,(1 + \gamma t)",
     source="thermal drift of the amplifier and of the bias reference",
     signature="amplitudes late in a record differ from those early in it; reverses with the sweep direction; no detuning",
     parameters=(

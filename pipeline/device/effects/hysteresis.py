@@ -20,6 +20,8 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="hysteresis",
     law="psi_i'' -= k h_i,  h_i' = psi_i' - (|psi_i'| h_i + psi_i' |h_i|)/(2 r),  k >= 0",
+    latex=r"\psi_i'' = \cdots - k h_i, \quad h_i' = \psi_i' - \frac{|\psi_i'|\,h_i + \psi_i'\,|h_i|}{2r},"
+    r" \quad k \ge 0",
     source="Wen, J. Engineering Mechanics Division ASCE 102 (1976) 249, with n = 1: elastic up to r, then a constant force k r",
     signature="softer and more damped resonances from a motion of r on, less so far above; odd harmonics",
     parameters=(

@@ -39,6 +39,8 @@ def potential(q: FloatArray, p: FloatArray, axes: int) -> FloatArray:
 EFFECT = Effect(
     name="internal_resonance_1_2",
     law="w'' + 2 zeta omega w' + omega^2 w = -c |psi|^2,  psi'' -= 2 c w psi,  omega = 2 (1 + delta) omega_1",
+    latex=r"w'' + 2\zeta\omega w' + \omega^2 w = -c\,|\psi|^2, \quad \psi'' = \cdots - 2c\,w\,\psi,"
+    r" \quad \omega = 2(1 + \delta)\,\omega_1",
     source="Nayfeh & Mook, Nonlinear Oscillations (1979), chapter 6, quadratic nonlinearities; an eliminated w leaves c^2",
     signature="amplitude-dependent damping and frequency shift where twice the drive passes the hidden mode; saturation",
     parameters=(

@@ -43,6 +43,8 @@ def potential(q: FloatArray, p: FloatArray, axes: int) -> FloatArray:
 EFFECT = Effect(
     name="internal_resonance_1_3",
     law="w'' + 2 zeta omega w' + omega^2 w = -c |psi|^2 psi,  omega = 3 (1 + delta) omega_1,  potential c |psi|^2 (w.psi)",
+    latex=r"w'' + 2\zeta\omega w' + \omega^2 w = -c\,|\psi|^2\psi,"
+    r" \quad \text{potential}\ c\,|\psi|^2 (w \cdot \psi), \quad \omega = 3(1 + \delta)\,\omega_1",
     source="Nayfeh & Mook (1979), chapter 6, cubic nonlinearities; Antonio, Zanette & Lopez, Nature Communications 3 (2012) 806",
     signature="the resonance stops growing or shifting where three times the drive passes the hidden modes",
     parameters=(

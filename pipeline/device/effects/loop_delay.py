@@ -18,6 +18,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="loop_delay",
     law="exp(-s tau) in both channels",
+    latex=r"S \to e^{-s\tau} S",
     source="conversion and transport time of the data acquisition",
     signature="phase lag proportional to frequency, equal in all channels; amplitudes unchanged",
     parameters=(Parameter("tau", "s", 0.0, 1e-2, "delay", scale=1e-6),),

@@ -20,6 +20,7 @@ def disturbance(t: FloatArray, p: FloatArray, context: Context) -> FloatArray:
 EFFECT = Effect(
     name="mains_hum",
     law="S += sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t), h = 1 .. top; a_h, b_h free per channel and record",
+    latex=r"S = \cdots + \sum_{h=1}^{\text{top}} a_h \cos(2\pi h f t) + b_h \sin(2\pi h f t)",
     source="the paper, section 3.1 and figure 4 (multiples of 60 Hz)",
     signature="lines at fixed frequencies, also in silent records",
     parameters=(

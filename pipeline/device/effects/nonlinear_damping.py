@@ -22,6 +22,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="nonlinear_damping",
     law="psi'' -= d |psi'| psi',  d >= 0",
+    latex=r"\psi'' = \cdots - d\,|\psi'|\,\psi', \quad d \ge 0",
     source="quadratic drag: Nayfeh & Mook, Nonlinear Oscillations (1979), section 3.3",
     signature="resonance peaks grow less than the level; no frequency shift",
     parameters=(Parameter("d", "1/(V s)", 0.0, 1e6, "drag coefficient", scale=0.1),),

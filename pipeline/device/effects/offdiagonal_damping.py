@@ -30,6 +30,8 @@ def _passive(plant: Mapping[str, float]) -> float:
 EFFECT = Effect(
     name="offdiagonal_damping",
     law="C = Q^T [[c11, c12], [c12, c22]] Q, Q the principal axes of K; |c12| <= sqrt(c11 c22)",
+    latex=r"C = Q^T \begin{pmatrix} c_{11} & c_{12} \\ c_{12} & c_{22} \end{pmatrix} Q,"
+    r" \quad |c_{12}| \le \sqrt{c_{11} c_{22}}",
     source="the paper, eq. (2) and section 5.1",
     signature="reciprocal cross-channel response in quadrature at the rocking resonances",
     parameters=(

@@ -37,6 +37,8 @@ EFFECT = Effect(
     name="parasitic_mode",
     law="w'' + 2 zeta omega w' + omega^2 w = b.v,  S += (cos a, sin a) w';  f in the band of the records;"
     " with more senses ((cos a, sin a) cos a_s3, sin a_s3), and so on",
+    latex=r"w'' + 2\zeta\omega w' + \omega^2 w = b \cdot v,"
+    r" \quad S = \cdots + \begin{pmatrix} \cos a \\ \sin a \end{pmatrix} w'",
     source="the residue of a structural mode has rank one",
     signature="a resonance at a frequency where the plant has none, with the same sense vector for all drives",
     parameters=(

@@ -18,6 +18,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="pickoff_crosstalk",
     law="S <- (1 + [[0, a], [b, 0]]) S",
+    latex=r"S \to \begin{pmatrix} 1 & a \\ b & 1 \end{pmatrix} S",
     source="capacitive or inductive coupling between the two pick-off amplifiers, independent of frequency",
     signature="a copy of one channel in the other, equal for all modes and for feedthrough",
     parameters=(

@@ -16,6 +16,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="pickoff_pole",
     law="1 / (1 + s T) in both channels",
+    latex=r"S \to \frac{S}{1 + sT}",
     source="gain-bandwidth limit of a transimpedance amplifier",
     signature="phase lag and gain loss that grow with frequency, equal in all channels; in a narrow band like a delay",
     parameters=(Parameter("T", "s", 0.0, 1e-2, "time constant", scale=1e-6),),

@@ -23,6 +23,7 @@ def potential(q: FloatArray, p: FloatArray, axes: int) -> FloatArray:
 EFFECT = Effect(
     name="quadratic_stiffness",
     law="psi_x'' -= k2x psi_x^2,  psi_y'' -= k2y psi_y^2",
+    latex=r"\psi_x'' = \cdots - k_{2x}\,\psi_x^2, \quad \psi_y'' = \cdots - k_{2y}\,\psi_y^2",
     source="expansion of an asymmetric potential to third order: Nayfeh & Mook (1979), section 4.1",
     signature="offset and second harmonic proportional to the square of the motion; softening to second order",
     parameters=(

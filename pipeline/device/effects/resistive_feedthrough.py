@@ -18,6 +18,7 @@ def readout(r: Readout, p: FloatArray, context: Context) -> Readout:
 EFFECT = Effect(
     name="resistive_feedthrough",
     law="S += R v",
+    latex=r"S = \cdots + R\,v",
     source="ohmic leakage or a shared ground: electrical cross-coupling, the paper, section 2.2",
     signature="broadband response in phase with the drive, independent of frequency",
     parameters=(Parameter("R", "1", -10.0, 10.0, "coupling gain", scale=1e-3, per="path", relative_to="transfer"),),

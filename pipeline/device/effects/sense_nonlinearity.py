@@ -15,6 +15,7 @@ def sense(x: FloatArray, xd: FloatArray, s: FloatArray, t: FloatArray, p: FloatA
 EFFECT = Effect(
     name="sense_nonlinearity",
     law="S = x' / (1 - x/g)^2",
+    latex=r"S = \frac{x'}{(1 - x/g)^2}",
     source="current of a biased parallel plate, V_b dC/dt with C = eps A / (g - x): Senturia (2001), section 6.4",
     signature="second and third harmonics of the motion without a frequency shift; mostly outside 400 to 700 Hz",
     parameters=(Parameter("1/g", "1/(V s)", -2000.0, 2000.0, "inverse of the sense gap", scale=10.0),),

@@ -22,6 +22,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="squeeze_film_damping",
     law="C {1/(1 - x)^3 + 1/(1 + x)^3}/2 instead of C,  x = |psi|/g",
+    latex=r"C \to \frac{C}{2 (1 - x)^3} + \frac{C}{2 (1 + x)^3}, \quad x = |\psi|/g",
     source="damping ~ 1/gap^3 of an incompressible film: Bao & Yang, Sensors and Actuators A 136 (2007) 3",
     signature="as cubic damping, in proportion to the linear damping and to the motion instead of the velocity",
     parameters=(Parameter("1/g^2", "1/(V s)^2", 0.0, 4e6, "inverse square of the gap", scale=1e4),),

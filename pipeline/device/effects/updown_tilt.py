@@ -22,6 +22,8 @@ def mechanics(m: Mechanics, p: FloatArray, context: Context) -> Mechanics:
 EFFECT = Effect(
     name="updown_tilt",
     law="z is driven by f_z - t_x tau_x and measured as z' (1, 1) + t_x z' (1, -1)",
+    latex=r"z\ \text{is driven by}\ f_z - t_x \tau_x,"
+    r" \quad S = \cdots + z' \begin{pmatrix} 1 \\ 1 \end{pmatrix} + t_x z' \begin{pmatrix} 1 \\ -1 \end{pmatrix}",
     source="mode shape psi_x = -t_x z from the spring coupling K_zx = sum k y; reciprocity gives the drive side",
     signature="the residue of the up-down mode is not along (1, 1); visible only at the up-down resonance",
     parameters=(Parameter("t_x", "1", -1.0, 1.0, "rotation about x in the up-down mode", scale=0.01),),

@@ -24,6 +24,7 @@ def force(t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray,
 EFFECT = Effect(
     name="weakening_damping",
     law="C / (1 + |psi'|/s) instead of C",
+    latex=r"C \to \frac{C}{1 + |\psi'|/s}",
     source="shear-thinning film: Cross, J. Colloid Science 20 (1965) 417, with exponent 1 and no viscosity at infinite rate",
     signature="resonance peaks grow more than the level; no frequency shift",
     parameters=(Parameter("1/s", "1/V", 0.0, 1e3, "inverse of the speed at which the damping is halved", scale=0.01),),

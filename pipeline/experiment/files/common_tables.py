@@ -16,6 +16,7 @@ from ...errors import ConfigError
 from ...performance.operating_point import DeclaredOperation
 from ...quantities import NAMES
 from ...toml_files import check_known
+from ...toml_keys import Meaning
 from ..instrument import Adc, AntiAlias, Hold, Instrument, Pickoff
 from ..systematic import SILICON_TCF_PPM_PER_C, Systematic
 
@@ -34,9 +35,9 @@ References = dict[str, tuple[Value, StandardDeviation]]
 class AntiAliasTable(Struct, frozen=True, forbid_unknown_fields=True):
     """The analog filter before the converter: ``order`` poles, -3 dB at ``corner_hz`` [Hz]."""
 
-    order: FilterOrder
-    corner_hz: Positive
-    kind: Literal["butterworth"] = "butterworth"
+    order: Annotated[FilterOrder, Meaning("number of poles", "1")]
+    corner_hz: Annotated[Positive, Meaning("frequency of -3 dB")]
+    kind: Annotated[Literal["butterworth"], Meaning("family of the filter")] = "butterworth"
 
     def built(self) -> AntiAlias:
         """The filter that this table describes."""
@@ -46,8 +47,8 @@ class AntiAliasTable(Struct, frozen=True, forbid_unknown_fields=True):
 class AdcTable(Struct, frozen=True, forbid_unknown_fields=True):
     """The converter: ``bits`` over +- ``full_scale_v`` [V]."""
 
-    bits: AdcBits
-    full_scale_v: Positive
+    bits: Annotated[AdcBits, Meaning("resolution of the converter", "bits")]
+    full_scale_v: Annotated[Positive, Meaning("range of the converter is +- this value")]
 
     def built(self) -> Adc:
         """The converter that this table describes."""
@@ -57,11 +58,22 @@ class AdcTable(Struct, frozen=True, forbid_unknown_fields=True):
 class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
     """The instrument [Hz, V].  ``antialias`` and ``adc`` that are absent or ``false``: none."""
 
-    sample_rate_hz: Positive | None = None
-    hold: Hold = "zoh"
-    bias_v: Value = 5.0
-    antialias: AntiAliasTable | Literal[False] | None = None
-    adc: AdcTable | Literal[False] | None = None
+    sample_rate_hz: Annotated[
+        Positive | None, Meaning("sample rate of all records; absent: from the time column of the first record")
+    ] = None
+    hold: Annotated[
+        Hold,
+        Meaning(
+            "how drive samples become volts: zoh holds each, foh connects them by lines, bandlimited has no images"
+        ),
+    ] = "zoh"
+    bias_v: Annotated[Value, Meaning("bias of the drive electrodes, which the drive columns do not contain")] = 5.0
+    antialias: Annotated[
+        AntiAliasTable | Literal[False] | None, Meaning("analog filter before the converter; absent or false: none")
+    ] = None
+    adc: Annotated[
+        AdcTable | Literal[False] | None, Meaning("converter; absent or false: its rounding is not modelled")
+    ] = None
 
     def built(self, sample_rate_hz: float) -> Instrument:
         """The instrument that this table describes, at ``sample_rate_hz`` [Hz]."""
@@ -77,24 +89,26 @@ class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
 class DeviceTable(Struct, frozen=True, forbid_unknown_fields=True):
     """The device: its id, angular_gain = I_p / I_0p, and whether its pick-offs sense velocity or displacement."""
 
-    id: str = ""
-    angular_gain: Positive | None = None
-    pickoff: Pickoff = "velocity"
+    id: Annotated[str, Meaning("name of the device; absent: the folder")] = ""
+    angular_gain: Annotated[Positive | None, Meaning("I_p / I_0p, needed for biases in deg/s", "1")] = None
+    pickoff: Annotated[Pickoff, Meaning("what the pick-offs sense")] = "velocity"
 
 
 class ConditionsTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Who measured what when, for gauge R&R: ``part`` is the device (left out: its id), for several campaigns of one device."""
 
-    part: str = ""
-    tester: str = ""
-    session: str = ""
+    part: Annotated[str, Meaning("device that is measured repeatedly; absent: its id")] = ""
+    tester: Annotated[str, Meaning("tester that measured")] = ""
+    session: Annotated[str, Meaning("session in which it was measured")] = ""
 
 
 class DemodulationTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Phase error of the demodulation [deg], and the mode whose frequency is omega_0."""
 
-    phase_error_deg: PhaseError = 0.0
-    drive: Literal["f1", "f2"] = "f1"
+    phase_error_deg: Annotated[
+        PhaseError, Meaning("phase error of the demodulation, which turns quadrature into a rate bias")
+    ] = 0.0
+    drive: Annotated[Literal["f1", "f2"], Meaning("mode that is driven, whose frequency is omega_0")] = "f1"
 
 
 class SystematicTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -103,12 +117,21 @@ class SystematicTable(Struct, frozen=True, forbid_unknown_fields=True):
     At most 5 deg, 0.2, 0.2, 1000 ppm and 100 K: an error above that is a fault of the tester, not an uncertainty.
     """
 
-    phase_error_sd_deg: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
-    angular_gain_sd: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.0
-    gain_sd: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.0
-    clock_sd_ppm: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
-    temperature_sd_c: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
-    tcf_ppm_per_c: Annotated[float, Meta(ge=-1000.0, le=1000.0)] | None = None
+    phase_error_sd_deg: Annotated[float, Meta(ge=0.0, le=5.0), Meaning("sd of the demodulation phase error")] = 0.0
+    angular_gain_sd: Annotated[float, Meta(ge=0.0, le=0.2), Meaning("sd of the angular gain", "1")] = 0.0
+    gain_sd: Annotated[
+        float, Meta(ge=0.0, le=0.2), Meaning("relative sd of the gain from drive volts to pick-off volts", "1")
+    ] = 0.0
+    clock_sd_ppm: Annotated[float, Meta(ge=0.0, le=1000.0), Meaning("relative sd of the sample rate")] = 0.0
+    temperature_sd_c: Annotated[
+        float, Meta(ge=0.0, le=100.0), Meaning("sd of the temperature during the test", "K")
+    ] = 0.0
+    tcf_ppm_per_c: Annotated[
+        Annotated[float, Meta(ge=-1000.0, le=1000.0)] | None,
+        Meaning(
+            "temperature coefficient of the mode frequencies; absent: -28, that of silicon, or that of the population"
+        ),
+    ] = None
 
     def built(self, tcf_ppm_per_c: float = SILICON_TCF_PPM_PER_C) -> Systematic:
         """The standard deviations; ``tcf_ppm_per_c`` [ppm/K] where the table states no temperature coefficient."""
@@ -119,14 +142,30 @@ class SystematicTable(Struct, frozen=True, forbid_unknown_fields=True):
 class OperationTable(Struct, frozen=True, forbid_unknown_fields=True):
     """How the gyro is operated, for the performance figures; see :class:`DeclaredOperation`.  A missing key is unknown."""
 
-    drive_amplitude_v: Positive | None = None
-    pickoff_noise_v: Positive | None = None
-    softening_hz_per_v2: Annotated[float, Meta(ge=-1000.0, lt=0.0)] | None = None
-    gap_um: Positive | None = None
-    mass_mg: Positive | None = None
-    temperature_c: Annotated[float, Meta(ge=-273.15, le=1000.0)] | None = None
-    damping_ppm_per_c: Annotated[float, Meta(ge=-1e5, le=1e5)] | None = None
-    shock_ms: Positive | None = None
+    drive_amplitude_v: Annotated[
+        Positive | None,
+        Meaning("amplitude of the driven mode in the blend of pick-offs that shows it: S1 + S2 for rocking about y"),
+    ] = None
+    pickoff_noise_v: Annotated[
+        Positive | None,
+        Meaning(
+            "one-sided noise density of each pick-off at the drive frequency; absent: that of the silent record",
+            "V/sqrt(Hz)",
+        ),
+    ] = None
+    softening_hz_per_v2: Annotated[
+        Annotated[float, Meta(ge=-1000.0, lt=0.0)] | None,
+        Meaning("shift of the rocking modes by the bias on both drive electrodes, negative"),
+    ] = None
+    gap_um: Annotated[Positive | None, Meaning("gap of the drive electrodes at the bias")] = None
+    mass_mg: Annotated[Positive | None, Meaning("effective mass of rocking at an electrode, I_0p / l^2")] = None
+    temperature_c: Annotated[
+        Annotated[float, Meta(ge=-273.15, le=1000.0)] | None, Meaning("temperature of the device in operation")
+    ] = None
+    damping_ppm_per_c: Annotated[
+        Annotated[float, Meta(ge=-1e5, le=1e5)] | None, Meaning("temperature coefficient of the damping rates")
+    ] = None
+    shock_ms: Annotated[Positive | None, Meaning("duration of a half-sine shock along z")] = None
 
     def built(self) -> DeclaredOperation:
         """The operation that this table declares."""

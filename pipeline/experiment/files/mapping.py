@@ -23,6 +23,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from ...errors import ConfigError, MeasurementError
+from ...toml_keys import Meaning
 from .units import UNITS, known_unit, split_unit
 
 NAME = re.compile(r"(drive|sense)([1-9][0-9]*)_V")
@@ -33,12 +34,16 @@ _Finite = Annotated[float, Meta(ge=-1e12, le=1e12)]
 class ColumnTable(Struct, frozen=True, forbid_unknown_fields=True):
     """The column of a channel: its ``name`` or ``number`` in ``file``; unit of the file, gain, and offset after the gain."""
 
-    name: str | None = None
-    number: Annotated[int, Meta(ge=1)] | None = None
-    file: Annotated[int, Meta(ge=1)] = 1
-    unit: str | None = None
-    gain: _Finite = 1.0
-    offset: _Finite = 0.0
+    name: Annotated[str | None, Meaning("name of the column in the file; or state number")] = None
+    number: Annotated[
+        Annotated[int, Meta(ge=1)] | None, Meaning("number of the column in the file, from 1; or state name", "1")
+    ] = None
+    file: Annotated[int, Meta(ge=1), Meaning("which of the files of a record, from 1", "1")] = 1
+    unit: Annotated[
+        str | None, Meaning("unit of the column in the file; absent: the one that the file states, else V, for time s")
+    ] = None
+    gain: Annotated[_Finite, Meaning("factor on the column, which turns its unit into volts", "V per unit")] = 1.0
+    offset: Annotated[_Finite, Meaning("subtracted after the gain", "V")] = 0.0
 
 
 #: Name, number or table.

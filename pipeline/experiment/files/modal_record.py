@@ -21,6 +21,7 @@ from msgspec import Meta
 from ... import toml_files as toml
 from ...arrays import FloatArray
 from ...errors import ConfigError, MeasurementError, unwritable
+from ...toml_keys import Meaning
 from ..instrument import AntiAlias
 from .common_tables import AntiAliasTable, DemodulationTable, DeviceTable, Positive, References, references
 from .readers import existing
@@ -61,24 +62,35 @@ class ModalRecord:
 class ModeTable(msgspec.Struct, forbid_unknown_fields=True):
     """One [[mode]] table: R1 (S, D) [1/s], R0 (S, D) [1/s^2]; sd is [sd of R1, sd of R0 / w] [1/s]."""
 
-    frequency_hz: Positive
-    zeta: Annotated[float, Meta(gt=0.0, lt=1.0)]
-    R1: Matrix
-    R0: Matrix
-    sd: Annotated[list[Matrix], Meta(min_length=2, max_length=2)] | None = None
+    frequency_hz: Annotated[Positive, Meaning("undamped frequency")]
+    zeta: Annotated[float, Meta(gt=0.0, lt=1.0), Meaning("damping ratio", "1")]
+    R1: Annotated[Matrix, Meaning("residue at s, rows are senses and columns drives", "1/s")]
+    R0: Annotated[Matrix, Meaning("constant residue, of the same shape", "1/s^2")]
+    sd: Annotated[
+        Annotated[list[Matrix], Meta(min_length=2, max_length=2)] | None,
+        Meaning("[sd of R1, sd of R0 / w], each of the same shape; absent: a common unknown relative sd", "1/s"),
+    ] = None
 
 
 class ModalTable(msgspec.Struct, forbid_unknown_fields=True):
     """The whole file; ``rate_dps`` is the angular rate [deg/s]."""
 
-    kind: Literal["modal"]
-    mode: Annotated[list[ModeTable], Meta(min_length=1)]
-    name: str | None = None
-    rate_dps: float | None = None
-    antialias: AntiAliasTable | Literal[False] | None = None
-    device: DeviceTable = DeviceTable()
-    demodulation: DemodulationTable = DemodulationTable()
-    reference: References = {}
+    kind: Annotated[Literal["modal"], Meaning("marks the file as a modal record")]
+    mode: Annotated[list[ModeTable], Meta(min_length=1), Meaning("the modes, one table each")]
+    name: Annotated[str | None, Meaning("name of the device; absent: device.id, else the file")] = None
+    rate_dps: Annotated[float | None, Meaning("constant angular rate during the measurement; absent: unknown")] = None
+    antialias: Annotated[
+        AntiAliasTable | Literal[False] | None, Meaning("filter that the residues contain; absent or false: none")
+    ] = None
+    device: Annotated[DeviceTable, Meaning("the device")] = DeviceTable()
+    demodulation: Annotated[DemodulationTable, Meaning("how the rate signal is demodulated")] = DemodulationTable()
+    reference: Annotated[
+        References,
+        Meaning(
+            "quantity = [value, sd]: values of another instrument, which the posterior is compared with",
+            "that of the quantity",
+        ),
+    ] = {}
 
 
 class _Kind(msgspec.Struct):

@@ -28,6 +28,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from ...toml_keys import Meaning
+
 Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 Text = Annotated[str, Meta(min_length=1, max_length=128)]
 
@@ -35,56 +37,75 @@ Text = Annotated[str, Meta(min_length=1, max_length=128)]
 class LotColumns(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Names of the columns by role."""
 
-    device: Text = "device_id"
-    lot: Text = "lot"
-    wafer: Text = "wafer"
-    package: Text = "package"
-    tester: Text = "tester"
-    time: Text = "time"
-    x_mm: Text = "die_x_mm"
-    y_mm: Text = "die_y_mm"
+    device: Annotated[Text, Meaning("column of the names of the devices")] = "device_id"
+    lot: Annotated[Text, Meaning("column of the lots")] = "lot"
+    wafer: Annotated[Text, Meaning("column of the wafers")] = "wafer"
+    package: Annotated[Text, Meaning("column of the packages")] = "package"
+    tester: Annotated[Text, Meaning("column of the testers")] = "tester"
+    time: Annotated[Text, Meaning("column of the time of the measurement")] = "time"
+    x_mm: Annotated[Text, Meaning("column of the die centre along x")] = "die_x_mm"
+    y_mm: Annotated[Text, Meaning("column of the die centre along y")] = "die_y_mm"
 
 
 class LotQuantity(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """One measured quantity."""
 
-    column: Text | None = None
-    sd: float | Text | None = None
-    transform: Literal["linear", "log"] = "linear"
-    unit: str = "1"
-    scale: float = 1.0
+    column: Annotated[Text | None, Meaning("column of the quantity; absent: the name of the table")] = None
+    sd: Annotated[
+        float | Text | None,
+        Meaning(
+            "standard deviation of the measurement, or the column that holds it; absent: estimated",
+            "that of the column",
+        ),
+    ] = None
+    transform: Annotated[Literal["linear", "log"], Meaning("scale on which the quantity varies normally")] = "linear"
+    unit: Annotated[str, Meaning("unit after scale, as pages show it")] = "1"
+    scale: Annotated[float, Meaning("factor from the column to the unit", "unit per unit of the column")] = 1.0
 
 
 class LotHold(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Wafers "lot/wafer" that are held out, or the share of them."""
 
-    wafers: tuple[str, ...] | None = None
-    share: Annotated[float, Meta(ge=0.0, le=0.8)] = 0.2
+    wafers: Annotated[
+        tuple[str, ...] | None, Meaning('wafers "lot/wafer" that are held out; absent: a share of them')
+    ] = None
+    share: Annotated[
+        float, Meta(ge=0.0, le=0.8), Meaning("share of the wafers that is held out; 0 holds nothing out", "1")
+    ] = 0.2
 
 
 class LotLimits(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Limits of one quantity, in its unit."""
 
-    min: float | None = None
-    max: float | None = None
+    min: Annotated[float | None, Meaning("least conforming value", "that of the quantity")] = None
+    max: Annotated[float | None, Meaning("largest conforming value", "that of the quantity")] = None
 
 
 class LotWafer(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """The wafer of the table."""
 
-    radius_mm: Positive | None = None
+    radius_mm: Annotated[
+        Positive | None, Meaning("radius of the wafer; absent: the largest distance of a die from the origin")
+    ] = None
 
 
 class LotFile(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """lot.toml."""
 
-    file: Text
-    name: str | None = None
-    gyro: bool = False
-    prefix: str = ""
-    stage: Literal["package", "probe"] = "package"
-    columns: LotColumns = LotColumns()
-    wafer: LotWafer = LotWafer()
-    quantity: dict[str, LotQuantity] = {}
-    hold: LotHold = LotHold()
-    limits: dict[str, LotLimits] = {}
+    file: Annotated[Text, Meaning("table beside lot.toml: Parquet or CSV")]
+    name: Annotated[str | None, Meaning("name of the lot in answers; absent: the folder")] = None
+    gyro: Annotated[
+        bool,
+        Meaning("whether the columns are result quantities of gyroscreen; else each is described in [quantity.NAME]"),
+    ] = False
+    prefix: Annotated[str, Meaning("before the names of the quantities in the table, for example true_")] = ""
+    stage: Annotated[
+        Literal["package", "probe"], Meaning("whether packaged devices or dies in the wafer prober were measured")
+    ] = "package"
+    columns: Annotated[LotColumns, Meaning("names of the columns by role")] = LotColumns()
+    wafer: Annotated[LotWafer, Meaning("the wafer of the table")] = LotWafer()
+    quantity: Annotated[dict[str, LotQuantity], Meaning("measured quantities, one table each")] = {}
+    hold: Annotated[LotHold, Meaning("wafers that are held out")] = LotHold()
+    limits: Annotated[
+        dict[str, LotLimits], Meaning("limits of quantities that are no result quantities of gyroscreen")
+    ] = {}

@@ -1,0 +1,3 @@
+"""Sentences about the manual."""
+
+BUILDING = "building the manual; this takes a minute or two"

@@ -1,0 +1,150 @@
+"""The pages of the irregularities, from what each declares about itself."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+
+from pipeline.learning.lot.generic import GenericIrregularity, generic_irregularities
+from populations.describe import law_of, levels_of
+from populations.irregularity import Irregularity, IrregularityParameter, find
+from populations.spec import PopulationSpec, load_spec
+
+from .markdown import NOTE, block, code, number, plain, table
+from .patterns import generic_pattern, population_pattern
+from .pictures import pattern_picture
+
+_ABOUT = """\
+# Irregularities
+
+An irregularity is a change that fabrication or packaging makes to a device. A population states which irregularities it has
+and how large they are; {doc}`../files/population` lists the other keys of its file. The generic irregularities need no
+physics: `refine` looks for their patterns in any measured lot. `docs/how-to/add-an-irregularity.md` shows how to write one
+of your own.
+
+## Irregularities of a population
+"""
+_GENERIC_ABOUT = """\
+## Generic irregularities
+
+`y` is a quantity of the lot, `s` and `b` are free sizes, and `n(unit)` is a standard normal number that the devices of a
+unit share. `rho` and `phi` are the polar coordinates of a die in wafer radii.
+"""
+_NEEDS = {
+    "lots": "two lots or more",
+    "wafers": "two wafers or more",
+    "places": "positions of the dies",
+    "time": "times of the measurements",
+    "testers": "two testers or more",
+    "quantities": "two quantities or more",
+}
+
+
+def irregularity_pages() -> Mapping[str, str]:
+    """Path below docs/reference/ -> page or picture of each irregularity, and their index."""
+    spec = load_spec()
+    known, generic, levels = find(), generic_irregularities(), levels_of(spec)
+    pages = {"index.md": _index(known, generic)}
+    for name, one in known.items():
+        pages[f"{name}.md"] = _page(one, spec, levels[name])
+        if name in spec.irregularity:
+            pages[f"{name}.svg"] = pattern_picture(population_pattern(one, spec))
+    for name, shape in generic.items():
+        pages[f"generic-{name}.md"] = _generic_page(shape)
+        pages[f"generic-{name}.svg"] = pattern_picture(generic_pattern(shape, spec))
+    return {f"irregularities/{name}": text for name, text in pages.items()}
+
+
+def _index(known: Mapping[str, Irregularity], generic: Mapping[str, GenericIrregularity]) -> str:
+    own = [(f"[`{name}`]({name}.md)", one.stage, plain(law_of(one))) for name, one in known.items()]
+    shapes = [(f"[`{name}`](generic-{name}.md)", plain(_documented(one))) for name, one in generic.items()]
+    names = "\n".join([*known, *(f"generic-{name}" for name in generic)])
+    return "\n".join(
+        [
+            NOTE,
+            _ABOUT,
+            table(("irregularity", "stage", "what it is"), own),
+            _GENERIC_ABOUT,
+            table(("irregularity", "law"), shapes),
+            f"```{{toctree}}\n:hidden:\n\n{names}\n```\n",
+        ]
+    )
+
+
+def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...]) -> str:
+    text = inspect.cleandoc(one.act.__globals__.get("__doc__") or one.name)
+    summary, *rest = list(_paragraphs(text))
+    parameters = [_parameter(parameter, spec.irregularity.get(one.name, {})) for parameter in one.parameters]
+    picture = []
+    if one.name in spec.irregularity:
+        where = "as the wafer prober measures it" if one.stage == "probe" else "of packaged devices"
+        picture = [
+            "## Picture\n",
+            f"![Maps of four wafers and shares of the spreads by {one.name}]({one.name}.svg)\n",
+            f"Population {code(spec.name)} drawn with and without it, with the same random numbers: the change {where}. "
+            "The maps show the quantity with the largest share, on two wafers of each of two lots. A share above 100 % is "
+            "possible, because other irregularities may cancel it.\n",
+        ]
+    varies = f"varies by {', '.join(levels)}" if levels else "has no random numbers"
+    return "\n".join(
+        [
+            NOTE,
+            f"# {one.name}\n",
+            summary,
+            "## Law\n",
+            *rest,
+            f"Stage {code(one.stage)}; {varies}.\n",
+            "## Parameters\n",
+            f"Keys of `[irregularity.{one.name}]` in a population file.\n",
+            table(("key", "meaning", "unit", "null", "cloverleaf", "range"), parameters),
+            *picture,
+        ]
+    )
+
+
+def _generic_page(one: GenericIrregularity) -> str:
+    needs = ", ".join(_NEEDS[need] for need in one.needs) or "nothing beside the quantities"
+    probe = (
+        "A probe: it shows a misfit and is never named, because it says nothing about its cause.\n" if one.probe else ""
+    )
+    return "\n".join(
+        [
+            NOTE,
+            f"# {one.name} (generic)\n",
+            f"{plain(_documented(one))}\n",
+            probe,
+            f"A lot must have: {needs}.\n",
+            "## Picture\n",
+            f"![Maps of four wafers with {one.name}](generic-{one.name}.svg)\n",
+            "One draw on two wafers of each of two lots; the testers alternate from wafer to wafer. The unit is "
+            "the size `s` or `b`.\n",
+        ]
+    )
+
+
+def _parameter(one: IrregularityParameter, given: Mapping[str, float]) -> tuple[str, ...]:
+    null = "must be stated" if one.null is None else number(one.null)
+    unit = "" if one.unit == "1" else plain(one.unit)
+    assumption = f"; named assumption {one.assumption}" if one.assumption else ""
+    stated = number(given[one.name]) if one.name in given else ""
+    return (
+        code(one.name),
+        plain(one.meaning + assumption),
+        unit,
+        null,
+        stated,
+        f"{number(one.low)} to {number(one.high)}",
+    )
+
+
+def _documented(one: GenericIrregularity) -> str:
+    """The summary of the file that declares it."""
+    module = next(m for m in list(sys.modules.values()) if getattr(m, "GENERIC", None) is one)
+    return " ".join(inspect.cleandoc(module.__doc__ or one.meaning).split("\n\n")[0].split())
+
+
+def _paragraphs(text: str) -> Iterator[str]:
+    """The paragraphs of a docstring as Markdown; indented ones are equations."""
+    for part in text.split("\n\n"):
+        yield block(inspect.cleandoc(part)) if part.startswith("    ") else f"{plain(' '.join(part.split()))}\n"
