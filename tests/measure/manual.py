@@ -17,6 +17,7 @@ from pathlib import Path
 
 from manual_pages import Block, blocks, pages
 from manual_session import Session, commands, run_by_shell
+from PIL import Image
 
 ROOT = Path(__file__).parents[2]
 
@@ -33,12 +34,21 @@ def renewed(page: Path, folder: Path) -> str:
             changes.append((block.first, block.last, shown(session.printed, block, folder)))
         elif (drawn := block.mark("drawn by")) is not None:
             exec(compile(drawn, block.where, "exec"), session.names | {"FILE": page.parent / block.text})
+            few_colours(page.parent / block.text)
         else:
             session.do(block)
         print(f"{block.where}: {block.language or 'text'}", flush=True)
     for first, last, output in reversed(changes):
         text = text[:first] + output + text[last:]
     return text
+
+
+def few_colours(file: Path) -> None:
+    """A drawing with 64 colours: a third of the bytes, and no difference that is seen."""
+    if file.suffix == ".png":
+        with Image.open(file) as picture:
+            smaller = picture.convert("RGB").quantize(64, dither=Image.Dither.NONE)
+        smaller.save(file, optimize=True)
 
 
 def shown(printed: str, block: Block, folder: Path) -> str:
