@@ -33,7 +33,7 @@ def renewed(page: Path, folder: Path) -> str:
         if block.mark("output") is not None:
             changes.append((block.first, block.last, shown(session.printed, block, folder)))
         elif (drawn := block.mark("drawn by")) is not None:
-            exec(compile(drawn, block.where, "exec"), session.names | {"FILE": page.parent / block.text})
+            exec(compile(drawn, block.where, "exec"), session.names | {"FILE": page.parent / block.text, "few_colours": few_colours})
             few_colours(page.parent / block.text)
         else:
             session.do(block)
