@@ -91,5 +91,7 @@ def pages(root: Path) -> tuple[Path, ...]:
     """The pages of the manual: what stands below docs/, without what a build wrote."""
     folder = root / "docs"
     return tuple(
-        path for path in sorted(folder.rglob("*.md")) if not any(p.startswith("_") for p in path.relative_to(folder).parts)
+        path
+        for path in sorted(folder.rglob("*.md"))
+        if not any(p.startswith("_") for p in path.relative_to(folder).parts)
     )

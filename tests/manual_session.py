@@ -53,7 +53,13 @@ def run_by_shell(command: str, folder: Path, longest_s: float = 900.0) -> tuple[
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     environment = os.environ | {"PATH": path, "COLUMNS": "120"}
     done = subprocess.run(
-        ["sh", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, timeout=longest_s, check=False
+        ["sh", "-c", command],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=longest_s,
+        check=False,
     )
     return done.returncode, done.stdout + (done.stderr if done.returncode else "")
 

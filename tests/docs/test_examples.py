@@ -67,7 +67,9 @@ def test_marks_are_complete(page):
     shown = of(page)
     for before, block in zip((None, *shown), shown):
         if block.language == "picture":
-            assert block.text.startswith("http") or (page.parent / block.text).stat().st_size <= PICTURE_BYTES, block.where
+            assert block.text.startswith("http") or (page.parent / block.text).stat().st_size <= PICTURE_BYTES, (
+                block.where
+            )
         if block.mark("output") is not None:
             assert before is not None, block.where
             assert before.language in EXAMPLES, f"{block.where}: the block before prints nothing"

@@ -28,12 +28,13 @@ def renewed(page: Path, folder: Path) -> str:
     session, changes = Session(folder, run_by_shell, short=False), []
     os.chdir(folder)
     for block in blocks(text, page.relative_to(ROOT).as_posix()):
-        if (given := block.mark("given")) is not None:
-            session.prepare(commands(given), block.where)
+        if (before := block.mark("given")) is not None:
+            session.prepare(commands(before), block.where)
         if block.mark("output") is not None:
             changes.append((block.first, block.last, shown(session.printed, block, folder)))
         elif (drawn := block.mark("drawn by")) is not None:
-            exec(compile(drawn, block.where, "exec"), session.names | {"FILE": page.parent / block.text, "few_colours": few_colours})
+            given = {"FILE": page.parent / block.text, "few_colours": few_colours}
+            exec(compile(drawn, block.where, "exec"), session.names | given)
             few_colours(page.parent / block.text)
         else:
             session.do(block)
@@ -52,7 +53,7 @@ def few_colours(file: Path) -> None:
 
 
 def shown(printed: str, block: Block, folder: Path) -> str:
-    """What a command printed, without the path of the folder and without blanks at the ends of lines, as long as the block says."""
+    """What a command printed, without the path of the folder and trailing blanks, as long as the block says."""
     plain = re.sub(r"\x1b\[[0-9;]*m", "", printed).replace(f"{folder}/", "")
     lines = [line.rstrip() for line in plain.strip("\n").splitlines()]
     most = block.printed_lines
@@ -65,7 +66,9 @@ def main() -> None:
     parser.add_argument("pages", nargs="*", type=Path)
     parser.add_argument("--keep", type=Path)
     given = parser.parse_args()
-    chosen = [page.resolve() for page in given.pages] or [p for p in pages(ROOT) if "<!-- output" in p.read_text("utf-8")]
+    chosen = [page.resolve() for page in given.pages] or [
+        p for p in pages(ROOT) if "<!-- output" in p.read_text("utf-8")
+    ]
     for page in chosen:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary) if given.keep is None else given.keep.resolve() / page.stem
