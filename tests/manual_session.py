@@ -42,10 +42,10 @@ def run_in_process(command: str, folder: Path) -> tuple[int, str]:
         words = []
     if words[:1] != ["gyroscreen"] or any(sign in word for word in _unquoted(command) for sign in _SHELL_SIGNS):
         return run_by_shell(command, folder, SHELL_S)
-    out, err = io.StringIO(), io.StringIO()
+    out, err = _stream(), _stream()
     with redirect_stdout(out), redirect_stderr(err):
         code = call(words[1:])
-    return code, out.getvalue() + (err.getvalue() if code else "")
+    return code, _text(out) + (_text(err) if code else "")
 
 
 def run_by_shell(command: str, folder: Path, longest_s: float = 900.0) -> tuple[int, str]:
@@ -62,6 +62,16 @@ def run_by_shell(command: str, folder: Path, longest_s: float = 900.0) -> tuple[
         check=False,
     )
     return done.returncode, done.stdout + (done.stderr if done.returncode else "")
+
+
+def _stream() -> io.TextIOWrapper:
+    """A stream like that of a terminal: some commands write bytes to it."""
+    return io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
+
+
+def _text(stream: io.TextIOWrapper) -> str:
+    stream.seek(0)
+    return stream.read()
 
 
 def _unquoted(command: str) -> list[str]:

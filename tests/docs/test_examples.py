@@ -51,14 +51,13 @@ def small_work(monkeypatch):
 
 @pytest.mark.parametrize("page", [p for p in PAGES if of(p)], ids=lambda p: p.relative_to(ROOT / "docs").as_posix())
 def test_the_examples_of_the_page_run(page, tmp_path, monkeypatch, prepared, small_work):
-    for number, block in enumerate(of(page)):
+    session = Session(tmp_path, run_in_process, short=True)
+    monkeypatch.chdir(tmp_path)
+    for block in of(page):
         if (given := block.mark("given")) is not None:
-            assert number == 0 or not any(tmp_path.iterdir()), f"{block.where}: 'given' stands above the first block"
             made = prepared(tuple(commands(given)), block.where, monkeypatch.chdir)
             shutil.copytree(made, tmp_path, dirs_exist_ok=True)
-        if number == 0:
             monkeypatch.chdir(tmp_path)
-            session = Session(tmp_path, run_in_process, short=True)
         session.do(block)
 
 
