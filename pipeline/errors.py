@@ -106,7 +106,11 @@ def unwritable(what: str, path: object, error: OSError, next_step: str = "choose
 
 
 def printable(text: str) -> str:
-    """``text`` with control characters escaped: they would break lines of a table or be obeyed by a terminal."""
+    """``text`` with control characters escaped: they would break lines of a table or be obeyed by a terminal.
+
+    Spaces that do not break (the pages have them between number and unit) become plain ones.
+    """
+    text = text.replace("\u00a0", " ").replace("\u202f", " ")
     return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
 
 

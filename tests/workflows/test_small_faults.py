@@ -101,6 +101,7 @@ def test_control_characters_of_ids_do_not_reach_the_terminal(tmp_path, monkeypat
     assert "\r" not in shown.out + shown.err
     assert "\\x1b[31mred" in shown.out
     assert printable_lines("a\nb\x07") == "a\nb\\x07"
+    assert printable_lines("3.9\u00a0%") == "3.9 %"
     reasons = ["query", "SELECT status_reason FROM devices", "--results", str(tmp_path / "results"), "--format", "csv"]
     assert call(reasons) == 0
     assert "\x1b[31mred" in capfd.readouterr().out  # a pipe receives what is stored

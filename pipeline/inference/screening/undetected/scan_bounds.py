@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ....arrays import FloatArray
-from .bounds import Z95, Judged, Projection
+from .bounds import Z95, Judged, Projection, at_most
 from .scanned import ScannedProducts
 
 #: Share of the range of a scan for which a bound holds.
@@ -51,8 +51,7 @@ def judged_scans(products: ScannedProducts, projection: Projection, residual: Fl
     spread = np.sqrt(np.maximum(np.einsum("gqk,gqk->gq", bias @ inverse, bias), 0.0))
     each = np.abs((bias @ estimate[:, :, None])[:, :, 0]) + Z95 * spread
     reach = np.concatenate([np.full(scan.points, scan.reach) for scan in scans])
-    most = size.transpose(1, 0, 2).reshape(points, 4, 1) * reach[:, None, None]
-    each = np.minimum(each, (np.abs(bias) @ most)[:, :, 0]).T
+    each = np.minimum(each, at_most(bias, size.transpose(1, 0, 2).reshape(points, 4) * reach[:, None])).T
     p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), q))
     last = 0
     for i, scan in enumerate(scans):
