@@ -32,6 +32,7 @@ from .config_tables import (
     GateTable,
     HumTable,
     IdentificationTable,
+    LotOriginTable,
     NoiseTable,
     PosteriorTable,
     RunDemodulationTable,
@@ -74,6 +75,7 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sampling: SamplingTable | None = None
     effects: dict[str, EffectTable] = {}
     diagnosis: DiagnosisTable = DiagnosisTable()
+    lot_origin: LotOriginTable = LotOriginTable()
     rule: RuleTable | RuleName = RuleTable()
     limits: dict[str, BoundsTable] = {}
 
@@ -134,7 +136,10 @@ def _with_absolute_paths(config: RunConfig, base: Path) -> RunConfig:
     if source.path is not None:
         source = msgspec.structs.replace(source, path=_absolute(base, source.path))
     folders = tuple(_absolute(base, folder) for folder in config.effect_folders)
-    return msgspec.structs.replace(config, source=source, effect_folders=folders)
+    origin = config.lot_origin
+    if origin.population.endswith(".toml"):
+        origin = msgspec.structs.replace(origin, population=_absolute(base, origin.population))
+    return msgspec.structs.replace(config, source=source, effect_folders=folders, lot_origin=origin)
 
 
 def _absolute(base: Path, path: str) -> str:

@@ -250,6 +250,21 @@ class DiagnosisTable(Struct, frozen=True, forbid_unknown_fields=True):
     alpha: Annotated[float, Meta(gt=0.0, lt=0.5)] = 0.003
 
 
+class LotOriginTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The questions at the end of a night over measured campaigns: is the lot a draw from the population, and did it drift?
+
+    ``population`` is the one that is used for screening: a shipped name or a TOML file; ``population_toml`` is its text, which a
+    run writes into its run.toml.  ``false_alarm`` is the probability of a wrong "no" to each question; up to ``nights`` earlier
+    nights are looked at.
+    """
+
+    enabled: bool = True
+    population: str = "cloverleaf"
+    population_toml: str | None = None
+    false_alarm: Annotated[float, Meta(gt=0.0, lt=0.5)] = 0.01
+    nights: Annotated[int, Meta(ge=0, le=100)] = 10
+
+
 class TargetsTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Gates on the whole run.  A gate that fails sets the exit code 1 and has no other effect."""
 

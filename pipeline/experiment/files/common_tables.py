@@ -75,11 +75,19 @@ class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DeviceTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The device: its id, angular_gain = I_p / I_0p, and whether its pick-offs sense velocity or displacement."""
+    """The device: its id, angular_gain = I_p / I_0p, and whether its pick-offs sense velocity or displacement.
+
+    ``lot``, ``wafer``, ``package``, ``die_x_mm``, ``die_y_mm`` [mm from the centre of the wafer] say where it was made.
+    """
 
     id: str = ""
     angular_gain: Positive | None = None
     pickoff: Pickoff = "velocity"
+    lot: str = ""
+    wafer: str = ""
+    package: str = ""
+    die_x_mm: Value | None = None
+    die_y_mm: Value | None = None
 
 
 class ConditionsTable(Struct, frozen=True, forbid_unknown_fields=True):
