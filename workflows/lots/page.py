@@ -6,6 +6,7 @@ from typing import Literal
 
 from pipeline.learning.lot.loop import LotRung, first_rung
 from pipeline.learning.lot.outcome import left_out
+from pipeline.learning.lot.posterior import LotPosteriorAnswer
 from reports.html.style import Drawing
 from reports.lot.figures import forecast_figure, residual_maps, spreads_figure
 from reports.lot.page import LotMaps, render_lot_page
@@ -13,7 +14,12 @@ from reports.lot.page import LotMaps, render_lot_page
 from .loop import LotAnswers
 
 
-def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnswers, truth: str | None = None) -> str:
+def lot_page(
+    command: Literal["compare", "diagnose", "refine"],
+    answers: LotAnswers,
+    truth: str | None = None,
+    posterior: LotPosteriorAnswer | None = None,
+) -> str:
     """The page of a command; each one contains the comparison."""
     rungs = answers.ladder.rungs if command == "refine" else (first_rung(answers.ready),)
     return render_lot_page(
@@ -23,6 +29,7 @@ def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnsw
         before=_maps(rungs[0]),
         after=_maps(rungs[-1]) if len(rungs) > 1 else None,
         truth=truth,
+        posterior=posterior,
     )
 
 

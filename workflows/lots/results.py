@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pipeline.learning.answers import Answer, to_builtins
 from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswer, LotRefinementAnswer
 from pipeline.learning.lot.measured import MeasuredLot
+from pipeline.learning.lot.posterior import LotPosteriorAnswer
 from populations.spec import PopulationSpec
 from reports.words.lot import lot_lines
 
@@ -51,6 +52,10 @@ class LotResult(ABC):
         from .page import lot_page  # it loads matplotlib
 
         return lot_page(self.command, self.answers)
+
+    def posterior(self, count: int = 3) -> LotPosteriorAnswer:
+        """Posterior of the ``count`` (1 to 6) most influential spreads, as ``--posterior`` gives it; takes a minute."""
+        return self.answers.posterior(self.command, count)
 
     @property
     @abstractmethod
