@@ -32,6 +32,8 @@ from .scores import squares_of_part
 DepartureKind = Literal["mean", "pattern", "spread"]
 #: Lots drawn for a null: the number of independent tests is then known to 5 %.
 DRAWS = 400
+#: Smallest p-value that is given.
+SMALLEST = 1e-300
 #: Share of X' D^-1 X, D the variance of single devices, below which the fixed part of the model absorbs a part.
 ABSORBED = 1e-6
 
@@ -175,7 +177,8 @@ def _independent(log_p: FloatArray) -> float:
 
 
 def _family(log_p: float, tests: float) -> float:
-    return float(-np.expm1(tests * np.log1p(-min(np.exp(log_p), 1.0 - 1e-12))))
+    single = min(max(float(np.exp(log_p)), SMALLEST), 1.0 - 1e-12)
+    return float(-np.expm1(tests * np.log1p(-single)))
 
 
 def _with_family(one: Departure, tests: float) -> Departure:
