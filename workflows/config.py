@@ -32,6 +32,7 @@ from .config_tables import (
     EffectTable,
     GateTable,
     IdentificationTable,
+    LotOriginTable,
     PosteriorTable,
     RunTable,
     SamplingTable,
@@ -75,6 +76,9 @@ class RunConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sampling: Annotated[SamplingTable | None, Meaning("sampling towards rare losses")] = None
     effects: Annotated[dict[str, EffectTable], Meaning("effects that virtual devices have, one table each")] = {}
     diagnosis: Annotated[DiagnosisTable, Meaning("examination of misfits after the last block")] = DiagnosisTable()
+    lot_origin: Annotated[LotOriginTable, Meaning("whether a measured lot comes from the population for screening")] = (
+        LotOriginTable()
+    )
     rule: Annotated[RuleTable | RuleName, Meaning("rule by which a device is judged: a name or a table")] = RuleTable()
     limits: Annotated[
         dict[str, BoundsTable], Meaning("limits by quantity, one table each; absent: the shipped limits")
@@ -137,7 +141,10 @@ def _with_absolute_paths(config: RunConfig, base: Path) -> RunConfig:
     if source.path is not None:
         source = msgspec.structs.replace(source, path=_absolute(base, source.path))
     folders = tuple(_absolute(base, folder) for folder in config.effect_folders)
-    return msgspec.structs.replace(config, source=source, effect_folders=folders)
+    origin = config.lot_origin
+    if origin.population.endswith(".toml"):
+        origin = msgspec.structs.replace(origin, population=_absolute(base, origin.population))
+    return msgspec.structs.replace(config, source=source, effect_folders=folders, lot_origin=origin)
 
 
 def _absolute(base: Path, path: str) -> str:

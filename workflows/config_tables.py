@@ -201,6 +201,27 @@ class DiagnosisTable(Struct, frozen=True, forbid_unknown_fields=True):
     alpha: Annotated[float, Meta(gt=0.0, lt=0.5), Meaning("family-wise probability of a false detection", "1")] = 0.003
 
 
+class LotOriginTable(Struct, frozen=True, forbid_unknown_fields=True):
+    """The questions at the end of a night over measured campaigns: is the lot a draw from the population, and did it drift?
+
+    ``population`` is the one that is used for screening: a shipped name or a TOML file; ``population_toml`` is its text, which a
+    run writes into its run.toml.  ``false_alarm`` is the probability of a wrong "no" to each question; up to ``nights`` earlier
+    nights are looked at.
+    """
+
+    enabled: Annotated[bool, Meaning("whether a night over measured campaigns asks at its end")] = True
+    population: Annotated[str, Meaning("population for screening: a shipped name or a TOML file")] = "cloverleaf"
+    population_toml: Annotated[
+        str | None, Meaning("text of the population; run.toml of a run holds it, write it nowhere else")
+    ] = None
+    false_alarm: Annotated[
+        float, Meta(gt=0.0, lt=0.5), Meaning('probability of a wrong "no" to each question', "1")
+    ] = 0.01
+    nights: Annotated[
+        int, Meta(ge=0, le=100), Meaning("earlier nights that the drift is looked for in, at most", "1")
+    ] = 10
+
+
 class TargetsTable(Struct, frozen=True, forbid_unknown_fields=True):
     """Gates on the whole run.  A gate that fails sets the exit code 1 and has no other effect."""
 

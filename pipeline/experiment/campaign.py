@@ -1,6 +1,6 @@
 """Campaigns: a folder of records of one device with a campaign.toml, read and written.
 
-    [device]         id, angular_gain = I_p / I_0p, pickoff = "velocity" | "displacement"
+    [device]         id, angular_gain = I_p / I_0p, pickoff = "velocity" | "displacement"; lot, wafer, package, die_x_mm, die_y_mm
     [conditions]     part, tester, session: of several campaigns of one device in a run (gauge R&R)
     [demodulation]   phase_error_deg, drive = "f1" | "f2"
     [instrument]     sample_rate_hz, hold, bias_v, antialias = {..}, adc = {..}

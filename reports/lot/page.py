@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswer, LotRefinementAnswer
 from pipeline.learning.lot.gyro import MEANINGS
+from pipeline.learning.lot.posterior import LotPosteriorAnswer
 
 from ..html.rendering import environment, stylesheet
 from ..words.lot import ADAPTS, LEVELS, VERDICTS, compare_sentence, refine_sentence
+from ..words.lot_posterior import posterior_note
 from .figures import LotMaps as LotMaps
 from .figures import forecast_figure, residual_maps, spreads_figure
+from .posterior_figure import posterior_figure
 
 
 def render_lot_page(
@@ -18,6 +21,7 @@ def render_lot_page(
     before: LotMaps,
     after: LotMaps | None,
     truth: str | None = None,
+    posterior: LotPosteriorAnswer | None = None,
 ) -> str:
     """The page as HTML, without any request to other hosts.
 
@@ -25,6 +29,7 @@ def render_lot_page(
     ----------
     before, after : residuals of the refitted population, and of the last rung of the ladder.
     truth : what was hidden, where that is known.
+    posterior : of the most influential spreads, where it was asked for.
     """
     headline = compare_sentence(comparison)
     if refinement is not None:
@@ -44,6 +49,9 @@ def render_lot_page(
         meanings=MEANINGS,
         adapts=ADAPTS,
         truth=truth,
+        posterior=posterior,
+        posterior_note="" if posterior is None else posterior_note(posterior),
+        posterior_plot="" if posterior is None else posterior_figure(posterior),
         spreads=comparison.spreads if refinement is None else refinement.spreads,
         patterns=comparison.patterns if refinement is None else refinement.patterns,
         mixtures=comparison.mixtures if refinement is None else refinement.mixtures,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.learning.lot.origin_answers import LotOriginAnswers
 from pipeline.quantities import QUANTITIES
 
 from ..attribution.content import Attribution
@@ -21,6 +22,7 @@ from ..limits import Limits
 from ..limits_origin import LimitsOrigin
 from ..words.capability import index_words, no_index, share_words
 from ..words.limits import origin_sentence
+from ..words.lot_origin import departure_words, drift_sentence, lot_origin_sentence
 from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
@@ -63,6 +65,7 @@ def render_run_report(
     common: Common = MappingProxyType({}),
     limits_origin: LimitsOrigin | None = None,
     attribution: Attribution | None = None,
+    origin: LotOriginAnswers | None = None,
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -76,6 +79,7 @@ def render_run_report(
     common : quantity -> (E, B) shift by one sd of each error that all devices share.
     limits_origin : where the limits came from.
     attribution : where the loss comes from; ``None`` leaves the section out.
+    origin : whether the lot comes from the population for screening; ``None`` likewise.
 
     Raises
     ------
@@ -89,7 +93,11 @@ def render_run_report(
         stylesheet=stylesheet(),
         figures=run_figures(devices, content),
         corners=corner_plots(content.worst, run.posterior),
-        sections=_sections(content, attribution is not None),
+        sections=_sections(content, attribution is not None, origin is not None),
+        origin=origin,
+        lot_origin_sentence=lot_origin_sentence,
+        drift_sentence=drift_sentence,
+        departure_words=departure_words,
         sources=None if attribution is None else loss_sources(attribution),
         limits_origin="" if limits_origin is None else origin_sentence(limits_origin),
         physics=(*(() if physics is None else physics_sentences(physics)), *_noise(devices)),
@@ -123,7 +131,7 @@ def _truth(estimate: WorstEstimate) -> str:
     return measured(estimate.truth, estimate.sd).partition(" ±")[0]
 
 
-def _sections(content: RunContent, sources: bool) -> tuple[tuple[str, str], ...]:
+def _sections(content: RunContent, sources: bool, origin: bool) -> tuple[tuple[str, str], ...]:
     return tuple(
         (key, name)
         for key, name, there in (
@@ -134,6 +142,7 @@ def _sections(content: RunContent, sources: bool) -> tuple[tuple[str, str], ...]
             ("distributions", "Theta and split", content.identified),
             ("capability", "Capability", bool(content.capabilities)),
             ("risks", "Risks", bool(content.risks)),
+            ("lot-origin", "Where this lot comes from", origin),
             ("lot-effects", "Effects this lot needs", content.needed is not None),
             ("trim", "Electronic tuning", content.trim is not None),
             ("calibration", "Calibration", True),

@@ -41,14 +41,19 @@ def test_every_name_is_found_listed_and_documented():
 CALLS = (
     "check",
     "compare",
+    "compare_lot",
     "diagnose",
+    "diagnose_lot",
     "identify",
     "inference_data",
     "open_run",
     "read_campaign",
+    "read_lot",
     "refine",
+    "refine_lot",
     "run",
     "simulate",
+    "simulate_lot",
 )
 
 

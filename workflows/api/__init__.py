@@ -2,6 +2,8 @@
 
 One device
     read_campaign, write_campaign, check, identify, compare, diagnose, refine, simulate
+A measured lot
+    read_lot, compare_lot, diagnose_lot, refine_lot, simulate_lot, load_population
 A night
     run, open_run
 Models, limits, effects
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from .loop import check, compare, diagnose, identify, load_limits, load_model, read_campaign, refine
     from .loop import simulate as simulate
     from .loop import write_campaign as write_campaign
+    from .lots import compare_lot, diagnose_lot, load_population, read_lot, refine_lot, simulate_lot
     from .night import ScreeningRun
     from .runs import open_run, run
 
@@ -41,18 +44,24 @@ __all__ = [
     "ScreeningRun",
     "check",
     "compare",
+    "compare_lot",
     "diagnose",
+    "diagnose_lot",
     "figures",
     "find_effects",
     "identify",
     "inference_data",
     "load_limits",
     "load_model",
+    "load_population",
     "open_run",
     "read_campaign",
+    "read_lot",
     "refine",
+    "refine_lot",
     "run",
     "simulate",
+    "simulate_lot",
     "write_campaign",
 ]
 
@@ -63,6 +72,10 @@ _HOME = {
     "open_run": "workflows.api.runs",
     "run": "workflows.api.runs",
     "inference_data": "workflows.api.draws",
+    **dict.fromkeys(
+        ("compare_lot", "diagnose_lot", "load_population", "read_lot", "refine_lot", "simulate_lot"),
+        "workflows.api.lots",
+    ),
 }
 
 

@@ -33,11 +33,13 @@ from reports.run.worst import device_estimates
 from ..device.measured import Measured
 from ..learning import Result
 from ..learning.views import PageViews, views_of
+from ..lots.page import lot_drawings
+from ..lots.results import LotResult
 from ..studies.paper.devices import StudySizes
 from .night import ScreeningRun
 
 
-def all_of(shown: ScreeningRun | Result) -> dict[str, Figure]:
+def all_of(shown: ScreeningRun | Result | LotResult) -> dict[str, Figure]:
     """All figures of the page of a run, or of an answer of compare, diagnose or refine, by name."""
     return {name: drawing.figure for name, drawing in _drawings(shown).items()}
 
@@ -151,6 +153,21 @@ def tone(result: Result, number: int = 0) -> Figure:
     return _one(result, f"tone-{number}")
 
 
+def forecast(result: LotResult) -> Figure:
+    """Yield of the held-out wafers [%], forecast and measured, and their log score, for each model of the ladder of a lot."""
+    return _one(result, "forecast")
+
+
+def spreads(result: LotResult) -> Figure:
+    """Fitted spreads over those of the population file, with 90 % intervals."""
+    return _one(result, "spreads")
+
+
+def residual_maps(result: LotResult, after: bool = False) -> Figure:
+    """Mean residual of all wafers of a lot at each place [sd of the mean], of the given or of the last population."""
+    return _one(result, "maps-after" if after else "maps-before")
+
+
 def channels(campaign: Measured) -> Figure:
     """What was read: channels of the first records against time and frequency; sweeps and responses against frequency.
 
@@ -196,7 +213,7 @@ def save(figure: Figure, path: str | Path, dpi: float = 150.0) -> Path:
     return Path(path)
 
 
-def _one(shown: ScreeningRun | Result, name: str) -> Figure:
+def _one(shown: ScreeningRun | Result | LotResult, name: str) -> Figure:
     drawings = _drawings(shown)
     if name not in drawings:
         raise _nothing(name, ", ".join(drawings) or "none: there are no devices or no fit")
@@ -207,8 +224,10 @@ def _nothing(name: str, allowed: str) -> UsageError:
     return UsageError("there is nothing to draw", value=name, allowed=allowed, next_step="gs.figures.all_of lists them")
 
 
-def _drawings(shown: ScreeningRun | Result) -> dict[str, Drawing]:
-    if isinstance(shown, ScreeningRun):
+def _drawings(shown: ScreeningRun | Result | LotResult) -> dict[str, Drawing]:
+    if isinstance(shown, LotResult):
+        found = lot_drawings(shown.command, shown.answers)
+    elif isinstance(shown, ScreeningRun):
         content = shown.content
         found = shown.read(lambda tables: run_figures(Devices(tables.devices), content))
     else:

@@ -114,7 +114,7 @@ def identify(
     own = None if model is None else _model(model, ())
     # A context, because the decorator would hide the types of the call.
     with threadpool_limits(limits=1):
-        return identified(_measured(campaign), own, _limits(limits), seed)
+        return identified(_measured(campaign), own, given_limits(limits), seed)
 
 
 def compare(
@@ -141,7 +141,7 @@ def compare(
     -------
     >>> gs.compare("campaign").where
     """
-    return learning.compare(_measured(campaign), _model(model, effect_folders), _limits(limits))
+    return learning.compare(_measured(campaign), _model(model, effect_folders), given_limits(limits))
 
 
 def diagnose(
@@ -157,7 +157,7 @@ def diagnose(
     -------
     >>> gs.diagnose("campaign").candidates
     """
-    return learning.diagnose(_measured(campaign), _model(model, effect_folders), _limits(limits))
+    return learning.diagnose(_measured(campaign), _model(model, effect_folders), given_limits(limits))
 
 
 def refine(
@@ -173,7 +173,7 @@ def refine(
     -------
     >>> gs.refine("campaign").table[["effect", "error_fit", "error_validate", "theta_deg", "theta_deg_sd"]]
     """
-    return learning.refine(_measured(campaign), _model(model, effect_folders), _limits(limits))
+    return learning.refine(_measured(campaign), _model(model, effect_folders), given_limits(limits))
 
 
 def simulate(
@@ -217,5 +217,6 @@ def _model(model: GivenModel, folders: Sequence[str | Path]) -> Model:
     return replace(found, effect_folders=tuple(known))
 
 
-def _limits(limits: GivenLimits) -> Limits | None:
+def given_limits(limits: GivenLimits) -> Limits | None:
+    """Limits that a call takes: an object, a file or a table; ``None`` stays."""
     return limits if limits is None or isinstance(limits, Limits) else load_limits(limits)

@@ -12,11 +12,13 @@ from typing import Literal
 from msgspec import structs
 
 from pipeline.errors import NegativeError, UsageError, printable_lines, unwritable
-from pipeline.learning.answers import to_json
+from pipeline.learning.answers import to_builtins
 from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswer, LotRefinementAnswer
+from pipeline.learning.lot.posterior import MOST, LotPosteriorAnswer
 from populations.spec import PopulationSpec, load_spec
 from reports.limits import DEFAULT_LIMITS, load_limits
 from reports.words.lot import lot_lines
+from reports.words.lot_posterior import posterior_lines
 
 from ..learning.progress import working
 from ..lots.loop import LotAnswers, lot_answers
@@ -41,8 +43,10 @@ def answer_lot(
     json: bool,
     model: Path | None,
     effects: Sequence[Path] | None = None,
+    posterior: int | None = None,
 ) -> None:
     """See ``gyroscreen compare --help``, with a lot."""
+    _check_posterior(posterior)
     if model is not None:
         raise UsageError(
             "a lot has no model file", value=str(model), allowed="--population", next_step="leave --model out"
@@ -59,16 +63,28 @@ def answer_lot(
     answers = lot_answers(table, _population(population), judged)
     with working(command, quiet=json):
         found = _found(command, answers)
-        page = None if out is None else _written(command, answers, out)
+        sampled = None if posterior is None else answers.posterior(command, posterior)
+        page = None if out is None else _written(command, answers, out, sampled)
     if isinstance(found, LotRefinementAnswer) and out is not None and answers.spec is not None:
         found = structs.replace(found, population_file=str(out / "population.toml"))
     if json:
-        print(to_json(found))
+        more = {} if sampled is None else {"posterior": to_builtins(sampled)}
+        print(json_.dumps(to_builtins(found) | more))
     else:
-        print(printable_lines("\n".join(lot_lines(found))))
+        print(printable_lines("\n".join([*lot_lines(found), *([] if sampled is None else posterior_lines(sampled))])))
         if page is not None:
             print(page)
     _require_positive(found)
+
+
+def _check_posterior(count: int | None) -> None:
+    if count is not None and not 1 <= count <= MOST:
+        raise UsageError(
+            "--posterior is no number of spreads that can be sampled together",
+            value=count,
+            allowed=f"1 to {MOST}",
+            next_step="correct --posterior",
+        )
 
 
 def _population(path: Path | None) -> PopulationSpec | None:
@@ -83,13 +99,13 @@ def _found(command: Command, answers: LotAnswers) -> LotComparisonAnswer | LotDi
     return answers.diagnosis if command == "diagnose" else answers.refinement
 
 
-def _written(command: Command, answers: LotAnswers, out: Path) -> Path:
+def _written(command: Command, answers: LotAnswers, out: Path, posterior: LotPosteriorAnswer | None) -> Path:
     """The page, and of refine the refined population file."""
     # Drawing takes a second to load; a command without a page does not wait for it.
     from ..lots.page import lot_page
 
     path = out / ("ladder.html" if command == "refine" else f"{command}.html")
-    page = lot_page(command, answers)
+    page = lot_page(command, answers, posterior=posterior)
     try:
         out.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")

@@ -14,6 +14,7 @@ from pipeline.errors import IncompleteError, InterruptedRunError, UsageError, pr
 from pipeline.plain import plain
 from pipeline.store.run import RunStore, discard_run
 from reports.limits_origin import LimitsOrigin, origin_of_file, shipped_origin
+from reports.words.lot_origin import origin_lines
 from reports.words.preview import preview_lines
 
 from ..config import RunConfig, changed_config, load_config, to_toml_table
@@ -104,6 +105,7 @@ def _show_plan(planned: RunPlan, limits: LimitsOrigin, json: bool) -> None:
     config = planned.config
     table = without_none(to_toml_table(config))
     table["source"].pop("spec_toml", None)
+    table["lot_origin"].pop("population_toml", None)
     implied = preview(config)
     spec = population(config).name if config.source.kind == "population" else None
     if json:
@@ -143,6 +145,7 @@ def _summary(result: RunResult, out: Path) -> str:
         f"main cause of loss: {result.main_cause or 'none'}",
         f"status: {statuses}; {result.devices} devices in {result.seconds:.1f} s",
         *([f"effects missing in the model: {', '.join(result.lot_effects)}"] if result.lot_effects else []),
+        *([] if result.lot_origin is None else origin_lines(result.lot_origin)),
         f"results: {result.folder}",
         f"report:  {result.report}",
         f'query:   gyroscreen query "SELECT verdict, count(*) AS n FROM devices GROUP BY verdict"{_option(out, "--results")}',

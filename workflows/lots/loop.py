@@ -12,8 +12,9 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import UsageError
 from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswer, LotRefinementAnswer
 from pipeline.learning.lot.forecast import Conforms
-from pipeline.learning.lot.loop import LotLadder
+from pipeline.learning.lot.loop import LotLadder, first_rung
 from pipeline.learning.lot.population import nested_population
+from pipeline.learning.lot.posterior import LotPosteriorAnswer, posterior
 from pipeline.learning.lot.prepared import PreparedLot, prepared
 from pipeline.learning.lot.respond import comparison, diagnosis, refinement
 from pipeline.learning.lot.table import LotTable
@@ -99,6 +100,12 @@ class LotAnswers:
     def ladder(self) -> LotLadder:
         """The ladder with its fits."""
         return self._refined[1]
+
+    def posterior(self, command: str, count: int) -> LotPosteriorAnswer:
+        """Posterior of the ``count`` most influential spreads: of the refitted population, or of the last rung of refine."""
+        with threadpool_limits(limits=1):
+            rung = self.ladder.rungs[-1] if command == "refine" else first_rung(self.ready)
+            return posterior(rung.fit, count, self.seed)
 
     @cached_property
     def refined_population(self) -> PopulationSpec | None:

@@ -6,12 +6,20 @@ from typing import Literal
 
 from pipeline.learning.lot.loop import LotRung, first_rung
 from pipeline.learning.lot.outcome import left_out
+from pipeline.learning.lot.posterior import LotPosteriorAnswer
+from reports.html.style import Drawing
+from reports.lot.figures import forecast_figure, residual_maps, spreads_figure
 from reports.lot.page import LotMaps, render_lot_page
 
 from .loop import LotAnswers
 
 
-def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnswers, truth: str | None = None) -> str:
+def lot_page(
+    command: Literal["compare", "diagnose", "refine"],
+    answers: LotAnswers,
+    truth: str | None = None,
+    posterior: LotPosteriorAnswer | None = None,
+) -> str:
     """The page of a command; each one contains the comparison."""
     rungs = answers.ladder.rungs if command == "refine" else (first_rung(answers.ready),)
     return render_lot_page(
@@ -21,7 +29,21 @@ def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnsw
         before=_maps(rungs[0]),
         after=_maps(rungs[-1]) if len(rungs) > 1 else None,
         truth=truth,
+        posterior=posterior,
     )
+
+
+def lot_drawings(command: Literal["compare", "diagnose", "refine"], answers: LotAnswers) -> dict[str, Drawing | None]:
+    """The figures of that page by name: spreads, maps-before; of refine also forecast and maps-after."""
+    rungs = answers.ladder.rungs if command == "refine" else (first_rung(answers.ready),)
+    before, after = _maps(rungs[0]), _maps(rungs[-1])
+    spreads = answers.refinement.spreads if command == "refine" else answers.comparison.spreads
+    return {
+        "forecast": forecast_figure(answers.refinement.ladder) if command == "refine" else None,
+        "spreads": spreads_figure(spreads),
+        "maps-before": residual_maps(before, "maps-before"),
+        "maps-after": residual_maps(after, "maps-after", before) if len(rungs) > 1 else None,
+    }
 
 
 def _maps(rung: LotRung) -> LotMaps:

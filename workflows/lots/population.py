@@ -12,6 +12,7 @@ Shapes: n devices, q quantities, 12 coordinates of ``gyro``.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -101,7 +102,10 @@ def _absent(linear: LinearPopulation, larger: LinearPopulation, chosen: IntArray
         if (stream.irregularity, stream.level, stream.label) not in known and np.any(stream.columns[:, chosen] != 0.0)
     )
     had = {part.name for part in _patterns(linear, linear.patterns, chosen)}
-    fixed = tuple(part for part in _patterns(larger, larger.patterns, chosen) if part.name not in had)
+    # The file has none of them, so that their coefficients count from zero.
+    fixed = tuple(
+        replace(part, size=None) for part in _patterns(larger, larger.patterns, chosen) if part.name not in had
+    )
     return (*random, *fixed)
 
 
@@ -187,8 +191,9 @@ def _scaled(
 
 
 def _elasticities(spec: PopulationSpec, name: str, values: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """parameter -> part -> d ln(size of the part) / d ln(parameter), at one die halfway to the edge."""
-    place = np.array([0.35 * spec.wafer.diameter_mm / 2.0]), np.array([0.2 * spec.wafer.diameter_mm / 2.0])
+    """parameter -> part -> d ln(size of the part) / d ln(parameter), over dies from the centre to the edge."""
+    rho = np.linspace(0.05, 0.95, 10) * spec.wafer.diameter_mm / 2.0
+    place = rho * np.cos(2.0 + rho), rho * np.sin(2.0 + rho)
     stage = find(spec.irregularity_folders)[name].stage
 
     def sizes(own: Mapping[str, float]) -> dict[str, float]:

@@ -46,10 +46,14 @@ def _identified(config: RunConfig, source: CampaignSource, n: int) -> tuple[str,
     return device_id, result
 
 
-def _conditions(campaigns: Sequence[CampaignSource]) -> dict[str, list[str | None]]:
-    """part, tester and session of each campaign, by column; ``None`` where it states none."""
-    stated = [source.conditions() for source in campaigns]
-    return {name: [getattr(one, name) or None for one in stated] for name in ("part", "tester", "session")}
+def _stated(campaigns: Sequence[CampaignSource]) -> dict[str, list[str | float | None]]:
+    """Who measured each campaign's device, and where it was made, by column; ``None`` where it does not say."""
+    conditions, devices = [source.conditions() for source in campaigns], [source.device() for source in campaigns]
+    return {
+        **{name: [getattr(one, name) or None for one in conditions] for name in ("part", "tester", "session")},
+        **{name: [getattr(one, name) or None for one in devices] for name in ("lot", "wafer", "package")},
+        **{name: [getattr(one, name) for one in devices] for name in ("die_x_mm", "die_y_mm")},
+    }
 
 
 def campaign_block(
@@ -67,7 +71,7 @@ def campaign_block(
         return tables_of(
             block.index,
             [device_id for device_id, _ in found],
-            _conditions(campaigns),
+            _stated(campaigns),
             [result for _, result in found],
             config.judged_by(),
             config.posterior.stored_draws,

@@ -37,10 +37,17 @@ class CampaignSource:
 
     def conditions(self) -> ConditionsTable:
         """[conditions] of its campaign.toml; empty if that cannot be read."""
+        return self._head().conditions
+
+    def device(self) -> DeviceTable:
+        """[device] of its campaign.toml; empty if that cannot be read."""
+        return self._head().device
+
+    def _head(self) -> _CampaignHead:
         try:
-            return decode(self.text or b"", _CampaignHead, FILE).conditions
+            return decode(self.text or b"", _CampaignHead, FILE)
         except GyroscreenError:
-            return ConditionsTable()
+            return _CampaignHead()
 
     def read(self) -> Campaign:
         """The campaign as the run knows it.

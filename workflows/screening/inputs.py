@@ -26,7 +26,7 @@ from populations.spec import spec_from_toml
 
 from ..config import RunConfig
 from .campaign_source import FILE as CAMPAIGN
-from .settings import population, spec_path
+from .settings import lot_population, lot_source, population, spec_path
 
 FILE = "inputs.json"
 _MOST_TEXT = 1 << 20
@@ -107,6 +107,9 @@ def collected(config: RunConfig, campaigns: Sequence[Path]) -> Inputs:
     if config.source.kind == "population":
         wanted += [("population", path) for path in chain(spec_path(config.source))]
         wanted += [("irregularity", path) for path in _code(population(config).irregularity_folders)]
+    elif config.lot_origin.enabled:
+        wanted += [("population", path) for path in chain(spec_path(lot_source(config)))]
+        wanted += [("irregularity", path) for path in _code(lot_population(config).irregularity_folders)]
     wanted += [("campaign", folder / CAMPAIGN) for folder in campaigns]
     return Inputs(tuple(_file(what, path, texts) for what, path in wanted), texts)
 
@@ -245,9 +248,11 @@ def changed_keys(stored: RunConfig, wanted: RunConfig) -> list[tuple[str, object
 def _flat(config: RunConfig) -> Iterator[tuple[str, object]]:
     plain = msgspec.to_builtins(config)
     plain["run"].pop("workers")
-    text = plain["source"].pop("spec_toml")
+    text, compared = plain["source"].pop("spec_toml"), plain["lot_origin"].pop("population_toml")
     if text is not None:
         plain["population"] = msgspec.to_builtins(spec_from_toml(text, "population of the run"))
+    if compared is not None:
+        plain["lot_origin"]["spec"] = msgspec.to_builtins(spec_from_toml(compared, "population of [lot_origin]"))
     yield from _leaves("", plain)
 
 

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import GateError, NegativeError
+from pipeline.learning.answers import to_builtins
+from pipeline.learning.lot.origin_answers import FILE as ORIGIN
+from pipeline.learning.lot.origin_answers import LotOriginAnswers
 from pipeline.store.columns import StoredRun, with_run
 from pipeline.store.run import RunStore, open_run
 from populations.draw import draw
@@ -45,6 +48,7 @@ class RunResult:
     yield_share: float | None
     yield_interval: tuple[float, float] | None
     lot_effects: tuple[str, ...]
+    lot_origin: LotOriginAnswers | None
     main_cause: str | None
     seconds: float
     report: Path | None
@@ -61,6 +65,7 @@ class RunResult:
             "yield": self.yield_share,
             "yield_interval": None if self.yield_interval is None else list(self.yield_interval),
             "lot_effects": list(self.lot_effects),
+            "lot_origin": None if self.lot_origin is None else to_builtins(self.lot_origin),
             "main_cause": self.main_cause,
             "seconds": round(self.seconds, 3),
             "report": None if self.report is None else str(self.report),
@@ -89,7 +94,8 @@ def rendered_report(results: Path, run_id: str) -> str:
     """The report of a run as HTML."""
     from reports.run.page import render_run_report  # it loads matplotlib
 
-    found = lot_effects(open_run(results, run_id))
+    store = open_run(results, run_id)
+    found, origin = lot_effects(store), lot_origin(store)
 
     def rendered(tables: StoredRun) -> str:
         config = config_of_stored(results, tables)
@@ -104,6 +110,7 @@ def rendered_report(results: Path, run_id: str) -> str:
             common=common,
             limits_origin=recorded_origin(tables.manifest.provenance, bool(config.limits)),
             attribution=attribution_of(config, tables),
+            origin=origin,
         )
 
     return with_run(results, run_id, rendered)
@@ -133,6 +140,12 @@ def lot_effects(store: RunStore) -> lot_report.LotEffects | None:
     return None if data is None else lot_report.LotEffects.from_json(data)
 
 
+def lot_origin(store: RunStore) -> LotOriginAnswers | None:
+    """Where the lot of a run comes from; ``None`` if that was not asked."""
+    data = store.page(ORIGIN)
+    return None if data is None else LotOriginAnswers.from_json(data)
+
+
 def finish(store: RunStore, results: Path, started: float) -> RunResult:
     """Mark the run complete, write the report and summarise the run; ``started`` is its start in monotonic time [s]."""
     found = with_run(results, store.run_id, _counted)
@@ -142,6 +155,7 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
     needed = () if examined is None else tuple(sorted({effect.effect for effect in examined.effects}))
     summary = {"verdicts": verdicts, "statuses": statuses, "lot_effects": list(needed), "seconds": round(seconds, 3)}
     store.finish("complete", summary)
+    origin = _ask(store, results)
     path = write_report(results, store.run_id)
     store.log({"event": "finish", "verdicts": verdicts, "statuses": statuses})
     return RunResult(
@@ -153,11 +167,25 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
         found.total.value if identified else None,
         (found.total.clopper_pearson.low, found.total.clopper_pearson.high) if identified else None,
         needed,
+        origin,
         found.main_cause,
         time.monotonic() - started,
         path,
         recorded_origin(store.manifest.provenance, True),
     )
+
+
+def _ask(store: RunStore, results: Path) -> LotOriginAnswers | None:
+    """Whether the lot of a night over campaigns comes from the population for screening; stored beside its tables."""
+    config = config_of_run(store.config_toml, f"run.toml of {store.run_id}")
+    if config.source.kind != "campaigns" or not config.lot_origin.enabled:
+        return None
+    from ..lots.night import night_answers  # it imports the learning half
+
+    found = night_answers(results, store.run_id, config)
+    store.write_file(ORIGIN, found.to_json())
+    store.log({"event": "lot origin", "origin": found.origin.verdict, "drift": found.drift.verdict})
+    return found
 
 
 @dataclass(frozen=True)

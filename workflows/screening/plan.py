@@ -33,7 +33,7 @@ from .inputs import (
     with_records,
     with_stored_code,
 )
-from .settings import population, spec_text
+from .settings import lot_population, lot_source, population, spec_text
 from .virtual_device import shared_record, virtual_model
 
 #: Differences that a message shows.
@@ -87,6 +87,10 @@ def plan(config: RunConfig) -> RunPlan:
                 next_step=f"change [device] id in {names[name].name} or {folder.name}; [conditions] part may name one device",
             )
         names[name] = folder
+    if config.lot_origin.enabled:
+        origin = msgspec.structs.replace(config.lot_origin, population_toml=spec_text(lot_source(config)))
+        config = msgspec.structs.replace(config, lot_origin=origin)
+        lot_population(config)
     inputs = collected(config, folders)
     return measured_plan(config, folders, inputs)
 

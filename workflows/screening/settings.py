@@ -77,6 +77,21 @@ def population(config: RunConfig) -> PopulationSpec:
     return _population(_key(config.source))
 
 
+def lot_source(config: RunConfig) -> SourceTable:
+    """The population that [lot_origin] names, as a [source] table."""
+    return SourceTable(spec=config.lot_origin.population, spec_toml=config.lot_origin.population_toml)
+
+
+def lot_population(config: RunConfig) -> PopulationSpec:
+    """The population that [lot_origin] names: what measured lots are compared with.
+
+    Raises
+    ------
+    ConfigError : the population cannot be read.
+    """
+    return _population(_key(lot_source(config)))
+
+
 @lru_cache(maxsize=4)
 def _mismatch_prior(key: _Key, effects: frozenset[str]) -> MismatchPrior:
     drawn = draw(_population(key), _PRIOR_SEED, 0, _PRIOR_DEVICES).effects

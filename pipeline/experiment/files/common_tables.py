@@ -87,11 +87,19 @@ class InstrumentTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DeviceTable(Struct, frozen=True, forbid_unknown_fields=True):
-    """The device: its id, angular_gain = I_p / I_0p, and whether its pick-offs sense velocity or displacement."""
+    """The device: its id, angular_gain = I_p / I_0p, and whether its pick-offs sense velocity or displacement.
+
+    ``lot``, ``wafer``, ``package``, ``die_x_mm``, ``die_y_mm`` [mm from the centre of the wafer] say where it was made.
+    """
 
     id: Annotated[str, Meaning("name of the device; absent: the folder")] = ""
     angular_gain: Annotated[Positive | None, Meaning("I_p / I_0p, needed for biases in deg/s", "1")] = None
     pickoff: Annotated[Pickoff, Meaning("what the pick-offs sense")] = "velocity"
+    lot: Annotated[str, Meaning("lot that the device was made in")] = ""
+    wafer: Annotated[str, Meaning("wafer that the device was made on")] = ""
+    package: Annotated[str, Meaning("package that the device is in")] = ""
+    die_x_mm: Annotated[Value | None, Meaning("place on the wafer, from its centre", "mm")] = None
+    die_y_mm: Annotated[Value | None, Meaning("place on the wafer, from its centre", "mm")] = None
 
 
 class ConditionsTable(Struct, frozen=True, forbid_unknown_fields=True):

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .lots import hidden_irregularities
+from .lots import hidden_irregularities, lot_origin
 from .options import Devices, Json, Seed, Workers
 
 app = typer.Typer(help="Measure the performance that the documentation claims.", no_args_is_help=True)
@@ -284,5 +284,6 @@ def hidden_effects(
     command(kind, campaigns, only, seed, workers, out, json)
 
 
-# Its name would cut the summaries of all others in the list; docs/how-to/lots.md names it.
+# Its name would cut the summaries of all others in the list; docs/how-to/lots.md names both.
 app.command("hidden-irregularities", hidden=True)(hidden_irregularities)
+app.command("lot-origin", hidden=True)(lot_origin)

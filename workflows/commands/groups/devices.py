@@ -16,7 +16,9 @@ from .options import (
     Measurement,
     PageFolder,
     PopulationFile,
+    Posterior,
     StartModel,
+    only_with,
 )
 
 
@@ -99,11 +101,13 @@ def compare(
     effects: EffectFolders = None,
     limits: LimitsFile = None,
     population: PopulationFile = None,
+    posterior: Posterior = None,
     json: Json = False,
 ) -> None:
     """Fit a model to a campaign and show where it fails."""
-    if _for_a_lot("compare", campaign, population, out, limits, json, model, effects):
+    if _for_a_lot("compare", campaign, population, out, limits, json, model, effects, posterior):
         return
+    only_with("a lot", {"--posterior": posterior is not None})
     from ..learn import compare as command
 
     command(campaign, model, out, effects or [], json, limits)
@@ -133,11 +137,13 @@ def refine(
     effects: EffectFolders = None,
     limits: LimitsFile = None,
     population: PopulationFile = None,
+    posterior: Posterior = None,
     json: Json = False,
 ) -> None:
     """Diagnose, add the effect and refit, until none is missing."""
-    if _for_a_lot("refine", campaign, population, out, limits, json, model, effects):
+    if _for_a_lot("refine", campaign, population, out, limits, json, model, effects, posterior):
         return
+    only_with("a lot", {"--posterior": posterior is not None})
     from ..learn import refine as command
 
     command(campaign, model, out, effects or [], json, limits)
@@ -152,6 +158,7 @@ def _for_a_lot(
     json: bool,
     model: Path | None,
     effects: list[Path] | None,
+    posterior: int | None = None,
 ) -> bool:
     """Whether ``path`` is a lot; it is then answered."""
     if population is None and not path.is_dir() and path.suffix != ".toml":
@@ -160,7 +167,7 @@ def _for_a_lot(
 
     if not names_a_lot(path, population):
         return False
-    answer_lot(command, path, population, out, limits, json, model, effects)
+    answer_lot(command, path, population, out, limits, json, model, effects, posterior)
     return True
 
 

@@ -34,6 +34,10 @@ LimitsFile = Annotated[
 Seed = Annotated[int, typer.Option(help="Seed of all random streams.")]
 Workers = Annotated[int, typer.Option(help="Number of local worker processes; 0: one per core.")]
 Devices = Annotated[int, typer.Option(help="Number of virtual devices.")]
+Posterior = Annotated[
+    int | None,
+    typer.Option(help="Of a lot: sample the posterior of the N most influential spreads (1 to 6)."),
+]
 
 
 def only_with(option: str, others: Mapping[str, object]) -> None:
