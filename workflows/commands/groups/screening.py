@@ -173,6 +173,9 @@ def grr(
     limits: Annotated[
         Path | None, typer.Option(help="Limits (TOML) for % tolerance; default: those of the run.")
     ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the page to this file; default: grr.html beside the report.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Repeatability and reproducibility from repeated campaigns.
@@ -181,7 +184,7 @@ def grr(
     """
     from ..grr import grr as command
 
-    command(run, results, limits, json)
+    command(run, results, limits, out, json)
 
 
 def export(
