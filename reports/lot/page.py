@@ -6,6 +6,8 @@ from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswe
 from pipeline.learning.lot.gyro import MEANINGS
 
 from ..html.rendering import environment, stylesheet
+from ..limits_origin import LimitsOrigin
+from ..words.limits import given_limits
 from ..words.lot import ADAPTS, LEVELS, VERDICTS, compare_sentence, refine_sentence
 from .figures import LotMaps as LotMaps
 from .figures import forecast_figure, residual_maps, spreads_figure
@@ -17,6 +19,7 @@ def render_lot_page(
     refinement: LotRefinementAnswer | None,
     before: LotMaps,
     after: LotMaps | None,
+    limits: LimitsOrigin | None = None,
     truth: str | None = None,
 ) -> str:
     """The page as HTML, without any request to other hosts.
@@ -24,6 +27,7 @@ def render_lot_page(
     Parameters
     ----------
     before, after : residuals of the refitted population, and of the last rung of the ladder.
+    limits : where the limits of the forecast came from, where they were given.
     truth : what was hidden, where that is known.
     """
     headline = compare_sentence(comparison)
@@ -43,6 +47,7 @@ def render_lot_page(
         levels=LEVELS,
         meanings=MEANINGS,
         adapts=ADAPTS,
+        limits="" if limits is None else given_limits(limits),
         truth=truth,
         spreads=comparison.spreads if refinement is None else refinement.spreads,
         patterns=comparison.patterns if refinement is None else refinement.patterns,

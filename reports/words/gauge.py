@@ -17,10 +17,10 @@ BARS = ("GRR", "repeatability", "reproducibility", "part")
 READING = (
     "Components of variation: sd in % of the total sd of the study, and of the tolerance; lines are 95 % intervals, cut at the"
     " edge. An interval with few degrees of freedom is wide: two or three testers say little about all testers.",
-    "sd of the repeats: of each part by each tester, within sessions. Band: 3 sd limits from the repeatability. A circle beyond it"
-    " is a part that a tester does not repeat as well as the others.",
-    "Means of the parts: by each tester. Band: 3 sd limits from the repeatability alone. The measurement resolves the parts where"
-    " most means lie beyond the band, so here circles are good.",
+    "sd of the repeats: of each part by each tester, within sessions. Band: 3 sd limits from the repeatability. A circle beyond"
+    " it is a part that a tester does not repeat as well as the others.",
+    "Means of the parts: by each tester. Band: 3 sd limits from the repeatability alone. The measurement resolves the parts"
+    " where most means lie beyond the band, so here circles are good.",
     "Part by tester: parallel lines mean that testers differ alike for all parts. Crossing lines are part x tester.",
 )
 

@@ -6,13 +6,19 @@ from typing import Literal
 
 from pipeline.learning.lot.loop import LotRung, first_rung
 from pipeline.learning.lot.outcome import left_out
+from reports.limits_origin import LimitsOrigin
 from reports.lot.page import LotMaps, render_lot_page
 
 from .loop import LotAnswers
 
 
-def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnswers, truth: str | None = None) -> str:
-    """The page of a command; each one contains the comparison."""
+def lot_page(
+    command: Literal["compare", "diagnose", "refine"],
+    answers: LotAnswers,
+    limits: LimitsOrigin | None = None,
+    truth: str | None = None,
+) -> str:
+    """The page of a command; each one contains the comparison.  ``limits``: where they came from, where they were given."""
     rungs = answers.ladder.rungs if command == "refine" else (first_rung(answers.ready),)
     return render_lot_page(
         comparison=answers.comparison,
@@ -20,6 +26,7 @@ def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnsw
         refinement=answers.refinement if command == "refine" else None,
         before=_maps(rungs[0]),
         after=_maps(rungs[-1]) if len(rungs) > 1 else None,
+        limits=limits,
         truth=truth,
     )
 
