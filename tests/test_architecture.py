@@ -49,7 +49,7 @@ BASE_OF = {
     "store": {"errors", "arrays", "quantities", "plain"},
 }
 #: Sub-packages of one part that do not know each other.
-APART = ({"reports.run", "reports.learning", "reports.paper", "reports.what_if", "reports.trend"},)
+APART = ({"reports.run", "reports.grr", "reports.learning", "reports.paper", "reports.what_if", "reports.trend"},)
 ONLY_IN_WORKFLOWS = {"dask", "distributed", "typer", "click"}
 TOP = {
     "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "docs", "tests", *PACKAGES,

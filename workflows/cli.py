@@ -14,7 +14,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
@@ -22,7 +22,9 @@ from typer.exceptions import TyperException
 from pipeline.errors import GyroscreenError, printable_lines
 from pipeline.user_code import fault_of
 
-from .commands.groups import benchmarks, devices, manual, models, nights, populations, screening
+from .commands.groups import benchmarks, devices, manual, models, nights, populations, screening, shells
+from .commands.groups.complete import VARIABLE
+from .commands.groups.tasks import CommandsByTask, show_tracebacks, with_debug_everywhere
 from .process import INTERRUPTED, end_like_ctrl_c, keep_memory, repeat_lost_interrupts, survive_any_encoding
 
 #: What the file system says when it cannot store what is printed.
@@ -32,13 +34,14 @@ _REFUSED = (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.
 
 app = typer.Typer(
     name="gyroscreen",
+    cls=CommandsByTask,
     help="Monte Carlo screening of MEMS gyroscopes, and comparison of device models with measurements.",
     invoke_without_command=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for _command in (*screening.COMMANDS, *devices.COMMANDS, *manual.COMMANDS):
+for _command in (*screening.COMMANDS, *devices.COMMANDS, *shells.COMMANDS, *manual.COMMANDS):
     app.command()(_command)
 app.add_typer(models.app, name="model")
 app.add_typer(populations.app, name="population")
@@ -50,7 +53,10 @@ app.add_typer(benchmarks.app, name="benchmark")
 @app.callback()
 def _options(
     context: typer.Context,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    debug: Annotated[
+        bool,
+        typer.Option("--debug", help="Show tracebacks.", callback=show_tracebacks, is_eager=True, expose_value=False),
+    ] = False,
     version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
 ) -> None:
     if version:
@@ -58,10 +64,17 @@ def _options(
 
         print(f"gyroscreen {metadata.version('gyroscreen')}")
         raise typer.Exit
-    if debug:
-        os.environ["GYROSCREEN_DEBUG"] = "1"
     if context.invoked_subcommand is None:
         print(context.get_help())
+
+
+def command_line() -> Any:
+    """All commands as typer makes them, each with --debug."""
+    if VARIABLE in os.environ:  # a shell asks what can follow; typer knows the shells only after this call
+        from typer.completion import completion_init  # type: ignore[attr-defined]
+
+        completion_init()
+    return with_debug_everywhere(typer.main.get_command(app))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -90,7 +103,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code.  Errors become one message on stderr."""
     try:
         # typer turns a KeyboardInterrupt into the value 130; commands themselves return nothing.
-        if app(args=None if arguments is None else list(arguments), standalone_mode=False) == INTERRUPTED:
+        if command_line()(args=None if arguments is None else list(arguments), standalone_mode=False) == INTERRUPTED:
             return _failed("interrupted", INTERRUPTED)
         sys.stdout.flush()
     except GyroscreenError as error:

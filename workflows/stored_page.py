@@ -1,4 +1,4 @@
-"""Where a page about a run goes: into the folder of the run, or to the file that the user names."""
+"""Where a page goes: into the folder of its run, or to the file that the user names."""
 
 from __future__ import annotations
 
@@ -23,11 +23,18 @@ def stored_page(page: str, results: Path, run_id: str, name: str, out: Path | No
     return store.folder / name
 
 
-def written_page(page: str, out: Path, next_step: str = "choose another file with --out") -> Path:
-    """``out``, with ``page`` in it; raises UsageError with ``next_step`` where it cannot be written."""
+def written_page(
+    page: str, out: Path, next_step: str = "choose another file with --out", what: str = "the page"
+) -> Path:
+    """``out``, with ``page`` in it.
+
+    Raises
+    ------
+    UsageError : it cannot be written; the message names ``what`` and ``out``, and ``next_step``.
+    """
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise unwritable("the page", out, error, next_step) from None
+        raise unwritable(what, out, error, next_step) from None
     return out

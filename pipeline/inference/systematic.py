@@ -102,6 +102,40 @@ class Identified:
         return quantities(physical, demodulated(self.rate, z), self.split_hz * rates * stiffness)
 
 
+def common_factors(rate: RateSettings, z: FloatArray) -> dict[str, tuple[tuple[str, FloatArray], ...]]:
+    """How the identified quantities follow from those without common errors: q -> ((u, a), ..), q(z) = sum of a u.
+
+    Quantities that no common error moves are left out, and so are figures, which are no such sums.
+
+    Parameters
+    ----------
+    rate : common errors and demodulation; without an angular gain the rate biases are left out.
+    z : (K, 5) common errors [sd]; each a is (K,).
+    """
+    s = rate.systematic
+    _, _, gain, clock, temperature = z.T * np.array(s.sds)[:, None]
+    rates, stiffness = 1.0 + 1e-6 * clock, 1.0 + 1e-6 * s.tcf_ppm_per_c * temperature
+    volts = rates * np.exp(gain)
+    own = dict.fromkeys(("f1_hz", "f2_hz", "f3_hz", "split_hz"), rates * stiffness)
+    own |= dict.fromkeys(("rocking_gain", "updown_gain"), volts) | {"c12_per_s": rates}
+    own |= {f"zeta{i}": 1.0 / stiffness for i in (1, 2, 3)} | {f"quality{i}": stiffness for i in (1, 2, 3)}
+    found: dict[str, tuple[tuple[str, FloatArray], ...]] = {name: ((name, factor),) for name, factor in own.items()}
+    if rate.angular_gain is None:
+        return found
+    at = demodulated(rate, z)
+    assert at.angular_gain is not None  # demodulated keeps it
+    ratio = np.asarray(rate.angular_gain / at.angular_gain)
+    # (w1^2 - w2^2) / w0 and the rates of damping, over the angular gain.
+    quadrature, inphase = rates * stiffness * ratio, rates * ratio
+    leaked = quadrature * np.tan(np.deg2rad(at.phase_error_deg))
+    return found | {
+        "quadrature_rate_dps": (("quadrature_rate_dps", quadrature),),
+        "quadrature_bias_dps": (("quadrature_rate_dps", leaked),),
+        "inphase_bias_dps": (("inphase_bias_dps", inphase),),
+        "rate_bias_dps": (("quadrature_rate_dps", leaked), ("inphase_bias_dps", inphase)),
+    }
+
+
 def demodulated(rate: RateSettings, z: FloatArray) -> RateSettings:
     """The settings with phase error and angular gain (...) at the common errors z (..., 5) [sd]; raises as ``quantities``."""
     s = rate.systematic

@@ -16,8 +16,10 @@ from pipeline.device.effect import Effect
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Measured, RefinementAnswer
 
 from ..html.rendering import environment, estimate, stylesheet
+from ..limits_origin import LimitsOrigin
 from ..words import campaign as words
 from ..words import quantities, records
+from ..words.limits import given_limits
 from ..words.support import support_words
 from .content import LearningContent, learning_content
 from .figures.decays import decay_pictures
@@ -44,6 +46,7 @@ def render_learning_page(
     tones: Sequence[ToneView] = (),
     tones_after: Sequence[ToneView] = (),
     library: Mapping[str, Effect],
+    limits: LimitsOrigin | None = None,
     truth: str | None = None,
 ) -> str:
     """The page as HTML text; the same input gives the same page.
@@ -56,6 +59,7 @@ def render_learning_page(
     before, after : the records with the first and with the last model; none for a modal record.
     tones, tones_after : sweeps and frequency responses with the first and with the last model.
     library : effects by name.
+    limits : where the limits that judge the device came from, where they were given.
     truth : the hidden effect, where it is known.
     """
     content = learning_content(name, comparison, diagnosis, refinement, library)
@@ -81,6 +85,7 @@ def render_learning_page(
         stylesheet=stylesheet("learning.css"),
         sections=_sections(content, truth),
         shown=_SHOWN,
+        limits="" if limits is None else given_limits(limits),
         truth=truth,
     )
 

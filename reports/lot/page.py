@@ -7,6 +7,8 @@ from pipeline.learning.lot.gyro import MEANINGS
 from pipeline.learning.lot.posterior import LotPosteriorAnswer
 
 from ..html.rendering import environment, stylesheet
+from ..limits_origin import LimitsOrigin
+from ..words.limits import given_limits
 from ..words.lot import ADAPTS, LEVELS, VERDICTS, compare_sentence, refine_sentence
 from ..words.lot_posterior import posterior_note
 from .figures import LotMaps as LotMaps
@@ -20,6 +22,7 @@ def render_lot_page(
     refinement: LotRefinementAnswer | None,
     before: LotMaps,
     after: LotMaps | None,
+    limits: LimitsOrigin | None = None,
     truth: str | None = None,
     posterior: LotPosteriorAnswer | None = None,
 ) -> str:
@@ -28,6 +31,7 @@ def render_lot_page(
     Parameters
     ----------
     before, after : residuals of the refitted population, and of the last rung of the ladder.
+    limits : where the limits of the forecast came from, where they were given.
     truth : what was hidden, where that is known.
     posterior : of the most influential spreads, where it was asked for.
     """
@@ -48,6 +52,7 @@ def render_lot_page(
         levels=LEVELS,
         meanings=MEANINGS,
         adapts=ADAPTS,
+        limits="" if limits is None else given_limits(limits),
         truth=truth,
         posterior=posterior,
         posterior_note="" if posterior is None else posterior_note(posterior),

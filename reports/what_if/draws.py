@@ -177,6 +177,22 @@ def reweighted(batch: DrawBatch, p_run: FloatArray, old: Limits, new: Limits) ->
     return Reweighted(w, met, surely, maybe, np.sqrt(np.maximum(spread, 0.0)), share, own)
 
 
+def reweighted_share(
+    n: int, met_old: IntArray, met_new: IntArray, met_both: IntArray, p_run: FloatArray, old: Limits, new: Limits
+) -> FloatArray:
+    """P(conform to ``new``) (...) as :func:`reweighted` gives it, from counts (...) of ``n`` draws without nan.
+
+    Parameters
+    ----------
+    met_old, met_new, met_both : draws that meet the old limits, the new ones, and both.
+    p_run, old, new : as of :func:`reweighted`.
+    """
+    share, plain, both = met_old / n, met_new / n, met_both / n
+    weighted = np.isfinite(p_run) & (share > 0.0) & (share < 1.0)
+    p, s = np.where(weighted, p_run, 0.5), np.where(weighted, share, 0.5)
+    return _nested(np.where(weighted, p / s * both + (1.0 - p) / (1.0 - s) * (plain - both), plain), p_run, old, new)
+
+
 def passes(batch: DrawBatch, found: Reweighted, grids: Sequence[EndGrid], pass_at: float) -> Passes:
     """Which devices reach P(conform) >= ``pass_at`` when the limits change further."""
     reach = pass_at - _ROUNDING

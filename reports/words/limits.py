@@ -14,10 +14,15 @@ def origin_sentence(origin: LimitsOrigin) -> str:
     if origin.kind == "shipped default":
         return f"The limits are the shipped default, {origin.file}{digest}: the configuration of the run states none."
     if origin.kind == "command line":
-        return f"The limits are those of --limits {origin.file}{digest}, not those by which the run was judged."
+        return f"{given_limits(origin).removesuffix('.')}, not those by which the run was judged."
     if not origin.file:
         return "The limits are those in the configuration of the run; the file that it was read from is not recorded."
     return f"The limits are those in [limits] of {origin.file}{digest}."
+
+
+def given_limits(origin: LimitsOrigin) -> str:
+    """The limits that a command was given for a device or a lot."""
+    return f"The limits are those of --limits {origin.file} (sha256 {origin.sha256[:12]})."
 
 
 def origin_words(origin: LimitsOrigin) -> str:

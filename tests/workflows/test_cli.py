@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from workflows.cli import call
+from workflows.commands.groups.tasks import TASK_OF
 
 
 def config(tmp: Path, text: str) -> list[str]:
@@ -164,7 +165,7 @@ def test_the_version_is_that_of_the_distribution(capfd):
         (
             [],
             "run rare query report attribute grr export verify identify paper init check simulate compare diagnose refine demo "
-            "effects model population benchmark",
+            "effects model population benchmark completion",
         ),
         (["model"], "show add drop export"),
         (["population"], "show add drop"),
@@ -177,14 +178,43 @@ def test_the_version_is_that_of_the_distribution(capfd):
 )
 def test_help_lists_every_command_with_its_full_summary(group, names, capfd):
     assert call([*group, "--help"]) == 0
-    commands = capfd.readouterr().out.split("Commands:\n")[1].strip().splitlines()
-    assert [line.split()[0] for line in commands] == names.split()
+    listed = capfd.readouterr().out.split("--help ")[1].splitlines()[1:]
+    commands = [line for line in listed if line.startswith("  ")]
+    found = [line.split()[0] for line in commands]
+    # The root lists its commands by task: tasks.py has their order.
+    assert sorted(found) == sorted(names.split()) if not group else found == names.split()
     assert not [line for line in commands if line.endswith("...")]
+    assert len({line.index(line.split()[1]) for line in commands}) == 1  # one column of summaries
+
+
+def test_help_groups_all_commands_by_task(capfd):
+    assert call(["--help"]) == 0
+    sections, task = {}, ""
+    for line in capfd.readouterr().out.split("--help ")[1].splitlines()[1:]:
+        task = line.removesuffix(":") if line and not line.startswith(" ") else task
+        if line.startswith("  "):
+            sections.setdefault(task, []).append(line.split()[0])
+    assert list(sections) == [task for task in dict.fromkeys(TASK_OF.values()) if task in sections]
+    for task, names in sections.items():
+        assert names == [name for name in TASK_OF if TASK_OF[name] == task and name in names]
+    assert sections["Screen a population"] == ["run", "rare"]
+
+
+@pytest.mark.parametrize("arguments", [["--debug", "model", "show"], ["model", "show", "--debug"]])
+def test_debug_shows_the_traceback_before_and_after_the_command(arguments, tmp_path, monkeypatch, capfd):
+    missing = str(tmp_path / "none.toml")
+    monkeypatch.setenv("GYROSCREEN_DEBUG", "")
+    assert call(["model", "show", missing]) == 2
+    assert "Traceback" not in capfd.readouterr().err
+    assert call([*arguments, missing]) == 2
+    shown = capfd.readouterr().err
+    assert "Traceback" in shown
+    assert shown.splitlines()[-1].startswith("error: ")
 
 
 def test_help_imports_no_numerical_package():
     code = (
-        "import sys; from workflows.cli import call; call(['run', '--help']);"
+        "import sys; from workflows.cli import call; call(['--help']); call(['run', '--help']);"
         "print([name for name in ('numpy', 'scipy', 'pyarrow', 'dask', 'numba') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -52,7 +52,9 @@ def night(tmp_path):
 
 def test_the_command_prints_studies_of_theta_and_split(night, capfd):
     assert call(["grr", "--results", str(night), "--json"]) == 0
-    studies = {one["quantity"]: one for one in json.loads(capfd.readouterr().out)["studies"]}
+    answer = json.loads(capfd.readouterr().out)
+    assert answer["limits"]["from"] == "shipped default"
+    studies = {one["quantity"]: one for one in answer["studies"]}
     assert set(studies) == {"theta_deg", "split_hz"}
     split = studies["split_hz"]
     assert (split["measurements"], split["parts"], split["testers"], split["sessions"]) == (48, 4, 2, 4)
@@ -62,15 +64,32 @@ def test_the_command_prints_studies_of_theta_and_split(night, capfd):
     (grr,) = (one for one in split["components"] if one["name"] == "GRR")
     assert grr["tolerance"]["value"] == pytest.approx(300 * grr["sd"]["value"] / (3.0 - split["mean"]))
     assert call(["grr", "--results", str(night)]) == 0
-    assert "48 measurements of 4 parts, 2 testers, 4 sessions" in capfd.readouterr().out
+    shown = capfd.readouterr().out
+    assert "48 measurements of 4 parts, 2 testers, 4 sessions" in shown
+    page = night / "run=r" / "grr.html"
+    assert shown.splitlines()[-1] == answer["page"] == str(page)
+    assert "48 measurements of 4 parts by 2 testers in 4 sessions" in page.read_text()
+    assert call(["verify", "--results", str(night)]) == 0  # the page is part of the run
 
 
 def test_own_limits_give_the_tolerance(night, tmp_path, capfd):
     (tmp_path / "own.toml").write_text("[limits.split_hz]\nmin = 1.0\nmax = 3.0\n")
-    assert call(["grr", "--results", str(night), "--limits", str(tmp_path / "own.toml"), "--json"]) == 0
+    page = tmp_path / "pages" / "own.html"
+    options = ["--limits", str(tmp_path / "own.toml"), "--out", str(page), "--json"]
+    assert call(["grr", "--results", str(night), *options]) == 0
+    assert f"--limits {tmp_path / 'own.toml'} (sha256 " in page.read_text()
+    assert not (night / "run=r" / "grr.html").exists()
     (split,) = (s for s in json.loads(capfd.readouterr().out)["studies"] if s["quantity"] == "split_hz")
     (grr,) = (one for one in split["components"] if one["name"] == "GRR")
     assert grr["tolerance"]["value"] == pytest.approx(100 * 6 * grr["sd"]["value"] / 2.0)
+
+
+def test_a_page_that_cannot_be_written_is_one_message(night, tmp_path, capfd):
+    (tmp_path / "file").write_text("not a folder")
+    assert call(["grr", "--results", str(night), "--out", str(tmp_path / "file" / "page.html")]) == 2
+    shown = capfd.readouterr().err
+    assert "the page cannot be written" in shown
+    assert shown.count("\n") == 1
 
 
 @pytest.mark.parametrize(

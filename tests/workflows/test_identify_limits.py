@@ -36,6 +36,12 @@ def test_limits_narrower_than_what_an_effect_could_do_refuse_the_device(campaign
     assert 0.0 < wide["p_pass"] < 1.0
     assert (narrow["p_pass"], narrow["verdict"]) == (None, "undecided")
     assert "[operation] gap_um" in wide["figures_unknown"]["shock_limit_g"]
+    assert call(["identify", str(campaign), "--limits", str(tmp_path / "limits.toml")]) == 1
+    text = capfd.readouterr().out.splitlines()[-1]
+    assert (
+        text
+        == f"The limits are those of --limits {narrow['limits']['file']} (sha256 {narrow['limits']['sha256'][:12]})."
+    )
 
 
 def test_limits_that_cannot_be_read_are_refused(campaign, capfd):

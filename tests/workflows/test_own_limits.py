@@ -1,6 +1,7 @@
 """Own limits judge a device in compare, diagnose and refine; the shipped ones only gyros of the kind that they are for."""
 
 from dataclasses import replace
+from hashlib import sha256
 from types import SimpleNamespace
 
 import pytest
@@ -43,5 +44,12 @@ def test_compare_judges_with_the_limits_of_the_user(campaign, tmp_path, capfd):
     )
     assert not ComparisonResult(found.answers).answer.device_verdict
     write_campaign(campaign, tmp_path)
+    own = tmp_path / "own.toml"
+    own.write_text("[limits.f1_hz]\nmin = 1.0\nmax = 1e4\n")
+    assert call(["compare", str(tmp_path), "--limits", str(own), "--out", str(tmp_path / "page")]) == 0
+    page = (tmp_path / "page" / "compare.html").read_text(encoding="utf-8")
+    assert f"The limits are those of --limits {own} (sha256 {sha256(own.read_bytes()).hexdigest()[:12]})." in page
+    assert call(["compare", str(tmp_path), "--out", str(own)]) == 2
+    assert f"the page cannot be written: file exists: '{own / 'compare.html'}'" in capfd.readouterr().err
     assert call(["refine", str(tmp_path), "--limits", "missing.toml"]) == 2
     assert "limits file cannot be read" in capfd.readouterr().err

@@ -10,6 +10,7 @@ from pipeline.errors import NegativeError, printable_lines
 from pipeline.experiment.campaign import read_measurement
 from reports.limits import load_limits
 from reports.limits_origin import origin_of_file
+from reports.words.limits import given_limits
 
 from ..device.identified import identified
 from ..device.measured import with_its_campaign
@@ -21,9 +22,12 @@ def identify(measurement: Path, model: Path | None, limits: Path | None, json: b
     measured = with_its_campaign(measurement)
     found = identified(measured, None if model is None else load_model(model), own)
     columns = found.to_dict()
+    text = str(found)
     if limits is not None and "verdict" in columns:
-        columns["limits"] = origin_of_file(limits, "command line").to_dict()
-    print(json_.dumps(columns) if json else printable_lines(str(found)))
+        origin = origin_of_file(limits, "command line")
+        columns["limits"] = origin.to_dict()
+        text = f"{text}\n{given_limits(origin)}"
+    print(json_.dumps(columns) if json else printable_lines(text))
     require_identified(found.status, found.columns.get("status_reason"), measurement)
 
 

@@ -13,11 +13,12 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.announce import announce
 from pipeline.device.effect import find_effects
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model, load_model
-from pipeline.errors import NegativeError, printable_lines, unwritable
+from pipeline.errors import NegativeError, printable_lines
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
 from reports.limits import Limits, load_limits
+from reports.limits_origin import LimitsOrigin, origin_of_file
 
 from ..device.measured import Measured
 from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
@@ -25,6 +26,7 @@ from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
 from ..learning.progress import working
+from ..stored_page import written_page
 
 PAGES: dict[type[Result], str] = {
     ComparisonResult: "compare.html",
@@ -75,7 +77,8 @@ def _answer(
                 found = found.with_drive_files(out)
             if _has_fit(found):
                 announce("drawing the page")
-                page = _write_page(measured, found, out, folders)
+                origin = None if limits_file is None else origin_of_file(limits_file, "command line")
+                page = _written(_page(measured, found, folders, origin), found, out)
         # Records that separate classes are looked for when the answer is first asked for.
         _ = found.answer
     print(to_json(found.answer) if json else printable_lines(str(found)))
@@ -116,25 +119,17 @@ def _has_fit(found: Result) -> bool:
     return answer.verdict != "fit_failed"
 
 
-def _write_page(
-    measured: Measured, found: Result, out: Path, folders: Sequence[Path], truth: str | None = None
-) -> Path:
-    """The page of a result.
-
-    Raises
-    ------
-    UsageError : the folder cannot be written.
-    """
-    path, page = out / PAGES[type(found)], _page(measured, found, folders, truth)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise unwritable("the page", out, error, "choose another folder with --out") from None
-    return path
+def _written(page: str, found: Result, out: Path) -> Path:
+    return written_page(page, out / PAGES[type(found)], "choose another folder with --out")
 
 
-def _page(measured: Measured, found: Result, folders: Sequence[Path], truth: str | None) -> str:
+def _page(
+    measured: Measured,
+    found: Result,
+    folders: Sequence[Path],
+    limits: LimitsOrigin | None = None,
+    truth: str | None = None,
+) -> str:
     # Drawing takes a second to load; a command without a page does not wait for it.
     from reports.learning.page import render_learning_page
 
@@ -151,6 +146,7 @@ def _page(measured: Measured, found: Result, folders: Sequence[Path], truth: str
         tones=views.tones,
         tones_after=views.tones_after,
         library=find_effects(tuple(folders)),
+        limits=limits,
         truth=truth,
     )
 
@@ -171,5 +167,5 @@ def demo(out: Path, seed: int | None) -> None:
     hidden = ", ".join(f"{k} = {v:.4g}" for k, v in made.parameters.items() if k not in DEFAULT_COMPARE_MODEL.by_name)
     truth = f"{', '.join(made.model.effects)} ({hidden})"
     print(f"the truth: {truth}")
-    page = _write_page(made.campaign, found, out, (), truth)
+    page = _written(_page(made.campaign, found, (), truth=truth), found, out)
     print(f"{page}  ({time.monotonic() - start:.0f} s)")

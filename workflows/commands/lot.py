@@ -11,22 +11,26 @@ from typing import Literal
 
 from msgspec import structs
 
-from pipeline.errors import NegativeError, UsageError, printable_lines, unwritable
+from pipeline.errors import NegativeError, UsageError, printable_lines
 from pipeline.learning.answers import to_builtins
 from pipeline.learning.lot.answers import LotComparisonAnswer, LotDiagnosisAnswer, LotRefinementAnswer
 from pipeline.learning.lot.posterior import MOST, LotPosteriorAnswer
 from populations.spec import PopulationSpec, load_spec
 from reports.limits import DEFAULT_LIMITS, load_limits
+from reports.limits_origin import LimitsOrigin, origin_of_file
 from reports.words.lot import lot_lines
 from reports.words.lot_posterior import posterior_lines
 
 from ..learning.progress import working
 from ..lots.loop import LotAnswers, lot_answers
 from ..lots.measured import is_lot, read_measured_lot
+from ..stored_page import written_page
 
 Command = Literal["compare", "diagnose", "refine"]
 #: Names of populations that are shipped.
 SHIPPED = "cloverleaf"
+#: The refined population, beside the page.
+POPULATION = "population.toml"
 
 
 def names_a_lot(path: Path, population: Path | None) -> bool:
@@ -64,9 +68,11 @@ def answer_lot(
     with working(command, quiet=json):
         found = _found(command, answers)
         sampled = None if posterior is None else answers.posterior(command, posterior)
-        page = None if out is None else _written(command, answers, out, sampled)
+        # Another product than a gyro is judged by the limits of its lot.toml.
+        origin = None if limits is None or not table.gyro else origin_of_file(limits, "command line")
+        page = None if out is None else _written(command, answers, out, origin, sampled)
     if isinstance(found, LotRefinementAnswer) and out is not None and answers.spec is not None:
-        found = structs.replace(found, population_file=str(out / "population.toml"))
+        found = structs.replace(found, population_file=str(out / POPULATION))
     if json:
         more = {} if sampled is None else {"posterior": to_builtins(sampled)}
         print(json_.dumps(to_builtins(found) | more))
@@ -99,21 +105,24 @@ def _found(command: Command, answers: LotAnswers) -> LotComparisonAnswer | LotDi
     return answers.diagnosis if command == "diagnose" else answers.refinement
 
 
-def _written(command: Command, answers: LotAnswers, out: Path, posterior: LotPosteriorAnswer | None) -> Path:
+def _written(
+    command: Command,
+    answers: LotAnswers,
+    out: Path,
+    limits: LimitsOrigin | None = None,
+    posterior: LotPosteriorAnswer | None = None,
+    truth: str | None = None,
+) -> Path:
     """The page, and of refine the refined population file."""
     # Drawing takes a second to load; a command without a page does not wait for it.
     from ..lots.page import lot_page
 
     path = out / ("ladder.html" if command == "refine" else f"{command}.html")
-    page = lot_page(command, answers, posterior=posterior)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-        refined = answers.refined_population if command == "refine" else None
-        if refined is not None:
-            (out / "population.toml").write_text(refined.to_toml(), encoding="utf-8")
-    except OSError as error:
-        raise unwritable("the page", out, error, "choose another folder with --out") from None
+    other = "choose another folder with --out"
+    written_page(lot_page(command, answers, limits, truth, posterior), path, other)
+    refined = answers.refined_population if command == "refine" else None
+    if refined is not None:
+        written_page(refined.to_toml(), out / POPULATION, other, "the population file")
     return path
 
 
@@ -147,7 +156,6 @@ def demo_lot(out: Path, seed: int | None) -> None:
     """See ``gyroscreen demo --help``, with --lot."""
     from pipeline.learning.lot.table import LotTable
 
-    from ..lots.page import lot_page
     from ..studies.lots import sized
 
     start = time.monotonic()
@@ -158,15 +166,9 @@ def demo_lot(out: Path, seed: int | None) -> None:
     with working("demo", quiet=False):
         found = answers.refinement
         truth = ", ".join(hidden.truth)
-        page = lot_page("refine", answers, truth)
+        path = _written("refine", answers, out, truth=truth)
     print("\n".join(lot_lines(found)))
     print(f"the truth: {truth}")
-    path = out / "ladder.html"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise unwritable("the page", out, error, "choose another folder with --out") from None
     print(f"{path}  ({time.monotonic() - start:.0f} s)")
 
 

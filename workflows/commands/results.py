@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines
 from pipeline.store.manifest import Manifest
 from pipeline.store.query import answer, write_table
-from pipeline.store.read import LATEST, list_runs
+from pipeline.store.read import LATEST, PREFIX, find_run, list_runs
 from pipeline.store.verify import verify as verify_results
 
 if TYPE_CHECKING:
@@ -81,15 +81,7 @@ def report(run: str | None, results: Path, out: Path | None, limits: Path | None
     from ..stored_page import written_page
     from .what_if import what_if_report
 
-    runs = list_runs(results)
-    if not runs:
-        raise UsageError("the folder contains no run", value=str(results), next_step="gyroscreen run")
-    known = [manifest.run_id for manifest in runs]
-    chosen = known[-1] if run in (None, LATEST) else run
-    if chosen not in known:
-        raise UsageError(
-            "no such run", value=chosen, allowed=", ".join(known[-5:]), next_step="name one of the latest runs"
-        )
+    chosen = find_run(results, run).name.removeprefix(PREFIX)
     if limits is not None:
         what_if_report(chosen, results, limits, out, json)
         return

@@ -8,6 +8,7 @@ from pipeline.learning.lot.loop import LotRung, first_rung
 from pipeline.learning.lot.outcome import left_out
 from pipeline.learning.lot.posterior import LotPosteriorAnswer
 from reports.html.style import Drawing
+from reports.limits_origin import LimitsOrigin
 from reports.lot.figures import forecast_figure, residual_maps, spreads_figure
 from reports.lot.page import LotMaps, render_lot_page
 
@@ -17,10 +18,11 @@ from .loop import LotAnswers
 def lot_page(
     command: Literal["compare", "diagnose", "refine"],
     answers: LotAnswers,
+    limits: LimitsOrigin | None = None,
     truth: str | None = None,
     posterior: LotPosteriorAnswer | None = None,
 ) -> str:
-    """The page of a command; each one contains the comparison."""
+    """The page of a command; each one contains the comparison.  ``limits``: where they came from, where they were given."""
     rungs = answers.ladder.rungs if command == "refine" else (first_rung(answers.ready),)
     return render_lot_page(
         comparison=answers.comparison,
@@ -28,6 +30,7 @@ def lot_page(
         refinement=answers.refinement if command == "refine" else None,
         before=_maps(rungs[0]),
         after=_maps(rungs[-1]) if len(rungs) > 1 else None,
+        limits=limits,
         truth=truth,
         posterior=posterior,
     )

@@ -34,7 +34,7 @@ from populations.spec import PopulationSpec, load_spec
 from ..lots.population import population_at
 from ..lots.simulate import NOISE, measured_values
 from .coverage import Share
-from .lots import IN
+from .hidden_lots import IN
 from .rows_by_kind import add_rows
 
 SIZES = (30, 60, 200)

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from populations.spec import load_spec
+from reports.limits import DEFAULT_FILE
 from workflows.cli import call
 
 
@@ -81,7 +82,10 @@ def test_a_lot_of_the_population_is_as_predicted(lot, capsys):
 
 
 def test_refine_finds_what_the_file_lacks(lot, without_gap, tmp_path, capsys):
-    answer = found(capsys, "refine", str(lot), "--population", str(without_gap), "--out", str(tmp_path))
+    own = tmp_path / "own.toml"
+    own.write_bytes(DEFAULT_FILE.read_bytes())
+    options = ["--population", str(without_gap), "--limits", str(own), "--out", str(tmp_path)]
+    answer = found(capsys, "refine", str(lot), *options)
     assert answer["irregularities"][0].startswith("electrode_gap")
     file, refitted, added = answer["ladder"][:3]
     assert (file["model"], refitted["model"]) == ("as in the file", "refitted")
@@ -100,6 +104,7 @@ def test_refine_finds_what_the_file_lacks(lot, without_gap, tmp_path, capsys):
     page = (tmp_path / "ladder.html").read_text(encoding="utf-8")
     assert "electrode_gap" in page
     assert page.count("<svg") == 4
+    assert f"The limits are those of --limits {own} (sha256 " in page
     assert "http" not in page.replace("http-equiv", "")
 
 
@@ -174,6 +179,7 @@ def test_wrong_arguments_are_one_typed_line(metal, lot, tmp_path, capsys):
         (["simulate", str(tmp_path / "a"), "--lot", "--irregularity", "sidewall_tilt:edge"], 2, "no assignment"),
         (["simulate", str(tmp_path / "a"), "--lot", "--irregularity", "sidewall_tilt:edge_deg=50"], 2, "out of range"),
         (["benchmark", "hidden-irregularities", "--kind", "many"], 2, "no such kind"),
+        (["compare", str(metal), "--out", str(metal / "metal.csv")], 2, "metal.csv/compare.html"),
     ]
     for arguments, code, message in cases:
         capsys.readouterr()

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from . import complete
 from .options import (
     CampaignFolder,
     EffectFolders,
@@ -71,13 +72,19 @@ def simulate(
     out_dir: Annotated[Path, typer.Argument(help="Folder for the campaign.")],
     config: Annotated[Path | None, typer.Option(help="Run configuration with instrument, noise and hum.")] = None,
     device: Annotated[str, typer.Option(help="Plant parameters, for example theta_deg=12,split_hz=1.5.")] = "",
-    effect: Annotated[list[str] | None, typer.Option(help="NAME or NAME:param=value,..; can be repeated.")] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME or NAME:param=value,..; can be repeated.", autocompletion=complete.effects),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the device, the effect sizes and the noise.")] = 1,
     effects: EffectFolders = None,
     lot: Annotated[bool, typer.Option("--lot", help="A measured lot instead of one device.")] = False,
     population: PopulationFile = None,
     irregularity: Annotated[
-        list[str] | None, typer.Option(help="With --lot: NAME or NAME:param=value,..; can be repeated.")
+        list[str] | None,
+        typer.Option(
+            help="With --lot: NAME or NAME:param=value,..; can be repeated.", autocompletion=complete.irregularities
+        ),
     ] = None,
 ) -> None:
     """Simulate the standard campaign of one virtual device.
@@ -188,7 +195,10 @@ def demo(
 
 
 def effects(
-    name: Annotated[str | None, typer.Argument(help="One effect in full; default: a list of all.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="One effect in full; default: a list of all.", autocompletion=complete.effects),
+    ] = None,
     effects: EffectFolders = None,
 ) -> None:
     """List the effects that a model can contain."""

@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
+from . import complete
 from .options import CampaignFolder, EffectFolders
 
 app = typer.Typer(help="Show, change and export models.", no_args_is_help=True)
 ModelFile = Annotated[Path, typer.Argument(help="Model file (TOML).")]
+EffectName = Annotated[str, typer.Argument(help="Name of the effect.", autocompletion=complete.effects)]
 
 
 @app.command()
@@ -22,9 +24,7 @@ def show(file: ModelFile) -> None:
 
 
 @app.command()
-def add(
-    effect: Annotated[str, typer.Argument(help="Name of the effect.")], file: ModelFile, effects: EffectFolders = None
-) -> None:
+def add(effect: EffectName, file: ModelFile, effects: EffectFolders = None) -> None:
     """Add an effect to a model file; create the file if needed."""
     from ..model import change as command
 
@@ -32,7 +32,7 @@ def add(
 
 
 @app.command()
-def drop(effect: Annotated[str, typer.Argument(help="Name of the effect.")], file: ModelFile) -> None:
+def drop(effect: EffectName, file: ModelFile) -> None:
     """Remove an effect from a model file."""
     from ..model import change as command
 

@@ -10,9 +10,12 @@ import typer
 
 from pipeline.errors import UsageError
 
+from . import complete
+
 Json = Annotated[bool, typer.Option("--json", help="Write one JSON object to stdout and nothing else.")]
 Results = Annotated[Path, typer.Option("--results", help="Folder that contains the runs.")]
 DEFAULT_RESULTS = Path("results")
+RunId = Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.", autocompletion=complete.runs)]
 
 CampaignFolder = Annotated[Path, typer.Argument(help="A campaign folder or a record file.")]
 Measurement = Annotated[Path, typer.Argument(help="A campaign folder, a record file or a modal record (TOML).")]
@@ -20,7 +23,12 @@ LotOrMeasurement = Annotated[
     Path, typer.Argument(help="A campaign folder, a record file, a modal record, or a lot (lot.toml, a run).")
 ]
 PopulationFile = Annotated[
-    Path | None, typer.Option("--population", help="Population file of a lot; default for gyros: the shipped one.")
+    Path | None,
+    typer.Option(
+        "--population",
+        help="Population file of a lot; default for gyros: the shipped one.",
+        autocompletion=complete.populations,
+    ),
 ]
 StartModel = Annotated[Path | None, typer.Option("--model", help="Model file; default: the paper's model.")]
 PageFolder = Annotated[Path | None, typer.Option("--out", help="Write the page and its files to this folder.")]

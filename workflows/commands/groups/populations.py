@@ -7,14 +7,21 @@ from typing import Annotated
 
 import typer
 
+from . import complete
+
 app = typer.Typer(help="Show and change populations.", no_args_is_help=True)
 PopulationFile = Annotated[Path, typer.Argument(help="Population file (TOML).")]
-IrregularityName = Annotated[str, typer.Argument(help="Name of the irregularity.")]
+IrregularityName = Annotated[
+    str, typer.Argument(help="Name of the irregularity.", autocompletion=complete.irregularities)
+]
 
 
 @app.command()
 def show(
-    name: Annotated[str, typer.Argument(help="A shipped population, or a population file (TOML).")] = "cloverleaf",
+    name: Annotated[
+        str,
+        typer.Argument(help="A shipped population, or a population file (TOML).", autocompletion=complete.populations),
+    ] = "cloverleaf",
 ) -> None:
     """Print a population as one complete, commented file.
 

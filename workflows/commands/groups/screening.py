@@ -10,7 +10,8 @@ import typer
 
 from pipeline.errors import UsageError
 
-from .options import DEFAULT_RESULTS, Json, Results, Workers, only_with
+from . import complete
+from .options import DEFAULT_RESULTS, Json, Results, RunId, Workers, only_with
 
 
 def run(
@@ -20,7 +21,9 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = DEFAULT_RESULTS,
     workers: Workers = 0,
     scheduler: Annotated[str | None, typer.Option(help="Address of a running dask scheduler.")] = None,
-    resume: Annotated[str | None, typer.Option(help="Id of an incomplete run, or 'latest'.")] = None,
+    resume: Annotated[
+        str | None, typer.Option(help="Id of an incomplete run, or 'latest'.", autocompletion=complete.runs)
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check and print the configuration; run nothing.")] = False,
     json: Json = False,
     tls_ca: Annotated[Path | None, typer.Option("--tls-ca", help="With --scheduler: its authority (PEM).")] = None,
@@ -68,9 +71,15 @@ def query(
     ],
     results: Results = DEFAULT_RESULTS,
     format: Annotated[
-        str | None, typer.Option(help="table, csv, json or parquet; default: the suffix of --out, else table.")
+        str | None,
+        typer.Option(
+            help="table, csv, json or parquet; default: the suffix of --out, else table.",
+            autocompletion=complete.one_of("table", "csv", "json", "parquet"),
+        ),
     ] = None,
-    run: Annotated[str, typer.Option(help="Id of the run to query, 'latest' or 'all'.")] = "latest",
+    run: Annotated[
+        str, typer.Option(help="Id of the run to query, 'latest' or 'all'.", autocompletion=complete.runs_or_all)
+    ] = "latest",
     rows: Annotated[
         str | None, typer.Option(help="Rows to write, or 'all'; default: 1000 of a table on the screen, else all.")
     ] = None,
@@ -86,7 +95,7 @@ def query(
 
 
 def report(
-    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    run: RunId = None,
     results: Results = DEFAULT_RESULTS,
     out: Annotated[Path | None, typer.Option(help="Also write the page to this file.")] = None,
     limits: Annotated[
@@ -94,14 +103,23 @@ def report(
         typer.Option("--limits", help="Judge the stored run again by these limits (TOML): a page of its own."),
     ] = None,
     against: Annotated[
-        str | None, typer.Option(help="Compare with this run, or with 'last:N' nights: differences, control charts.")
+        str | None,
+        typer.Option(
+            help="Compare with this run, or with 'last:N' nights: differences, control charts.",
+            autocompletion=complete.runs_or_last,
+        ),
     ] = None,
     alarm: Annotated[
         list[str] | None,
         typer.Option(help="With --against: false_alarm=0.01, yield.min=0.5, QUANTITY.max=..; sets the exit code 1."),
     ] = None,
     leave_out: Annotated[
-        list[str] | None, typer.Option("--leave-out", help="With --against last:N: an earlier run that does not count.")
+        list[str] | None,
+        typer.Option(
+            "--leave-out",
+            help="With --against last:N: an earlier run that does not count.",
+            autocompletion=complete.runs,
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -129,7 +147,7 @@ def report(
 
 
 def attribute(
-    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    run: RunId = None,
     results: Results = DEFAULT_RESULTS,
     what_if: Annotated[
         str | None,
@@ -150,10 +168,13 @@ def attribute(
 
 
 def grr(
-    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    run: RunId = None,
     results: Results = DEFAULT_RESULTS,
     limits: Annotated[
         Path | None, typer.Option(help="Limits (TOML) for % tolerance; default: those of the run.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the page to this file; default: grr.html beside the report.")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -163,15 +184,18 @@ def grr(
     """
     from ..grr import grr as command
 
-    command(run, results, limits, json)
+    command(run, results, limits, out, json)
 
 
 def export(
-    run: Annotated[str | None, typer.Argument(help="Id of the run; default: the latest.")] = None,
+    run: RunId = None,
     results: Results = DEFAULT_RESULTS,
     format: Annotated[
         str | None,
-        typer.Option(help="csv, xlsx, stdf, wafermap-png or wafermap-csv; default: the suffix of --out, else csv."),
+        typer.Option(
+            help="csv, xlsx, stdf, wafermap-png or wafermap-csv; default: the suffix of --out, else csv.",
+            autocompletion=complete.one_of("csv", "xlsx", "stdf", "wafermap-png", "wafermap-csv"),
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="The file; STDF files and map pages are one per lot, with its name added.")
