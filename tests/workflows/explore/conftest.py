@@ -23,8 +23,6 @@ from workflows.config import RunConfig, to_toml_table
 from workflows.screening.block import DeviceBlock, virtual_block
 from workflows.screening.plan import without_none
 
-pytest.importorskip("bokeh", reason="the extra [explore] is not installed")
-
 #: Names under which Chromium is installed; GYROSCREEN_CHROMIUM names another one.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 ARGUMENTS = [
