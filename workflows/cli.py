@@ -22,7 +22,7 @@ from typer.exceptions import TyperException
 from pipeline.errors import GyroscreenError, printable_lines
 from pipeline.user_code import fault_of
 
-from .commands.groups import benchmarks, devices, manual, models, nights, populations, screening, shells
+from .commands.groups import benchmarks, devices, interactive, manual, models, nights, populations, screening, shells
 from .commands.groups.complete import VARIABLE
 from .commands.groups.tasks import CommandsByTask, show_tracebacks, with_debug_everywhere
 from .process import INTERRUPTED, end_like_ctrl_c, keep_memory, repeat_lost_interrupts, survive_any_encoding
@@ -41,7 +41,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for _command in (*screening.COMMANDS, *devices.COMMANDS, *shells.COMMANDS, *manual.COMMANDS):
+for _command in (*screening.COMMANDS, *devices.COMMANDS, *interactive.COMMANDS, *shells.COMMANDS, *manual.COMMANDS):
     app.command()(_command)
 app.add_typer(models.app, name="model")
 app.add_typer(populations.app, name="population")
