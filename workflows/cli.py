@@ -22,7 +22,7 @@ from typer.exceptions import TyperException
 from pipeline.errors import GyroscreenError, printable_lines
 from pipeline.user_code import fault_of
 
-from .commands.groups import benchmarks, devices, models, nights, populations, screening
+from .commands.groups import benchmarks, devices, interactive, models, nights, populations, screening
 from .process import INTERRUPTED, end_like_ctrl_c, keep_memory, repeat_lost_interrupts, survive_any_encoding
 
 #: What the file system says when it cannot store what is printed.
@@ -38,7 +38,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for _command in (*screening.COMMANDS, *devices.COMMANDS):
+for _command in (*screening.COMMANDS, *devices.COMMANDS, *interactive.COMMANDS):
     app.command()(_command)
 app.add_typer(models.app, name="model")
 app.add_typer(populations.app, name="population")

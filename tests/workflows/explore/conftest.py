@@ -1,0 +1,146 @@
+"""A server in a thread, and a page of it in Chromium that records what it says and asks for."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+pytest.importorskip("bokeh", reason="the extra [explore] is not installed")
+
+#: Names under which Chromium is installed; GYROSCREEN_CHROMIUM names another one.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+ARGUMENTS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+
+
+@contextmanager
+def served(view: Callable[[Any], None]) -> Iterator[str]:
+    """The address of a server of ``view``, which runs in a thread."""
+    from workflows.explore.server import serve
+
+    ready, address, tasks = threading.Event(), [], []
+
+    async def run() -> None:
+        tasks.append((asyncio.get_running_loop(), asyncio.current_task()))
+        await serve(view, 0, lambda text: (address.append(text), ready.set()))
+
+    def body() -> None:
+        try:
+            asyncio.run(run())
+        except asyncio.CancelledError:
+            pass
+
+    thread = threading.Thread(target=body, daemon=True)
+    thread.start()
+    assert ready.wait(30), "the server does not listen"
+    try:
+        yield address[0]
+    finally:
+        loop, task = tasks[0]
+        loop.call_soon_threadsafe(task.cancel)
+        thread.join(30)
+        assert not thread.is_alive(), "the server does not end"
+
+
+def chromium() -> str | None:
+    """The browser of this machine, or nothing."""
+    named = os.environ.get("GYROSCREEN_CHROMIUM")
+    return named or next((path for name in BROWSERS if (path := shutil.which(name))), None)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Chromium; the test is skipped where it or playwright is missing."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    path = chromium()
+    if path is None:
+        pytest.skip("no Chromium is installed (GYROSCREEN_CHROMIUM names one)")
+    with api.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield started
+        started.close()
+
+
+@dataclass
+class Visit:
+    """A page, what its console said, and the addresses that it asked for."""
+
+    page: Any
+    address: str
+    complaints: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
+
+    def foreign(self) -> list[str]:
+        """Requests to anything but the server."""
+        own = urlsplit(self.address).netloc
+        return [one for one in self.requests if not one.startswith("data:") and urlsplit(one).netloc != own]
+
+    def until(self, what: str, seconds: float = 30.0) -> Any:
+        """The value of a JavaScript expression as soon as it is true.
+
+        Playwright's own waiting evaluates text within the page, which the page's policy forbids.
+        """
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if value := self.page.evaluate(what):
+                return value
+            self.page.wait_for_timeout(30)
+        raise AssertionError(f"the page never came to {what}")
+
+    def settle(self) -> None:
+        """Wait until Bokeh has drawn everything."""
+        self.until("Boolean(window.Bokeh && Bokeh.documents.length > 0 && Bokeh.documents[0].is_idle)")
+
+    def widest(self) -> int:
+        """Pixels by which the page is wider than the window."""
+        return self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+
+
+@pytest.fixture()
+def visit(browser: Any) -> Iterator[Callable[..., Visit]]:
+    """Opens a page: ``visit(address, width=1200, height=900, dark=False)``; waits until Bokeh has drawn it."""
+    contexts = []
+
+    def opened(address: str, width: int = 1200, height: int = 900, dark: bool = False) -> Visit:
+        context = browser.new_context(
+            viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light"
+        )
+        contexts.append(context)
+        found = Visit(context.new_page(), address)
+        found.page.on("console", lambda m: found.complaints.append(m.text) if m.type in ("error", "warning") else None)
+        found.page.on("pageerror", lambda error: found.complaints.append(str(error)))
+        found.page.on("request", lambda request: found.requests.append(request.url))
+        found.page.on("websocket", lambda socket: found.requests.append(socket.url))
+        found.page.goto(address)
+        found.settle()
+        return found
+
+    yield opened
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture(scope="session")
+def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results folder with a run of 40 devices on two wafers."""
+    from workflows.cli import call
+
+    folder = tmp_path_factory.mktemp("night")
+    config = folder / "night.toml"
+    config.write_text("[run]\ndevices = 40\nseed = 5\n")
+    results = folder / "results"
+    assert call(["run", str(config), "--out", str(results), "--workers", "1", "--json"]) in (0, 1)
+    return results
