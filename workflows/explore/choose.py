@@ -59,4 +59,10 @@ def view_of(kind: Kind, path: Path) -> Callable[[Document], None]:
         from .night import view as night
 
         return night(path)
-    raise UsageError("this kind is not shown yet", value=kind, allowed="a run", next_step="name a run")
+    if kind == "campaign":
+        from .campaign import view as campaign
+
+        return campaign(path)
+    from .lot import view as lot
+
+    return lot(path)

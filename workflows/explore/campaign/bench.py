@@ -6,19 +6,20 @@ fits fill the caches of the problem.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-
-from msgspec import structs
 
 from pipeline.criticism.fit_tests import RefitTest
 from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.rung import FitCache
-from pipeline.criticism.selection import forward_selection
+from pipeline.criticism.selection import ForwardSelection, forward_selection
 from pipeline.device.model import Model
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
+from pipeline.experiment.record import Campaign
 from pipeline.learning.campaign.answers import CampaignAnswers
+from pipeline.learning.campaign.problem import CampaignProblem
+from pipeline.learning.next_experiment.experiments import Experiment
+from pipeline.learning.next_experiment.predicted import NextRecord, next_experiments, next_record
 from reports.learning.record_view import RecordView
 from reports.learning.tone_view import ToneView
 
@@ -106,12 +107,31 @@ class CampaignBench:
             )
         return self._chosen[terms]
 
+    @property
+    def predicts(self) -> bool:
+        """Whether the next record can be predicted: the measurement has records in the time domain alone."""
+        return isinstance(self._measured, Campaign)
+
+    def experiments(self, terms: tuple[str, ...], effect: str) -> tuple[Experiment, ...]:
+        """Experiments that may come next; raises as ``next_experiments``."""
+        return next_experiments(self._recorded, terms, effect)
+
+    def next_record(self, terms: tuple[str, ...], effect: str, experiment: Experiment) -> NextRecord:
+        """What the given model with ``terms``, without and with ``effect``, says of an experiment; raises as ``next_record``."""
+        return next_record(self._recorded, terms, effect, experiment)
+
+    @property
+    def _recorded(self) -> CampaignProblem:
+        problem = self._answers.problem
+        assert isinstance(problem, CampaignProblem)
+        return problem
+
     @cached_property
     def _compared(self) -> ComparisonResult:
         return compare(self._measured, self._model)
 
     @cached_property
-    def _selected(self) -> tuple[Answers, object]:
+    def _selected(self) -> tuple[Answers, ForwardSelection]:
         """The selection of diagnose and refine, and the answers on whose problem it was made."""
         answers = self._compared.answers
         return answers.selected(answers.rules)
@@ -124,3 +144,9 @@ class CampaignBench:
     def _cache(self) -> FitCache:
         answers, selection = self._selected
         return FitCache(answers.problem, selection.fits)
+
+
+def _refinement(answers: Answers, ladder: Ladder) -> RefinementAnswer:
+    """The answer of refine for a ladder, without the search for a separating record."""
+    found = answers.refinement(ladder, (), False)
+    return with_verdicts(found, answers, None) if isinstance(answers, CampaignAnswers) else found
