@@ -18,13 +18,14 @@ def lot_page(command: Literal["compare", "diagnose", "refine"], answers: LotAnsw
         comparison=answers.comparison,
         diagnosis=answers.diagnosis if command == "diagnose" else None,
         refinement=answers.refinement if command == "refine" else None,
-        before=_maps(rungs[0]),
-        after=_maps(rungs[-1]) if len(rungs) > 1 else None,
+        before=maps_of(rungs[0]),
+        after=maps_of(rungs[-1]) if len(rungs) > 1 else None,
         truth=truth,
     )
 
 
-def _maps(rung: LotRung) -> LotMaps:
+def maps_of(rung: LotRung) -> LotMaps:
+    """Left-out residuals of the fitted devices beside the model of a rung."""
     lot = rung.fit.lot
     z = left_out(lot, rung.fit.model, rung.fit.variances).z
     return LotMaps(lot.x_mm, lot.y_mm, lot.wafers, lot.quantities, z)
