@@ -22,10 +22,12 @@ from bokeh.plotting import figure
 
 from reports.html.style import AFTER, BEFORE, COLOURS, EDGES, INK, MUTED, RULE
 
-__all__ = ["AFTER", "BEFORE", "COLOURS", "DRAWN", "EDGES", "FEW", "MARKERS", "Panel", "grey", "page", "plot"]
+__all__ = ["AFTER", "BEFORE", "COLOURS", "DRAWN", "EDGES", "FEW", "HATCHES", "MARKERS", "Panel", "grey", "page", "plot"]
 
 #: Bokeh's markers of the verdicts; they differ in shape as well as in colour.
 MARKERS = {"pass": "circle", "fail": "x", "undecided": "diamond"}
+#: Bokeh's patterns of bars of verdicts.
+HATCHES = {"pass": " ", "fail": "/", "undecided": "."}
 #: Further categories (Okabe and Ito 2008), readable on both backgrounds.
 FEW = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 #: Lines of data and of limits on both backgrounds: contrast of at least 3 on each (WCAG 2.2, 1.4.11).
@@ -43,12 +45,14 @@ class Panel:
     title : its heading; also its accessible name.
     note : a sentence below the heading, or nothing.
     wide : whether it takes the whole width.
+    live : whether changes of it are announced to screen readers.
     """
 
     model: UIElement
     title: str
     note: str = ""
     wide: bool = False
+    live: bool = False
 
 
 def page(document: Document, title: str, lead: str, panels: Sequence[Panel]) -> None:
@@ -64,7 +68,7 @@ def page(document: Document, title: str, lead: str, panels: Sequence[Panel]) -> 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, loader=_loader())
     document.template = environment.get_template("page.html.j2")
     document.template_variables["lead"] = lead
-    document.template_variables["panels"] = [(one.title, one.note, one.wide) for one in panels]
+    document.template_variables["panels"] = [(one.title, one.note, one.wide, one.live) for one in panels]
     document.template_variables["tokens"] = {"ink": INK, "muted": MUTED, "rule": RULE}
     for one in panels:
         document.add_root(one.model)

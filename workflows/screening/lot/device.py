@@ -21,7 +21,7 @@ from pipeline.criticism.problem import Candidate, FitResult
 from pipeline.criticism.scores import baseline, project
 from pipeline.criticism.shared import SharedTerm
 from pipeline.device.gyro import PHYSICAL
-from pipeline.device.model import mains_effects
+from pipeline.device.model import Model, mains_effects
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.bad_samples import without_bad_samples
 from pipeline.experiment.noise.level import NoiseLevel, noise_level
@@ -160,12 +160,17 @@ def measurement_of(source: Source, number: int) -> tuple[Campaign, NoiseLevel, f
     return Campaign(drawn.device_id[0], records, instrument, gain), level, line
 
 
+def nightly_model(line: float | None, start: Sequence[tuple[str, float]]) -> tuple[Model, dict[str, float]]:
+    """The model of the nightly fit with hum lines at ``line`` [Hz], if any, and its start from the parameters of a device."""
+    hum = mains_effects() if line else {}
+    model = replace(NIGHTLY_MODEL, effects=(*NIGHTLY_MODEL.effects, *hum))
+    return model, dict(start) | (dict.fromkeys(hum.values(), line) if line else {})
+
+
 def _examined(source: Source, request: Request) -> DeviceExamination:
     config, _ = source
     campaign, noise, line = measurement_of(source, request.number)
-    hum = mains_effects() if line else {}
-    model = replace(NIGHTLY_MODEL, effects=(*NIGHTLY_MODEL.effects, *hum))
-    start = dict(request.start) | (dict.fromkeys(hum.values(), line) if line else {})
+    model, start = nightly_model(line, request.start)
     score, information, covariance = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
     effects = sizes = reason = ""
     if request.scored or request.alone:

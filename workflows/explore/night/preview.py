@@ -1,0 +1,181 @@
+"""The verdicts by moved limits within a frame of the screen: counts of stored draws instead of a new judgement of all of them.
+
+``reports.what_if.draws`` gives every stored draw of a device the weight p/s where it meets the run's limits and (1 - p)/(1 - s)
+where it does not, so the same sum is known from two counts:
+
+    P(conform) = (p/s a + (1 - p)/(1 - s) b) / n      a, b: draws that meet the moved limits, and do or do not meet the run's
+
+While one limit moves, which draws meet the others is fixed and is kept as one byte per draw; what is left is one comparison for
+each draw.  Draws are kept as float32 deviations from the estimate of the device: a rounding of 1e-7 sd.  A device some of whose
+draws have no value of a limited quantity may be shown as failed where it is undecided.  So a preview is shown as one, until the
+judgement of ``workflows.what_if`` replaces it.
+
+Shapes: B devices, n draws each, absent ones at the end of a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from pipeline.arrays import FloatArray, IntArray
+from pipeline.axial import PERIOD_DEG, difference
+from reports.coded import CodedText
+from reports.limits import Limit, Limits
+from reports.what_if.draws import DrawBatch, contains
+
+Bytes = npt.NDArray[np.uint8]
+#: Codes of the verdicts, in this order.
+VERDICTS = ("undecided", "pass", "fail")
+
+
+@dataclass(frozen=True, eq=False)
+class Deviations:
+    """Draws of one quantity.
+
+    Parameters
+    ----------
+    centre : (B,) estimates.
+    draws : (B, n) deviations from them; nan where there is no draw.
+    size : (B,) number of draws.
+    """
+
+    centre: FloatArray
+    draws: npt.NDArray[np.float32]
+    size: IntArray
+
+    def meet(self, limit: Limit) -> Bytes:
+        """(B, n) 1 where a draw meets the limit."""
+        out = np.empty(self.draws.shape, dtype=np.uint8)
+        _meet(self.draws, self.centre, *_ends(limit), out)
+        return out
+
+
+def deviations(name: str, axis: bool, centre: FloatArray, batches: Iterable[DrawBatch]) -> Deviations:
+    """The draws of the quantity ``name`` from ``batches`` (each device at most once); ``centre`` (B,) are its estimates.
+
+    ``axis`` : it is an angle modulo 180 deg.
+    """
+    parts = [(batch.rows, batch.values[name]) for batch in batches]
+    most = max((values.shape[1] for _, values in parts), default=0)
+    draws = np.full((centre.size, most), np.nan, dtype=np.float32)
+    size = np.zeros(centre.size, dtype=np.int64)
+    middle = np.where(np.isnan(centre), 0.0, centre)
+    for rows, values in parts:
+        away = difference(values, middle[rows, None]) if axis else values - middle[rows, None]
+        draws[rows, : values.shape[1]] = away
+        size[rows] = values.shape[1]
+    return Deviations(middle, draws, size)
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What does not depend on the moved limits.
+
+    Parameters
+    ----------
+    old : limits of the run.
+    p_run : (B,) P(conform to ``old``) of the run; nan where it is unknown.
+    met : (B, n) 1 where a draw meets ``old``.
+    inside, outside : (B,) weight over n of a draw that does and of one that does not; nan without draws.
+    """
+
+    old: Limits
+    p_run: FloatArray
+    met: Bytes
+    inside: FloatArray
+    outside: FloatArray
+
+
+def weights(old: Limits, p_run: FloatArray, draws: dict[str, Deviations]) -> Weights:
+    """The weights of the draws of all quantities that ``old`` limits."""
+    met = np.bitwise_and.reduce([draws[one.quantity].meet(one) for one in old.limits])
+    n = draws[old.quantities[0]].size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = met.sum(axis=1, dtype=np.int64) / n
+        weighted = np.isfinite(p_run) & (share > 0.0) & (share < 1.0)
+        p, s = np.where(weighted, p_run, 0.5), np.where(weighted, share, 0.5)
+        n = np.where(n > 0, n, np.nan)
+        return Weights(old, p_run, met, p / s / n, (1.0 - p) / (1.0 - s) / n)
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """The limits that do not move, and for each draw (B, n): bit 0, it meets them; bit 1, it meets those of the run."""
+
+    others: tuple[Limit, ...]
+    met: Bytes
+
+
+def kept(found: Weights, limits: Limits, moving: str, draws: dict[str, Deviations], before: Kept | None) -> Kept:
+    """What stays while the limit of ``moving`` moves; ``before`` if nothing else changed."""
+    others = tuple(one for one in limits.limits if one.quantity != moving)
+    if before is not None and before.others == others:
+        return before
+    own = np.ones_like(found.met)
+    for one in others:
+        own &= draws[one.quantity].meet(one)
+    return Kept(others, own | (found.met << 1))
+
+
+def p_conform(found: Weights, limits: Limits, moving: Deviations | None, limit: Limit | None, own: Kept) -> FloatArray:
+    """(B,) P(conform to ``limits``), nan without draws.
+
+    Parameters
+    ----------
+    limits : all limits, with ``limit`` where it has been moved to.
+    moving, limit : the draws and the limit that moves; ``None``: it was removed.
+    own : what stays.
+    """
+    if moving is None or limit is None:
+        inside, outside = (np.sum(own.met == code, axis=1) for code in (3, 1))
+    else:
+        counts = np.zeros((own.met.shape[0], 2), dtype=np.int64)
+        _count(own.met, moving.draws, moving.centre, *_ends(limit), counts)
+        inside, outside = counts.T
+    p = found.inside * inside + found.outside * outside
+    known = np.isfinite(found.p_run) & np.isfinite(p)
+    if contains(limits, found.old):
+        p = np.where(known, np.maximum(p, found.p_run), p)
+    if contains(found.old, limits):
+        p = np.where(known, np.minimum(p, found.p_run), p)
+    return p
+
+
+def verdict_codes(p: FloatArray, limits: Limits, status: CodedText) -> IntArray:
+    """(B,) codes of :data:`VERDICTS` by the rule "probability", from P(conform) (B,) and the statuses."""
+    judged, rule = status.equals("ok"), limits.rule
+    return np.where(judged & (p >= rule.pass_at), 1, np.where(judged & (p <= rule.fail_at), 2, 0)).astype(np.int64)
+
+
+def _ends(limit: Limit) -> tuple[float, float, float]:
+    """Low, high and the period of the quantity, 0 for none."""
+    return limit.low, limit.high, PERIOD_DEG if limit.axis else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _inside(x: float, low: float, high: float, period: float) -> bool:
+    if period > 0.0:
+        # nan stays nan and is outside, as below.
+        away = x - low - period * np.floor((x - low) / period)
+        return away <= high - low
+    return low <= x <= high
+
+
+@njit(cache=True, nogil=True)
+def _meet(draws, centre, low, high, period, out):  # type: ignore[no-untyped-def]
+    for b in range(draws.shape[0]):
+        for i in range(draws.shape[1]):
+            out[b, i] = 1 if _inside(centre[b] + draws[b, i], low, high, period) else 0
+
+
+@njit(cache=True, nogil=True)
+def _count(met, draws, centre, low, high, period, counts):  # type: ignore[no-untyped-def]
+    for b in range(draws.shape[0]):
+        for i in range(draws.shape[1]):
+            if met[b, i] & 1 and _inside(centre[b] + draws[b, i], low, high, period):
+                counts[b, 1 - (met[b, i] >> 1)] += 1
