@@ -5,13 +5,18 @@ Tables are HTML with escaped text: they need no script, follow the light or dark
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
+from typing import Any
 
 import numpy as np
 from bokeh.layouts import column
 from bokeh.model import Model
-from bokeh.models import Column, Div, InlineStyleSheet, Range1d, Row, UIElement
+from bokeh.models import Column, InlineStyleSheet, Range, Row
+from bokeh.models.ui.ui_element import UIElement
+from bokeh.models.widgets.inputs import Select
+from bokeh.models.widgets.markups import Div
+from bokeh.plotting import figure
 
 #: The colours are those of the page (look.py), which a part inherits.
 _TABLE = """
@@ -23,10 +28,9 @@ td { border-bottom: 1px solid var(--rule); }
 th:first-child, td:first-child { text-align: left; }
 th.words, td.words { text-align: left; white-space: normal; min-width: 14em; }
 tr.marked td { font-weight: 600; color: var(--focus); }
-p, ul { margin: 0 0 4px; }
-ul { padding-left: 1.2em; }
+p { margin: 0 0 4px; }
+pre { margin: 0; overflow-x: auto; font-size: 0.82rem; }
 .error { color: var(--error, #d55e00); font-weight: 600; }
-.muted { color: var(--muted); }
 """
 
 
@@ -45,6 +49,17 @@ def text(content: str = "", *, live: bool = False) -> Div:
 def paragraphs(lines: Sequence[str]) -> str:
     """Lines as escaped paragraphs."""
     return "".join(f"<p>{escape(line)}</p>" for line in lines if line)
+
+
+def printed(lines: Sequence[str]) -> str:
+    """Lines as the terminal shows them."""
+    body = "\n".join(escape(line) for line in lines)
+    return f'<pre tabindex="0">{body}</pre>'
+
+
+def say(part: Div, content: str) -> None:
+    """Show ``content`` in a part, which takes no room without any."""
+    part.update(text=content, visible=bool(content))
 
 
 def error_line(line: str) -> str:
@@ -84,7 +99,9 @@ def table(
 
 
 def controls(*elements: UIElement) -> Row:
-    """Controls side by side, below each other where the window is narrow."""
+    """Controls side by side, below each other where the window is narrow; none is wider than the window."""
+    for one in elements:
+        one.styles = {"max-width": "100%"}
     wrapped = InlineStyleSheet(css=":host { flex-wrap: wrap; column-gap: 14px; row-gap: 6px; }")
     return Row(children=list(elements), sizing_mode="stretch_width", stylesheets=[wrapped])
 
@@ -92,6 +109,12 @@ def controls(*elements: UIElement) -> Row:
 def stacked(*elements: UIElement) -> Column:
     """Elements below each other, as wide as the panel."""
     return column(*elements, sizing_mode="stretch_width", spacing=8)
+
+
+def offer(select: Select, options: Mapping[str, str] | Sequence[str]) -> None:
+    """Let a control offer ``options``: values, or values with their words."""
+    every: list[Any] = list(options.items()) if isinstance(options, Mapping) else list(options)
+    select.options = every
 
 
 def on(model: Model, attribute: str, call: Callable[[], None]) -> None:
@@ -103,7 +126,7 @@ def on(model: Model, attribute: str, call: Callable[[], None]) -> None:
     model.on_change(attribute, changed)
 
 
-def show_range(axis: Range1d, *values: object, log: bool) -> None:
+def show_range(axis: Range, *values: object, log: bool) -> None:
     """Let an axis show all ``values`` that are finite, and positive on a logarithmic axis, with room at both ends."""
     every = np.concatenate([np.ravel(np.asarray(one, dtype=np.float64)) for one in values])
     every = every[np.isfinite(every) & ((every > 0.0) | (not log))]
@@ -117,3 +140,10 @@ def show_range(axis: Range1d, *values: object, log: bool) -> None:
         room = 0.03 * (high - low) or 0.5
         low, high = low - room, high + room
     axis.update(start=low, end=high, reset_start=low, reset_end=high)
+
+
+def legend_above(drawn: figure) -> None:
+    """Put the legend of a figure above its frame, where it hides no curve."""
+    legend = drawn.legend[0]
+    legend.update(orientation="horizontal", border_line_alpha=0.0, background_fill_alpha=0.0, padding=0, margin=2)
+    drawn.add_layout(legend, "above")

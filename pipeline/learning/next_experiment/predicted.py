@@ -1,4 +1,4 @@
-"""What the next record would show of one effect: the record as the fits without and with it predict it, and how far apart they are.
+"""What the next record would show of one effect: as the fits without and with it predict it, and how far apart they are.
 
     apart  = |s_1 - s_0|                                     both fits as they are
     known  = sqrt(chi2_0 - chi2_1)                           what the records so far say

@@ -14,8 +14,8 @@ from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.rung import FitCache
 from pipeline.criticism.selection import ForwardSelection, forward_selection
 from pipeline.device.model import Model
-from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
 from pipeline.experiment.record import Campaign
+from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
 from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.next_experiment.experiments import Experiment
@@ -79,10 +79,7 @@ class CampaignBench:
         """What ``gyroscreen diagnose`` says of the given model with ``terms``: candidates with their scores, and the verdict."""
         if terms not in self._diagnosed:
             answers, rules = self._answers, self._answers.rules
-            if terms:
-                selection = forward_selection(answers.problem, terms, rules)
-            else:
-                selection = self._selected[1]
+            selection = forward_selection(answers.problem, terms, rules) if terms else self._selected[1]
             self._diagnosed[terms] = answers.first_diagnosis(as_diagnosis(answers.problem, selection, rules))
         return self._diagnosed[terms]
 

@@ -50,7 +50,9 @@ def chosen_selection(cache: FitCache, terms: Sequence[str], rules: Rules) -> Cho
         fit = cache.fit((*before.fit.terms, term), before.fit)
         if not fit.ok:
             raise NegativeError(
-                f"the fit with this effect failed: {fit.why}", value=term, next_step="leave it out, or add another first"
+                f"the fit with this effect failed: {fit.why}",
+                value=term,
+                next_step="leave it out, or add another first",
             )
         held = held_out_difference(before.fit, fit)
         steps.append(SelectionStep(term, fit, before.fit.chi2 - fit.chi2, held))

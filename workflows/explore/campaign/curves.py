@@ -51,6 +51,7 @@ def bands(parameters: Mapping[str, float], view: RecordView) -> dict[str, tuple[
     low, high = drive_band(view)
     room = max(0.2 * (high - low), view.resolution_hz)
     nyquist = 0.5 * view.sample_rate_hz
+    found: list[tuple[tuple[float, float], str, tuple[float, ...]]]
     found = [((max(low - room, 0.0), min(high + room, nyquist)), "drive", ())]
     found += [(one.band_hz, "resonance", one.centres_hz) for one in resonance_windows(parameters, [view])]
     found.append(((0.0, nyquist), "full", ()))
@@ -67,8 +68,8 @@ def by_frequency(view: RecordView, channel: int, band_hz: tuple[float, float], w
     found = spectra(view, band_hz)
     floor = float(found.floor[channel])
     scale = 1.0 / floor if whitened and np.isfinite(floor) and floor > 0.0 else 1.0
-    curves = (scale * curve[:, channel] for curve in (found.measured, found.model, found.residual))
-    return SpectrumCurves(found.frequency_hz, *curves, scale * floor)
+    measured, model, residual = (scale * curve[:, channel] for curve in (found.measured, found.model, found.residual))
+    return SpectrumCurves(found.frequency_hz, measured, model, residual, scale * floor)
 
 
 def by_time(view: RecordView, channel: int, whitened: bool) -> Curve:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from bokeh.models import Button, Select
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.inputs import Select
 
 from pipeline.learning.answers import CandidateAnswer, DiagnosisAnswer
 from reports.words.campaign import effect_words, notes, parameter_words
@@ -14,7 +15,7 @@ from reports.words.quantities import error_words, p_words
 from reports.words.terminal import diagnose_lines
 
 from ..look import Panel
-from ..parts import controls, error_line, paragraphs, stacked, table, text
+from ..parts import controls, error_line, offer, paragraphs, say, stacked, table, text
 
 _HEADS = ("effect", "Δχ²", "p", "error after", "detectable", "size by one step")
 _HEIGHT = "24rem"
@@ -37,6 +38,7 @@ class EffectsPanel:
         self.removing = Button(label="Remove", width=90, align="end", disabled=True)
         self.status = text(live=True)
         self.error = text()
+        self.error.visible = False
         self.verdict = text(live=True)
         self.table = text()
         self.adding.on_click(self._add)
@@ -57,28 +59,25 @@ class EffectsPanel:
     def chosen(self, terms: tuple[str, ...]) -> None:
         """Show what is in the model now, or will be once the fit is done."""
         self._terms = terms
-        self.remove.options = [(name, effect_words(name)) for name in terms]
+        offer(self.remove, {name: effect_words(name) for name in terms})
         self.remove.value = terms[-1] if terms else ""
         self.removing.disabled = not terms
-        self.add.options = [one for one in self.add.options if one[0] not in terms]
-        if self.add.value in terms:
-            self.add.value = self.add.options[0][0] if self.add.options else ""
 
     def show(self, found: DiagnosisAnswer, more: Sequence[str]) -> None:
         """Show a diagnosis of the model with the effects that are in it; ``more`` are further sentences."""
-        self.verdict.text = paragraphs([diagnose_lines(found)[0], *notes(found), *more])
+        say(self.verdict, paragraphs([diagnose_lines(found)[0], *notes(found), *more]))
         known = [one.effect for one in found.candidates]
-        self.add.options = [(one.effect, candidate_words(one)) for one in found.candidates]
-        named = next((name for name in found.effects if name in known and name not in self._terms), None)
-        if named is not None or self.add.value not in known:
-            self.add.value = named or (known[0] if known else "")
+        offer(self.add, {one.effect: candidate_words(one) for one in found.candidates})
+        self.add.value = next((name for name in found.effects if name in known), known[0] if known else "")
         self.adding.disabled = not known
         marked = [k for k, name in enumerate(known) if name in found.effects]
-        self.table.text = table(_HEADS, [_row(one) for one in found.candidates], words=(5,), marked=marked, height=_HEIGHT)
+        self.table.text = table(
+            _HEADS, [_row(one) for one in found.candidates], words=(5,), marked=marked, height=_HEIGHT
+        )
 
     def fail(self, line: str) -> None:
         """Show why the last wish failed; "" where it did not."""
-        self.error.text = error_line(line)
+        say(self.error, error_line(line))
 
     def _add(self) -> None:
         if self.add.value and self.add.value not in self._terms:

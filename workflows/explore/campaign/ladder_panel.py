@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FactorRange, Range1d, Span, UIElement
+from bokeh.models import ColumnDataSource, FactorRange, Range1d
+from bokeh.models.annotations.geometry import Span
+from bokeh.models.ui.ui_element import UIElement
 
 from pipeline.learning.answers import DiagnosisAnswer, RungAnswer
 from reports.words.campaign import rung_name
@@ -13,8 +15,8 @@ from reports.words.explore_loop import JUDGING, REFUSED
 from reports.words.numbers import number, with_sd
 from reports.words.quantities import percent
 
-from ..look import AFTER, BEFORE, DRAWN, plot
-from ..parts import show_range, stacked, table, text
+from ..look import AFTER, DRAWN, plot
+from ..parts import legend_above, show_range, stacked, table, text
 from .bench import ChosenModel
 
 _HEADS = ("model", "status", "error, fitted", "held-out", "relative error", "Δχ²", "θ, deg", "split, Hz", "device")
@@ -41,18 +43,26 @@ class LadderPanel:
 
     def __init__(self) -> None:
         self.source = ColumnDataSource({"name": [], "fit": [], "held": []})
+        self.names = FactorRange()
         self.figure = plot(
-            "Error of each model", "", "error, σ", height=260, x_range=FactorRange(), y_range=Range1d(0.1, 10.0), y_axis_type="log"
+            "Error of each model",
+            "",
+            "error, σ",
+            height=260,
+            x_range=self.names,
+            y_range=Range1d(start=0.1, end=10.0),
+            y_axis_type="log",
         )
         self.figure.add_layout(Span(location=1.0, dimension="width", line_color=DRAWN, line_dash="dashed"))
         for column, marker, colour, label in (
-            ("fit", "circle", AFTER, "fitted records"),
-            ("held", "square", BEFORE, "held-out records"),
+            ("fit", "circle", DRAWN, "fitted records"),
+            ("held", "square", AFTER, "held-out records"),
         ):
             self.figure.line("name", column, source=self.source, color=colour, line_width=1.5, legend_label=label)
             self.figure.scatter(
                 "name", column, source=self.source, marker=marker, size=9, color=colour, legend_label=label
             )
+        legend_above(self.figure)
         self.table = text()
 
     @property
@@ -66,10 +76,16 @@ class LadderPanel:
         relative = all(rung.error_fit is None for rung in rungs)
         fit = [rung.relative_error if relative else rung.error_fit for rung in rungs]
         held = [rung.relative_error_validate or None if relative else rung.error_validate for rung in rungs]
-        self.figure.x_range.factors = names
+        self.names.factors = names
         self.figure.yaxis.axis_label = "relative error" if relative else "error, σ (dashed: noise)"
         self.source.data = {"name": names, "fit": _positive(fit), "held": _positive(held)}
-        show_range(self.figure.y_range, *self.source.data["fit"], *self.source.data["held"], *([] if relative else [1.0]), log=True)
+        show_range(
+            self.figure.y_range,
+            *self.source.data["fit"],
+            *self.source.data["held"],
+            *([] if relative else [1.0]),
+            log=True,
+        )
         self.table.text = table(_HEADS, [_row(rung, word) for rung, word in zip(rungs, words)])
 
 

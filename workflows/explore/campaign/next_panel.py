@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, Range1d, Select, Slider, Span
+from bokeh.models import ColumnDataSource, Range1d
+from bokeh.models.annotations.geometry import Span
+from bokeh.models.widgets.inputs import Select
+from bokeh.models.widgets.sliders import Slider
 from bokeh.plotting import figure
 
 from pipeline.learning.next_experiment.experiments import Experiment
@@ -15,7 +19,7 @@ from reports.words.campaign import effect_words
 from reports.words.explore_loop import next_record_sentences
 
 from ..look import DRAWN, FEW, Panel, plot
-from ..parts import controls, on, paragraphs, show_range, stacked, text
+from ..parts import controls, legend_above, offer, on, paragraphs, show_range, stacked, text
 from .curves import by_frequency, by_time
 
 #: Range of the drive scale; 1 is the highest level of the records so far.
@@ -38,7 +42,12 @@ class NextPanel:
         self.effect = Select(title="Without and with", width=240)
         self.shape = Select(title="Excitation of the next record", width=380)
         self.scale = Slider(
-            title="Drive scale (1: highest level so far)", start=SCALES[0], end=SCALES[1], step=0.05, value=1.0, width=260
+            title="Drive scale (1: highest level so far)",
+            start=SCALES[0],
+            end=SCALES[1],
+            step=0.05,
+            value=1.0,
+            width=260,
         )
         self.words = text(live=True)
         self.frequency = _figure("Difference of the predictions by frequency", "frequency, Hz", "amplitude / noise")
@@ -49,7 +58,10 @@ class NextPanel:
         }
         for drawn, sources in self._sources.items():
             for k, (source, dash) in enumerate(zip(sources, ("solid", "dashed"))):
-                drawn.line("x", "y", source=source, color=FEW[k], line_dash=dash, line_width=1.6, legend_label=f"sense {k + 1}")
+                drawn.line(
+                    "x", "y", source=source, color=FEW[k], line_dash=dash, line_width=1.6, legend_label=f"sense {k + 1}"
+                )
+            legend_above(drawn)
             drawn.add_layout(Span(location=1.0, dimension="width", line_color=DRAWN, line_dash="dotted"))
         on(self.effect, "value", self._effect)
         on(self.shape, "value", self.request)
@@ -60,14 +72,18 @@ class NextPanel:
         """The panels of the page."""
         note = "Both predictions come from fits to the records so far. Dotted: noise."
         return [
-            Panel(stacked(controls(self.effect, self.shape, self.scale), self.words), "What would the next record show", wide=True),
+            Panel(
+                stacked(controls(self.effect, self.shape, self.scale), self.words),
+                "What would the next record show",
+                wide=True,
+            ),
             Panel(self.frequency, "Next record: difference by frequency", note),
             Panel(self.time, "Next record: difference by time"),
         ]
 
     def offer(self, effects: Sequence[str]) -> None:
         """The effects that may be chosen, the most interesting first."""
-        self.effect.options = [(name, effect_words(name)) for name in effects]
+        offer(self.effect, {name: effect_words(name) for name in effects})
         if self.effect.value not in effects:
             self.effect.value = effects[0] if effects else ""
         else:
@@ -76,7 +92,7 @@ class NextPanel:
     def excite(self, found: Sequence[Experiment]) -> None:
         """The experiments that may be chosen."""
         self._experiments = {_words(one): one for one in found}
-        self.shape.options = list(self._experiments)
+        offer(self.shape, list(self._experiments))
         if self.shape.value not in self._experiments:
             self.shape.value = next(iter(self._experiments), "")
         else:
@@ -141,11 +157,11 @@ def _words(one: Experiment) -> str:
 def _figure(name: str, x: str, y: str) -> figure:
     return plot(
         name, x, y, height=240, tools="box_zoom,pan,reset", y_axis_type="log",
-        x_range=Range1d(0.1, 1.0), y_range=Range1d(0.1, 10.0),
+        x_range=Range1d(start=0.1, end=1.0), y_range=Range1d(start=0.1, end=10.0),
     )  # fmt: skip
 
 
-def _positive(x: object, y: object) -> dict[str, object]:
+def _positive(x: object, y: object) -> dict[str, Any]:
     values, at = np.asarray(y, dtype=np.float64), np.asarray(x, dtype=np.float64)
     own = np.isfinite(values) & (values > 1e-6)
     return {"x": at[own], "y": values[own]}

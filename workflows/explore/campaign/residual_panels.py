@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, RadioButtonGroup, Range1d, Select, Span
+from bokeh.models import ColumnDataSource, Range1d
+from bokeh.models.annotations.geometry import Span
+from bokeh.models.widgets.groups import RadioButtonGroup
+from bokeh.models.widgets.inputs import Select
 from bokeh.plotting import figure
 
 from reports.learning.record_view import RecordView
@@ -14,7 +18,7 @@ from reports.words.explore_loop import NO_RECORDS
 from reports.words.quantities import error_words
 
 from ..look import AFTER, BEFORE, DRAWN, Panel, plot
-from ..parts import controls, on, show_range, stacked, text
+from ..parts import controls, legend_above, offer, on, show_range, stacked, text
 from .curves import Curve, bands, by_drive, by_frequency, by_response, by_time, worst
 
 _UNITS = ("σ", "V")
@@ -39,9 +43,12 @@ class ResidualPanels:
             "x", "measured", source=self.measured, color=DRAWN, line_width=4, alpha=0.5, legend_label="measured"
         )
         self.spectrum.line("x", "model", source=self.measured, color=DRAWN, line_width=1.2, legend_label="model")
+        legend_above(self.spectrum)
         self.time = _figure("Residual by time", "time, s", x="linear")
         self.response = _figure("Residual by level of the response", "response, V rms", x="log")
-        self.drive = _figure("Residual by level of the drive, all records", "largest drive of the record, V", x="linear")
+        self.drive = _figure(
+            "Residual by level of the drive, all records", "largest drive of the record, V", x="linear"
+        )
         self._figures = (self.spectrum, self.time, self.response, self.drive)
         self._pairs = [_pair(one, one is self.drive) for one in self._figures]
         self._noise = [Span(dimension="width", line_color=DRAWN, line_dash="dashed") for _ in self._pairs]
@@ -73,10 +80,10 @@ class ResidualPanels:
             self.note.text = NO_RECORDS
             return
         latest = after or before
-        self.record.options = [
-            (one.name, f"{one.name}{' (held out)' if one.role == 'validate' else ''}: {error_words(one.error)} σ")
-            for one in latest
-        ]
+        held = {"validate": " (held out)"}
+        offer(
+            self.record, {one.name: f"{one.name}{held.get(one.role, '')}: {error_words(one.error)} σ" for one in latest}
+        )
         if self.record.value not in {one.name for one in latest}:
             self.record.value = worst(before)
         else:
@@ -89,8 +96,8 @@ class ResidualPanels:
             return
         senses = [str(k + 1) for k in range(view.senses)]
         self._bands = bands(self._parameters, view)
-        self.channel.options = list(senses)
-        self.band.options = list(self._bands)
+        offer(self.channel, senses)
+        offer(self.band, list(self._bands))
         if self.channel.value not in senses:
             self.channel.value = senses[0]
         if self.band.value not in self._bands:
@@ -136,7 +143,7 @@ class ResidualPanels:
 def _figure(name: str, x_label: str, x: str) -> figure:
     return plot(
         name, x_label, "", height=260, tools="box_zoom,pan,reset", x_axis_type=x, y_axis_type="log",
-        x_range=Range1d(0.1, 1.0), y_range=Range1d(0.1, 10.0),
+        x_range=Range1d(start=0.1, end=1.0), y_range=Range1d(start=0.1, end=10.0),
     )  # fmt: skip
 
 
@@ -151,7 +158,7 @@ def _pair(drawn: figure, points: bool) -> tuple[ColumnDataSource, ColumnDataSour
     return sources
 
 
-def _positive(curve: Curve) -> dict[str, object]:
+def _positive(curve: Curve) -> dict[str, Any]:
     """The points that a logarithmic axis can show."""
     own = np.isfinite(curve.y) & (curve.y > 0.0) & np.isfinite(curve.x)
     return {"x": curve.x[own], "y": curve.y[own]}

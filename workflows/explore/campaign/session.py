@@ -13,7 +13,7 @@ from reports.words.explore_loop import NOT_TIMED, READY, judged_sentence
 from reports.words.terminal import compare_lines
 
 from ..look import Panel, page
-from ..parts import paragraphs, text
+from ..parts import paragraphs, printed, text
 from ..worker import Session
 from .bench import CampaignBench, ChosenModel
 from .effects_panel import EffectsPanel
@@ -61,7 +61,7 @@ class CampaignSession:
         self.session.ask("diagnose", lambda: self.bench.diagnosis(terms), self._diagnosed)
 
     def _compared(self, answer: ComparisonAnswer, records: tuple[object, ...], tones: tuple[object, ...]) -> None:
-        self.where.text = paragraphs(compare_lines(answer))
+        self.where.text = printed(compare_lines(answer))
         self.residual.show(self.bench.first[0], (), _values(answer.parameters))
 
     def _fitted(self, found: ChosenModel) -> None:

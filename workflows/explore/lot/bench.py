@@ -81,6 +81,11 @@ class LotBench:
         self._forecasts: dict[tuple[str, ...], LotRungAnswer] = {}
 
     @property
+    def radius_mm(self) -> float:
+        """Radius of the wafers [mm]."""
+        return self._lot.ready.measured.radius_mm
+
+    @property
     def comparison(self) -> LotComparisonAnswer:
         """The answer of ``gyroscreen compare``."""
         return self._lot.comparison

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bokeh.models import ColumnDataSource, FactorRange, Range1d, Span, UIElement, Whisker
+from bokeh.models import ColumnDataSource, FactorRange, Range1d
+from bokeh.models.annotations.arrows import TeeHead
+from bokeh.models.annotations.geometry import Span, Whisker
+from bokeh.models.ui.ui_element import UIElement
 
 from pipeline.learning.lot.answers import LotRungAnswer
 from reports.words.explore_lot import NO_FORECAST
@@ -14,7 +17,16 @@ from reports.words.numbers import number
 from ..look import AFTER, DRAWN, Panel, plot
 from ..parts import paragraphs, show_range, stacked, table, text
 
-_HEADS = ("model", "status", "error, fitted", "held-out", "log score, fitted", "held-out", "Δ deviance", "yield of the held-out wafers")
+_HEADS = (
+    "model",
+    "status",
+    "error, fitted",
+    "held-out",
+    "log score, fitted",
+    "held-out",
+    "Δ deviance",
+    "yield of the held-out wafers",
+)
 
 
 class LotLadderPanel:
@@ -22,18 +34,39 @@ class LotLadderPanel:
 
     def __init__(self) -> None:
         self.source = ColumnDataSource({"name": [], "mean": [], "low": [], "high": []})
+        self.names = FactorRange()
         self.forecast = plot(
-            "Forecast yield of each model", "", "yield, %", height=260, x_range=FactorRange(), y_range=Range1d(0.0, 100.0)
+            "Forecast yield of each model",
+            "",
+            "yield, %",
+            height=260,
+            x_range=self.names,
+            y_range=Range1d(start=0.0, end=100.0),
         )
         self.forecast.scatter("name", "mean", source=self.source, size=10, color=AFTER)
+        head = TeeHead(size=12, line_color=AFTER, line_width=2)
         self.forecast.add_layout(
-            Whisker(base="name", lower="low", upper="high", source=self.source, line_color=AFTER, line_width=2)
+            Whisker(
+                base="name",
+                lower="low",
+                upper="high",
+                source=self.source,
+                line_color=AFTER,
+                line_width=2,
+                upper_head=head,
+                lower_head=head,
+            )
         )
         self.measured = Span(dimension="width", line_color=DRAWN, line_dash="dashed", line_width=2)
         self.forecast.add_layout(self.measured)
         self.scores = ColumnDataSource({"name": [], "score": []})
         self.score = plot(
-            "Held-out log score of each model", "", "nats a device", height=260, x_range=FactorRange(), y_range=Range1d(0, 1)
+            "Held-out log score of each model",
+            "",
+            "nats a device",
+            height=260,
+            x_range=self.names,
+            y_range=Range1d(start=0.0, end=1.0),
         )
         self.score.line("name", "score", source=self.scores, color=AFTER, line_width=1.5)
         self.score.scatter("name", "score", source=self.scores, size=9, color=AFTER)
@@ -60,7 +93,7 @@ class LotLadderPanel:
     def show(self, rungs: Sequence[LotRungAnswer], statuses: Sequence[str]) -> None:
         """Show the models of a ladder and their statuses."""
         names = [f"{k}  {rung.model}" for k, rung in enumerate(rungs)]
-        self.forecast.x_range.factors = self.score.x_range.factors = names
+        self.names.factors = names
         judged = [(name, rung.forecast) for name, rung in zip(names, rungs) if rung.forecast is not None]
         self.note.text = "" if judged else paragraphs([NO_FORECAST])
         self.source.data = {

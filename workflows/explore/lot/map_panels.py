@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from bokeh.models import ColorBar, ColumnDataSource, HoverTool, LinearColorMapper, Range1d, Select
+from bokeh.models import ColumnDataSource, HoverTool, LinearColorMapper
+from bokeh.models.annotations.legends import ColorBar
+from bokeh.models.glyphs import Rect
+from bokeh.models.widgets.inputs import Select
 from bokeh.palettes import PuOr11
 from bokeh.plotting import figure
 
@@ -13,22 +18,33 @@ from reports.words.explore_lot import NO_PLACES, STACKED
 from reports.words.numbers import number
 
 from ..look import DRAWN, Panel, plot
-from ..parts import controls, on, paragraphs, stacked, text
+from ..parts import controls, offer, on, paragraphs, stacked, text
 
 _TITLES = ("Residual map: given population, refitted", "Residual map: with the added irregularities")
 
 
 class MapPanels:
-    """Controls and two maps; ``show`` gives the residuals beside both models."""
+    """Controls and two maps; ``show`` gives the residuals beside both models.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    radius_mm : of the wafer [mm].
+    """
+
+    def __init__(self, radius_mm: float) -> None:
+        self._radius_mm = radius_mm
         self._maps: tuple[LotMaps | None, LotMaps | None] = (None, None)
         self.quantity = Select(title="Quantity", width=220)
-        self.wafer = Select(title="Wafer", options=[STACKED], value=STACKED, width=240)
+        self.wafer = Select(title="Wafer", width=240)
         self.note = text()
         self.colours = LinearColorMapper(palette=list(reversed(PuOr11)), low=-SCALE, high=SCALE)
         self.sources = tuple(ColumnDataSource({"x": [], "y": [], "z": [], "n": []}) for _ in _TITLES)
-        self.figures = tuple(self._figure(title, source) for title, source in zip(_TITLES, self.sources))
+        colour: Any = {"field": "z", "transform": self.colours}
+        self._dies = tuple(
+            Rect(x="x", y="y", width=1.0, height=1.0, fill_color=colour, line_color=DRAWN, line_width=0.4)
+            for _ in _TITLES
+        )
+        self.figures = tuple(map(self._figure, _TITLES, self.sources, self._dies))
         for one in (self.quantity, self.wafer):
             on(one, "value", self.draw)
 
@@ -45,12 +61,12 @@ class MapPanels:
         """Show the residuals beside the given population and, where something was added, beside the chosen one."""
         self._maps = (before, after)
         wafers = sorted(set(before.wafers))
-        self.wafer.options = [STACKED, *wafers]
-        if self.wafer.value not in self.wafer.options:
+        offer(self.wafer, [STACKED, *wafers])
+        if self.wafer.value not in wafers:
             self.wafer.value = STACKED
         if not np.any(_placed(before)):
             self.note.text = paragraphs([NO_PLACES])
-        self.quantity.options = list(before.quantities)
+        offer(self.quantity, before.quantities)
         if self.quantity.value not in before.quantities:
             self.quantity.value = _worst(before)
         else:
@@ -59,29 +75,30 @@ class MapPanels:
     def draw(self) -> None:
         """Draw what the controls name."""
         lines = []
-        for maps, source, drawn, title in zip(self._maps, self.sources, self.figures, _TITLES):
+        for maps, source, dies, title in zip(self._maps, self.sources, self._dies, _TITLES):
             if maps is None or self.quantity.value not in maps.quantities or not np.any(_placed(maps)):
                 source.data = {"x": [], "y": [], "z": [], "n": []}
                 continue
             x, y, z, n = values(maps, str(self.quantity.value), str(self.wafer.value))
             source.data = {"x": x, "y": y, "z": z, "n": n}
-            radius = 1.1 * float(np.nanmax(np.hypot(maps.x_mm, maps.y_mm), initial=1.0))
-            drawn.x_range.update(start=-radius, end=radius)
-            drawn.y_range.update(start=-radius, end=radius)
-            drawn.renderers[0].glyph.update(width=0.92 * pitch(maps.x_mm), height=0.92 * pitch(maps.y_mm))
+            dies.update(width=0.92 * pitch(maps.x_mm), height=0.92 * pitch(maps.y_mm))
             what = title.partition(": ")[2]
-            lines.append(f"{what}: rms {number(float(np.sqrt(np.mean(z**2))), 3)} on {z.size} places (1 is as expected).")
+            lines.append(
+                f"{what}: rms {number(float(np.sqrt(np.mean(z**2))), 3)} on {z.size} places (1 is as expected)."
+            )
         if lines:
             self.note.text = paragraphs([line[:1].upper() + line[1:] for line in lines])
 
-    def _figure(self, title: str, source: ColumnDataSource) -> figure:
-        drawn = plot(
-            title, "x, mm", "y, mm", height=380, match_aspect=True, x_range=Range1d(-50, 50), y_range=Range1d(-50, 50)
-        )
-        colour = {"field": "z", "transform": self.colours}
-        drawn.rect("x", "y", 1.0, 1.0, source=source, fill_color=colour, line_color=DRAWN, line_width=0.4)
+    def _figure(self, title: str, source: ColumnDataSource, glyph: Rect) -> figure:
+        drawn = plot(title, "x, mm", "y, mm", height=380, match_aspect=True)
+        drawn.circle([0.0], [0.0], radius=self._radius_mm, fill_alpha=0.0, line_color=DRAWN)
+        dies = drawn.add_glyph(source, glyph)
         drawn.add_layout(ColorBar(color_mapper=self.colours, title="sd", width=10), "right")
-        drawn.add_tools(HoverTool(tooltips=[("x, y", "@x, @y mm"), ("residual", "@z{0.00} sd"), ("devices", "@n")]))
+        drawn.add_tools(
+            HoverTool(
+                renderers=[dies], tooltips=[("x, y", "@x, @y mm"), ("residual", "@z{0.00} sd"), ("devices", "@n")]
+            )
+        )
         return drawn
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from bokeh.models import Button, Select
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.inputs import Select
 
 from pipeline.criticism.budget import ALPHA
 from pipeline.learning.lot.loop import LotDiagnosis
@@ -16,7 +17,7 @@ from reports.words.numbers import number, with_sd
 from reports.words.quantities import p_words, percent
 
 from ..look import Panel
-from ..parts import controls, error_line, paragraphs, stacked, table, text
+from ..parts import controls, error_line, offer, paragraphs, say, stacked, table, text
 from .bench import ChosenPopulation
 
 _SCORES = ("irregularity", "score, sd", "p alone", "p", "share left visible")
@@ -40,6 +41,7 @@ class IrregularityPanel:
         self.removing = Button(label="Remove", width=90, align="end", disabled=True)
         self.status = text(live=True)
         self.error = text()
+        self.error.visible = False
         self.verdict = text(live=True)
         self.scores = text()
         self.quantities = text()
@@ -64,28 +66,32 @@ class IrregularityPanel:
                 "Score tests beside the model above, without refits; p is family-wise.",
                 wide=True,
             ),
-            Panel(self.quantities, "Where it fails: quantities", "Each device against all others. sd 1 and 90 % inside: calibrated."),
+            Panel(self.quantities, "Where it fails: quantities", "Each device against all others. Calibrated: sd 1, 90 % inside."),
             Panel(self.shapes, "Where it fails: patterns without a name", "Probes of the residual, the most significant first."),
-            Panel(self.spreads, "Where it fails: levels", "Fitted spread over that of the file, with its 90 % interval.", wide=True),
+            Panel(self.spreads, "Where it fails: levels", "Fitted spread over that of the file; 90 % interval.", wide=True),
         ]  # fmt: skip
 
     def chosen(self, parts: tuple[str, ...]) -> None:
         """Show what is in the model now, or will be once the fit is done."""
         self._parts = parts
-        self.remove.options = list(parts)
+        offer(self.remove, parts)
         self.remove.value = parts[-1] if parts else ""
         self.removing.disabled = not parts
 
     def show(self, found: LotDiagnosis, more: Sequence[str]) -> None:
         """Show the scores beside the model; ``more`` are further sentences."""
-        self.verdict.text = paragraphs([*more, left_sentence(found)])
-        self.add.options = [(one.name, score_words(one)) for one in found.candidates]
+        say(self.verdict, paragraphs([*more, left_sentence(found)]))
+        offer(self.add, {one.name: score_words(one) for one in found.candidates})
         self.add.value = found.candidates[0].name if found.candidates else ""
         self.adding.disabled = not found.candidates
         marked = [k for k, one in enumerate(found.candidates) if one.p_value < ALPHA]
         self.scores.text = table(_SCORES, [_score(one) for one in found.candidates], marked=marked, height=_HEIGHT)
         probes = [_score(one) for one in found.probes[:8]]
-        self.shapes.text = table(("pattern", *_SCORES[1:]), probes, marked=[k for k, one in enumerate(found.probes[:8]) if one.p_value < ALPHA])
+        self.shapes.text = table(
+            ("pattern", *_SCORES[1:]),
+            probes,
+            marked=[k for k, one in enumerate(found.probes[:8]) if one.p_value < ALPHA],
+        )
 
     def places(self, found: ChosenPopulation) -> None:
         """Show where the model fails by quantity and by level."""
@@ -95,18 +101,28 @@ class IrregularityPanel:
         ]
         self.quantities.text = table(("quantity", "sd", "inside the 90 % interval", "p of the shape"), rows)
         spreads = [
-            [name, LEVELS[one.level], number(one.ratio, 3), f"{number(one.low, 3)} to {number(one.high, 3)}", "yes" if one.agrees else "no"]
+            [
+                name,
+                LEVELS[one.level],
+                number(one.ratio, 3),
+                f"{number(one.low, 3)} to {number(one.high, 3)}",
+                "yes" if one.agrees else "no",
+            ]
             for name, one in found.spreads.items()
         ]
         patterns = [[name, LEVELS["all"], with_sd(one.ratio, one.sd), "", ""] for name, one in found.patterns.items()]
         marked = [k for k, one in enumerate(found.spreads.values()) if not one.agrees]
         self.spreads.text = table(
-            ("part", "level", "ratio", "90 % interval", "agrees with the file"), [*spreads, *patterns], words=(1,), marked=marked, height=_HEIGHT
+            ("part", "level", "ratio", "90 % interval", "agrees with the file"),
+            [*spreads, *patterns],
+            words=(1,),
+            marked=marked,
+            height=_HEIGHT,
         )
 
     def fail(self, line: str) -> None:
         """Show why the last wish failed; "" where it did not."""
-        self.error.text = error_line(line)
+        say(self.error, error_line(line))
 
     def _add(self) -> None:
         if self.add.value and self.add.value not in self._parts:

@@ -12,13 +12,12 @@ from reports.words.explore_lot import refused_sentences
 from reports.words.lot import ADAPTS, compare_lot_lines, diagnose_lot_lines
 
 from ..look import Panel, page
-from ..parts import paragraphs, text
+from ..parts import paragraphs, printed, text
 from ..worker import Session
 from .bench import ChosenPopulation, LotBench
 from .ladder_panel import LotLadderPanel
 from .map_panels import MapPanels
 from .parts_panel import IrregularityPanel
-
 
 
 class LotSession:
@@ -31,7 +30,7 @@ class LotSession:
         self.first: LotMaps | None = None
         self.irregularities = IrregularityPanel(self.change)
         self.ladder = LotLadderPanel()
-        self.maps = MapPanels()
+        self.maps = MapPanels(bench.radius_mm)
         self.compared = text()
         self.session = Session(document, self._tell, self._failed)
         page(
@@ -62,7 +61,7 @@ class LotSession:
         )
 
     def _compared(self, answer: LotComparisonAnswer) -> None:
-        self.compared.text = paragraphs(compare_lot_lines(answer))
+        self.compared.text = printed(compare_lot_lines(answer))
 
     def _fitted(self, found: ChosenPopulation) -> None:
         self.shown = found
