@@ -69,7 +69,7 @@ class IrregularityPanel:
             Panel(self.quantities, "Where it fails: quantities", "Each device against all others. Calibrated: sd 1, 90 % inside."),
             Panel(self.shapes, "Where it fails: patterns without a name", "Probes of the residual, the most significant first."),
             Panel(self.spreads, "Where it fails: levels", "Fitted spread over that of the file; 90 % interval.", wide=True),
-        ]  # fmt: skip
+        ]
 
     def chosen(self, parts: tuple[str, ...]) -> None:
         """Show what is in the model now, or will be once the fit is done."""
