@@ -77,14 +77,20 @@ def crossed_sentence(quantity: str) -> str:
 
 def shown_sentence(shown: int, of: int) -> str:
     """How many devices the map and the scatter plot show; empty if all."""
-    return "" if shown == of else f"{shown} of {of} devices are drawn, evenly chosen; choose a wafer to see all of its devices."
+    return (
+        ""
+        if shown == of
+        else f"{shown} of {of} devices are drawn, evenly chosen; choose a wafer to see all of its devices."
+    )
 
 
 def selected_sentence(number: int, passed: int) -> str:
     """The devices that are selected."""
     if number == 0:
         return "No device is selected."
-    return f"{number} device{'s are' if number > 1 else ' is'} selected, of which {passed} pass."
+    if number == 1:
+        return f"One device is selected; it {'passes' if passed else 'does not pass'}."
+    return f"{number} devices are selected, of which {passed} pass."
 
 
 def device_sentence(name: str, place: str, verdict: str, failed: Sequence[str], p_pass: float) -> str:

@@ -17,7 +17,9 @@ from typing import Any
 
 import jinja2
 from bokeh.document import Document
-from bokeh.models import UIElement
+from bokeh.models.annotations.legends import ColorBar, Legend
+from bokeh.models.ui.ui_element import UIElement
+from bokeh.models.widgets.widget import Widget
 from bokeh.plotting import figure
 
 from reports.html.style import AFTER, BEFORE, COLOURS, EDGES, INK, MUTED, RULE
@@ -32,6 +34,19 @@ HATCHES = {"pass": " ", "fail": "/", "undecided": "."}
 FEW = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 #: Lines of data and of limits on both backgrounds: contrast of at least 3 on each (WCAG 2.2, 1.4.11).
 DRAWN, LIMIT = "#7a8794", "#b5179e"
+#: Widgets live in shadow trees, which inherit variables and fonts but no rules.
+_WIDGETS = """
+:host { font: inherit; }
+.bk-input, .bk-btn { background-color: var(--page); color: var(--ink); border-color: var(--muted); }
+.bk-input, .bk-btn { font: inherit; font-size: 0.9rem; }
+select.bk-input { appearance: auto; background-image: none; }
+.bk-input option { background-color: var(--page); color: var(--ink); }
+.bk-input:focus, .bk-btn:focus, .bk-btn:focus-visible { outline: 2px solid var(--focus); outline-offset: 1px; }
+.bk-input::placeholder { color: var(--muted); }
+label { font-size: 0.85rem; }
+pre { font: 0.82rem/1.45 ui-monospace, "SF Mono", Menlo, Consolas, monospace; }
+"""
+_LEGENDS = ".bk-label { color: var(--ink) !important; }"
 _TEMPLATES = Path(__file__).with_name("templates")
 
 
@@ -72,6 +87,12 @@ def page(document: Document, title: str, lead: str, panels: Sequence[Panel]) -> 
     document.template_variables["tokens"] = {"ink": INK, "muted": MUTED, "rule": RULE}
     for one in panels:
         document.add_root(one.model)
+    for widget in document.select({"type": Widget}):
+        widget.stylesheets = [*widget.stylesheets, _WIDGETS]
+    for legend in (*document.select({"type": Legend}), *document.select({"type": ColorBar})):
+        legend.stylesheets = [*legend.stylesheets, _LEGENDS]
+        legend.background_fill_alpha = 0.0
+        legend.border_line_color = None
 
 
 def _loader() -> jinja2.FileSystemLoader:

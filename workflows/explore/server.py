@@ -3,14 +3,15 @@
 Every request passes one gate, before any handler sees it:
 
     method      GET or HEAD, else 405
-    Host        127.0.0.1:PORT or localhost:PORT, else 403.  A foreign name that resolves to this machine (DNS rebinding) ends here.
-    Origin      if there is one: the same two, else 403.  Other pages cannot open the websocket.
-    path        /TOKEN/..., compared in constant time, else 403.  The token has 256 random bits; page, scripts and websocket need it.
-    handler     the page, its websocket and Bokeh's own static files, else 404.
+    Host        127.0.0.1:PORT or localhost:PORT, else 403: a foreign name that resolves to this machine (DNS rebinding)
+    Origin      if there is one: the same two, else 403: another page that opens the websocket
+    path        /TOKEN/..., compared in constant time, else 403
+    handler     the page, its websocket and Bokeh's own static files, else 404
 
-The token is a part of the path rather than a cookie, because cookies of 127.0.0.1 are sent to every port of the machine.  Session
-ids are signed with a key of the process.  A Content-Security-Policy lets the page load from this server alone and run its own
-scripts alone: inline scripts by their hash, no ``eval``.
+The token has 256 random bits; page, scripts and websocket need it.  It is a part of the path rather than a cookie, because
+cookies of 127.0.0.1 are sent to every port of the machine.  Session ids are signed with a key of the process.  A
+Content-Security-Policy lets the page load from this server alone and run its own scripts alone: inline scripts by their hash, no
+``eval``.
 
 Sources: RFC 6454 (Origin); W3C Content Security Policy Level 3; the Jupyter Server's checks of token, Host and Origin.
 """

@@ -8,7 +8,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,8 @@ def served(view: Callable[[Any], None]) -> Iterator[str]:
         await serve(view, 0, lambda text: (address.append(text), ready.set()))
 
     def body() -> None:
-        try:
+        with suppress(asyncio.CancelledError):
             asyncio.run(run())
-        except asyncio.CancelledError:
-            pass
 
     thread = threading.Thread(target=body, daemon=True)
     thread.start()
@@ -109,7 +107,7 @@ class Visit:
         return self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
 
 
-@pytest.fixture()
+@pytest.fixture
 def visit(browser: Any) -> Iterator[Callable[..., Visit]]:
     """Opens a page: ``visit(address, width=1200, height=900, dark=False)``; waits until Bokeh has drawn it."""
     contexts = []

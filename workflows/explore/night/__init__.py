@@ -9,12 +9,17 @@ from pathlib import Path
 from bokeh.document import Document
 from bokeh.models.layouts import Column, Row
 from bokeh.models.ui.ui_element import UIElement
+from bokeh.models.widgets.markups import Div, PreText
 
 from reports.words.explore import FIGURES, NOTES
 
 from ..look import Panel, page
-from .markup import lead
-from .session import Session
+from .device_panel import DevicePanel
+from .file import toml_of
+from .limits_panel import LimitsPanel
+from .markup import lead, yield_html
+from .points_panels import PointsPanels
+from .state import NightState
 from .stored import load
 
 
@@ -31,34 +36,60 @@ def view(path: Path) -> Callable[[Document], None]:
     worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="judge")
 
     def fill(document: Document) -> None:
-        session = Session(night, document, worker)
-        page(document, f"Night {night.run_id}", lead(night), _panels(session))
+        page(document, f"Night {night.run_id}", lead(night), panels(NightState(night, document, worker)))
 
     return fill
 
 
-def _panels(session: Session) -> list[Panel]:
-    s = session
+def panels(state: NightState) -> list[Panel]:
+    """The panels of a page, in the order of reading."""
+    total, file = _yield(state), _file(state)
+    limits, points, device = LimitsPanel(state), PointsPanels(state), DevicePanel(state)
     parts: dict[str, list[UIElement]] = {
-        "yield": [s.total],
-        "limits": [s.quantity, s.distribution.figure, _row(s.low, s.high, s.reset), s.remark],
-        "wafer": [_row(s.wafer, s.colour), s.map.figure, s.drawn],
-        "scatter": [_row(s.x, s.y), s.pair],
-        "device": [_row(s.name, s.channel), s.details, s.left, s.curves.spectrum, s.curves.residual],
-        "file": [s.file],
-    }
+        "yield": [total],
+        "limits": [limits.quantity, limits.distribution.figure, _row(limits.low, limits.high, limits.reset), points.remark],
+        "wafer": [_row(points.wafer, points.colour), points.map.figure, points.drawn],
+        "scatter": [_row(points.x, points.y), points.pair],
+        "device": [
+            _row(device.name, device.channel), device.details, device.left, device.curves.spectrum,
+            device.curves.residual,
+        ],
+        "file": [file],
+    }  # fmt: skip
     wide, live = ("yield", "file"), ("yield",)
     return [
-        Panel(
-            items[0] if len(items) == 1 else Column(*items, sizing_mode="stretch_width", name=name),
-            FIGURES[name],
-            NOTES[name],
-            name in wide,
-            name in live,
-        )
-        for name, items in parts.items()
+        Panel(_column(*items), FIGURES[name], NOTES[name], name in wide, name in live) for name, items in parts.items()
     ]
+
+
+def _yield(state: NightState) -> Div:
+    """The yield as text."""
+    shown = Div(sizing_mode="stretch_width")
+
+    def show() -> None:
+        shown.text = yield_html(state.judged, state.message)
+
+    state.follow("verdicts", show)
+    state.follow("message", show)
+    show()
+    return shown
+
+
+def _file(state: NightState) -> PreText:
+    """The limits as a file."""
+    shown = PreText(styles={"max-height": "260px", "overflow": "auto"}, sizing_mode="stretch_width")
+
+    def show() -> None:
+        shown.text = toml_of(state.limits)
+
+    state.follow("verdicts", show)
+    show()
+    return shown
 
 
 def _row(*items: UIElement) -> Row:
     return Row(*items, sizing_mode="stretch_width")
+
+
+def _column(*items: UIElement) -> UIElement:
+    return items[0] if len(items) == 1 else Column(*items, sizing_mode="stretch_width")

@@ -50,7 +50,7 @@ class DeviceView:
 
 @threadpool_limits.wrap(limits=1)
 def device_view(night: StoredNight, number: int) -> DeviceView:
-    """Simulate or read the records of device ``number``, fit the nightly model from the stored estimates, and look at the residual.
+    """The records of device ``number``, simulated or read, and what the nightly model leaves, fitted from the stored estimates.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def device_view(night: StoredNight, number: int) -> DeviceView:
         worst.name,
         _error(fit.error),
         spectra(worst, _band(worst)),
-        0.5 * (edges[1:] + edges[:-1]) / worst.sample_rate_hz,
+        np.asarray(0.5 * (edges[1:] + edges[:-1])) / worst.sample_rate_hz,
         np.minimum.reduceat(worst.residual, edges[:-1], axis=0),
         np.maximum.reduceat(worst.residual, edges[:-1], axis=0),
     )

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from bokeh.models.annotations.geometry import Span
-from bokeh.models.mappers import CategoricalColorMapper, CategoricalMarkerMapper, LinearColorMapper
 from bokeh.models.annotations.legends import ColorBar
+from bokeh.models.mappers import CategoricalColorMapper, CategoricalMarkerMapper, LinearColorMapper
 from bokeh.models.renderers.glyph_renderer import GlyphRenderer
 from bokeh.models.sources import ColumnDataSource
 from bokeh.models.tools import HoverTool
@@ -31,6 +32,8 @@ from .stored import AXIS, StoredNight
 POINTS, WAFERS = 4000, 60
 _BINS = 48
 _PITCH = 2.3
+#: Ranges of a figure without data: Bokeh warns where it has to find them from nothing.
+_EMPTY: dict[str, Any] = {"x_range": (0.1, 1.0), "y_range": (0.1, 1.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,9 +119,7 @@ def distribution() -> Distribution:
     for end in ends:
         end.level = "overlay"
         drawn.add_layout(end)
-    drawn.legend.orientation = "horizontal"
-    drawn.legend.location = "top_left"
-    drawn.add_layout(drawn.legend[0], "above")
+    _legend_above(drawn)
     drawn.xgrid.visible = False
     return Distribution(drawn, bars, selected, ends[0], ends[1])
 
@@ -180,7 +181,7 @@ def _marks(drawn: figure, source: ColumnDataSource, x: str, y: str, size: float)
     return drawn.scatter(
         x, y, source=source, size=size, marker={"field": "verdict", "transform": shape},
         fill_color={"field": "verdict", "transform": colour}, line_color={"field": "verdict", "transform": edge},
-        line_width=1.5, fill_alpha=0.9, nonselection_alpha=0.12, selection_alpha=1.0,
+        line_width=1.5, legend_field="verdict", fill_alpha=0.9, nonselection_alpha=0.12, selection_alpha=1.0,
     )  # fmt: skip
 
 
@@ -198,7 +199,7 @@ class WaferMap:
 
 def wafer_map(source: ColumnDataSource) -> WaferMap:
     """A map of the drawn devices of ``source`` (mx, my, c, verdict, id)."""
-    drawn = plot("Wafer map", "", "", height=420, tools="tap,box_select,lasso_select,reset", match_aspect=True)
+    drawn = plot("Wafer map", "", "", height=400, tools="tap,box_select,lasso_select,reset", match_aspect=True)
     outlines = ColumnDataSource({"x": [], "y": [], "top": [], "name": []})
     drawn.circle(
         "x", "y", radius=1.05, source=outlines, fill_color=None, line_color=DRAWN, line_width=1,
@@ -210,11 +211,12 @@ def wafer_map(source: ColumnDataSource) -> WaferMap:
     )  # fmt: skip
     verdicts = _marks(drawn, source, "mx", "my", 8)
     scale = LinearColorMapper(palette="Cividis256", nan_color=DRAWN)
+    _legend_above(drawn)
     numbers = drawn.scatter(
         "mx", "my", source=source, size=9, marker="square", fill_color={"field": "c", "transform": scale},
         line_color=None, nonselection_alpha=0.12, selection_alpha=1.0,
     )  # fmt: skip
-    bar = ColorBar(color_mapper=scale, width=10, title="", visible=False, background_fill_alpha=0.0)
+    bar = ColorBar(color_mapper=scale, width=10, title="", visible=False)
     drawn.add_layout(bar, "right")
     drawn.axis.visible = False
     drawn.grid.visible = False
@@ -236,6 +238,7 @@ def scatter(source: ColumnDataSource) -> figure:
     """Two quantities of the drawn devices of ``source`` (x, y, verdict, id)."""
     drawn = plot("Two quantities", "", "", height=380, tools="tap,box_select,lasso_select,reset")
     _tooltips(drawn, [_marks(drawn, source, "x", "y", 7)])
+    drawn.legend.visible = False  # that of the wafer map serves both
     return drawn
 
 
@@ -251,7 +254,7 @@ class DeviceFigures:
 
 def device_figures() -> DeviceFigures:
     """Empty ones; fill their sources."""
-    spectrum = plot("Spectrum", "frequency, Hz", "amplitude, V", height=240, y_axis_type="log")
+    spectrum = plot("Spectrum", "frequency, Hz", "amplitude, V", height=240, y_axis_type="log", **_EMPTY)
     lines = ColumnDataSource({name: [] for name in ("f", "measured", "model", "residual", "floor")})
     for name, colour, dash in (
         ("measured", DRAWN, "solid"),
@@ -261,12 +264,30 @@ def device_figures() -> DeviceFigures:
     ):
         label = "noise" if name == "floor" else name
         spectrum.line("f", name, source=lines, line_color=colour, line_dash=dash, line_width=1.6, legend_label=label)
-    spectrum.legend.orientation = "horizontal"
-    spectrum.add_layout(spectrum.legend[0], "above")
-    residual = plot("Residual", "time, s", "residual, sigma", height=200)
+    _legend_above(spectrum)
+    residual = plot("Residual", "time, s", "residual, sigma", height=200, **_EMPTY)
     band = ColumnDataSource({name: [] for name in ("t", "low", "high")})
     residual.varea("t", "low", "high", source=band, fill_color=COLOURS["fail"], fill_alpha=0.7)
+    # Without a device there is nothing to draw.
+    spectrum.visible = residual.visible = False
     return DeviceFigures(spectrum, residual, lines, band)
+
+
+def fit_ranges(drawn: figure, x: FloatArray, *curves: FloatArray, log: bool = False) -> None:
+    """The ranges of ``drawn`` to its curves against ``x``, with room; ``log``: decades, and no value at or below 0."""
+    values = np.concatenate([curve[np.isfinite(curve) & ((curve > 0.0) | (not log))] for curve in curves])
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.1, 1.0)
+    room = 0.05 * (high - low) or 1.0
+    drawn.x_range.start, drawn.x_range.end = float(x[0]), float(x[-1])
+    drawn.y_range.start, drawn.y_range.end = (0.7 * low, 1.4 * high) if log else (low - room, high + room)
+    for axis in (drawn.x_range, drawn.y_range):
+        axis.reset_start, axis.reset_end = axis.start, axis.end
+
+
+def _legend_above(drawn: figure) -> None:
+    """The legend above the figure, where it hides nothing."""
+    drawn.legend.orientation = "horizontal"
+    drawn.add_layout(drawn.legend[0], "above")
 
 
 def axis_words(drawn: figure, x: str, y: str | None = None) -> None:

@@ -44,13 +44,14 @@ def device_html(night: StoredNight, found: Judged, number_: int) -> str:
     text = words.device_sentence(
         name, night.wafers[number_], VERDICTS[int(found.codes[number_])], failed, float(found.p_pass[number_])
     )
-    status = words.status_sentence(
-        night.status(found.limits)[number_], devices.text("status_reason", [number_])[0]
-    )
+    status = words.status_sentence(night.status(found.limits)[number_], devices.text("status_reason", [number_])[0])
     limits = {one.quantity: one for one in found.limits.limits}
     quantities = dict.fromkeys((*limits, "theta_deg", "split_hz"))
     rows = "".join(_row(night, quantity, limits.get(quantity), number_) for quantity in quantities)
-    head = "".join(f'<th style="text-align: right; padding: 0 10px 0 0">{one}</th>' for one in ("", "estimate", "sd", "limit", "truth"))
+    head = "".join(
+        f'<th style="text-align: right; padding: 0 10px 0 0">{one}</th>'
+        for one in ("", "estimate", "sd", "limit", "truth")
+    )
     table = (
         '<div style="overflow-x: auto"><table style="border-collapse: collapse; font-variant-numeric: tabular-nums">'
         f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
@@ -60,7 +61,9 @@ def device_html(night: StoredNight, found: Judged, number_: int) -> str:
 
 def _row(night: StoredNight, quantity: str, limit: Limit | None, row: int) -> str:
     value, sd, true = (float(night.value(name)[row]) for name in (quantity, f"{quantity}_sd", f"true_{quantity}"))
-    digits = 3 if not np.isfinite(sd) or sd <= 0.0 else int(np.clip(np.ceil(np.log10(max(abs(value) / sd, 1.0))) + 2, 3, 9))
+    digits = (
+        3 if not np.isfinite(sd) or sd <= 0.0 else int(np.clip(np.ceil(np.log10(max(abs(value) / sd, 1.0))) + 2, 3, 9))
+    )
     unit = UNITS.get(quantity, "")
     out = limit is not None and np.isfinite(value) and not bool(limit.admits(np.array(value)))
     cells = [
@@ -71,10 +74,12 @@ def _row(night: StoredNight, quantity: str, limit: Limit | None, row: int) -> st
         number(true, digits),
     ]
     weight = "font-weight: 700" if out else ""
-    return f'<tr style="{weight}">' + "".join(
-        f'<td style="text-align: {"left" if k == 0 else "right"}; padding: 1px 10px 1px 0; white-space: nowrap">{escape(cell)}</td>'
-        for k, cell in enumerate(cells)
-    ) + "</tr>"
+    return f'<tr style="{weight}">{"".join(_cell(cell, first=k == 0) for k, cell in enumerate(cells))}</tr>'
+
+
+def _cell(text: str, first: bool) -> str:
+    side = "left" if first else "right"
+    return f'<td style="text-align: {side}; padding: 1px 10px 1px 0; white-space: nowrap">{escape(text)}</td>'
 
 
 def note_html(text: str) -> str:

@@ -119,7 +119,7 @@ def kept(found: Weights, limits: Limits, moving: str, draws: dict[str, Deviation
     own = np.ones_like(found.met)
     for one in others:
         own &= draws[one.quantity].meet(one)
-    return Kept(others, own | (found.met << 1))
+    return Kept(others, own | np.left_shift(found.met, 1, dtype=np.uint8))
 
 
 def p_conform(found: Weights, limits: Limits, moving: Deviations | None, limit: Limit | None, own: Kept) -> FloatArray:

@@ -1,0 +1,133 @@
+"""What the panels of one page of a night share, and who is told when it changes.
+
+A limit that moves is judged by the preview within the frame; when it has rested for ``_REST_MS`` the judgement itself starts in a
+thread, and replaces the preview if the limits are still the same.
+
+    event        told when
+    verdicts     the verdicts are others: a preview, or the judgement
+    judged       the judgement itself has come
+    message      a limit was refused, or that has passed
+    wafer        other devices are shown
+    selection    other devices are selected
+    device       another device is looked at
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import Any, Literal
+
+import numpy as np
+from bokeh.document import Document
+
+from pipeline.arrays import IntArray
+from pipeline.errors import GyroscreenError
+from reports.limits import Limits
+
+from .file import moved
+from .judged import again, as_stored, preview
+from .preview import Kept
+from .stored import StoredNight
+
+Event = Literal["verdicts", "judged", "message", "wafer", "selection", "device"]
+_REST_MS = 250
+
+
+class NightState:
+    """The state of one page; it belongs to its session alone, the run in it to all."""
+
+    def __init__(self, night: StoredNight, document: Document, worker: Executor) -> None:
+        self.night, self.document, self.worker = night, document, worker
+        self.limits: Limits = night.limits
+        self.judged = as_stored(night)
+        self.message = ""
+        self.wafer = ""
+        self.selected: IntArray = np.zeros(0, dtype=np.int64)
+        self.device: int | None = None
+        self._kept: Kept | None = None
+        self._timer: Any = None
+        self._quiet = False
+        self._told: dict[Event, list[Callable[[], None]]] = {}
+
+    def follow(self, event: Event, action: Callable[[], None]) -> None:
+        """Run ``action`` whenever ``event`` is told."""
+        self._told.setdefault(event, []).append(action)
+
+    def tell(self, *events: Event) -> None:
+        """Tell all who follow the events."""
+        for event in events:
+            for action in self._told.get(event, ()):
+                action()
+
+    def then(self, action: Callable[[], None]) -> Callable[[str, Any, Any], None]:
+        """``action`` as the answer to a change that the user makes; what :meth:`quietly` changes is no event."""
+
+        def changed(attribute: str, old: Any, new: Any) -> None:
+            if not self._quiet:
+                action()
+
+        return changed
+
+    def quietly(self, action: Callable[[], None]) -> None:
+        """Run ``action``, whose changes of widgets are no events."""
+        before, self._quiet = self._quiet, True
+        try:
+            action()
+        finally:
+            self._quiet = before
+
+    def take(self, quantity: str, low: float, high: float) -> None:
+        """Judge by the limits with that of ``quantity`` at ``low`` and ``high``; a refused limit changes nothing."""
+        try:
+            limits = moved(self.limits, quantity, low, high)
+        except GyroscreenError as error:
+            self._say(str(error))
+            return
+        self._say("")
+        if limits == self.limits:
+            return
+        self.limits = limits
+        self.judged, self._kept = preview(self.night, limits, quantity, self._kept)
+        self.tell("verdicts")
+        if self._timer is not None:
+            self.document.remove_timeout_callback(self._timer)
+        self._timer = self.document.add_timeout_callback(self._rested, _REST_MS)
+
+    def restore(self) -> None:
+        """Back to the limits of the run."""
+        self.limits, self.judged, self._kept = self.night.limits, as_stored(self.night), None
+        self._say("")
+        self.tell("verdicts", "judged")
+
+    def work(self, task: Callable[[], Any], done: Callable[[Any], None]) -> None:
+        """Run ``task`` in the thread for work, then ``done`` with its result or its typed error."""
+
+        def run() -> None:
+            found: Any
+            try:
+                found = task()
+            except GyroscreenError as error:
+                found = error
+            self.document.add_next_tick_callback(lambda: done(found))
+
+        self.worker.submit(run)
+
+    def _rested(self) -> None:
+        self._timer = None
+        limits = self.limits
+        self.work(lambda: again(self.night, limits), lambda found: self._replace(limits, found))
+
+    def _replace(self, limits: Limits, found: Any) -> None:
+        if limits != self.limits:
+            return
+        if isinstance(found, GyroscreenError):
+            self._say(str(found))
+            return
+        self.judged = found
+        self.tell("verdicts", "judged")
+
+    def _say(self, message: str) -> None:
+        if message != self.message:
+            self.message = message
+            self.tell("message")
