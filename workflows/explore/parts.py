@@ -18,8 +18,12 @@ from bokeh.models.widgets.inputs import Select
 from bokeh.models.widgets.markups import Div
 from bokeh.plotting import figure
 
+#: Angle of the names of models on an axis [rad]: side by side they would overlap in a narrow window.
+TILT = 0.4
 #: The colours are those of the page (look.py), which a part inherits.
 _TABLE = """
+:host { min-width: 0; max-width: 100%; }
+.bk-clearfix { display: block; min-width: 0; max-width: 100%; }
 .scroll { overflow-x: auto; max-height: var(--table-height, none); overflow-y: auto; }
 table { border-collapse: collapse; font-size: 0.87rem; width: 100%; }
 th, td { padding: 3px 10px 3px 0; text-align: right; vertical-align: top; white-space: nowrap; }
@@ -108,7 +112,8 @@ def controls(*elements: UIElement) -> Row:
 
 def stacked(*elements: UIElement) -> Column:
     """Elements below each other, as wide as the panel."""
-    return column(*elements, sizing_mode="stretch_width", spacing=8)
+    narrow = InlineStyleSheet(css=":host { min-width: 0; max-width: 100%; }")
+    return column(*elements, sizing_mode="stretch_width", spacing=8, stylesheets=[narrow])
 
 
 def offer(select: Select, options: Mapping[str, str] | Sequence[str]) -> None:

@@ -16,7 +16,7 @@ from reports.words.numbers import number, with_sd
 from reports.words.quantities import percent
 
 from ..look import AFTER, DRAWN, plot
-from ..parts import legend_above, show_range, stacked, table, text
+from ..parts import TILT, legend_above, show_range, stacked, table, text
 from .bench import ChosenModel
 
 _HEADS = ("model", "status", "error, fitted", "held-out", "relative error", "Δχ²", "θ, deg", "split, Hz", "device")
@@ -62,6 +62,7 @@ class LadderPanel:
             self.figure.scatter(
                 "name", column, source=self.source, marker=marker, size=9, color=colour, legend_label=label
             )
+        self.figure.xaxis.major_label_orientation = TILT
         legend_above(self.figure)
         self.table = text()
 

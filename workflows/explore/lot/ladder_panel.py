@@ -15,7 +15,7 @@ from reports.words.lot import forecast_words
 from reports.words.numbers import number
 
 from ..look import AFTER, DRAWN, Panel, plot
-from ..parts import paragraphs, show_range, stacked, table, text
+from ..parts import TILT, paragraphs, show_range, stacked, table, text
 
 _HEADS = (
     "model",
@@ -70,6 +70,8 @@ class LotLadderPanel:
         )
         self.score.line("name", "score", source=self.scores, color=AFTER, line_width=1.5)
         self.score.scatter("name", "score", source=self.scores, size=9, color=AFTER)
+        for drawn in (self.forecast, self.score):
+            drawn.xaxis.major_label_orientation = TILT
         self.table = text()
         self.note = text()
 
