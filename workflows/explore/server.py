@@ -22,7 +22,9 @@ import asyncio
 import base64
 import hashlib
 import hmac
+import os
 import secrets
+import socket
 from collections.abc import Callable
 from html.parser import HTMLParser
 from typing import Any
@@ -35,7 +37,6 @@ from bokeh.embed.server import server_html_page_for_session
 from bokeh.resources import Resources
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
-from bokeh.server.util import bind_sockets
 from bokeh.server.views.doc_handler import DocHandler
 from bokeh.server.views.static_handler import StaticHandler
 from bokeh.server.views.ws import WSHandler
@@ -66,20 +67,12 @@ async def serve(view: View, port: int, ready: Callable[[str], None]) -> None:
     ------
     UsageError : the port cannot be used.
     """
-    try:
-        sockets, bound = bind_sockets(_LOOPBACK, port)
-    except (OSError, OverflowError) as error:
-        reason = (getattr(error, "strerror", None) or str(error)).lower()
-        raise UsageError(
-            f"the port cannot be used: {reason}",
-            value=port,
-            allowed="a free port from 1024 to 65535, or 0 for any",
-            next_step="leave --port out",
-        ) from None
+    listening = _listening(port)
+    bound = int(listening.getsockname()[1])
     token = secrets.token_urlsafe(32)
     application = _Guarded(view, bound, token)
     http = HTTPServer(application)
-    http.add_sockets(sockets)
+    http.add_sockets([listening])
     server = BaseServer(IOLoop.current(), application, http)
     server.start()
     try:
@@ -88,6 +81,27 @@ async def serve(view: View, port: int, ready: Callable[[str], None]) -> None:
     finally:
         server.stop()
         await http.close_all_connections()
+
+
+def _listening(port: int) -> socket.socket:
+    """A socket that listens on this machine alone; raises as :func:`serve`."""
+    found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        if os.name != "nt":  # there it would let two programs listen on one port
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.bind((_LOOPBACK, port))
+        found.listen()
+        found.setblocking(False)
+    except (OSError, OverflowError) as error:
+        found.close()
+        reason = (getattr(error, "strerror", None) or str(error)).lower()
+        raise UsageError(
+            f"the port cannot be used: {reason}",
+            value=port,
+            allowed="a free port from 1024 to 65535, or 0 for any",
+            next_step="leave --port out",
+        ) from None
+    return found
 
 
 class _Guarded(BokehTornado):

@@ -15,8 +15,13 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+import tomli_w
 
-pytest.importorskip("bokeh", reason="the extra [explore] is not installed")
+from pipeline.store.run import create_run
+from pipeline.toml_files import converted
+from workflows.config import RunConfig, to_toml_table
+from workflows.screening.block import DeviceBlock, virtual_block
+from workflows.screening.plan import without_none
 
 #: Names under which Chromium is installed; GYROSCREEN_CHROMIUM names another one.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -131,14 +136,32 @@ def visit(browser: Any) -> Iterator[Callable[..., Visit]]:
         context.close()
 
 
+#: Loud noise and limits within the population, so that posteriors are wide and devices lie near limits.
+NIGHT: dict[str, Any] = {
+    "run": {"devices": 24, "seed": 5},
+    "noise": {"sigma_v": 0.1},
+    "gate": {"bias_fraction": 100.0, "theta_bias_max_deg": 90.0},
+    "posterior": {"walkers": 24, "steps": 8, "rhat_max": 2.0, "ess_min": 10.0, "stored_draws": 60},
+    "limits": {
+        "f1_hz": {"min": 528.0, "max": 542.0},
+        "split_hz": {"max": 3.5},
+        "rate_bias_dps": {"min": -20.0, "max": 20.0},
+    },
+}
+
+
+def made_night(results: Path, table: dict[str, Any]) -> Path:
+    """A run of virtual devices with the configuration ``table``, made in this process; returns its folder."""
+    config = converted(table, RunConfig, "run")
+    count = config.run.devices
+    store = create_run(results, "r", tomli_w.dumps(without_none(to_toml_table(config))), {"seed": config.run.seed})
+    found = virtual_block(config, DeviceBlock(0, 0, count))
+    store.commit_block(0, found.devices, found.posterior)
+    store.finish("complete", {})
+    return results / "run=r"
+
+
 @pytest.fixture(scope="session")
 def night(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results folder with a run of 40 devices on two wafers."""
-    from workflows.cli import call
-
-    folder = tmp_path_factory.mktemp("night")
-    config = folder / "night.toml"
-    config.write_text("[run]\ndevices = 40\nseed = 5\n")
-    results = folder / "results"
-    assert call(["run", str(config), "--out", str(results), "--workers", "1", "--json"]) in (0, 1)
-    return results
+    """Folder of a run of 24 devices."""
+    return made_night(tmp_path_factory.mktemp("night"), NIGHT)

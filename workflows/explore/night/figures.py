@@ -20,13 +20,14 @@ from bokeh.plotting import figure
 
 from pipeline.arrays import FloatArray, IntArray
 from pipeline.axial import difference, mean_axis
+from pipeline.quantities import AXES
 from reports.limits import Limit
 from reports.words.explore import quantity_words
 from reports.yields import natural
 
 from ..look import COLOURS, DRAWN, EDGES, HATCHES, MARKERS, plot
 from .preview import VERDICTS
-from .stored import AXIS, StoredNight
+from .stored import StoredNight
 
 #: Most devices that are drawn one by one; most wafers that are drawn side by side.
 POINTS, WAFERS = 4000, 60
@@ -74,7 +75,7 @@ class Window:
 def window_of(quantity: str, values: FloatArray, limit: Limit | None) -> Window:
     """The window of a quantity: the central 98 % of its values and its limits, with room beyond; for an axis 180 deg."""
     finite = values[np.isfinite(values)]
-    if quantity == AXIS:
+    if quantity in AXES:
         middle = 0.5 * (limit.low + limit.high) if limit is not None else mean_axis(finite)
         middle = 0.0 if math.isnan(middle) else middle
         low, high = middle - 90.0, middle + 90.0

@@ -15,7 +15,7 @@ Shapes: B devices, n draws each, absent ones at the end of a row.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from numba import njit
 
 from pipeline.arrays import FloatArray, IntArray
 from pipeline.axial import PERIOD_DEG, difference
+from pipeline.quantities import AXES
 from reports.coded import CodedText
 from reports.limits import Limit, Limits
 from reports.what_if.draws import DrawBatch, contains
@@ -55,21 +56,26 @@ class Deviations:
         return out
 
 
-def deviations(name: str, axis: bool, centre: FloatArray, batches: Iterable[DrawBatch]) -> Deviations:
-    """The draws of the quantity ``name`` from ``batches`` (each device at most once); ``centre`` (B,) are its estimates.
+def deviations(centres: Mapping[str, FloatArray], batches: Iterable[DrawBatch], most: int = 0) -> dict[str, Deviations]:
+    """The draws of the quantities in ``centres`` (their estimates (B,), nan where unknown) from ``batches``.
 
-    ``axis`` : it is an angle modulo 180 deg.
+    ``batches`` hold each device at most once; ``most`` : expected largest number of draws of a device.
     """
-    parts = [(batch.rows, batch.values[name]) for batch in batches]
-    most = max((values.shape[1] for _, values in parts), default=0)
-    draws = np.full((centre.size, most), np.nan, dtype=np.float32)
-    size = np.zeros(centre.size, dtype=np.int64)
-    middle = np.where(np.isnan(centre), 0.0, centre)
-    for rows, values in parts:
-        away = difference(values, middle[rows, None]) if axis else values - middle[rows, None]
-        draws[rows, : values.shape[1]] = away
-        size[rows] = values.shape[1]
-    return Deviations(middle, draws, size)
+    middles = {name: np.where(np.isnan(centre), 0.0, centre) for name, centre in centres.items()}
+    rows = next(iter(middles.values())).size
+    draws = {name: np.full((rows, most), np.nan, dtype=np.float32) for name in middles}
+    size = np.zeros(rows, dtype=np.int64)
+    for batch in batches:
+        for name, middle in middles.items():
+            values, own = batch.values[name], middle[batch.rows, None]
+            if values.shape[1] > draws[name].shape[1]:
+                draws[name] = np.pad(
+                    draws[name], ((0, 0), (0, values.shape[1] - draws[name].shape[1])), constant_values=np.nan
+                )
+            away = difference(values, own) if name in AXES else values - own
+            draws[name][batch.rows, : values.shape[1]] = away
+            size[batch.rows] = values.shape[1]
+    return {name: Deviations(middle, draws[name], size) for name, middle in middles.items()}
 
 
 @dataclass(frozen=True, eq=False)

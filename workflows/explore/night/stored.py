@@ -22,7 +22,6 @@ from reports.coded import CodedText
 from reports.common_errors import given_common, with_common
 from reports.devices import Devices
 from reports.limits import Limits
-from reports.what_if.draws import DrawBatch
 from reports.yields import Yield, natural, yield_of_verdicts
 
 from ...config import RunConfig
@@ -38,7 +37,6 @@ from .preview import Deviations, Weights, deviations, weights
 
 #: Texts and numbers that the page shows beside the quantities.
 _TEXTS = ("device_id", "lot", "wafer", "package", "status", "status_reason", "verdict", "failed_limits")
-AXIS = "theta_deg"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +100,9 @@ class StoredNight:
     def draws(self, *quantities: str) -> dict[str, Deviations]:
         """The draws of ``quantities``, read from disk when they are first asked for."""
         with self._lock:
-            for name in quantities:
-                if name not in self._draws:
-                    self._draws[name] = self._read(name)
+            missing = tuple(dict.fromkeys(name for name in quantities if name not in self._draws))
+            if missing:
+                self._draws.update(self._read(missing))
             return {name: self._draws[name] for name in quantities}
 
     @cached_property
@@ -112,15 +110,17 @@ class StoredNight:
         """Weights of the draws by the limits of the run."""
         return weights(self.limits, self.devices.number("p_pass"), self.draws(*self.limits.quantities))
 
-    def _read(self, name: str) -> Deviations:
+    def _read(self, names: tuple[str, ...]) -> dict[str, Deviations]:
+        """The draws of ``names`` in one pass over the files."""
         inputs = open_run(self.results, self.run_id).page(INPUTS)
         rate = common_rate(self.config, inputs, self.run_id)
 
-        def read(tables: StoredRun) -> list[DrawBatch]:
-            stored = StoredDraws(self.config, self.devices, tables.posterior, (name,), rate)
-            return list(stored.batches(np.ones(len(self.devices), dtype=np.bool_)))
+        def read(tables: StoredRun) -> dict[str, Deviations]:
+            stored = StoredDraws(self.config, self.devices, tables.posterior, names, rate)
+            batches = stored.batches(np.ones(len(self.devices), dtype=np.bool_))
+            return deviations({name: self.value(name) for name in names}, batches, stored.per_device)
 
-        return deviations(name, name == AXIS, self.value(name), with_run(self.results, self.run_id, read))
+        return with_run(self.results, self.run_id, read)
 
     @cached_property
     def source(self) -> Source:
