@@ -89,10 +89,13 @@ class Session:
 
     def _finish(self, then: Callable[[], None] | None) -> None:
         self._open -= 1
-        if not self._open:
-            self._told("")
-        if then is not None:
-            then()
+        try:
+            if then is not None:
+                then()
+        finally:
+            # What was shown may have asked for more.
+            if not self._open:
+                self._told("")
 
     def _next(self, call: Callable[[], None]) -> None:
         if not self._closed:
