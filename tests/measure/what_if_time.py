@@ -33,16 +33,21 @@ rate_bias_dps = { min = -30.0, max = 30.0 }
 """
 
 
+def stub_run(folder: Path, devices: int) -> None:
+    """A run "r" of stub devices with 100 stored draws each, in whole blocks."""
+    config = RunConfig()
+    store = create_run(folder, "r", tomli_w.dumps(without_none(to_toml_table(config))), {"seed": 0})
+    for block in range(devices // ROWS):
+        tables = StubRows()(config, BlockItem(DeviceBlock(block, block * ROWS, ROWS)), unguarded)
+        store.commit_block(block, tables.devices, tables.posterior)
+    store.finish("complete", {})
+
+
 def main() -> None:
     """Make each run, judge it again, print the least time."""
     for devices in [int(text) for text in sys.argv[1:]] or [10_000, 100_000]:
         with tempfile.TemporaryDirectory(prefix="gyroscreen-what-if-") as folder:
-            config = RunConfig()
-            store = create_run(Path(folder), "r", tomli_w.dumps(without_none(to_toml_table(config))), {"seed": 0})
-            for block in range(devices // ROWS):
-                tables = StubRows()(config, BlockItem(DeviceBlock(block, block * ROWS, ROWS)), unguarded)
-                store.commit_block(block, tables.devices, tables.posterior)
-            store.finish("complete", {})
+            stub_run(Path(folder), devices)
             limits = Path(folder) / "new.toml"
             limits.write_text(LIMITS, encoding="utf-8")
             command = [sys.executable, "-m", "workflows.cli", "report", "--results", folder, "--limits", str(limits)]

@@ -43,6 +43,8 @@ select.bk-input { appearance: auto; background-image: none; }
 .bk-input option { background-color: var(--page); color: var(--ink); }
 .bk-input:focus, .bk-btn:focus, .bk-btn:focus-visible { outline: 2px solid var(--focus); outline-offset: 1px; }
 .bk-input::placeholder { color: var(--muted); }
+/* Without a name and in the way of the Tab key; the arrow keys do the same. */
+.bk-spin-btn { display: none !important; }
 label { font-size: 0.85rem; }
 pre { font: 0.82rem/1.45 ui-monospace, "SF Mono", Menlo, Consolas, monospace; }
 """

@@ -143,9 +143,9 @@ NIGHT: dict[str, Any] = {
     "gate": {"bias_fraction": 100.0, "theta_bias_max_deg": 90.0},
     "posterior": {"walkers": 24, "steps": 8, "rhat_max": 2.0, "ess_min": 10.0, "stored_draws": 60},
     "limits": {
-        "f1_hz": {"min": 528.0, "max": 542.0},
-        "split_hz": {"max": 3.5},
-        "rate_bias_dps": {"min": -20.0, "max": 20.0},
+        "f1_hz": {"min": 527.0, "max": 544.0},
+        "split_hz": {"max": 4.0},
+        "rate_bias_dps": {"min": -30.0, "max": 30.0},
     },
 }
 

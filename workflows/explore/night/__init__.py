@@ -64,7 +64,7 @@ def panels(state: NightState) -> list[Panel]:
 
 def _yield(state: NightState) -> Div:
     """The yield as text."""
-    shown = Div(sizing_mode="stretch_width")
+    shown = Div(sizing_mode="stretch_width", name="yield")
 
     def show() -> None:
         shown.text = yield_html(state.judged, state.message)
@@ -77,7 +77,7 @@ def _yield(state: NightState) -> Div:
 
 def _file(state: NightState) -> PreText:
     """The limits as a file."""
-    shown = PreText(styles={"max-height": "260px", "overflow": "auto"}, sizing_mode="stretch_width")
+    shown = PreText(name="file", styles={"max-height": "260px", "overflow": "auto"}, sizing_mode="stretch_width")
 
     def show() -> None:
         shown.text = toml_of(state.limits)

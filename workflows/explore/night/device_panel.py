@@ -64,7 +64,7 @@ class DevicePanel:
             return
         self.looked = found
         virtual = self.state.night.config.source.kind == "population"
-        self.left.text = markup.note_html(words.residual_sentence(found.record, found.error, virtual))
+        self.left.text = markup.note_html(words.residual_sentence(found.record, found.error, virtual), "residual")
         self.draw()
 
     def show(self) -> None:

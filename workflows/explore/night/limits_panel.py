@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from reports.words import explore as words
 
 from . import figures as draw
 from .state import NightState
+
+#: Shortest and longest pause before a moved line is answered [ms].
+_PAUSE_MS = (10, 80)
 
 
 class LimitsPanel:
@@ -31,7 +35,7 @@ class LimitsPanel:
         self.reset = Button(label="Limits of the run", align="end", **wide)
         self.distribution = draw.distribution()
         self.window = draw.window_of("", np.zeros(0), None)
-        self._waiting = False
+        self._waiting, self._pause_ms = False, _PAUSE_MS[0]
         self.quantity.on_change("value", state.then(self.choose))
         for span, spinner in ((self.distribution.low, self.low), (self.distribution.high, self.high)):
             span.on_change("location", state.then(self._moves))
@@ -82,14 +86,19 @@ class LimitsPanel:
             spinner.value = end if math.isfinite(end) else None
 
     def _moves(self) -> None:
-        # Events that arrive while a preview is computed are answered by one further preview of the last position.
+        # Every position of the mouse is an event.  Those that came while a preview was computed are read in the pause, and one
+        # further preview answers them all; without it each would be answered, later and later.
         if not self._waiting:
             self._waiting = True
-            self.state.document.add_next_tick_callback(self.dragged)
+            self.state.document.add_timeout_callback(self.dragged, self._pause_ms)
 
     def dragged(self) -> None:
         """Take the limit over from the lines."""
-        self._waiting = False
+        self._waiting, start = False, time.perf_counter()
+        self._follow_lines()
+        self._pause_ms = int(np.clip(1e3 * (time.perf_counter() - start), *_PAUSE_MS))
+
+    def _follow_lines(self) -> None:
         wanted = []
         for span, _, before in self._ends():
             if not span.visible or span.location is None:

@@ -33,7 +33,8 @@ def yield_html(found: Judged, message: str) -> str:
     ]
     if message:
         parts.append(f'<strong class="refused">{escape(message)}</strong>')
-    return "".join(f'<div style="margin: 2px 0">{part}</div>' for part in parts)
+    lines = "".join(f'<div style="margin: 2px 0">{part}</div>' for part in parts)
+    return f'<div class="total">{lines}</div>'
 
 
 def device_html(night: StoredNight, found: Judged, number_: int) -> str:
@@ -82,9 +83,9 @@ def _cell(text: str, first: bool) -> str:
     return f'<td style="text-align: {side}; padding: 1px 10px 1px 0; white-space: nowrap">{escape(text)}</td>'
 
 
-def note_html(text: str) -> str:
-    """A remark."""
-    return f"<span {_SMALL}>{escape(text)}</span>"
+def note_html(text: str, name: str = "note") -> str:
+    """A remark; ``name`` is its class."""
+    return f'<span class="{name}" {_SMALL}>{escape(text)}</span>'
 
 
 def lead(night: StoredNight) -> str:
