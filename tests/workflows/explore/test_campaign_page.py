@@ -133,8 +133,8 @@ def test_what_fails_is_one_line_and_the_model_before_stays(page):
 
 def test_the_residual_is_that_of_the_record_in_volts_and_in_sigmas(page, bench):
     document = opened(page)
-    views = {one.name: one for one in bench.first[0]}
-    record, unit = titled(document, "Record"), next(one for one in document.models if hasattr(one, "active"))
+    views = {one.name: one for one in bench.first}
+    record, unit = titled(document, "Record"), titled(document, "Unit")
     time = next(one for one in document.models if getattr(one, "name", None) == "Residual by time")
     curve = time.renderers[0].data_source
     assert set(views) == {name for name, _ in record.options}
@@ -142,7 +142,7 @@ def test_the_residual_is_that_of_the_record_in_volts_and_in_sigmas(page, bench):
     residual = views["chirp-low"].residual[:, 0]
     blocks = np.asarray(curve.data["y"])
     assert np.sqrt(np.mean(blocks**2)) == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.01)
-    unit.active = 1
+    unit.value = "V"
     volts = np.asarray(curve.data["y"])
     left = views["chirp-low"].measured_v[:, 0] - views["chirp-low"].model_v[:, 0]
     assert np.sqrt(np.mean(volts**2)) == pytest.approx(left.std(), rel=0.01)

@@ -20,14 +20,13 @@ from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.next_experiment.experiments import Experiment
 from pipeline.learning.next_experiment.predicted import NextRecord, next_experiments, next_record
-from reports.learning.record_view import RecordView
-from reports.learning.tone_view import ToneView
 
 from ...device.measured import Measured
 from ...learning import Answers, ComparisonResult, compare
 from ...learning.device_verdict import with_verdicts
 from ...learning.views import records_of, tones_of
 from .chosen import chosen_selection
+from .curves import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +38,13 @@ class ChosenModel:
     terms : the chosen effects in their order.
     refinement : their ladder, with the verdict on each rung.
     judged : for each chosen effect the test by which ``refine`` accepts or refuses it.
-    records, tones : beside this model; empty for a measurement without them.
+    views : records in time, sweeps and responses beside this model; empty for a modal record.
     """
 
     terms: tuple[str, ...]
     refinement: RefinementAnswer
     judged: tuple[RefitTest, ...]
-    records: tuple[RecordView, ...]
-    tones: tuple[ToneView, ...]
+    views: tuple[View, ...]
 
 
 class CampaignBench:
@@ -70,10 +68,12 @@ class CampaignBench:
         return self._compared.answer
 
     @cached_property
-    def first(self) -> tuple[tuple[RecordView, ...], tuple[ToneView, ...]]:
-        """Records and tones beside the given model."""
+    def first(self) -> tuple[View, ...]:
+        """Records in time, sweeps and responses beside the given model; nothing where its fit failed."""
         found = self._compared
-        return tuple(records_of(found.problem, found.fit)), tuple(tones_of(found.problem, found.fit))
+        if not found.problem.fit(()).ok:
+            return ()
+        return (*records_of(found.problem, found.fit), *tones_of(found.problem, found.fit))
 
     def diagnosis(self, terms: tuple[str, ...] = ()) -> DiagnosisAnswer:
         """What ``gyroscreen diagnose`` says of the given model with ``terms``: candidates with their scores, and the verdict."""
@@ -99,8 +99,7 @@ class CampaignBench:
                 terms,
                 _refinement(answers, ladder),
                 found.judged,
-                tuple(records_of(answers.problem, fit)),
-                tuple(tones_of(answers.problem, fit)),
+                (*records_of(answers.problem, fit), *tones_of(answers.problem, fit)),
             )
         return self._chosen[terms]
 

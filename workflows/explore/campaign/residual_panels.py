@@ -9,20 +9,17 @@ from typing import Any
 import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 from bokeh.models.annotations.geometry import Span
-from bokeh.models.widgets.groups import RadioButtonGroup
 from bokeh.models.widgets.inputs import Select
 from bokeh.plotting import figure
 
-from reports.learning.record_view import RecordView
 from reports.words.explore_loop import NO_RECORDS
 from reports.words.quantities import error_words
 
 from ..look import AFTER, BEFORE, DRAWN, Panel, plot
 from ..parts import controls, legend_above, offer, on, show_range, stacked, text
-from .curves import Curve, bands, by_drive, by_frequency, by_response, by_time, worst
+from .curves import Curve, View, bands, by_drive, by_frequency, by_response, by_time, error_of, name_of, worst
 
-_UNITS = ("σ", "V")
-Views = Sequence[RecordView]
+Views = Sequence[View]
 
 
 class ResidualPanels:
@@ -36,7 +33,7 @@ class ResidualPanels:
         self.record = Select(title="Record", width=260)
         self.channel = Select(title="Sense", width=110)
         self.band = Select(title="Band of the spectrum", width=280)
-        self.unit = RadioButtonGroup(labels=["in σ", "in V"], active=0, html_attributes={"aria-label": "Unit"})
+        self.unit = Select(title="Unit", options=["σ", "V"], value="σ", width=80)
         self.spectrum = _figure("Residual by frequency", "frequency, Hz", x="linear")
         self.measured = ColumnDataSource({"x": [], "measured": [], "model": []})
         self.spectrum.line(
@@ -58,7 +55,7 @@ class ResidualPanels:
         on(self.record, "value", self._recorded)
         for one in (self.channel, self.band):
             on(one, "value", self.draw)
-        on(self.unit, "active", self.draw)
+        on(self.unit, "value", self.draw)
 
     @property
     def panels(self) -> list[Panel]:
@@ -82,9 +79,10 @@ class ResidualPanels:
         latest = after or before
         held = {"validate": " (held out)"}
         offer(
-            self.record, {one.name: f"{one.name}{held.get(one.role, '')}: {error_words(one.error)} σ" for one in latest}
+            self.record,
+            {name_of(one): f"{name_of(one)}{held.get(one.role, '')}: {error_words(error_of(one))} σ" for one in latest},
         )
-        if self.record.value not in {one.name for one in latest}:
+        if self.record.value not in {name_of(one) for one in latest}:
             self.record.value = worst(before)
         else:
             self._recorded()
@@ -94,7 +92,7 @@ class ResidualPanels:
         view = self._named(self._before)
         if view is None:
             return
-        senses = [str(k + 1) for k in range(view.senses)]
+        senses = [str(k + 1) for k in range(view.residual.shape[1])]
         self._bands = bands(self._parameters, view)
         offer(self.channel, senses)
         offer(self.band, list(self._bands))
@@ -104,17 +102,17 @@ class ResidualPanels:
             self.band.value = next(iter(self._bands))
         self.draw()
 
-    def _named(self, views: Views) -> RecordView | None:
-        return next((one for one in views if one.name == self.record.value), None)
+    def _named(self, views: Views) -> View | None:
+        return next((one for one in views if name_of(one) == self.record.value), None)
 
     def draw(self) -> None:
         """Draw what the controls name."""
         first = self._named(self._before)
         if first is None or self.band.value not in self._bands or not self.channel.value:
             return
-        channel, white = int(self.channel.value) - 1, self.unit.active == 0
+        channel, white = int(self.channel.value) - 1, self.unit.value == "σ"
         last = self._named(self._after)
-        band, unit = self._bands[self.band.value], _UNITS[self.unit.active or 0]
+        band, unit = self._bands[self.band.value], self.unit.value
         shown = [by_frequency(view, channel, band, white) for view in (first, last) if view is not None]
         now = shown[-1]
         self.measured.data = {"x": now.frequency_hz, "measured": now.measured, "model": now.model}

@@ -16,6 +16,7 @@ from ..look import Panel, page
 from ..parts import paragraphs, printed, text
 from ..worker import Session
 from .bench import CampaignBench, ChosenModel
+from .curves import View
 from .effects_panel import EffectsPanel
 from .ladder_panel import LadderPanel, statuses
 from .next_panel import NextPanel
@@ -29,6 +30,7 @@ class CampaignSession:
         self.bench = bench
         self.terms: tuple[str, ...] = ()
         self.shown: ChosenModel | None = None
+        self.views: tuple[View, ...] = ()
         self.effects = EffectsPanel(self.change)
         self.ladder = LadderPanel()
         self.residual = ResidualPanels()
@@ -49,7 +51,7 @@ class CampaignSession:
                 where,
             ],
         )
-        self.session.ask("compare", lambda: (bench.comparison, *bench.first), lambda found: self._compared(*found))
+        self.session.ask("compare", lambda: (bench.comparison, bench.first), lambda found: self._compared(*found))
         self.change(())
 
     def change(self, terms: tuple[str, ...]) -> None:
@@ -60,15 +62,16 @@ class CampaignSession:
         self.session.ask("fit", lambda: self.bench.chosen(terms), self._fitted)
         self.session.ask("diagnose", lambda: self.bench.diagnosis(terms), self._diagnosed)
 
-    def _compared(self, answer: ComparisonAnswer, records: tuple[object, ...], tones: tuple[object, ...]) -> None:
+    def _compared(self, answer: ComparisonAnswer, views: tuple[View, ...]) -> None:
+        self.views = views
         self.where.text = printed(compare_lines(answer))
-        self.residual.show(self.bench.first[0], (), _values(answer.parameters))
+        self.residual.show(views, (), _values(answer.parameters))
 
     def _fitted(self, found: ChosenModel) -> None:
         self.shown = found
         self.ladder.show(found.refinement.ladder, statuses(found, None))
-        after = found.records if found.terms else ()
-        self.residual.show(self.bench.first[0], after, _values(found.refinement.ladder[-1].parameters))
+        after = found.views if found.terms else ()
+        self.residual.show(self.views, after, _values(found.refinement.ladder[-1].parameters))
 
     def _diagnosed(self, answer: DiagnosisAnswer) -> None:
         found = self.shown

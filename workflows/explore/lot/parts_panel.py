@@ -66,7 +66,7 @@ class IrregularityPanel:
                 "Score tests beside the model above, without refits; p is family-wise.",
                 wide=True,
             ),
-            Panel(self.quantities, "Where it fails: quantities", "Each device against all others. Calibrated: sd 1, 90 % inside."),
+            Panel(self.quantities, "Where it fails: quantities", "Each device against all others; calibrated: sd 1."),
             Panel(self.shapes, "Where it fails: patterns without a name", "Probes of the residual, the most significant first."),
             Panel(self.spreads, "Where it fails: levels", "Fitted spread over that of the file; 90 % interval.", wide=True),
         ]
