@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from bokeh.layouts import column
 from bokeh.model import Model
-from bokeh.models import Column, InlineStyleSheet, Range, Row
+from bokeh.models import Column, InlineStyleSheet, LogAxis, PrintfTickFormatter, Range, Row
 from bokeh.models.ui.ui_element import UIElement
 from bokeh.models.widgets.inputs import Select
 from bokeh.models.widgets.markups import Div
@@ -145,6 +145,13 @@ def show_range(axis: Range, *values: object, log: bool) -> None:
         room = 0.03 * (high - low) or 0.5
         low, high = low - room, high + room
     axis.update(start=low, end=high, reset_start=low, reset_end=high)
+
+
+def plain_ticks(drawn: figure) -> None:
+    """Few short numbers on logarithmic axes, which would otherwise overlap in a narrow window."""
+    for axis in drawn.select({"type": LogAxis}):
+        axis.formatter = PrintfTickFormatter(format="%.3g")
+        axis.ticker.desired_num_ticks = 4
 
 
 def legend_above(drawn: figure) -> None:

@@ -187,7 +187,7 @@ def test_a_record_without_a_drive_predicts_nothing(bench, campaign):
 
 def test_a_modal_record_has_a_ladder_without_records():
     document = opened(view(EQ14))
-    assert "This measurement has no time records." in words(document)
+    assert "This measurement has no samples and no sweeps to draw." in words(document)
     assert titled(document, "Effect to add").options
     assert len(source(document, "fit", "held").data["fit"]) == 1
     assert "relative error" in words(document)

@@ -16,10 +16,13 @@ from reports.words.numbers import number, with_sd
 from reports.words.quantities import percent
 
 from ..look import AFTER, DRAWN, plot
-from ..parts import TILT, legend_above, show_range, stacked, table, text
+from ..parts import TILT, legend_above, plain_ticks, show_range, stacked, table, text
 from .bench import ChosenModel
 
 _HEADS = ("model", "status", "error, fitted", "held-out", "relative error", "Δχ²", "θ, deg", "split, Hz", "device")
+
+#: Columns that are shown even where they are empty.
+_ALWAYS = 6
 
 
 def statuses(found: ChosenModel, diagnosis: DiagnosisAnswer | None) -> list[str]:
@@ -48,7 +51,7 @@ class LadderPanel:
             "Error of each model",
             "",
             "error, σ",
-            height=260,
+            height=300,
             x_range=self.names,
             y_range=Range1d(start=0.1, end=10.0),
             y_axis_type="log",
@@ -63,6 +66,7 @@ class LadderPanel:
                 "name", column, source=self.source, marker=marker, size=9, color=colour, legend_label=label
             )
         self.figure.xaxis.major_label_orientation = TILT
+        plain_ticks(self.figure)
         legend_above(self.figure)
         self.table = text()
 
@@ -87,7 +91,10 @@ class LadderPanel:
             *([] if relative else [1.0]),
             log=True,
         )
-        self.table.text = table(_HEADS, [_row(rung, word) for rung, word in zip(rungs, words)])
+        rows = [_row(rung, word) for rung, word in zip(rungs, words)]
+        # Another plant has neither theta nor limits.
+        known = [k for k in range(len(_HEADS)) if k < _ALWAYS or any(row[k] for row in rows)]
+        self.table.text = table([_HEADS[k] for k in known], [[row[k] for k in known] for row in rows])
 
 
 def _positive(values: Sequence[float | None]) -> list[float]:

@@ -19,9 +19,11 @@ from reports.words.campaign import effect_words
 from reports.words.explore_loop import next_record_sentences
 
 from ..look import DRAWN, FEW, Panel, plot
-from ..parts import controls, legend_above, offer, on, paragraphs, show_range, stacked, text
+from ..parts import controls, legend_above, offer, on, paragraphs, plain_ticks, show_range, stacked, text
 from .curves import by_frequency, by_time
 
+#: Heading of the panel.
+NEXT = "What would the next record show"
 #: Range of the drive scale; 1 is the highest level of the records so far.
 SCALES = (0.1, 2.0)
 _SENSES = 2
@@ -74,7 +76,7 @@ class NextPanel:
         return [
             Panel(
                 stacked(controls(self.effect, self.shape, self.scale), self.words),
-                "What would the next record show",
+                NEXT,
                 wide=True,
             ),
             Panel(self.frequency, "Next record: difference by frequency", note),
@@ -123,10 +125,6 @@ class NextPanel:
             show_range(drawn.x_range, *(one.data["x"] for one in sources), log=False)
             show_range(drawn.y_range, *(one.data["y"] for one in sources), 1.0, log=True)
 
-    def clear(self, words: str) -> None:
-        """Show words instead of a prediction."""
-        self.words.text = words
-
     def _effect(self) -> None:
         if self.effect.value:
             self._listed(str(self.effect.value))
@@ -155,10 +153,12 @@ def _words(one: Experiment) -> str:
 
 
 def _figure(name: str, x: str, y: str) -> figure:
-    return plot(
+    drawn = plot(
         name, x, y, height=240, tools="box_zoom,pan,reset", y_axis_type="log",
         x_range=Range1d(start=0.1, end=1.0), y_range=Range1d(start=0.1, end=10.0),
     )  # fmt: skip
+    plain_ticks(drawn)
+    return drawn
 
 
 def _positive(x: object, y: object) -> dict[str, Any]:

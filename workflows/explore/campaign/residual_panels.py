@@ -12,11 +12,12 @@ from bokeh.models.annotations.geometry import Span
 from bokeh.models.widgets.inputs import Select
 from bokeh.plotting import figure
 
+from reports.learning.record_view import RecordView
 from reports.words.explore_loop import NO_RECORDS
 from reports.words.quantities import error_words
 
 from ..look import AFTER, BEFORE, DRAWN, Panel, plot
-from ..parts import controls, legend_above, offer, on, show_range, stacked, text
+from ..parts import controls, legend_above, offer, on, plain_ticks, show_range, stacked, text
 from .curves import Curve, View, bands, by_drive, by_frequency, by_response, by_time, error_of, name_of, worst
 
 Views = Sequence[View]
@@ -78,10 +79,8 @@ class ResidualPanels:
             return
         latest = after or before
         held = {"validate": " (held out)"}
-        offer(
-            self.record,
-            {name_of(one): f"{name_of(one)}{held.get(one.role, '')}: {error_words(error_of(one))} σ" for one in latest},
-        )
+        errors = {name_of(one): f"{held.get(one.role, '')}: {error_words(error_of(one))} σ" for one in latest}
+        offer(self.record, {name: f"{name}{words}" for name, words in errors.items()})
         if self.record.value not in {name_of(one) for one in latest}:
             self.record.value = worst(before)
         else:
@@ -134,15 +133,18 @@ class ResidualPanels:
             show_range(figure_.y_range, *(one.y for one in curves), *above, value, log=True)
         for line, value in zip(self._noise, noise):
             line.location = value if np.isfinite(value) and value > 0.0 else None
+        self.time.xaxis.axis_label = "time, s" if isinstance(first, RecordView) else "row"
         for one, what in zip(self._figures, ("amplitude", *["rms"] * 3)):
             one.yaxis.axis_label = f"{what}, {unit}"
 
 
 def _figure(name: str, x_label: str, x: str) -> figure:
-    return plot(
+    drawn = plot(
         name, x_label, "", height=260, tools="box_zoom,pan,reset", x_axis_type=x, y_axis_type="log",
         x_range=Range1d(start=0.1, end=1.0), y_range=Range1d(start=0.1, end=10.0),
     )  # fmt: skip
+    plain_ticks(drawn)
+    return drawn
 
 
 def _pair(drawn: figure, points: bool) -> tuple[ColumnDataSource, ColumnDataSource]:

@@ -19,7 +19,7 @@ from .bench import CampaignBench, ChosenModel
 from .curves import View
 from .effects_panel import EffectsPanel
 from .ladder_panel import LadderPanel, statuses
-from .next_panel import NextPanel
+from .next_panel import NEXT, NextPanel
 from .residual_panels import ResidualPanels
 
 
@@ -46,7 +46,7 @@ class CampaignSession:
                 *self.effects.panels,
                 Panel(self.ladder.model, "Ladder", wide=True),
                 *self.residual.panels,
-                *self.next.panels,
+                *(self.next.panels if bench.predicts else [Panel(text(paragraphs([NOT_TIMED])), NEXT, wide=True)]),
                 self.effects.library,
                 where,
             ],
@@ -84,8 +84,6 @@ class CampaignSession:
         if self.bench.predicts:
             names = [one.effect for one in answer.candidates if one.detectable]
             self.next.offer([*reversed(self.terms), *names])
-        else:
-            self.next.clear(paragraphs([NOT_TIMED]))
 
     def _list(self, effect: str) -> None:
         without = tuple(name for name in self.terms if name != effect)
