@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import threading
 import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +42,8 @@ def explore(path: Path | None, results: Path, port: int, browser: bool, given: G
     def ready(address: str) -> None:
         print(address, flush=True)
         if browser:
-            webbrowser.open(address)
+            # Finding a browser may take seconds, in which the page would not be served.
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
     asyncio.run(serve(view, port, ready))
 

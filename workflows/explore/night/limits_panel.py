@@ -115,7 +115,9 @@ class LimitsPanel:
         low = -math.inf if self.low.value is None else float(self.low.value)
         high = math.inf if self.high.value is None else float(self.high.value)
         self.state.take(self.quantity.value, low, high)
-        self.state.quietly(self._place)
+        # What was refused stays in the fields, where it can be mended: an arc needs its other end.
+        if not self.state.message:
+            self.state.quietly(self._place)
 
     def _restore(self) -> None:
         self.state.restore()

@@ -81,14 +81,15 @@ class NightState:
         """Judge by the limits with that of ``quantity`` at ``low`` and ``high``; a refused limit changes nothing."""
         try:
             limits = moved(self.limits, quantity, low, high)
+            found = None if limits == self.limits else preview(self.night, limits, quantity, self._kept)
         except GyroscreenError as error:
             self._say(str(error))
             return
         self._say("")
-        if limits == self.limits:
+        if found is None:
             return
         self.limits = limits
-        self.judged, self._kept = preview(self.night, limits, quantity, self._kept)
+        self.judged, self._kept = found
         self.tell("verdicts")
         if self._timer is not None:
             self.document.remove_timeout_callback(self._timer)

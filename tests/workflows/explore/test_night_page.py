@@ -1,0 +1,235 @@
+"""The page of a night without a browser: a document, its widgets, and what they do."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from workflows.cli import call
+
+pytest.importorskip("bokeh", reason="the extra [explore] is not installed")
+
+from bokeh.document import Document
+from bokeh.events import SelectionGeometry
+
+from reports.words.explore import EXACT, PREVIEW, UNITS, label
+from workflows.explore.night import panels
+from workflows.explore.night import state as states
+from workflows.explore.night.device import device_view
+from workflows.explore.night.device_panel import DevicePanel
+from workflows.explore.night.figures import places
+from workflows.explore.night.limits_panel import LimitsPanel
+from workflows.explore.night.points_panels import PointsPanels
+from workflows.explore.night.state import NightState
+from workflows.explore.night.stored import StoredNight, load
+
+
+class Inline(Executor):
+    """Work is done when it is submitted."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        """``function`` at once."""
+        found: Future[Any] = Future()
+        found.set_result(function(*arguments, **named))
+        return found
+
+
+@pytest.fixture(scope="module")
+def stored(night: Path) -> StoredNight:
+    return load(night)
+
+
+@pytest.fixture
+def state(stored: StoredNight) -> NightState:
+    return NightState(stored, Document(), Inline())
+
+
+def pass_time(state: NightState) -> None:
+    """Run what waits for a pause or for the next tick, until nothing does."""
+    document = state.document
+    for _ in range(10):
+        waiting = document.session_callbacks
+        if not waiting:
+            return
+        for one in waiting:
+            one.callback()
+    raise AssertionError("callbacks without end")
+
+
+def command_says(stored: StoredNight, text: str, folder: Path, capsys: Any) -> dict[str, Any]:
+    """The yields of ``gyroscreen report --limits``."""
+    path = folder / "new.toml"
+    path.write_text(text, encoding="utf-8")
+    arguments = ["report", "--results", str(stored.results), "--limits", str(path), "--out", str(folder / "page.html")]
+    assert call([*arguments, "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found["yield"]
+
+
+def test_a_moved_line_is_previewed_and_then_judged_as_the_command_does(
+    state: NightState, stored: StoredNight, tmp_path: Path, capsys: Any
+) -> None:
+    for panel in panels(state):
+        state.document.add_root(panel.model)
+    total, file = (state.document.get_model_by_name(name) for name in ("yield", "file"))
+    figure = state.document.get_model_by_name("Limits and distribution")
+    line = [one for one in figure.center if type(one).__name__ == "Span"][1]
+    first = state.judged.total.passed
+    line.location = 532.2
+    # The pause before a moved line is answered, but not the rest after which it is judged.
+    (pause,) = state.document.session_callbacks
+    pause.callback()
+    assert PREVIEW in total.text
+    preview = state.judged.total
+    pass_time(state)
+    assert EXACT in total.text
+    assert state.judged.total == preview
+    assert preview.passed < first
+    says = command_says(stored, file.text, tmp_path, capsys)["new"]
+    assert (says["pass"], says["fail"], says["undecided"]) == (preview.passed, preview.failed, preview.undecided)
+    assert (says["low"], says["high"]) == (preview.clopper_pearson.low, preview.clopper_pearson.high)
+    assert f"{100 * says['yield']:.1f}" in total.text
+
+
+def test_many_movements_are_answered_once(state: NightState) -> None:
+    panel = LimitsPanel(state)
+    told: list[float] = []
+    state.follow("verdicts", lambda: told.append(state.judged.total.value))
+    for value in np.linspace(535.0, 530.0, 20):
+        panel.distribution.high.location = float(value)
+    assert told == []
+    pass_time(state)
+    assert len(told) == 2  # one preview, one judgement
+    assert panel.limit().high == 530.0
+
+
+def test_fields_and_lines_say_the_same(state: NightState) -> None:
+    panel = LimitsPanel(state)
+    panel.high.value = 531.5
+    assert panel.distribution.high.location == 531.5
+    assert panel.limit().low == 522.0
+    panel.high.value = None
+    assert not panel.distribution.high.visible
+    assert math.isinf(panel.limit().high)
+    pass_time(state)
+    panel._restore()
+    assert panel.high.value == 536.0
+    assert state.judged.content is None
+
+
+def test_a_limit_of_another_quantity_can_be_added(state: NightState) -> None:
+    panel = LimitsPanel(state)
+    panel.quantity.value = "theta_deg"
+    assert (panel.low.value, panel.high.value) == (None, None)
+    panel.low.value = -20.0
+    # An arc needs both ends.
+    assert "arc" in state.message
+    assert "theta_deg" not in state.limits.quantities
+    panel.high.value = 60.0
+    assert state.message == ""
+    pass_time(state)
+    assert state.judged.exact
+    assert state.judged.limits.quantities[-1] == "theta_deg"
+
+
+def test_crossed_limits_are_said_and_change_nothing(state: NightState) -> None:
+    panel = LimitsPanel(state)
+    panel.low.value = 9000.0
+    assert "crossed" in state.message
+    assert state.limits == state.night.limits
+    assert panel.distribution.low.location == 522.0
+    panel.low.value = 523.0
+    assert state.message == ""
+    assert panel.limit().low == 523.0
+
+
+def test_a_selection_is_one_in_all_figures(state: NightState, stored: StoredNight) -> None:
+    limits, points = LimitsPanel(state), PointsPanels(state)
+    points.points.selected.indices = [2, 3, 5]
+    assert state.selected.tolist() == points.rows[[2, 3, 5]].tolist()
+    assert sum(limits.distribution.selected.data["y"]) == np.isfinite(stored.value("f1_hz")[state.selected]).sum()
+    assert points.pair.renderers[0].data_source is points.points
+    event = SelectionGeometry(None, {"type": "rect", "x0": 531.0, "x1": 533.2}, final=True)
+    limits._range(event)
+    value = stored.value("f1_hz")
+    inside = np.flatnonzero((value >= 531.0) & (value <= 533.2))
+    assert inside.size > 2
+    assert points.rows[points.points.selected.indices].tolist() == inside.tolist()
+
+
+def test_a_wafer_can_be_chosen_and_a_map_coloured(state: NightState, stored: StoredNight) -> None:
+    LimitsPanel(state)
+    points = PointsPanels(state)
+    name = stored.wafer_names[0]
+    points.wafer.value = name
+    assert {stored.wafers[row] for row in points.rows} == {name}
+    points.colour.value = "split_hz"
+    assert points.points.data["c"].tolist() == pytest.approx(
+        stored.value("split_hz")[points.rows].tolist(), nan_ok=True
+    )
+    assert points.map.numbers.visible
+    assert not points.map.verdicts.visible
+
+
+def test_wafers_are_drawn_apart(stored: StoredNight) -> None:
+    found = places(stored, "")
+    assert len(found.centres) == len(stored.wafer_names)
+    radius = [
+        math.hypot(found.x[k] - x, found.y[k] - y) for k in range(24) for x, y in [found.centres[stored.wafers[k]]]
+    ]
+    assert max(radius) <= 1.0
+
+
+def test_a_device_shows_verdict_reasons_and_residual(state: NightState, stored: StoredNight) -> None:
+    panel = DevicePanel(state)
+    row = next(k for k, text in enumerate(stored.devices.text("failed_limits")) if text == "split_hz")
+    panel.name.value = stored.device_ids[row]
+    assert f"fail, by {label('split_hz')}" in panel.details.text
+    pass_time(state)
+    assert panel.curves.residual.visible
+    assert panel.looked is not None
+    # The records are those that the screening saw: its error is found again.
+    assert panel.looked.error == pytest.approx(float(stored.value("error")[row]), rel=0.01)
+    panel.channel.value = "1"
+    assert panel.curves.band.data["low"].tolist() == panel.looked.low[:, 1].tolist()
+    panel.name.value = "<b>nobody</b>"
+    assert "&lt;b&gt;nobody" in panel.details.text
+
+
+def test_a_device_without_estimates_says_why(state: NightState, stored: StoredNight) -> None:
+    panel = DevicePanel(state)
+    row = int(np.flatnonzero(~np.isfinite(stored.value("f1_hz")))[0])
+    panel.name.value = stored.device_ids[row]
+    pass_time(state)
+    assert "no estimates to start from" in panel.left.text
+    assert not panel.curves.residual.visible
+
+
+def test_a_view_of_a_device_is_the_same_every_time(stored: StoredNight) -> None:
+    first, second = device_view(stored, 9), device_view(stored, 9)
+    assert first.low.tolist() == second.low.tolist()
+
+
+def test_all_units_are_known(stored: StoredNight) -> None:
+    assert set(stored.known) <= set(UNITS)
+
+
+def test_the_judgement_of_limits_that_have_moved_on_is_dropped(
+    state: NightState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state.take("f1_hz", 522.0, 533.0)
+    asked = []
+    monkeypatch.setattr(states, "again", lambda night, limits: asked.append(limits) or state.judged)
+    state._rested()
+    state.take("f1_hz", 522.0, 531.0)
+    now = state.judged
+    state.document.session_callbacks[0].callback()
+    assert asked
+    assert state.judged is now
