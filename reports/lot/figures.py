@@ -109,8 +109,8 @@ def residual_maps(maps: LotMaps, name: str, like: LotMaps | None = None) -> Draw
     known = np.isfinite(maps.x_mm) & np.isfinite(maps.y_mm)
     if not np.any(known):
         return None
-    places, count, score = _means(maps)
-    order = np.argsort(-np.mean(_means(like or maps)[2] ** 2, axis=0))[:MOST]
+    places, count, score = stacked_means(maps)
+    order = np.argsort(-np.mean(stacked_means(like or maps)[2] ** 2, axis=0))[:MOST]
     radius = 1.08 * float(np.abs(places).max()) or 1.0
     across = min(ACROSS, len(order))
     down = -(-len(order) // across)
@@ -142,7 +142,7 @@ def residual_maps(maps: LotMaps, name: str, like: LotMaps | None = None) -> Draw
         return Drawing(figure, name, "Mean residual of all wafers at each place, by quantity")
 
 
-def _means(maps: LotMaps) -> tuple[ComplexArray, FloatArray, FloatArray]:
+def stacked_means(maps: LotMaps) -> tuple[ComplexArray, FloatArray, FloatArray]:
     """Places (P,) x + i y [mm], number of residuals and mean residual [sd of the mean] of each quantity (P, q)."""
     known = np.isfinite(maps.x_mm) & np.isfinite(maps.y_mm)
     x, y, z = maps.x_mm[known], maps.y_mm[known], maps.z[known]

@@ -71,7 +71,7 @@ def _answer(
     measured = read_measurement(path)
     page = None
     with working(command.__name__, quiet=json):
-        found = command(measured, _model(model, folders), limits)
+        found = command(measured, start_model(model, folders), limits)
         if out is not None:
             if isinstance(found, SelectionResult):
                 found = found.with_drive_files(out)
@@ -106,7 +106,8 @@ def _require_positive(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAns
         )
 
 
-def _model(path: Path | None, folders: Sequence[Path]) -> Model:
+def start_model(path: Path | None, folders: Sequence[Path]) -> Model:
+    """The model of a file, or the paper's, with the user's folders of effects."""
     model = load_model(path) if path is not None else DEFAULT_COMPARE_MODEL
     known = dict.fromkeys((*model.effect_folders, *(str(folder) for folder in folders)))
     return replace(model, effect_folders=tuple(known))

@@ -64,7 +64,7 @@ def answer_lot(
         )
     table = read_measured_lot(path)
     judged = DEFAULT_LIMITS if limits is None else load_limits(limits)
-    answers = lot_answers(table, _population(population), judged)
+    answers = lot_answers(table, start_population(population), judged)
     with working(command, quiet=json):
         found = _found(command, answers)
         sampled = None if posterior is None else answers.posterior(command, posterior)
@@ -93,7 +93,8 @@ def _check_posterior(count: int | None) -> None:
         )
 
 
-def _population(path: Path | None) -> PopulationSpec | None:
+def start_population(path: Path | None) -> PopulationSpec | None:
+    """The population of a file; ``None`` without one."""
     if path is None or (str(path) == SHIPPED and not path.exists()):
         return None if path is None else load_spec(None)
     return load_spec(path)
@@ -148,7 +149,7 @@ def simulate_lot(out: Path, population: Path | None, irregularities: Sequence[st
     """See ``gyroscreen simulate --help``, with --lot."""
     from ..lots.simulate import simulate_lot as simulated
 
-    devices, wafers = simulated(out, _population(population) or load_spec(None), irregularities, seed)
+    devices, wafers = simulated(out, start_population(population) or load_spec(None), irregularities, seed)
     print(f"{out}: {devices} devices of {wafers} wafers; what was changed is in truth.json")
 
 

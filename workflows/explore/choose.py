@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from bokeh.document import Document
 
+from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import UsageError
 from pipeline.store.manifest import NAME as MANIFEST
 from pipeline.store.read import PREFIX, find_run, run_folders
+from populations.spec import PopulationSpec
+from reports.limits import DEFAULT_LIMITS, Limits
 
 from ..lots.measured import is_lot
 
@@ -48,7 +52,16 @@ def kind_of(path: Path | None, results: Path) -> tuple[Kind, Path]:
     )
 
 
-def view_of(kind: Kind, path: Path) -> Callable[[Document], None]:
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What the loop starts from: the model of a campaign; the population of a lot (or nothing), and its limits."""
+
+    model: Model = DEFAULT_COMPARE_MODEL
+    population: PopulationSpec | None = None
+    limits: Limits = DEFAULT_LIMITS
+
+
+def view_of(kind: Kind, path: Path, start: Start = Start()) -> Callable[[Document], None]:
     """The view of ``path``; its data are read here, once.
 
     Raises
@@ -59,4 +72,10 @@ def view_of(kind: Kind, path: Path) -> Callable[[Document], None]:
         from .night import view as night
 
         return night(path)
-    raise UsageError("this kind is not shown yet", value=kind, allowed="a run", next_step="name a run")
+    if kind == "campaign":
+        from .campaign import view as campaign
+
+        return campaign(path, start.model)
+    from .lot import view as lot
+
+    return lot(path, start.population, start.limits)

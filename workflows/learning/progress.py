@@ -22,17 +22,23 @@ def working(doing: str, quiet: bool) -> Iterator[None]:
     if quiet:
         yield
         return
+    with _live(doing) if sys.stderr.isatty() else _lines(doing) as show, heard(show):
+        yield
+
+
+@contextmanager
+def heard(show: Callable[[str], None]) -> Iterator[None]:
+    """Call ``show`` with what the loop logs while the block runs."""
     logger = logging.getLogger("pipeline")
     before = logger.level
-    with _live(doing) if sys.stderr.isatty() else _lines(doing) as show:
-        handler = _Handler(show)
-        logger.addHandler(handler)
-        logger.setLevel(logging.INFO)
-        try:
-            yield
-        finally:
-            logger.setLevel(before)
-            logger.removeHandler(handler)
+    handler = _Handler(show)
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+        logger.removeHandler(handler)
 
 
 class _Handler(logging.Handler):

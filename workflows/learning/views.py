@@ -43,12 +43,12 @@ def views_of(found: Result) -> PageViews:
         diagnosis = found.answer
     if isinstance(found, RefinementResult):
         diagnosis, refinement = found.first_diagnosis, found.answer
-        after, tones_after = _records(problem, found.after), _tones(problem, found.after)
-    before, tones = _records(problem, first.fit), _tones(problem, first.fit)
+        after, tones_after = records_of(problem, found.after), tones_of(problem, found.after)
+    before, tones = records_of(problem, first.fit), tones_of(problem, first.fit)
     return PageViews(first.answer, diagnosis, refinement, before, after, tones, tones_after)
 
 
-def _records(problem: object, fit: CampaignFit | FitResult) -> list[RecordView]:
+def records_of(problem: object, fit: CampaignFit | FitResult) -> list[RecordView]:
     """Each driven record in the time domain with the prediction of a fit; none for a modal record."""
     if isinstance(problem, JointProblem) and isinstance(fit, FitResult):
         return joint_record_views(problem, fit)
@@ -57,7 +57,7 @@ def _records(problem: object, fit: CampaignFit | FitResult) -> list[RecordView]:
     return []
 
 
-def _tones(problem: object, fit: CampaignFit | FitResult) -> list[ToneView]:
+def tones_of(problem: object, fit: CampaignFit | FitResult) -> list[ToneView]:
     """Each pass of a sweep and each frequency response, with the prediction of a fit."""
     return tone_views(problem, fit) if isinstance(problem, JointProblem) and isinstance(fit, FitResult) else []
 

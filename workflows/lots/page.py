@@ -28,8 +28,8 @@ def lot_page(
         comparison=answers.comparison,
         diagnosis=answers.diagnosis if command == "diagnose" else None,
         refinement=answers.refinement if command == "refine" else None,
-        before=_maps(rungs[0]),
-        after=_maps(rungs[-1]) if len(rungs) > 1 else None,
+        before=maps_of(rungs[0]),
+        after=maps_of(rungs[-1]) if len(rungs) > 1 else None,
         limits=limits,
         truth=truth,
         posterior=posterior,
@@ -39,7 +39,7 @@ def lot_page(
 def lot_drawings(command: Literal["compare", "diagnose", "refine"], answers: LotAnswers) -> dict[str, Drawing | None]:
     """The figures of that page by name: spreads, maps-before; of refine also forecast and maps-after."""
     rungs = answers.ladder.rungs if command == "refine" else (first_rung(answers.ready),)
-    before, after = _maps(rungs[0]), _maps(rungs[-1])
+    before, after = maps_of(rungs[0]), maps_of(rungs[-1])
     spreads = answers.refinement.spreads if command == "refine" else answers.comparison.spreads
     return {
         "forecast": forecast_figure(answers.refinement.ladder) if command == "refine" else None,
@@ -49,7 +49,8 @@ def lot_drawings(command: Literal["compare", "diagnose", "refine"], answers: Lot
     }
 
 
-def _maps(rung: LotRung) -> LotMaps:
+def maps_of(rung: LotRung) -> LotMaps:
+    """Left-out residuals of the fitted devices beside the model of a rung."""
     lot = rung.fit.lot
     z = left_out(lot, rung.fit.model, rung.fit.variances).z
     return LotMaps(lot.x_mm, lot.y_mm, lot.wafers, lot.quantities, z)

@@ -126,7 +126,7 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
             break
         by_name: dict[str, Part | DeviceMixture] = {one.name: one for one in (*parts, *mixtures)}
         every = _refitted(rung, found, by_name)
-        tried = [one for one in every if _warranted(rung, one, found, by_name[str(one.part)])]
+        tried = [one for one in every if warranted(rung, one, found, by_name[str(one.part)])]
         if not tried:
             refused |= {str(one.part) for one in every}
             if not found.significant or len(refused) > REFUSED:
@@ -135,22 +135,13 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
         near = [one for one in tried if deviance(one) - deviance(tried[0]) < RIVAL or one.part == OUTLIERS]
         # A generic part describes what a physical one explains, so that one is added; outliers explain anything.
         near.sort(key=lambda one: (one.part == OUTLIERS, is_generic(str(one.part)), deviance(one)))
-        best = _sorted_again(near[0])
-        fall = deviance(rung) - deviance(best)
+        best = near[0]
         rivals = [
             (str(one.part), deviance(one) - deviance(best))
             for one in near[1:]
             if is_generic(str(one.part)) == is_generic(str(best.part)) and one.part != OUTLIERS
         ]
-        gain = _gain(rung.outcome, best.outcome, int(ready.whole.is_held.sum()))
-        rungs.append(
-            replace(
-                best,
-                delta_deviance=fall,
-                status=status_of(gain),
-                rivals=tuple(rivals),
-            )
-        )
+        rungs.append(replace(settled(rung, best), rivals=tuple(rivals)))
     verdict = _verdict(tuple(rungs), found)
     if verdict == "unknown":
         # What was added on the way to a misfit that remains may have taken its place.
@@ -158,17 +149,18 @@ def refined(ready: PreparedLot, without: Sequence[str] = (), seed: int = 0) -> L
     return LotLadder(tuple(rungs), found, verdict)
 
 
-def _sorted_again(rung: LotRung) -> LotRung:
-    """The rung with the devices of its mixtures told apart by its own spreads.
+def settled(below: LotRung, rung: LotRung) -> LotRung:
+    """The rung with the devices of its mixtures told apart by its own spreads, and what it gains on the one below.
 
     Spreads that had grown in place of the new part hid small leaks, which are heavy tails once the spreads are right.
     """
     ready = rung.ready
-    if not ready.mixtures:
-        return rung
-    ready = sorted_out(ready.measured, ready.population, ready.mixtures, rung.model, rung.fit.variances)
-    fit = ready.fit(rung.model, np.maximum(ready.start, 1e-4))
-    return replace(rung, ready=ready, fit=fit, outcome=ready.outcome(rung.model, fit.variances))
+    if ready.mixtures:
+        ready = sorted_out(ready.measured, ready.population, ready.mixtures, rung.model, rung.fit.variances)
+        fit = ready.fit(rung.model, np.maximum(ready.start, 1e-4))
+        rung = replace(rung, ready=ready, fit=fit, outcome=ready.outcome(rung.model, fit.variances))
+    gain = _gain(below.outcome, rung.outcome, int(ready.whole.is_held.sum()))
+    return replace(rung, delta_deviance=deviance(below) - deviance(rung), status=status_of(gain))
 
 
 def _refitted(rung: LotRung, found: LotDiagnosis, by_name: Mapping[str, Part | DeviceMixture]) -> list[LotRung]:
@@ -187,7 +179,7 @@ def _refitted(rung: LotRung, found: LotDiagnosis, by_name: Mapping[str, Part | D
     return sorted((*tried, *(with_part(rung, by_name[name]) for name in alike[:OF_ONE_KIND])), key=deviance)
 
 
-def _warranted(rung: LotRung, one: LotRung, found: LotDiagnosis, part: Part | DeviceMixture) -> bool:
+def warranted(rung: LotRung, one: LotRung, found: LotDiagnosis, part: Part | DeviceMixture) -> bool:
     """Whether the deviance falls by more than the best of all tests would make it fall by chance.
 
     Half of chi-square with one degree of freedom for a variance, which may be zero (Self, Liang, JASA 82 (1987) 605).  A mixture

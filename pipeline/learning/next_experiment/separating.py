@@ -16,21 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from ... import toml_files as toml
-from ...arrays import FloatArray, IntArray
+from ...arrays import FloatArray
 from ...criticism.announce import announce
 from ...criticism.budget import CLEAR_SNR, DETECTABLE_SNR
-from ...criticism.separation import Prediction, Separation, known_of, separation
+from ...criticism.separation import Prediction, Separation, separation
 from ...criticism.verdict import TermClass
 from ...errors import ConfigError, unwritable
 from ...experiment.files.readers import write_columns
-from ...experiment.forward.record import forward, jacobian
-from ...experiment.forward.sensitivity import tuned_steps
-from ...experiment.record import Campaign, Record
-from ...inference.general.fit import CampaignFit
-from ...inference.general.gauss_newton import ITERATIONS, PATIENCE
-from ...inference.general.residuals import nuisance_columns
+from ...experiment.record import Record
+from ...inference.general.gauss_newton import PATIENCE
 from ..campaign.recorded import RecordedProblem
-from .experiments import Experiment, experiments, within
+from .experiments import Experiment, experiments
+from .predictors import Predictor, changes, in_range, predictor, whitened
 
 #: Durations [s] that are tried where a shorter record does not separate every pair.
 _LONGER_S = (10.0, 30.0)
@@ -127,29 +124,6 @@ class Proposal:
 
 
 @dataclass(frozen=True, eq=False)
-class _Member:
-    """The fit with one member of the class.
-
-    Parameters
-    ----------
-    term : its name.
-    fitted, chi2 : the fit, and its chi2 on the old records.
-    known : (P, P) square root of the information of the old rows, those of other domains included.
-    places : for each of the F free parameters of the model its column of ``known``; -1 where it was not fitted.
-    jacobian : (F, F) d values / d smooth coordinates.
-    steps : (F,) of the finite differences.
-    """
-
-    term: str
-    fitted: CampaignFit
-    chi2: float
-    known: FloatArray
-    places: IntArray
-    jacobian: FloatArray
-    steps: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class _RecordTrial:
     """An experiment within the range of the converter, its record, the prediction of each member, and its separation.
 
@@ -185,7 +159,7 @@ def separating_record(problem: RecordedProblem, terms: Sequence[str], found: Ter
     members = [m for term in found.members if (m := _member(problem, terms, found.term, term)) is not None]
     if len(members) < 2:
         return None
-    names = tuple(m.term for m in members)
+    names = tuple(m.name for m in members)
     first = members[0].fitted
     tried = experiments(problem.campaign, first.model, first.values, names)
     bounds = [trial for one in tried if (trial := _bounded(problem, members, one)) is not None]
@@ -207,7 +181,7 @@ def separating_record(problem: RecordedProblem, terms: Sequence[str], found: Ter
 
 
 def _best(
-    problem: RecordedProblem, members: Sequence[_Member], bounds: Sequence[_RecordTrial], best: _RecordTrial | None
+    problem: RecordedProblem, members: Sequence[Predictor], bounds: Sequence[_RecordTrial], best: _RecordTrial | None
 ) -> _RecordTrial | None:
     """The best of some experiments and ``best``; an experiment whose bound is no better needs no derivatives."""
     for bound in sorted(bounds, key=lambda trial: trial.merit, reverse=True)[:PATIENCE]:
@@ -219,78 +193,33 @@ def _best(
     return best
 
 
-def _member(problem: RecordedProblem, terms: Sequence[str], term: str, rival: str) -> _Member | None:
+def _member(problem: RecordedProblem, terms: Sequence[str], term: str, rival: str) -> Predictor | None:
     """The fit in which ``rival`` replaces ``term``; ``None`` if it fails."""
     swapped = tuple(rival if name == term else name for name in terms)
     fit = problem.fit(swapped, None if rival == term else problem.fit(tuple(terms)))
-    if not fit.ok:
-        return None
-    fitted, campaign = problem.campaign_fit(swapped), problem.campaign
-    plain = replace(campaign.with_role("fit")[0], at_rest=True)
-    steps = tuned_steps(fitted.model, fitted.values, plain, campaign.instrument, angular_gain=campaign.angular_gain)
-    fitted_names = problem.fitted_names(fit)
-    places = np.array([fitted_names.index(n) if n in fitted_names else -1 for n in fitted.model.free], dtype=np.int64)
-    return _Member(rival, fitted, fit.chi2, known_of(fit), places, fitted.model.values_jacobian(fitted.x), steps)
+    return predictor(problem, fit, rival) if fit.ok else None
 
 
-def _bounded(problem: RecordedProblem, members: Sequence[_Member], experiment: Experiment) -> _RecordTrial | None:
+def _bounded(problem: RecordedProblem, members: Sequence[Predictor], experiment: Experiment) -> _RecordTrial | None:
     """An upper bound on the separation of an experiment; ``None`` if a member cannot exist at its conditions."""
-    adc = problem.campaign.instrument.adc
     try:
-        for _ in range(ITERATIONS):
-            record = experiment.record(problem.campaign)
-            responses = [_response(problem.campaign, member, record) for member in members]
-            lower = within(experiment, max(float(np.max(np.abs(y))) for y in responses), adc)
-            if lower is experiment:
-                break
-            experiment = lower
-        else:
-            return None
+        reached = in_range(problem.campaign, members, experiment)
     except ConfigError:
         return None
-    signals = tuple(_white(problem, member, record, y[:, :, None])[:, 0] for member, y in zip(members, responses))
-    found = separation([Prediction(m.term, s, m.chi2, m.known) for m, s in zip(members, signals)])
-    return _RecordTrial(experiment, record, signals, found)
+    if reached is None:
+        return None
+    usable, record, responses = reached
+    signals = tuple(whitened(problem, member, record, y[:, :, None])[:, 0] for member, y in zip(members, responses))
+    found = separation([Prediction(m.name, s, m.chi2, m.known) for m, s in zip(members, signals)])
+    return _RecordTrial(usable, record, signals, found)
 
 
 def _separated(
-    problem: RecordedProblem, members: Sequence[_Member], trial: _RecordTrial, exact: bool = False
+    problem: RecordedProblem, members: Sequence[Predictor], trial: _RecordTrial, exact: bool = False
 ) -> _RecordTrial:
     """The trial with its separation after all parameters are refitted."""
     predictions = [
-        Prediction(m.term, signal, m.chi2, m.known, _columns(problem, m, trial.record, exact))
+        Prediction(m.name, signal, m.chi2, m.known, changes(problem, m, trial.record, exact))
         for m, signal in zip(members, trial.signals)
     ]
     return replace(trial, found=separation(predictions))
-
-
-def _response(campaign: Campaign, member: _Member, record: Record) -> FloatArray:
-    """(N, S) predicted sense samples [V]."""
-    model, values = member.fitted.model, member.fitted.values
-    return forward(model, values, record, campaign.instrument, angular_gain=campaign.angular_gain)
-
-
-def _columns(problem: RecordedProblem, member: _Member, record: Record, exact: bool) -> FloatArray:
-    """(N S, P) change of a new record with the parameters of a member's fit, in sigmas."""
-    fitted, campaign = member.fitted, problem.campaign
-    columns = jacobian(
-        fitted.model,
-        fitted.values,
-        record,
-        campaign.instrument,
-        angular_gain=campaign.angular_gain,
-        exact=exact,
-        steps=member.steps,
-    )
-    white, fitted_too = _white(problem, member, record, columns), member.places >= 0
-    # The other columns of the old rows are initial states of single records, and parameters of other instruments.
-    wide = np.zeros((white.shape[0], member.known.shape[1]))
-    wide[:, member.places[fitted_too]] = np.linalg.solve(member.jacobian.T, white.T).T[:, fitted_too]
-    return wide
-
-
-def _white(problem: RecordedProblem, member: _Member, record: Record, y: FloatArray) -> FloatArray:
-    """Volts (N, S, k) as rows (N S, k) in sigmas, with the nuisances of every channel projected out."""
-    n = nuisance_columns(member.fitted.model, member.fitted.values, record, problem.campaign.instrument)
-    white = (y / problem.noise.sigma_v[:, None]).reshape(y.shape[0], -1)
-    return np.asarray((white - n @ (n.T @ white)).reshape(-1, y.shape[2]))

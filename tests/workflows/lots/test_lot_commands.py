@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
@@ -14,6 +13,7 @@ import pytest
 
 from populations.spec import load_spec
 from reports.limits import DEFAULT_FILE
+from tests.metal_lot import write_metal_lot
 from workflows.cli import call
 
 
@@ -37,26 +37,8 @@ def without_gap(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def metal(tmp_path: Path) -> Path:
-    """A table of another product: 6 wafers x 20 dies, thickness with a bow, sheet resistance."""
-    g = np.random.default_rng(2)
-    wafer = np.repeat(np.arange(6), 20)
-    x, y = g.uniform(-40, 40, (2, 120))
-    bow = (x * x + y * y) / 50.0**2 - 0.5
-    columns = {
-        "lot": ["A"] * 120,
-        "wafer": [f"W{w}" for w in wafer],
-        "die_x_mm": x,
-        "die_y_mm": y,
-        "t": 500.0 * np.exp(0.01 * g.normal(size=6)[wafer] + 0.03 * bow + 0.01 * g.normal(size=120)),
-        "c": np.full(120, 5.0),
-        "r": 50.0 + g.normal(size=6)[wafer] + g.normal(size=120),
-    }
-    pa_csv.write_csv(pa.table(columns), tmp_path / "metal.csv")
-    (tmp_path / "lot.toml").write_text(
-        'file = "metal.csv"\nname = "metal"\n[quantity.thickness]\ncolumn = "t"\nunit = "nm"\ntransform = "log"\n'
-        '[quantity.resistance]\ncolumn = "r"\nunit = "ohm"\nsd = 0.1\n[limits.thickness]\nmin = 490\nmax = 512\n',
-        encoding="utf-8",
-    )
+    """A table of another product: thickness with a bow, sheet resistance."""
+    write_metal_lot(tmp_path)
     return tmp_path
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import DEFAULT_RESULTS, Results
+from .options import DEFAULT_RESULTS, EffectFolders, LimitsFile, PopulationFile, Results, StartModel
 
 
 def explore(
@@ -23,14 +23,20 @@ def explore(
         bool,
         typer.Option("--browser/--no-browser", help="Open the page in the browser; its address is always printed."),
     ] = True,
+    model: StartModel = None,
+    effects: EffectFolders = None,
+    population: PopulationFile = None,
+    limits: LimitsFile = None,
 ) -> None:
     """Open an interactive page of a run, a campaign or a lot.
 
     The page is served to this machine alone, at an address with a secret token, until Ctrl-C.  Nothing is written.
+    --model and --effects belong to a campaign, --population and --limits to a lot; with --population a run is shown as a lot.
     """
+    from ..explore import Given
     from ..explore import explore as command
 
-    command(path, results, port, browser)
+    command(path, results, port, browser, Given(model, tuple(effects or ()), population, limits))
 
 
 COMMANDS = (explore,)

@@ -1,0 +1,148 @@
+"""What the page of a campaign computes: the answers of compare, diagnose and refine, and the ladder of chosen effects.
+
+The data and all fits are kept here, once for the process.  Only the thread of ``explore.worker`` may call the methods, because
+fits fill the caches of the problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from pipeline.criticism.fit_tests import RefitTest
+from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
+from pipeline.criticism.rung import FitCache
+from pipeline.criticism.selection import ForwardSelection, forward_selection
+from pipeline.device.model import Model
+from pipeline.experiment.record import Campaign
+from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
+from pipeline.learning.campaign.answers import CampaignAnswers
+from pipeline.learning.campaign.problem import CampaignProblem
+from pipeline.learning.next_experiment.experiments import Experiment
+from pipeline.learning.next_experiment.predicted import NextRecord, next_experiments, next_record
+
+from ...device.measured import Measured
+from ...learning import Answers, ComparisonResult, compare
+from ...learning.device_verdict import with_verdicts
+from ...learning.views import records_of, tones_of
+from .chosen import chosen_selection
+from .curves import View
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenModel:
+    """The given model with chosen effects.
+
+    Parameters
+    ----------
+    terms : the chosen effects in their order.
+    refinement : their ladder, with the verdict on each rung.
+    judged : for each chosen effect the test by which ``refine`` accepts or refuses it.
+    views : records in time, sweeps and responses beside this model; empty for a modal record.
+    """
+
+    terms: tuple[str, ...]
+    refinement: RefinementAnswer
+    judged: tuple[RefitTest, ...]
+    views: tuple[View, ...]
+
+
+class CampaignBench:
+    """One measurement and one model to start from; see the module.
+
+    Parameters
+    ----------
+    measured : campaign, modal record, or campaign of sweeps and decays.
+    model : the model to start from.
+    """
+
+    def __init__(self, measured: Measured, model: Model) -> None:
+        self._measured = measured
+        self._model = model
+        self._chosen: dict[tuple[str, ...], ChosenModel] = {}
+        self._diagnosed: dict[tuple[str, ...], DiagnosisAnswer] = {}
+
+    @cached_property
+    def comparison(self) -> ComparisonAnswer:
+        """The answer of ``gyroscreen compare``."""
+        return self._compared.answer
+
+    @cached_property
+    def first(self) -> tuple[View, ...]:
+        """Records in time, sweeps and responses beside the given model; nothing where its fit failed."""
+        found = self._compared
+        if not found.problem.fit(()).ok:
+            return ()
+        return (*records_of(found.problem, found.fit), *tones_of(found.problem, found.fit))
+
+    def diagnosis(self, terms: tuple[str, ...] = ()) -> DiagnosisAnswer:
+        """What ``gyroscreen diagnose`` says of the given model with ``terms``: candidates with their scores, and the verdict."""
+        if terms not in self._diagnosed:
+            answers, rules = self._answers, self._answers.rules
+            selection = forward_selection(answers.problem, terms, rules) if terms else self._selected[1]
+            self._diagnosed[terms] = answers.first_diagnosis(as_diagnosis(answers.problem, selection, rules))
+        return self._diagnosed[terms]
+
+    def chosen(self, terms: tuple[str, ...]) -> ChosenModel:
+        """The given model with ``terms``, one rung for each.
+
+        Raises
+        ------
+        NegativeError : a fit fails.
+        """
+        if terms not in self._chosen:
+            answers = self._answers
+            found = chosen_selection(self._cache, terms, answers.rules)
+            ladder = as_ladder(answers.problem, found.selection, answers.rules)
+            fit = answers.fitted(terms)
+            self._chosen[terms] = ChosenModel(
+                terms,
+                _refinement(answers, ladder),
+                found.judged,
+                (*records_of(answers.problem, fit), *tones_of(answers.problem, fit)),
+            )
+        return self._chosen[terms]
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the next record can be predicted: the measurement has records in the time domain alone."""
+        return isinstance(self._measured, Campaign)
+
+    def experiments(self, terms: tuple[str, ...], effect: str) -> tuple[Experiment, ...]:
+        """Experiments that may come next; raises as ``next_experiments``."""
+        return next_experiments(self._recorded, terms, effect)
+
+    def next_record(self, terms: tuple[str, ...], effect: str, experiment: Experiment) -> NextRecord:
+        """What the given model with ``terms``, without and with ``effect``, says of an experiment; raises as ``next_record``."""
+        return next_record(self._recorded, terms, effect, experiment)
+
+    @property
+    def _recorded(self) -> CampaignProblem:
+        problem = self._answers.problem
+        assert isinstance(problem, CampaignProblem)
+        return problem
+
+    @cached_property
+    def _compared(self) -> ComparisonResult:
+        return compare(self._measured, self._model)
+
+    @cached_property
+    def _selected(self) -> tuple[Answers, ForwardSelection]:
+        """The selection of diagnose and refine, and the answers on whose problem it was made."""
+        answers = self._compared.answers
+        return answers.selected(answers.rules)
+
+    @property
+    def _answers(self) -> Answers:
+        return self._selected[0]
+
+    @cached_property
+    def _cache(self) -> FitCache:
+        answers, selection = self._selected
+        return FitCache(answers.problem, selection.fits)
+
+
+def _refinement(answers: Answers, ladder: Ladder) -> RefinementAnswer:
+    """The answer of refine for a ladder, without the search for a separating record."""
+    found = answers.refinement(ladder, (), False)
+    return with_verdicts(found, answers, None) if isinstance(answers, CampaignAnswers) else found

@@ -1,0 +1,148 @@
+"""The irregularities with their scores, the controls that add and remove them, and where the model fails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from bokeh.models.widgets.buttons import Button
+from bokeh.models.widgets.inputs import Select
+
+from pipeline.criticism.budget import ALPHA
+from pipeline.learning.lot.diagnosis import LotDiagnosis
+from pipeline.learning.lot.scores import LotScore
+from reports.words.explore_lot import left_sentence, score_words
+from reports.words.lot import LEVELS
+from reports.words.numbers import number, with_sd
+from reports.words.quantities import p_words, percent
+
+from ..look import Panel
+from ..parts import controls, error_line, offer, paragraphs, say, stacked, table, text
+from .bench import ChosenPopulation
+
+_SCORES = ("irregularity", "score, sd", "p alone", "p", "share left visible")
+_HEIGHT = "22rem"
+
+
+class IrregularityPanel:
+    """Controls, verdict and tables.
+
+    Parameters
+    ----------
+    change : called with the parts that the user wants in the model.
+    """
+
+    def __init__(self, change: Callable[[tuple[str, ...]], None]) -> None:
+        self._change = change
+        self._parts: tuple[str, ...] = ()
+        self.add = Select(title="Irregularity to add", width=380)
+        self.remove = Select(title="Added irregularity", width=260)
+        self.adding = Button(label="Add and refit", button_type="primary", width=130, align="end", disabled=True)
+        self.removing = Button(label="Remove", width=90, align="end", disabled=True)
+        self.status = text(live=True)
+        self.error = text()
+        self.error.visible = False
+        self.verdict = text(live=True)
+        self.scores = text()
+        self.quantities = text()
+        self.spreads = text()
+        self.shapes = text()
+        self.adding.on_click(self._add)
+        self.removing.on_click(self._remove)
+
+    @property
+    def panels(self) -> list[Panel]:
+        """The controls with the verdict."""
+        both = controls(self.add, self.adding, self.remove, self.removing)
+        return [Panel(stacked(both, self.status, self.error, self.verdict), "Irregularities", wide=True)]
+
+    @property
+    def tables(self) -> list[Panel]:
+        """Scores, and where the model fails by quantity, level and pattern."""
+        return [
+            Panel(
+                self.scores,
+                "Scores of the absent irregularities",
+                "Score tests beside the model above, without refits; p is family-wise.",
+                wide=True,
+            ),
+            Panel(self.quantities, "Where it fails: quantities", "Each device against all others; calibrated: sd 1."),
+            Panel(
+                self.shapes,
+                "Where it fails: patterns without a name",
+                "Probes of the residual, the most significant first.",
+            ),
+            Panel(
+                self.spreads, "Where it fails: levels", "Fitted spread over that of the file; 90 % interval.", wide=True
+            ),
+        ]
+
+    def chosen(self, parts: tuple[str, ...]) -> None:
+        """Show what is in the model now, or will be once the fit is done."""
+        self._parts = parts
+        offer(self.remove, parts)
+        self.remove.value = parts[-1] if parts else ""
+        self.removing.disabled = not parts
+
+    def show(self, found: LotDiagnosis, more: Sequence[str]) -> None:
+        """Show the scores beside the model; ``more`` are further sentences."""
+        say(self.verdict, paragraphs([*more, left_sentence(found)]))
+        offer(self.add, {one.name: score_words(one) for one in found.candidates})
+        self.add.value = found.candidates[0].name if found.candidates else ""
+        self.adding.disabled = not found.candidates
+        marked = [k for k, one in enumerate(found.candidates) if one.p_value < ALPHA]
+        self.scores.text = table(_SCORES, [_score(one) for one in found.candidates], marked=marked, height=_HEIGHT)
+        probes = [_score(one) for one in found.probes[:8]]
+        self.shapes.text = table(
+            ("pattern", *_SCORES[1:]),
+            probes,
+            marked=[k for k, one in enumerate(found.probes[:8]) if one.p_value < ALPHA],
+        )
+
+    def places(self, found: ChosenPopulation) -> None:
+        """Show where the model fails by quantity and by level."""
+        rows = [
+            [name, number(one.sd, 3), percent(one.inside_90), p_words(one.p_value)]
+            for name, one in found.calibration.items()
+        ]
+        self.quantities.text = table(("quantity", "sd", "inside the 90 % interval", "p of the shape"), rows)
+        spreads = [
+            [
+                name,
+                LEVELS[one.level],
+                number(one.ratio, 3),
+                f"{number(one.low, 3)} to {number(one.high, 3)}",
+                "yes" if one.agrees else "no",
+            ]
+            for name, one in found.spreads.items()
+        ]
+        patterns = [[name, LEVELS["all"], with_sd(one.ratio, one.sd), "", ""] for name, one in found.patterns.items()]
+        marked = [k for k, one in enumerate(found.spreads.values()) if not one.agrees]
+        self.spreads.text = table(
+            ("part", "level", "ratio", "90 % interval", "agrees with the file"),
+            [*spreads, *patterns],
+            words=(1,),
+            marked=marked,
+            height=_HEIGHT,
+        )
+
+    def fail(self, line: str) -> None:
+        """Show why the last wish failed; "" where it did not."""
+        say(self.error, error_line(line))
+
+    def _add(self) -> None:
+        if self.add.value and self.add.value not in self._parts:
+            self._change((*self._parts, str(self.add.value)))
+
+    def _remove(self) -> None:
+        self._change(tuple(name for name in self._parts if name != self.remove.value))
+
+
+def _score(one: LotScore) -> list[str]:
+    return [
+        one.name,
+        number(one.z, 3),
+        p_words(math.exp(one.log_p)),
+        p_words(one.p_value),
+        percent(one.surviving_share),
+    ]
