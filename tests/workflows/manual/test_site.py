@@ -31,7 +31,7 @@ from workflows.manual.keys import FILES, tables_of
 from workflows.manual.pages import generated_pages
 from workflows.manual.python import public_classes, public_functions
 from workflows.manual.signatures import SIGMA_V, SNR, alike, effect_signature
-from workflows.manual.sources import Sources, built_folder, find_sources
+from workflows.manual.sources import ManualSources, built_folder, find_sources
 
 ROOT = Path(__file__).parents[3]
 COMMANDS = typer.main.get_command(app)
@@ -243,7 +243,7 @@ def test_the_search_index_is_a_local_script_that_knows_the_keys(site):
         assert word in index, word
 
 
-def small(folder: Path, text: str) -> Sources:
+def small(folder: Path, text: str) -> ManualSources:
     """Sources with one page."""
     real = find_sources()
     for path in real.files:
@@ -253,7 +253,7 @@ def small(folder: Path, text: str) -> Sources:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(path.read_bytes())
     (folder / "docs" / "index.md").write_text(text, encoding="utf-8")
-    return Sources(folder, real.packages)
+    return ManualSources(folder, real.packages)
 
 
 def test_a_broken_link_a_page_that_does_not_exist_and_a_wrong_formula_fail_the_strict_build(tmp_path):
