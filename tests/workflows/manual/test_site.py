@@ -156,7 +156,11 @@ def test_every_irregularity_has_a_page_with_its_law_parameters_and_picture(pages
         page = pages[f"reference/irregularities/{name}.md"]
         assert all(f"| `{parameter.name}` |" in page for parameter in one.parameters)
         assert "Source: " in page
+        assert "## Look-alikes" in page
         ElementTree.fromstring(pages[f"reference/irregularities/{name}.svg"])
+    # Width and thickness act on the same stiffness; the split of an anisotropy has its own direction.
+    assert "| `spring_width.lot` | `spring_thickness.lot` |" in pages["reference/irregularities/spring_width.md"]
+    assert "No random part" in pages["reference/irregularities/lid_leak.md"]
     for name in generic_irregularities():
         assert pages[f"reference/irregularities/generic-{name}.md"]
         ElementTree.fromstring(pages[f"reference/irregularities/generic-{name}.svg"])
