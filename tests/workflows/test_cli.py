@@ -164,7 +164,7 @@ def test_the_version_is_that_of_the_distribution(capfd):
         (
             [],
             "run rare query report attribute grr export verify identify paper init check simulate compare diagnose refine demo "
-            "effects model population benchmark",
+            "effects docs model population benchmark",
         ),
         (["model"], "show add drop export"),
         (["population"], "show add drop"),
