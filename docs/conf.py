@@ -20,8 +20,8 @@ source_suffix = {".md": "myst-nb", ".ipynb": "myst-nb", ".rst": "restructuredtex
 # A reference without a target is a fault; types in signatures are often internal, or those of other packages.
 nitpicky = True
 nitpick_ignore_regex = [(r"py:(class|obj|data)", r".*")]
-# A page may skip a level of headings; a section may have no page of a kind yet.
-suppress_warnings = ["myst.header", "toc.empty_glob"]
+# A page may skip a level of headings.
+suppress_warnings = ["myst.header"]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence", "attrs_block", "attrs_inline", "fieldlist"]
 # Prices and shell variables are no formulas.

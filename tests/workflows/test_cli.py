@@ -165,7 +165,7 @@ def test_the_version_is_that_of_the_distribution(capfd):
         (
             [],
             "run rare query report attribute grr export verify identify paper init check simulate compare diagnose refine demo "
-            "effects model population benchmark completion",
+            "effects docs model population benchmark completion explore",
         ),
         (["model"], "show add drop export"),
         (["population"], "show add drop"),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pipeline.errors import ConfigError, NegativeError, UsageError, unwritable
 
-from .sources import Sources
+from .sources import ManualSources
 
 #: What the extra [docs] installs, by the names of the modules.
 _NEEDS = ("sphinx", "myst_nb", "pydata_sphinx_theme", "sphinx_design", "latex2mathml")
@@ -47,7 +47,7 @@ def check(out: Path) -> None:
 
 
 def build(
-    sources: Sources, pages: Mapping[str, str], out: Path, *, strict: bool = False, notebooks: bool = True
+    sources: ManualSources, pages: Mapping[str, str], out: Path, *, strict: bool = False, notebooks: bool = True
 ) -> Path:
     """Build the manual into the folder ``out``; returns its first page.
 
@@ -78,7 +78,7 @@ def build(
     return out / "index.html"
 
 
-def staged(sources: Sources, pages: Mapping[str, str], work: Path) -> None:
+def staged(sources: ManualSources, pages: Mapping[str, str], work: Path) -> None:
     """Write the sources, with the generated ``pages``, into the empty folder ``work``."""
     for path in sources.files:
         target = work / path.relative_to(sources.root)

@@ -12,7 +12,7 @@ from populations.irregularity import Irregularity, IrregularityParameter, find
 from populations.spec import PopulationSpec, load_spec
 
 from .markdown import NOTE, block, code, number, plain, table
-from .patterns import generic_pattern, population_pattern
+from .patterns import generic_pattern, parts_alike, population_pattern
 from .pictures import pattern_picture
 
 _ABOUT = """\
@@ -31,6 +31,12 @@ _GENERIC_ABOUT = """\
 `y` is a quantity of the lot, `s` and `b` are free sizes, and `n(unit)` is a standard normal number that the devices of a
 unit share. `rho` and `phi` are the polar coordinates of a die in wafer radii.
 """
+_ALIKE_ABOUT = """\
+## Which irregularities look alike?
+
+A random part of an irregularity has a level: the devices of a lot, wafer or die share its numbers. Parts on one line have the
+same level and changes in the same proportion, so no measured lot can tell them apart; `refine` names them together.
+"""
 _NEEDS = {
     "lots": "two lots or more",
     "wafers": "two wafers or more",
@@ -45,9 +51,10 @@ def irregularity_pages() -> Mapping[str, str]:
     """Path below docs/reference/ -> page or picture of each irregularity, and their index."""
     spec = load_spec()
     known, generic, levels = find(), generic_irregularities(), levels_of(spec)
-    pages = {"index.md": _index(known, generic)}
+    alike = parts_alike(spec)
+    pages = {"index.md": _index(known, generic, alike)}
     for name, one in known.items():
-        pages[f"{name}.md"] = _page(one, spec, levels[name])
+        pages[f"{name}.md"] = _page(one, spec, levels[name], alike)
         if name in spec.irregularity:
             pages[f"{name}.svg"] = pattern_picture(population_pattern(one, spec))
     for name, shape in generic.items():
@@ -56,7 +63,9 @@ def irregularity_pages() -> Mapping[str, str]:
     return {f"irregularities/{name}": text for name, text in pages.items()}
 
 
-def _index(known: Mapping[str, Irregularity], generic: Mapping[str, GenericIrregularity]) -> str:
+def _index(
+    known: Mapping[str, Irregularity], generic: Mapping[str, GenericIrregularity], alike: tuple[tuple[str, ...], ...]
+) -> str:
     own = [(f"[`{name}`]({name}.md)", one.stage, plain(law_of(one))) for name, one in known.items()]
     shapes = [(f"[`{name}`](generic-{name}.md)", plain(_documented(one))) for name, one in generic.items()]
     names = "\n".join([*known, *(f"generic-{name}" for name in generic)])
@@ -65,6 +74,9 @@ def _index(known: Mapping[str, Irregularity], generic: Mapping[str, GenericIrreg
             NOTE,
             _ABOUT,
             table(("irregularity", "stage", "what it is"), own),
+            _ALIKE_ABOUT,
+            "\n".join(f"- {', '.join(map(code, names))}" for names in alike),
+            "",
             _GENERIC_ABOUT,
             table(("irregularity", "law"), shapes),
             f"```{{toctree}}\n:hidden:\n\n{names}\n```\n",
@@ -72,7 +84,7 @@ def _index(known: Mapping[str, Irregularity], generic: Mapping[str, GenericIrreg
     )
 
 
-def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...]) -> str:
+def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...], alike: tuple[tuple[str, ...], ...]) -> str:
     text = inspect.cleandoc(one.act.__globals__.get("__doc__") or one.name)
     summary, *rest = list(_paragraphs(text))
     parameters = [_parameter(parameter, spec.irregularity.get(one.name, {})) for parameter in one.parameters]
@@ -99,6 +111,8 @@ def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...]) -> s
             f"Keys of `[irregularity.{one.name}]` in a population file.\n",
             table(("key", "meaning", "unit", "null", "cloverleaf", "range"), parameters),
             *picture,
+            "## Look-alikes\n",
+            _look_alikes(one.name, alike),
         ]
     )
 
@@ -121,6 +135,18 @@ def _generic_page(one: GenericIrregularity) -> str:
             "the size `s` or `b`.\n",
         ]
     )
+
+
+def _look_alikes(name: str, alike: tuple[tuple[str, ...], ...]) -> str:
+    rows = [
+        (code(part), ", ".join(code(other) for other in names if other != part))
+        for names in alike
+        for part in names
+        if part.partition(".")[0] == name
+    ]
+    if not rows:
+        return "No random part of it is proportional to one of another irregularity in packaged devices.\n"
+    return f"No measured lot can tell these random parts apart.\n\n{table(('part', 'looks like'), rows)}"
 
 
 def _parameter(one: IrregularityParameter, given: Mapping[str, float]) -> tuple[str, ...]:

@@ -110,7 +110,7 @@ _SHORTER = (
 
 
 @dataclass(frozen=True)
-class Table:
+class KeyTable:
     """A table of a TOML file: its header as written, its struct, and what the key that holds it means."""
 
     header: str
@@ -138,9 +138,9 @@ def file_page(file: TomlFile) -> str:
     return "\n".join(parts)
 
 
-def tables_of(kind: type[Struct], header: str = "", meaning: str = "") -> Iterator[Table]:
+def tables_of(kind: type[Struct], header: str = "", meaning: str = "") -> Iterator[KeyTable]:
     """The tables of a file, from the top level down, each once."""
-    yield Table(header, kind, meaning)
+    yield KeyTable(header, kind, meaning)
     known = meanings(kind)
     for field in fields(kind):
         for inner, form in _structs(field.type):
@@ -161,7 +161,7 @@ def _structs(kind: Any) -> Iterator[tuple[type[Struct], str]]:
             yield from ((inner, "[[{}]]") for item in arguments if item is not Ellipsis for inner, _ in _structs(item))
 
 
-def _section(one: Table) -> str:
+def _section(one: KeyTable) -> str:
     title = "## Top level\n" if not one.header else f"## {code(one.header)}\n"
     known = meanings(one.kind)
     rows = [_key(field, known[field.name]) for field in fields(one.kind)]

@@ -16,14 +16,17 @@ import numpy as np
 
 from pipeline.arrays import FloatArray
 from pipeline.learning.lot.generic import GenericIrregularity
+from pipeline.learning.lot.gyro import COORDINATES
 from pipeline.learning.lot.measured import MeasuredLot
-from pipeline.learning.lot.model import RandomPart
+from pipeline.learning.lot.model import RandomPart, merged
 from pipeline.quantities import AXES, MODEL
 from populations.draw import Draw, draw
 from populations.irregularity import Irregularity
 from populations.layout import die_centres
 from populations.numbers import field_factor
 from populations.spec import PopulationSpec
+
+from ..lots.population import population_at, trial_spec
 
 _SEED = 2
 #: Shares below this are not drawn.
@@ -80,7 +83,7 @@ def population_pattern(irregularity: Irregularity, spec: PopulationSpec) -> Patt
 
 def generic_pattern(generic: GenericIrregularity, spec: PopulationSpec) -> Pattern:
     """One draw of the first part of a generic irregularity, in units of its scale."""
-    lot = _empty_lot(spec, 2 if "quantities" in generic.needs else 1)
+    lot = _empty_lot(spec, ("y1", "y2") if "quantities" in generic.needs else ("y1",))
     part = generic.parts(lot, np.ones(len(lot.quantities)))[0]
     random = np.random.default_rng(_SEED)
     if isinstance(part, RandomPart):
@@ -102,7 +105,14 @@ def generic_pattern(generic: GenericIrregularity, spec: PopulationSpec) -> Patte
     return Pattern(generic.name, "change [sizes]", lot.radius_mm, tuple(maps))
 
 
-def _empty_lot(spec: PopulationSpec, quantities: int) -> MeasuredLot:
+def parts_alike(spec: PopulationSpec) -> tuple[tuple[str, ...], ...]:
+    """Random parts of the irregularities that no measured lot can tell apart: same level, proportional covariance."""
+    parts = population_at(trial_spec(spec), _empty_lot(spec, COORDINATES)).model.random
+    found = (tuple(name for name, _ in part.shares) for part in merged(parts))
+    return tuple(names for names in found if len(names) > 1)
+
+
+def _empty_lot(spec: PopulationSpec, quantities: tuple[str, ...]) -> MeasuredLot:
     """Two lots of two wafers, tested by two testers in turn, with every die."""
     centres = die_centres(spec.wafer)
     dies, wafers = len(centres), _LOTS * _WAFERS
@@ -116,10 +126,10 @@ def _empty_lot(spec: PopulationSpec, quantities: int) -> MeasuredLot:
     x, y = np.tile(centres, (wafers, 1)).T
     return MeasuredLot(
         name="lot",
-        quantities=tuple(f"y{k + 1}" for k in range(quantities)),
-        units=("1",) * quantities,
-        values=np.zeros((n, quantities)),
-        covariance=np.zeros((n, quantities, quantities)),
+        quantities=quantities,
+        units=("1",) * len(quantities),
+        values=np.zeros((n, len(quantities))),
+        covariance=np.zeros((n, len(quantities), len(quantities))),
         labels=labels,
         x_mm=x,
         y_mm=y,

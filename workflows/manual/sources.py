@@ -24,7 +24,7 @@ _CODE = (".py", ".toml")
 
 
 @dataclass(frozen=True)
-class Sources:
+class ManualSources:
     """Root that contains docs/ and the files that its pages include, and the root of the packages."""
 
     root: Path
@@ -48,7 +48,7 @@ class Sources:
         return found.hexdigest()[:16]
 
 
-def find_sources() -> Sources:
+def find_sources() -> ManualSources:
     """The sources of this installation.
 
     Raises
@@ -59,7 +59,7 @@ def find_sources() -> Sources:
     for root in (_HERE / "sources", packages):
         # Another project's docs/ may lie beside installed packages.
         if (root / "docs" / "conf.py").exists() and all((root / name).exists() for name in _BESIDE):
-            return Sources(root, packages)
+            return ManualSources(root, packages)
     raise UsageError(
         "this installation does not contain the sources of the manual",
         value=str(packages),
@@ -79,7 +79,7 @@ def cache_folder() -> Path:
     return base / "gyroscreen" / "manual"
 
 
-def built_folder(sources: Sources, notebooks: bool = True) -> Path:
+def built_folder(sources: ManualSources, notebooks: bool = True) -> Path:
     """Folder of the manual of these sources, with or without executed notebooks, whether or not it is built yet."""
     plain = "" if notebooks else "-plain"
     return cache_folder() / f"{metadata.version('gyroscreen')}-{sources.digest()}{plain}"

@@ -47,10 +47,7 @@ EFFECT = Effect(
     r" \quad \text{potential}\ c\,|\psi|^2 (w \cdot \psi), \quad \omega = 3(1 + \delta)\,\omega_1",
     source="Nayfeh & Mook (1979), chapter 6, cubic nonlinearities; Antonio, Zanette & Lopez, Nature Communications 3 (2012) 806",
     signature="the resonance stops growing or shifting where three times the drive passes the hidden modes",
-    parameters=(
-        Parameter("c^2", "1/(V^4 s^8)", 0.0, 1e30, "square of the coupling", scale=1e23),
-        *_MODE,
-    ),
+    parameters=(Parameter("c^2", "1/(V^4 s^8)", 0.0, 1e30, "square of the coupling", scale=1e23), *_MODE),
     mechanics=mechanics,
     force=force,
     potential=potential,

@@ -47,7 +47,7 @@ def test_the_manual_is_built_once_and_opened(built, capsys, tmp_path):
 def test_changed_sources_are_built_again_and_old_builds_are_forgotten(built, monkeypatch, capsys):
     folders, _ = built
     for k in range(5):
-        monkeypatch.setattr(sources.Sources, "digest", lambda self, k=k: f"{k}")
+        monkeypatch.setattr(sources.ManualSources, "digest", lambda self, k=k: f"{k}")
         assert call(["docs", "--no-open"]) == 0
     assert len(folders) == 5
     assert len(list(folders[0][0].parent.iterdir())) == 3
