@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import runpy
 import shlex
 import subprocess
 import sys
@@ -35,16 +36,20 @@ def commands(text: str) -> list[str]:
 
 
 def run_in_process(command: str, folder: Path) -> tuple[int, str]:
-    """A command of gyroscreen by a call of its function, any other one by a shell; exit code and what it printed."""
+    """A command of gyroscreen by a call of its function, a script in this process, others by a shell; code and output."""
     try:
         words = shlex.split(command, comments=True)
     except ValueError:
         words = []
-    if words[:1] != ["gyroscreen"] or any(sign in word for word in _unquoted(command) for sign in _SHELL_SIGNS):
+    script = len(words) == 2 and words[0] == "python" and words[1].endswith(".py")
+    plain = not any(sign in word for word in _unquoted(command) for sign in _SHELL_SIGNS)
+    if not (script or words[:1] == ["gyroscreen"]) or not plain:
         return run_by_shell(command, folder, SHELL_S)
     out, err = _stream(), _stream()
     with redirect_stdout(out), redirect_stderr(err):
-        code = call(words[1:])
+        if script:
+            runpy.run_path(words[1], run_name="__main__")
+        code = 0 if script else call(words[1:])
     return code, _text(out) + (_text(err) if code else "")
 
 
