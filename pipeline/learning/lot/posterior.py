@@ -34,7 +34,7 @@ from .reml import CEILING, FLOOR, LotFit, centred
 
 #: A of the prior: ten times the spread of the file.
 SCALE = 10.0
-#: Steps in which the other variances follow, and the rise of 2 ln L that is worth no more: a tenth of that of one sd.
+#: Independent ensembles, their walkers, steps of the first and of the longest round, limits of convergence as for devices.
 ENSEMBLES, WALKERS, STEPS, MOST_STEPS = 4, 12, 40, 160
 RHAT_MAX, ESS_MIN = 1.01, 1000.0
 #: Degrees of freedom of the proposal, pilot draws, and rounds in which they improve it.
