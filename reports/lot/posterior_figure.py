@@ -27,6 +27,6 @@ def posterior_figure(answer: LotPosteriorAnswer, name: str = "posterior") -> Dra
         axes.set_ylim(-0.6, len(at) - 0.4)
         axes.set_xlim(0.0, most)
         axes.grid(axis="x", color=RULE, lw=0.6)
-        axes.set_xlabel("spread / spread of the file, with its 90 % interval")
+        axes.set_xlabel("ratio of the spread, with its 90 % interval; 1: as stated")
         axes.legend(loc="best", frameon=False)
         return Drawing(figure, name, "Posterior and REML intervals of the most influential spreads")

@@ -22,7 +22,7 @@ from ..limits import Limits
 from ..limits_origin import LimitsOrigin
 from ..words.capability import index_words, no_index, share_words
 from ..words.limits import origin_sentence
-from ..words.lot_origin import departure_words, drift_sentence, lot_origin_sentence
+from ..words.lot_origin import ON_PAGE, departure_words, drift_sentence, lot_origin_sentence, p_words
 from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
@@ -98,6 +98,8 @@ def render_run_report(
         lot_origin_sentence=lot_origin_sentence,
         drift_sentence=drift_sentence,
         departure_words=departure_words,
+        p_words=p_words,
+        most_departures=ON_PAGE,
         sources=None if attribution is None else loss_sources(attribution),
         limits_origin="" if limits_origin is None else origin_sentence(limits_origin),
         physics=(*(() if physics is None else physics_sentences(physics)), *_noise(devices)),

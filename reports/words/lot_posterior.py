@@ -27,8 +27,9 @@ def posterior_note(answer: LotPosteriorAnswer) -> str:
         if answer.converged
         else f" Not converged: R-hat at most {RHAT_MAX:g} and ESS at least {ESS_MIN:g} are needed."
     )
+    others = f", patterns and {len(answer.marginal)} other spreads" if answer.marginal else " and patterns"
     return (
-        f"The prior is flat in the sd up to ten times the file's spread; the posterior is marginal over means, patterns and "
-        f"{len(answer.marginal)} other spreads. {answer.draws} draws of emcee, R-hat {number(answer.rhat, 4)}, "
-        f"ESS {number(answer.ess, 3)}, acceptance {number(answer.acceptance, 2)}.{state}"
+        f"The prior is flat in the sd up to ten times the file's spread; the posterior is marginal over means{others}. "
+        f"{answer.draws} draws of emcee, R-hat {number(answer.rhat, 4)}, ESS {number(answer.ess, 3)}, "
+        f"acceptance {number(answer.acceptance, 2)}.{state}"
     )

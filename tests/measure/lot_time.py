@@ -1,4 +1,4 @@
-"""Processor time of compare and refine for a lot: ``python tests/measure/lot_time.py [DEVICES] [QUANTITIES]``.
+"""Processor time of compare and refine for a lot: ``python tests/measure/lot_time.py [DEVICES] [QUANTITIES] [posterior]``.
 
 Wafers of 50 devices, 8 wafers a lot; the shipped population; reading the table is not counted.
 """
@@ -44,6 +44,13 @@ def main() -> None:
         start = time.process_time()
         getattr(replace(answers), name)
         print(f"{name}: {time.process_time() - start:.1f} s of processor time")
+    if "posterior" in sys.argv[3:]:
+        own = replace(answers)
+        _ = own.ready
+        start = time.process_time()
+        found = own.posterior("compare", 3)
+        took = time.process_time() - start
+        print(f"posterior of 3 spreads: {took:.1f} s, R-hat {found.rhat:.3f}, ESS {found.ess:.0f} of {found.draws}")
     print(f"peak {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
