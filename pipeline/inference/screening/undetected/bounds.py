@@ -187,7 +187,7 @@ def _several(
 
     score, reach (E, k): Z~' r and largest strengths; gram (E, k, k); count (E,): of the columns that are not zero.
     """
-    within = _at_most(bias, reach)
+    within = at_most(bias, reach)
     size, vector = np.linalg.eigh(gram)
     seen = np.asarray(size > _ABSORBED)
     weight = np.where(seen, 1.0 / np.where(seen, size, 1.0), 0.0)
@@ -197,13 +197,13 @@ def _several(
     bound = np.abs(visible @ (projected * weight)[:, :, None])[:, :, 0]
     bound += Z95 * np.sqrt(np.sum(visible**2 * weight[:, None], axis=2))
     if np.any(k < count):
-        hidden = _at_most(bias - visible @ np.swapaxes(vector, 1, 2), reach)
+        hidden = at_most(bias - visible @ np.swapaxes(vector, 1, 2), reach)
         bound += np.where((k < count)[:, None], hidden, 0.0)
     p = np.where(k > 0, fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), 1.0)
     return p, total, np.where(k[:, None] > 0, np.minimum(bound, within), within)
 
 
-def _at_most(bias: FloatArray, reach: FloatArray) -> FloatArray:
-    """Largest |b' a| (E, Q) for |a| <= ``reach`` (E, k), of biases (E, Q, k)."""
+def at_most(bias: FloatArray, reach: FloatArray) -> FloatArray:
+    """Largest |b' a| (E, Q) for |a| <= ``reach`` (E, k), of biases (E, Q, k); no bias, no effect, however large."""
     most = np.multiply(np.abs(bias), reach[:, None], out=np.zeros_like(bias), where=bias != 0.0)
     return np.asarray(np.sum(most, axis=2))
