@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from ..yields import Interval
 
 
+#: Said of a configuration with [sampling], which `run` and `rare` may share.
+NOT_SAMPLED = "[sampling] is for `gyroscreen rare`: this run draws its devices as the population makes them"
+
+
 def preview_lines(preview: Preview | None, limits: Limits, origin: LimitsOrigin) -> list[str]:
     """Limits with their origin, the nominal device, the drawn quantities and the expected yield."""
     rule = f"pass at {limits.rule.pass_at:g}, fail at {limits.rule.fail_at:g}"

@@ -15,7 +15,7 @@ from pipeline.plain import plain
 from pipeline.store.run import RunStore, discard_run
 from reports.limits_origin import LimitsOrigin, origin_of_file, shipped_origin
 from reports.words.lot_origin import origin_lines
-from reports.words.preview import preview_lines
+from reports.words.preview import NOT_SAMPLED, preview_lines
 
 from ..config import RunConfig, changed_config, load_config, to_toml_table
 from ..screening.plan import RunPlan, config_of, plan, resume, start, without_none
@@ -50,6 +50,8 @@ def run(
     else:
         wanted = load_config(config, overrides)
         planned, limits = plan(wanted), _limits_of(wanted, config)
+        if wanted.sampling is not None:
+            print(NOT_SAMPLED, file=sys.stderr)
         if dry_run:
             _show_plan(planned, limits, json)
             return

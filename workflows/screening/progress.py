@@ -97,8 +97,9 @@ class _Lines:
             return
         self._last = now
         rate = fresh / max(now - self._started, 1e-9)
-        left = (self._total - finished) / max(rate, 1e-9)
-        text = f"{self._doing}: {finished} of {self._total} devices, {rate:.1f}/s, {left:.0f} s left"
+        text = f"{self._doing}: {finished} of {self._total} devices"
+        if fresh:  # nothing is known of the time before
+            text += f", {rate:.1f}/s, {(self._total - finished) / rate:.0f} s left"
         # A run must not stop because its stderr was closed.
         with suppress(OSError):
             print(text, file=sys.stderr, flush=True)

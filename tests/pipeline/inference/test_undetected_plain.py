@@ -8,6 +8,7 @@ import pytest
 from scipy.special import fdtrc
 
 from pipeline.inference.screening.inband import make_band
+from pipeline.inference.screening.undetected.bounds import Projection
 from pipeline.inference.screening.undetected.clipping import adc_sizes, transform_of_few
 from pipeline.inference.screening.undetected.device import feature_slopes, scored_device, scored_devices
 from pipeline.inference.screening.undetected.linear import linear_devices
@@ -19,7 +20,8 @@ from pipeline.inference.screening.undetected.narrow_band import (
     harmonics,
     motion_at_phases,
 )
-from pipeline.inference.screening.undetected.scanned import scans_of
+from pipeline.inference.screening.undetected.scan_bounds import judged_scans
+from pipeline.inference.screening.undetected.scanned import ScannedProducts, ScanPoints, scans_of
 from pipeline.inference.screening.undetected.signatures import signatures
 from populations.draw import draw
 from workflows.config import RunConfig
@@ -147,3 +149,31 @@ def test_devices_that_are_scored_together_have_the_scores_of_each_alone_bit_for_
     for together, own in zip([first, *rest], [scored_device(one) for one in alone]):
         assert together.columns() == own.columns()
         assert (together.p_values, together.bounds, together.causes) == (own.p_values, own.bounds, own.causes)
+
+
+def test_a_quantity_that_nothing_can_bias_has_the_bound_zero(scored):
+    scoring, found = scored
+    # Without a phase error no quadrature leaks, and lines have no largest strength: zero times infinity.
+    exact = scored_device(replace(scoring, rate=replace(scoring.rate, phase_error_deg=0.0)))
+    assert exact.bounds["quadrature_bias_dps"] == 0.0
+    assert found.bounds["quadrature_bias_dps"] > 0.0
+    for name in ("theta_deg", "split_hz", "inphase_bias_dps"):
+        assert exact.bounds[name] == found.bounds[name] > 0.0
+
+
+def test_a_scanned_column_that_the_drive_does_not_reach_says_nothing():
+    random = np.random.default_rng(7)
+    jacobian, residual = random.normal(size=(2, 40)), random.normal(size=40)
+    columns = random.normal(size=(2, 2, 2, 40))
+    columns[1, 1] = 0.0  # both columns of the second channel at the second point
+    base = np.vstack([jacobian, residual]) @ np.vstack([jacobian, residual]).T
+    cross = np.einsum("rn,sgkn->rsgk", np.vstack([jacobian, residual]), columns)
+    squares = np.einsum("sgan,sgbn->sgab", columns, columns)[:, :, [0, 0, 1], [0, 1, 1]]
+    scan = ScanPoints("mains_hum", 2, np.zeros(0), np.inf)
+    slopes = np.array([[1.0, 0.5], [0.0, 0.0]])
+    projection = Projection.of(base[:2, :2], slopes)
+    found = judged_scans(ScannedProducts((scan,), base, cross, squares), projection, base[:2, 2], 1e9)
+    assert np.isfinite(found.bounds).all()
+    assert found.bounds[0, 0] > 0.0
+    assert found.bounds[0, 1] == 0.0
+    assert 0.0 < found.p_values[0] <= 1.0

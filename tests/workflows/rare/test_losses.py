@@ -13,6 +13,7 @@ from pipeline.errors import ConfigError
 from populations.draw import draw
 from populations.spec import load_spec
 from reports.limits import BoundsTable
+from reports.words.preview import NOT_SAMPLED
 from reports.words.rare import rare_lines, share_words
 from workflows.cli import call
 from workflows.config import load_config
@@ -116,6 +117,15 @@ def test_a_plain_run_is_planned_as_before(tmp_path: Path) -> None:
     without = plan(load_config(config(tmp_path, FILE.split("[sampling]")[0])))
     assert with_table.blocks == without.blocks
     assert without.config.sampling is None
+
+
+@pytest.mark.parametrize("sampled", [True, False])
+def test_a_run_says_that_it_does_not_sample(sampled: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    text = FILE if sampled else FILE.split("[sampling]")[0]
+    assert call(["run", str(config(tmp_path, text)), "--dry-run", "--json"]) == 0
+    shown = capfd.readouterr()
+    assert shown.err.splitlines() == ([NOT_SAMPLED] if sampled else [])
+    assert shown.out.startswith("{")
 
 
 def test_shares_in_words() -> None:

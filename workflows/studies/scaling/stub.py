@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 import pyarrow as pa
 
+from pipeline.experiment.files.common_tables import SystematicTable
 from populations.layout import places
 
 from ...config import RunConfig
@@ -27,9 +28,9 @@ _KEPT = ("p_pass", "p_value", "effect_p_value", "rhat", "acceptance")
 
 
 @lru_cache(maxsize=1)
-def _real() -> BlockTables:
-    """The tables of ``_REAL`` devices of the default run, which a worker identifies once."""
-    return virtual_block(RunConfig(), DeviceBlock(0, 0, _REAL))
+def _real(systematic: SystematicTable) -> BlockTables:
+    """The tables of ``_REAL`` devices of the default run with these common errors, which a worker identifies once."""
+    return virtual_block(RunConfig(systematic=systematic), DeviceBlock(0, 0, _REAL))
 
 
 def _varied(table: pa.Table, random: np.random.Generator) -> pa.Table:
@@ -59,7 +60,7 @@ class StubRows:
 
     def __call__(self, config: RunConfig, item: BlockItem, begin: Begin) -> BlockTables:
         """The tables of the block."""
-        block, real = item.block, _real()
+        block, real = item.block, _real(config.systematic)
         random = np.random.default_rng(np.random.SeedSequence(config.run.seed, spawn_key=(_STREAM, block.index)))
         index = np.arange(block.first, block.first + block.count)
         placed = places(population(config).wafer, index)

@@ -204,6 +204,6 @@ def _several(
 
 
 def at_most(bias: FloatArray, reach: FloatArray) -> FloatArray:
-    """Largest |b' a| (E, Q) for |a| <= ``reach`` (E, k), of biases (E, Q, k)."""
+    """Largest |b' a| (E, Q) for |a| <= ``reach`` (E, k), of biases (E, Q, k); no bias, no effect, however large."""
     most = np.multiply(np.abs(bias), reach[:, None], out=np.zeros_like(bias), where=bias != 0.0)
     return np.asarray(np.sum(most, axis=2))

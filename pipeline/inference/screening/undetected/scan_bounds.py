@@ -51,7 +51,9 @@ def judged_scans(products: ScannedProducts, projection: Projection, residual: Fl
     spread = np.sqrt(np.maximum(np.einsum("gqk,gqk->gq", bias @ inverse, bias), 0.0))
     each = np.abs((bias @ estimate[:, :, None])[:, :, 0]) + Z95 * spread
     reach = np.concatenate([np.full(scan.points, scan.reach) for scan in scans])
-    each = np.minimum(each, at_most(bias, size.transpose(1, 0, 2).reshape(points, 4) * reach[:, None])).T
+    most = size.transpose(1, 0, 2).reshape(points, 4) * reach[:, None]
+    # Lines have no largest strength, and a quantity may have no bias at all: the quadrature bias without a phase error.
+    each = np.minimum(each, at_most(bias, most)).T
     p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), q))
     last = 0
     for i, scan in enumerate(scans):
@@ -64,8 +66,12 @@ def judged_scans(products: ScannedProducts, projection: Projection, residual: Fl
 
 
 def _unit_columns(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Norms (S, g, 2) of columns with products (S, g, 3), and the products (g, 4, 4) of the unit columns, with a ridge."""
+    """Norms (S, g, 2) of columns with products (S, g, 3), and the products (g, 4, 4) of the unit columns, with a ridge.
+
+    A column that is zero, as the drive does not reach it, has the norm 1: it stays zero, and nothing is seen of its effect.
+    """
     size = np.sqrt(squares[:, :, ::2])
+    size = np.where(size > 0.0, size, 1.0)
     cosine = squares[:, :, 1] / (size[:, :, 0] * size[:, :, 1])
     unit = np.zeros((squares.shape[1], 4, 4))
     unit[:, np.arange(4), np.arange(4)] = 1.0 + _RIDGE
