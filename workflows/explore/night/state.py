@@ -117,7 +117,11 @@ class NightState:
     def _rested(self) -> None:
         self._timer = None
         limits = self.limits
-        self.work(lambda: again(self.night, limits), lambda found: self._replace(limits, found))
+        # Limits that moved on while the thread was busy are not judged.
+        self.work(
+            lambda: again(self.night, limits) if limits == self.limits else None,
+            lambda found: self._replace(limits, found),
+        )
 
     def _replace(self, limits: Limits, found: Any) -> None:
         if limits != self.limits:
