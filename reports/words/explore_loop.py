@@ -19,7 +19,9 @@ DEFECT = "internal error"
 JUDGING = "is judged"
 REFUSED = "refused"
 NOT_TIMED = "The next record is predicted for campaigns that hold time records alone."
-NO_RECORDS = "This measurement has no samples and no sweeps to draw. What compare says below tells where the model fails."
+NO_RECORDS = (
+    "This measurement has no samples and no sweeps to draw. What compare says below tells where the model fails."
+)
 
 
 def band_words(kind: str, band_hz: tuple[float, float], centres_hz: Sequence[float]) -> str:
