@@ -134,12 +134,12 @@ class _Guarded(BokehTornado):
         """The handler of a request, or its refusal."""
         refused = self._refused(request)
         if refused is not None:
-            return self.get_handler_delegate(request, _Refusal, {"status": refused})
+            return self.get_handler_delegate(request, _RefusedRequest, {"status": refused})
         delegate = super().find_handler(request, **kwargs)
         allowed = {DocHandler: _Page, WSHandler: WSHandler, StaticHandler: _Static}
         handler = allowed.get(getattr(delegate, "handler_class", None))
         if handler is None:
-            return self.get_handler_delegate(request, _Refusal, {"status": 404})
+            return self.get_handler_delegate(request, _RefusedRequest, {"status": 404})
         delegate.handler_class = handler
         return delegate
 
@@ -175,7 +175,7 @@ def _headers(handler: RequestHandler) -> None:
         handler.set_header(name, value)
 
 
-class _Refusal(RequestHandler):
+class _RefusedRequest(RequestHandler):
     """One line of text with a status."""
 
     def initialize(self, status: int) -> None:

@@ -28,7 +28,7 @@ from workflows.explore.night.figures import places
 from workflows.explore.night.limits_panel import LimitsPanel
 from workflows.explore.night.points_panels import PointsPanels
 from workflows.explore.night.state import NightState
-from workflows.explore.night.stored import StoredNight, load
+from workflows.explore.night.stored import NightData, load
 
 
 class Inline(Executor):
@@ -42,12 +42,12 @@ class Inline(Executor):
 
 
 @pytest.fixture(scope="module")
-def stored(night: Path) -> StoredNight:
+def stored(night: Path) -> NightData:
     return load(night)
 
 
 @pytest.fixture
-def state(stored: StoredNight) -> NightState:
+def state(stored: NightData) -> NightState:
     return NightState(stored, Document(), Inline())
 
 
@@ -63,7 +63,7 @@ def pass_time(state: NightState) -> None:
     raise AssertionError("callbacks without end")
 
 
-def command_says(stored: StoredNight, text: str, folder: Path, capsys: Any) -> dict[str, Any]:
+def command_says(stored: NightData, text: str, folder: Path, capsys: Any) -> dict[str, Any]:
     """The yields of ``gyroscreen report --limits``."""
     path = folder / "new.toml"
     path.write_text(text, encoding="utf-8")
@@ -74,7 +74,7 @@ def command_says(stored: StoredNight, text: str, folder: Path, capsys: Any) -> d
 
 
 def test_a_moved_line_is_previewed_and_then_judged_as_the_command_does(
-    state: NightState, stored: StoredNight, tmp_path: Path, capsys: Any
+    state: NightState, stored: NightData, tmp_path: Path, capsys: Any
 ) -> None:
     for panel in panels(state):
         state.document.add_root(panel.model)
@@ -150,7 +150,7 @@ def test_crossed_limits_are_said_and_change_nothing(state: NightState) -> None:
     assert panel.limit().low == 523.0
 
 
-def test_a_selection_is_one_in_all_figures(state: NightState, stored: StoredNight) -> None:
+def test_a_selection_is_one_in_all_figures(state: NightState, stored: NightData) -> None:
     limits, points = LimitsPanel(state), PointsPanels(state)
     points.points.selected.indices = [2, 3, 5]
     assert state.selected.tolist() == points.rows[[2, 3, 5]].tolist()
@@ -164,7 +164,7 @@ def test_a_selection_is_one_in_all_figures(state: NightState, stored: StoredNigh
     assert points.rows[points.points.selected.indices].tolist() == inside.tolist()
 
 
-def test_a_wafer_can_be_chosen_and_a_map_coloured(state: NightState, stored: StoredNight) -> None:
+def test_a_wafer_can_be_chosen_and_a_map_coloured(state: NightState, stored: NightData) -> None:
     LimitsPanel(state)
     points = PointsPanels(state)
     name = stored.wafer_names[0]
@@ -178,7 +178,7 @@ def test_a_wafer_can_be_chosen_and_a_map_coloured(state: NightState, stored: Sto
     assert not points.map.verdicts.visible
 
 
-def test_wafers_are_drawn_apart(stored: StoredNight) -> None:
+def test_wafers_are_drawn_apart(stored: NightData) -> None:
     found = places(stored, "")
     assert len(found.centres) == len(stored.wafer_names)
     radius = [
@@ -187,7 +187,7 @@ def test_wafers_are_drawn_apart(stored: StoredNight) -> None:
     assert max(radius) <= 1.0
 
 
-def test_a_device_shows_verdict_reasons_and_residual(state: NightState, stored: StoredNight) -> None:
+def test_a_device_shows_verdict_reasons_and_residual(state: NightState, stored: NightData) -> None:
     panel = DevicePanel(state)
     row = next(k for k, text in enumerate(stored.devices.text("failed_limits")) if text == "split_hz")
     panel.name.value = stored.device_ids[row]
@@ -203,7 +203,7 @@ def test_a_device_shows_verdict_reasons_and_residual(state: NightState, stored: 
     assert "&lt;b&gt;nobody" in panel.details.text
 
 
-def test_a_device_without_estimates_says_why(state: NightState, stored: StoredNight) -> None:
+def test_a_device_without_estimates_says_why(state: NightState, stored: NightData) -> None:
     panel = DevicePanel(state)
     row = int(np.flatnonzero(~np.isfinite(stored.value("f1_hz")))[0])
     panel.name.value = stored.device_ids[row]
@@ -212,12 +212,12 @@ def test_a_device_without_estimates_says_why(state: NightState, stored: StoredNi
     assert not panel.curves.residual.visible
 
 
-def test_a_view_of_a_device_is_the_same_every_time(stored: StoredNight) -> None:
+def test_a_view_of_a_device_is_the_same_every_time(stored: NightData) -> None:
     first, second = device_view(stored, 9), device_view(stored, 9)
     assert first.low.tolist() == second.low.tolist()
 
 
-def test_all_units_are_known(stored: StoredNight) -> None:
+def test_all_units_are_known(stored: NightData) -> None:
     assert set(stored.known) <= set(UNITS)
 
 

@@ -16,7 +16,7 @@ from pipeline.errors import UsageError
 from reports.limits import Limits, load_limits
 from workflows.explore.night.file import moved, toml_of
 from workflows.explore.night.judged import again, as_stored, preview
-from workflows.explore.night.stored import StoredNight, load
+from workflows.explore.night.stored import NightData, load
 
 from .conftest import NIGHT, made_night
 
@@ -25,11 +25,11 @@ RANGES = {"f1_hz": (517.0, 538.0), "split_hz": (0.5, 6.0), "rate_bias_dps": (-40
 
 
 @pytest.fixture(scope="module")
-def stored(night: Path) -> StoredNight:
+def stored(night: Path) -> NightData:
     return load(night)
 
 
-def agree(found: StoredNight, limits: Limits, moving: str) -> None:
+def agree(found: NightData, limits: Limits, moving: str) -> None:
     shown = preview(found, limits, moving, None)[0]
     if not found.status(limits).equals("ok").any():
         # Limits so narrow that the gate refuses every device.
@@ -47,7 +47,7 @@ def agree(found: StoredNight, limits: Limits, moving: str) -> None:
 
 @settings(max_examples=12)
 @given(data=st.data())
-def test_the_preview_is_the_judgement(stored: StoredNight, data: Any) -> None:
+def test_the_preview_is_the_judgement(stored: NightData, data: Any) -> None:
     limits, moving = stored.limits, "f1_hz"
     for _ in range(data.draw(st.integers(1, 3))):
         moving = data.draw(st.sampled_from(sorted(RANGES)))
@@ -58,28 +58,28 @@ def test_the_preview_is_the_judgement(stored: StoredNight, data: Any) -> None:
     agree(stored, limits, moving)
 
 
-def test_verdicts_differ_between_the_limits_that_are_tried(stored: StoredNight) -> None:
+def test_verdicts_differ_between_the_limits_that_are_tried(stored: NightData) -> None:
     tight = moved(stored.limits, "f1_hz", 529.0, 533.0)
     before, after = as_stored(stored).codes, preview(stored, tight, "f1_hz", None)[0].codes
     assert len(set(before.tolist())) > 1
     assert (before != after).any()
 
 
-def test_an_arc_across_90_deg(stored: StoredNight) -> None:
+def test_an_arc_across_90_deg(stored: NightData) -> None:
     agree(stored, moved(stored.limits, "theta_deg", 40.0, 130.0), "theta_deg")
 
 
-def test_a_limit_that_is_removed(stored: StoredNight) -> None:
+def test_a_limit_that_is_removed(stored: NightData) -> None:
     agree(stored, moved(stored.limits, "split_hz", -np.inf, np.inf), "split_hz")
 
 
-def test_the_limits_of_the_run_give_the_run(stored: StoredNight) -> None:
+def test_the_limits_of_the_run_give_the_run(stored: NightData) -> None:
     limits = load_limits({"limits": NIGHT["limits"]})
     assert limits == stored.limits
     assert preview(stored, limits, "f1_hz", None)[0].total == as_stored(stored).total
 
 
-def test_what_does_not_move_is_kept(stored: StoredNight) -> None:
+def test_what_does_not_move_is_kept(stored: NightData) -> None:
     first = preview(stored, moved(stored.limits, "f1_hz", 530.0, 540.0), "f1_hz", None)[1]
     further = moved(stored.limits, "f1_hz", 531.0, 540.0)
     shown, second = preview(stored, further, "f1_hz", first)
@@ -102,7 +102,7 @@ def test_without_stored_draws(tmp_path: Path) -> None:
     agree(stored, moved(stored.limits, "f1_hz", 531.0, 538.0), "f1_hz")
 
 
-def test_the_file_states_the_limits(stored: StoredNight, tmp_path: Path) -> None:
+def test_the_file_states_the_limits(stored: NightData, tmp_path: Path) -> None:
     limits = moved(stored.limits, "theta_deg", 80.0, 100.0)
     path = tmp_path / "new.toml"
     path.write_text(toml_of(limits), encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bokeh.document import Document
@@ -21,6 +20,7 @@ from .markup import lead, yield_html
 from .points_panels import PointsPanels
 from .state import NightState
 from .stored import load
+from .thread import DaemonThread
 
 
 def view(path: Path) -> Callable[[Document], None]:
@@ -33,7 +33,7 @@ def view(path: Path) -> Callable[[Document], None]:
     """
     night = load(path)
     # One thread: judgements follow each other, and the newest limits win.
-    worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="judge")
+    worker = DaemonThread("judge")
 
     def fill(document: Document) -> None:
         page(document, f"Night {night.run_id}", lead(night), panels(NightState(night, document, worker)))

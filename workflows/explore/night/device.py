@@ -20,7 +20,7 @@ from reports.learning.record_view import RecordSpectra, RecordView, drive_band, 
 
 from ...learning.views import record_views
 from ...screening.lot.device import measurement_of, nightly_model
-from .stored import StoredNight
+from .stored import NightData
 
 #: Columns of the picture of a residual against time.
 _COLUMNS = 300
@@ -49,7 +49,7 @@ class DeviceView:
 
 
 @threadpool_limits.wrap(limits=1)
-def device_view(night: StoredNight, number: int) -> DeviceView:
+def device_view(night: NightData, number: int) -> DeviceView:
     """The records of device ``number``, simulated or read, and what the nightly model leaves, fitted from the stored estimates.
 
     Raises

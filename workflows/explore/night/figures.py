@@ -27,7 +27,7 @@ from reports.yields import natural
 
 from ..look import COLOURS, DRAWN, EDGES, HATCHES, MARKERS, plot
 from .preview import VERDICTS
-from .stored import StoredNight
+from .stored import NightData
 
 #: Most devices that are drawn one by one; most wafers that are drawn side by side.
 POINTS, WAFERS = 4000, 60
@@ -141,7 +141,7 @@ def stacked(edges: FloatArray, counts: IntArray) -> dict[str, FloatArray]:
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class MapPlaces:
     """Where devices are drawn in the wafer map.
 
     Parameters
@@ -155,19 +155,19 @@ class Places:
     centres: dict[str, tuple[float, float]]
 
 
-def places(night: StoredNight, wafer: str) -> Places:
+def places(night: NightData, wafer: str) -> MapPlaces:
     """Wafers side by side, in rows; all on one if there are more than ``WAFERS``."""
     x, y = night.devices.number("die_x_mm"), night.devices.number("die_y_mm")
     radius = float(np.nanmax(np.hypot(x, y), initial=0.0)) * 1.15 if np.isfinite(x).any() else 1.0
     on = night.on(wafer)
     names = sorted((name for name in night.wafers.at(on).counts() if name), key=natural)
     if len(names) > WAFERS:
-        return Places(x / radius, y / radius, {"": (0.0, 0.0)})
+        return MapPlaces(x / radius, y / radius, {"": (0.0, 0.0)})
     across = max(1, math.ceil(math.sqrt(1.5 * len(names))))
     centres = {name: (_PITCH * (k % across), -_PITCH * (k // across)) for k, name in enumerate(names)}
     words = np.array([centres.get(word, (np.nan, np.nan)) for word in night.wafers.words]).reshape(-1, 2)
     middle = words[night.wafers.codes]
-    return Places(x / (radius or 1.0) + middle[:, 0], y / (radius or 1.0) + middle[:, 1], centres)
+    return MapPlaces(x / (radius or 1.0) + middle[:, 0], y / (radius or 1.0) + middle[:, 1], centres)
 
 
 def _tooltips(drawn: figure, renderers: list[GlyphRenderer]) -> None:
@@ -225,7 +225,7 @@ def wafer_map(source: ColumnDataSource) -> WaferMap:
     return WaferMap(drawn, outlines, verdicts, numbers, scale, bar)
 
 
-def outlines_of(found: Places) -> dict[str, list[object]]:
+def outlines_of(found: MapPlaces) -> dict[str, list[object]]:
     """Data of the outlines of wafers."""
     return {
         "x": [x for x, _ in found.centres.values()],

@@ -18,11 +18,11 @@ from reports.yields import Yield, yield_of
 
 from ...what_if.run import judged_run
 from .preview import VERDICTS, Kept, kept, p_conform, verdict_codes
-from .stored import StoredNight, codes_of
+from .stored import NightData, codes_of
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class JudgedLimits:
     """The run by some limits.
 
     Parameters
@@ -48,14 +48,14 @@ class Judged:
         return self.failed is not None
 
 
-def as_stored(night: StoredNight) -> Judged:
+def as_stored(night: NightData) -> JudgedLimits:
     """The run by its own limits, as it was stored."""
     devices = night.devices
     codes = codes_of(devices.text("verdict"), VERDICTS)
-    return Judged(night.limits, night.total, codes, devices.text("failed_limits"), devices.number("p_pass"), None)
+    return JudgedLimits(night.limits, night.total, codes, devices.text("failed_limits"), devices.number("p_pass"), None)
 
 
-def again(night: StoredNight, limits: Limits) -> Judged:
+def again(night: NightData, limits: Limits) -> JudgedLimits:
     """The run by ``limits``: what ``gyroscreen report --limits`` finds.
 
     Raises
@@ -68,12 +68,12 @@ def again(night: StoredNight, limits: Limits) -> Judged:
     found = judged_run(night.results, night.run_id, limits, "limits")
     after = found.after
     codes = codes_of(after.text("verdict"), VERDICTS)
-    return Judged(
+    return JudgedLimits(
         limits, found.content.total.new, codes, after.text("failed_limits"), after.number("p_pass"), found.content
     )
 
 
-def preview(night: StoredNight, limits: Limits, moving: str, before: Kept | None) -> tuple[Judged, Kept | None]:
+def preview(night: NightData, limits: Limits, moving: str, before: Kept | None) -> tuple[JudgedLimits, Kept | None]:
     """The run by ``limits`` while that of ``moving`` moves, and what to pass as ``before`` next time."""
     status = night.status(limits)
     own: Kept | None = None
@@ -95,4 +95,4 @@ def preview(night: StoredNight, limits: Limits, moving: str, before: Kept | None
         p = p_conform(night.weights, limits, draws[moving], limit, own)
         codes = verdict_codes(p, limits, status)
     undecided, passed, failed = np.bincount(codes, minlength=3).tolist()
-    return Judged(limits, yield_of(passed, failed, undecided), codes, None, p, None), own
+    return JudgedLimits(limits, yield_of(passed, failed, undecided), codes, None, p, None), own

@@ -12,14 +12,14 @@ from reports.words import explore as words
 from reports.words.quantities import UNITS, label, limit_words, percent
 from reports.words.rules import rule_words
 
-from .judged import Judged
+from .judged import JudgedLimits
 from .preview import VERDICTS
-from .stored import StoredNight
+from .stored import NightData
 
 _SMALL = 'style="color: var(--muted); font-size: 0.87rem"'
 
 
-def yield_html(found: Judged, message: str) -> str:
+def yield_html(found: JudgedLimits, message: str) -> str:
     """The yield, its interval and the devices by verdict; ``message``: why a limit was refused."""
     total = found.total
     state = words.PREVIEW if not found.exact else words.AS_STORED if found.content is None else words.EXACT
@@ -37,7 +37,7 @@ def yield_html(found: Judged, message: str) -> str:
     return f'<div class="total">{lines}</div>'
 
 
-def device_html(night: StoredNight, found: Judged, number_: int) -> str:
+def device_html(night: NightData, found: JudgedLimits, number_: int) -> str:
     """Verdict, reasons and estimates of a device."""
     devices = night.devices
     name = night.device_ids[number_]
@@ -60,7 +60,7 @@ def device_html(night: StoredNight, found: Judged, number_: int) -> str:
     return f'<p class="verdict" style="margin: 0 0 4px"><strong>{escape(text)}</strong> {escape(status)}</p>{table}'
 
 
-def _row(night: StoredNight, quantity: str, limit: Limit | None, row: int) -> str:
+def _row(night: NightData, quantity: str, limit: Limit | None, row: int) -> str:
     value, sd, true = (float(night.value(name)[row]) for name in (quantity, f"{quantity}_sd", f"true_{quantity}"))
     digits = (
         3 if not np.isfinite(sd) or sd <= 0.0 else int(np.clip(np.ceil(np.log10(max(abs(value) / sd, 1.0))) + 2, 3, 9))
@@ -88,7 +88,7 @@ def note_html(text: str, name: str = "note") -> str:
     return f'<span class="{name}" {_SMALL}>{escape(text)}</span>'
 
 
-def lead(night: StoredNight) -> str:
+def lead(night: NightData) -> str:
     """How many devices, and the rule."""
     lots = sum(1 for name in night.devices.text("lot").counts() if name)
     return words.night_lead(len(night.devices), len(night.wafer_names), lots, rule_words(night.limits.rule))

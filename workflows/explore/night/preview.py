@@ -35,7 +35,7 @@ VERDICTS = ("undecided", "pass", "fail")
 
 
 @dataclass(frozen=True, eq=False)
-class Deviations:
+class DrawDeviations:
     """Draws of one quantity.
 
     Parameters
@@ -56,7 +56,9 @@ class Deviations:
         return out
 
 
-def deviations(centres: Mapping[str, FloatArray], batches: Iterable[DrawBatch], most: int = 0) -> dict[str, Deviations]:
+def deviations(
+    centres: Mapping[str, FloatArray], batches: Iterable[DrawBatch], most: int = 0
+) -> dict[str, DrawDeviations]:
     """The draws of the quantities in ``centres`` (their estimates (B,), nan where unknown) from ``batches``.
 
     ``batches`` hold each device at most once; ``most`` : expected largest number of draws of a device.
@@ -75,7 +77,7 @@ def deviations(centres: Mapping[str, FloatArray], batches: Iterable[DrawBatch], 
             away = difference(values, own) if name in AXES else values - own
             draws[name][batch.rows, : values.shape[1]] = away
             size[batch.rows] = values.shape[1]
-    return {name: Deviations(middle, draws[name], size) for name, middle in middles.items()}
+    return {name: DrawDeviations(middle, draws[name], size) for name, middle in middles.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,7 @@ class Weights:
     outside: FloatArray
 
 
-def weights(old: Limits, p_run: FloatArray, draws: dict[str, Deviations]) -> Weights:
+def weights(old: Limits, p_run: FloatArray, draws: dict[str, DrawDeviations]) -> Weights:
     """The weights of the draws of all quantities that ``old`` limits."""
     met = np.bitwise_and.reduce([draws[one.quantity].meet(one) for one in old.limits])
     n = draws[old.quantities[0]].size
@@ -117,7 +119,7 @@ class Kept:
     met: Bytes
 
 
-def kept(found: Weights, limits: Limits, moving: str, draws: dict[str, Deviations], before: Kept | None) -> Kept:
+def kept(found: Weights, limits: Limits, moving: str, draws: dict[str, DrawDeviations], before: Kept | None) -> Kept:
     """What stays while the limit of ``moving`` moves; ``before`` if nothing else changed."""
     others = tuple(one for one in limits.limits if one.quantity != moving)
     if before is not None and before.others == others:
@@ -128,7 +130,9 @@ def kept(found: Weights, limits: Limits, moving: str, draws: dict[str, Deviation
     return Kept(others, own | np.left_shift(found.met, 1, dtype=np.uint8))
 
 
-def p_conform(found: Weights, limits: Limits, moving: Deviations | None, limit: Limit | None, own: Kept) -> FloatArray:
+def p_conform(
+    found: Weights, limits: Limits, moving: DrawDeviations | None, limit: Limit | None, own: Kept
+) -> FloatArray:
     """(B,) P(conform to ``limits``), nan without draws.
 
     Parameters

@@ -28,7 +28,7 @@ from reports.limits import Limits
 from .file import moved
 from .judged import again, as_stored, preview
 from .preview import Kept
-from .stored import StoredNight
+from .stored import NightData
 
 Event = Literal["verdicts", "judged", "message", "wafer", "selection", "device"]
 _REST_MS = 250
@@ -37,7 +37,7 @@ _REST_MS = 250
 class NightState:
     """The state of one page; it belongs to its session alone, the run in it to all."""
 
-    def __init__(self, night: StoredNight, document: Document, worker: Executor) -> None:
+    def __init__(self, night: NightData, document: Document, worker: Executor) -> None:
         self.night, self.document, self.worker = night, document, worker
         self.limits: Limits = night.limits
         self.judged = as_stored(night)
@@ -117,7 +117,11 @@ class NightState:
     def _rested(self) -> None:
         self._timer = None
         limits = self.limits
-        self.work(lambda: again(self.night, limits), lambda found: self._replace(limits, found))
+        # Limits that moved on while the thread was busy are not judged.
+        self.work(
+            lambda: again(self.night, limits) if limits == self.limits else None,
+            lambda found: self._replace(limits, found),
+        )
 
     def _replace(self, limits: Limits, found: Any) -> None:
         if limits != self.limits:

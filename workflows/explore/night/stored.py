@@ -33,14 +33,14 @@ from ...screening.plan import measured_plan
 from ...what_if.gate import status_by
 from ...what_if.rate import common_rate
 from ...what_if.stored import StoredDraws
-from .preview import Deviations, Weights, deviations, weights
+from .preview import DrawDeviations, Weights, deviations, weights
 
 #: Texts and numbers that the page shows beside the quantities.
 _TEXTS = ("device_id", "lot", "wafer", "package", "status", "status_reason", "verdict", "failed_limits")
 
 
 @dataclass(frozen=True, eq=False)
-class StoredNight:
+class NightData:
     """A run.
 
     Parameters
@@ -60,7 +60,7 @@ class StoredNight:
     devices: Devices
     known: tuple[str, ...]
     total: Yield
-    _draws: dict[str, Deviations] = field(default_factory=dict, repr=False)
+    _draws: dict[str, DrawDeviations] = field(default_factory=dict, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @cached_property
@@ -97,7 +97,7 @@ class StoredNight:
             return np.ones(len(self.devices), dtype=np.bool_)
         return self.wafers.equals(wafer) | self.devices.text("lot").equals(wafer)
 
-    def draws(self, *quantities: str) -> dict[str, Deviations]:
+    def draws(self, *quantities: str) -> dict[str, DrawDeviations]:
         """The draws of ``quantities``, read from disk when they are first asked for."""
         with self._lock:
             missing = tuple(dict.fromkeys(name for name in quantities if name not in self._draws))
@@ -110,12 +110,12 @@ class StoredNight:
         """Weights of the draws by the limits of the run."""
         return weights(self.limits, self.devices.number("p_pass"), self.draws(*self.limits.quantities))
 
-    def _read(self, names: tuple[str, ...]) -> dict[str, Deviations]:
+    def _read(self, names: tuple[str, ...]) -> dict[str, DrawDeviations]:
         """The draws of ``names`` in one pass over the files."""
         inputs = open_run(self.results, self.run_id).page(INPUTS)
         rate = common_rate(self.config, inputs, self.run_id)
 
-        def read(tables: StoredRun) -> dict[str, Deviations]:
+        def read(tables: StoredRun) -> dict[str, DrawDeviations]:
             stored = StoredDraws(self.config, self.devices, tables.posterior, names, rate)
             batches = stored.batches(np.ones(len(self.devices), dtype=np.bool_))
             return deviations({name: self.value(name) for name in names}, batches, stored.per_device)
@@ -141,7 +141,7 @@ class StoredNight:
         return {name: k for k, name in enumerate(self.device_ids)}
 
 
-def load(folder: Path) -> StoredNight:
+def load(folder: Path) -> NightData:
     """The run in ``folder``.
 
     Raises
@@ -151,7 +151,7 @@ def load(folder: Path) -> StoredNight:
     """
     results, run_id = folder.parent, folder.resolve().name.removeprefix(PREFIX)
 
-    def read(tables: StoredRun) -> StoredNight:
+    def read(tables: StoredRun) -> NightData:
         config = config_of_stored(results, tables)
         table = pa.Table.from_batches(tables.devices.to_batches(), schema=tables.devices.schema).combine_chunks()
         devices = Devices(table)
@@ -162,7 +162,7 @@ def load(folder: Path) -> StoredNight:
         total = with_common(
             yield_of_verdicts(devices.text("verdict")), given_common(devices, tables.posterior, limits.rule)
         )
-        return StoredNight(results, run_id, config, limits, devices, draws.known(), total)
+        return NightData(results, run_id, config, limits, devices, draws.known(), total)
 
     night = with_run(results, run_id, read)
     if night.has_draws and night.known:
