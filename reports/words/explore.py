@@ -21,6 +21,7 @@ AS_STORED = "By the limits of the run, as in its report."
 PREVIEW = "Preview while the limit moves; the judgement follows."
 NO_DEVICE = "Click a device in a figure, or type its name."
 SIMULATING = "Reading the records and fitting the model ..."
+NOT_IDENTIFIED = "No device of this run could be identified, so there is no yield; the report names the reasons."
 NO_DIES = "The devices of this run have no positions on a wafer."
 FIGURES = {
     "limits": "Limits and distribution",

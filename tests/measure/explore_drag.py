@@ -31,6 +31,7 @@ from workflows.explore.night.state import NightState
 from workflows.explore.night.stored import load
 
 _STEPS = 30
+FORGET = "() => { window.moved = []; window.told = []; }"
 STAMPS = """() => {
   const total = Bokeh.documents[0].get_model_by_name("yield");
   window.moved = []; window.told = [];
@@ -82,7 +83,8 @@ def _in_browser(folder: str, devices: int) -> None:
                 page.wait_for_timeout(50)
             page.wait_for_timeout(500)
             page.evaluate(STAMPS)
-            single, sweep = _single(page), _sweep(page)
+            single = _single(page)
+            sweep = _sweep(page)
             started.close()
     finally:
         server.terminate()
@@ -104,18 +106,13 @@ def _single(page: Page) -> list[float]:
     page.mouse.down()
     found = []
     for k in range(1, _STEPS + 1):
-        page.evaluate("() => { window.moved = []; window.told = []; }")
+        page.evaluate(FORGET)
         page.mouse.move(line.x - 6 * k, line.y)
-        for _ in range(200):
-            stamps: Any = page.evaluate("() => [window.moved, window.told]")
-            if stamps[1]:
-                found.append(stamps[1][0] - stamps[0][0])
-                break
-            page.wait_for_timeout(5)
-        # The judgement at rest would start otherwise, as it does for a hand that rests.
-        page.wait_for_timeout(20)
+        stamps = _answered(page, 0)
+        if stamps[1]:
+            found.append(stamps[1][0] - stamps[0][0])
     page.mouse.up()
-    page.wait_for_timeout(15_000)
+    _answered(page, 5_000)
     return found
 
 
@@ -123,13 +120,24 @@ def _sweep(page: Page) -> float:
     line = Dragged(**page.evaluate(END, 1))
     page.mouse.move(line.x, line.y)
     page.mouse.down()
-    page.evaluate("() => { window.moved = []; window.told = []; }")
+    page.evaluate(FORGET)
     for k in range(1, 61):
         page.mouse.move(line.x + 3 * k, line.y)
-    page.wait_for_timeout(240)
-    before = page.evaluate("() => [window.moved.at(-1), window.told.at(-1)]")
+    # The judgement at rest comes later and is no answer to the movement.
+    moved, told = _answered(page, 230)
     page.mouse.up()
-    return float(before[1] - before[0])
+    return float(told[-1] - moved[-1])
+
+
+def _answered(page: Page, quiet_ms: int) -> Any:
+    """Stamps of movements and answers, once there is an answer and ``quiet_ms`` have passed without another."""
+    stamps: Any = [[], []]
+    for _ in range(2000):
+        before, stamps = stamps, page.evaluate("() => [window.moved, window.told]")
+        if stamps[1] and (quiet_ms == 0 or len(stamps[1]) == len(before[1])):
+            break
+        page.wait_for_timeout(max(quiet_ms, 5))
+    return stamps
 
 
 if __name__ == "__main__":

@@ -24,16 +24,16 @@ from bokeh.plotting import figure
 
 from reports.html.style import AFTER, BEFORE, COLOURS, EDGES, INK, MUTED, RULE
 
-__all__ = ["AFTER", "BEFORE", "COLOURS", "DRAWN", "EDGES", "FEW", "HATCHES", "MARKERS", "Panel", "grey", "page", "plot"]
+__all__ = ["AFTER", "BEFORE", "COLOURS", "DRAWN", "EDGES", "FEW", "HATCHES", "MARKERS", "Panel", "page", "plot"]
 
 #: Bokeh's markers of the verdicts; they differ in shape as well as in colour.
 MARKERS = {"pass": "circle", "fail": "x", "undecided": "diamond"}
 #: Bokeh's patterns of bars of verdicts.
 HATCHES = {"pass": " ", "fail": "/", "undecided": "."}
-#: Further categories (Okabe and Ito 2008), readable on both backgrounds.
+#: Further categories (Okabe and Ito 2008); the last two are faint on a light page (contrast 2.3).
 FEW = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-#: Lines of data and of limits on both backgrounds: contrast of at least 3 on each (WCAG 2.2, 1.4.11).
-DRAWN, LIMIT = "#7a8794", "#b5179e"
+#: Lines and marks on both backgrounds: contrast of 4.2 on each, the most that one grey can have on both (WCAG 2.2 asks for 3).
+DRAWN = "#707d8a"
 #: Widgets live in shadow trees, which inherit variables and fonts but no rules.
 _WIDGETS = """
 :host { font: inherit; }
@@ -126,9 +126,3 @@ def plot(title: str, x: str, y: str, *, height: int = 300, tools: str = "reset",
         drawn.toolbar.logo = None
     drawn.min_border_right = 12
     return drawn
-
-
-def grey(value: float) -> str:
-    """A colour between the two backgrounds; 0 is dark, 1 is light."""
-    level = round(255 * min(max(value, 0.0), 1.0))
-    return f"#{level:02x}{level:02x}{level:02x}"

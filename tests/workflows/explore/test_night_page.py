@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.stub_runs import run_arguments, stub_block, stub_runs
 from workflows.cli import call
 
 pytest.importorskip("bokeh", reason="the extra [explore] is not installed")
@@ -233,3 +234,15 @@ def test_the_judgement_of_limits_that_have_moved_on_is_dropped(
     state.document.session_callbacks[0].callback()
     assert asked
     assert state.judged is now
+
+
+def test_a_night_without_an_identified_device_states_no_yield(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_runs(monkeypatch, stub_block("fit_failed", "no maximum"))
+    assert call([*run_arguments(tmp_path), "--json"]) == 1
+    (run,) = (tmp_path / "results").glob("run=*")
+    state = NightState(load(run), Document(), Inline())
+    for panel in panels(state):
+        state.document.add_root(panel.model)
+    text = state.document.get_model_by_name("yield").text
+    assert "No device of this run could be identified" in text
+    assert "%" not in text

@@ -67,7 +67,7 @@ def _yield(state: NightState) -> Div:
     shown = Div(sizing_mode="stretch_width", name="yield")
 
     def show() -> None:
-        shown.text = yield_html(state.judged, state.message)
+        shown.text = yield_html(state.night, state.judged, state.message)
 
     state.follow("verdicts", show)
     state.follow("message", show)

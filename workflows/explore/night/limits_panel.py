@@ -34,7 +34,7 @@ class LimitsPanel:
         self.low, self.high = (Spinner(title=title, mode="float", **wide) for title in ("min", "max"))
         self.reset = Button(label="Limits of the run", align="end", **wide)
         self.distribution = draw.distribution()
-        self.window = draw.window_of("", np.zeros(0), None)
+        self.window = draw.window_of("", np.full(len(night.devices), np.nan), None)
         self._waiting, self._pause_ms = False, _PAUSE_MS[0]
         self.quantity.on_change("value", state.then(self.choose))
         for span, spinner in ((self.distribution.low, self.low), (self.distribution.high, self.high)):

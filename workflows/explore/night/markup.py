@@ -19,9 +19,11 @@ from .stored import NightData
 _SMALL = 'style="color: var(--muted); font-size: 0.87rem"'
 
 
-def yield_html(found: JudgedLimits, message: str) -> str:
+def yield_html(night: NightData, found: JudgedLimits, message: str) -> str:
     """The yield, its interval and the devices by verdict; ``message``: why a limit was refused."""
     total = found.total
+    if not night.devices.identified():
+        return f'<div class="total"><strong class="refused">{escape(words.NOT_IDENTIFIED)}</strong></div>'
     state = words.PREVIEW if not found.exact else words.AS_STORED if found.content is None else words.EXACT
     more = [] if found.content is None else [words.against_run(found.content)]
     parts = [
