@@ -21,6 +21,7 @@ from workflows.cli import call
 from workflows.explore.campaign import view
 from workflows.explore.campaign.bench import CampaignBench
 from workflows.explore.campaign.next_panel import difference
+from workflows.explore.campaign.residual_panels import ResidualPanels
 from workflows.explore.worker import line_of
 
 #: The modal record of the paper, as the benchmark of the paper ships it.
@@ -185,10 +186,11 @@ def test_a_record_without_a_drive_predicts_nothing(bench, campaign):
         next_experiments(quiet, (), EFFECT)
 
 
-def test_a_modal_record_has_a_ladder_without_records():
-    document = opened(view(EQ14))
-    assert "This measurement has no samples and no sweeps to draw." in words(document)
-    assert titled(document, "Effect to add").options
-    assert len(source(document, "fit", "held").data["fit"]) == 1
-    assert "relative error" in words(document)
-    assert 'role="alert"' not in words(document)
+def test_a_modal_record_has_no_residuals_to_draw_and_no_next_record():
+    bench = CampaignBench(read_measurement(EQ14), DEFAULT_COMPARE_MODEL)
+    assert bench.comparison.fit_ok
+    residual = ResidualPanels()
+    residual.show(bench.first, (), {})
+    assert "no samples and no sweeps to draw" in residual.note.text
+    assert residual.record.options == []
+    assert not bench.predicts

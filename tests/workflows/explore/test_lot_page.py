@@ -91,15 +91,19 @@ def test_the_maps_hold_the_residuals_of_the_fitted_devices(page, lot):
     maps = maps_of(first_rung(lot_answers(read_measured_lot(lot)).ready))
     titled(document, "Quantity").value = "thickness"
     wafer = titled(document, "Wafer")
-    drawn = source(document, "x", "y", "z", "n")
+    drawn, after = (
+        next(one for one in document.models if one.name == f"Residual map: {which}").renderers[1].data_source
+        for which in ("given population, refitted", "with the added irregularities")
+    )
     assert len(drawn.data["z"]) == len(maps.wafers)
     for name in wafer.options[1:]:
         wafer.value = name
         own = np.array(maps.wafers) == name
         np.testing.assert_allclose(np.sort(drawn.data["z"]), np.sort(maps.z[own, 0]))
     wafer.value = STACKED
+    assert len(after.data["z"]) == 0
     press(document, "Add and refit")
-    after = [one for one in document.models if {"x", "y", "z", "n"} <= set(getattr(one, "column_names", ()))][1]
+    assert len(after.data["z"]) == len(drawn.data["z"])
     bow = np.hypot(after.data["x"], after.data["y"])
     # The bow that the first model leaves is gone with the added pattern.
     before = abs(np.corrcoef(np.hypot(drawn.data["x"], drawn.data["y"]), drawn.data["z"])[0, 1])
@@ -116,3 +120,23 @@ def test_an_unknown_irregularity_is_one_line_and_the_model_before_stays(page):
     assert len(failed) == 1
     assert "no such irregularity" in failed[0]
     assert titled(document, "Added irregularity").options == []
+
+
+def test_files_of_another_kind_are_one_typed_line(lot, tmp_path, capsys):
+    small = tmp_path / "small"
+    small.mkdir()
+    lines = (lot / "metal.csv").read_text().splitlines()
+    (small / "metal.csv").write_text("\n".join(lines[:15]))
+    (small / "lot.toml").write_text((lot / "lot.toml").read_text() + "[hold]\nshare = 0.0\n")
+    for arguments, message in (
+        ([str(lot), "--model", "m.toml"], "--model belongs to a campaign"),
+        ([str(lot), "--effects", "mine"], "--effects belongs to a campaign"),
+        ([str(lot), "--population", "cloverleaf"], "a population file describes gyros"),
+        ([str(lot), "--limits", "none.toml"], "none.toml"),
+        ([str(small)], "too few devices"),
+    ):
+        capsys.readouterr()
+        assert call(["explore", *arguments, "--no-browser"]) == 2, arguments
+        failed = capsys.readouterr().err.strip().splitlines()
+        assert len(failed) == 1
+        assert message in failed[0]

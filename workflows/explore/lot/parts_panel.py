@@ -12,7 +12,7 @@ from pipeline.criticism.budget import ALPHA
 from pipeline.learning.lot.diagnosis import LotDiagnosis
 from pipeline.learning.lot.scores import LotScore
 from reports.words.explore_lot import left_sentence, score_words
-from reports.words.lot import LEVELS
+from reports.words.lot import ADAPTS, LEVELS
 from reports.words.numbers import number, with_sd
 from reports.words.quantities import p_words, percent
 
@@ -86,7 +86,7 @@ class IrregularityPanel:
 
     def show(self, found: LotDiagnosis, more: Sequence[str]) -> None:
         """Show the scores beside the model; ``more`` are further sentences."""
-        say(self.verdict, paragraphs([*more, left_sentence(found)]))
+        say(self.verdict, paragraphs([*more, left_sentence(found), ADAPTS]))
         offer(self.add, {one.name: score_words(one) for one in found.candidates})
         self.add.value = found.candidates[0].name if found.candidates else ""
         self.adding.disabled = not found.candidates

@@ -9,7 +9,7 @@ from pipeline.learning.lot.diagnosis import LotDiagnosis
 from reports.lot.figures import LotMaps
 from reports.words.explore_loop import JUDGING, READY, REFUSED
 from reports.words.explore_lot import refused_sentences
-from reports.words.lot import ADAPTS, compare_lot_lines, diagnose_lot_lines
+from reports.words.lot import compare_lot_lines, diagnose_lot_lines
 
 from ..look import Panel, page
 from ..parts import paragraphs, printed, text
@@ -76,7 +76,7 @@ class LotSession:
             self._climb(self.shown, found)
         refused = {} if self.shown is None else self.shown.refused
         lines = refused_sentences(refused) if answer is None else diagnose_lot_lines(answer)[:1]
-        self.irregularities.show(found, [*lines, ADAPTS])
+        self.irregularities.show(found, lines)
 
     def _climb(self, shown: ChosenPopulation, found: LotDiagnosis | None) -> None:
         """The ladder with the status of each rung."""
