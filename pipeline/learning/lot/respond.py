@@ -157,8 +157,8 @@ def refinement(
 ) -> tuple[LotRefinementAnswer, LotLadder]:
     """The ladder with the yield forecast of each rung; ``conforms`` judges values in the coordinates of the lot."""
     ladder = refined(ready, without, seed)
-    rungs = [_rung(rung, conforms, seed) for rung in ladder.rungs]
-    first = _predicted_rung(ready, conforms, seed)
+    rungs = [rung_answer(rung, conforms, seed) for rung in ladder.rungs]
+    first = rung_of_file(ready, conforms, seed)
     last = ladder.rungs[-1]
     answer = LotRefinementAnswer(
         ladder=(*(() if first is None else (first,)), *rungs),
@@ -174,7 +174,7 @@ def refinement(
     return answer, ladder
 
 
-def _predicted_rung(ready: PreparedLot, conforms: Conforms | None, seed: int) -> LotRungAnswer | None:
+def rung_of_file(ready: PreparedLot, conforms: Conforms | None, seed: int) -> LotRungAnswer | None:
     shown = predicted(ready)
     if shown is None:
         return None
@@ -197,7 +197,7 @@ def _predicted_rung(ready: PreparedLot, conforms: Conforms | None, seed: int) ->
     )
 
 
-def _rung(rung: LotRung, conforms: Conforms | None, seed: int) -> LotRungAnswer:
+def rung_answer(rung: LotRung, conforms: Conforms | None, seed: int) -> LotRungAnswer:
     found = None
     if conforms is not None:
         ready = rung.ready

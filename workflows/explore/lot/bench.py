@@ -28,8 +28,8 @@ from pipeline.learning.lot.diagnosis import LotDiagnosis, candidates_of, diagnos
 from pipeline.learning.lot.loop import LotRung, first_rung, settled, warranted, with_part
 from pipeline.learning.lot.outcome import calibrations
 from pipeline.learning.lot.population import DeviceMixture, Part
-from pipeline.learning.lot.respond import _predicted_rung, pattern_answers, spread_answers
-from pipeline.learning.lot.respond import _rung as rung_answer
+from pipeline.learning.lot.respond import rung_of_file, pattern_answers, spread_answers
+from pipeline.learning.lot.respond import rung_answer
 from reports.lot.figures import LotMaps
 from reports.words.explore_lot import LITTLE, NOT_SIGNIFICANT
 
@@ -156,4 +156,4 @@ class LotBench:
 
     @cached_property
     def _as_in_file(self) -> LotRungAnswer | None:
-        return _predicted_rung(self._lot.ready, self._lot.conforms, self._lot.seed)
+        return rung_of_file(self._lot.ready, self._lot.conforms, self._lot.seed)
