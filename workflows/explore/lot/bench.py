@@ -28,8 +28,7 @@ from pipeline.learning.lot.diagnosis import LotDiagnosis, candidates_of, diagnos
 from pipeline.learning.lot.loop import LotRung, first_rung, settled, warranted, with_part
 from pipeline.learning.lot.outcome import calibrations
 from pipeline.learning.lot.population import DeviceMixture, Part
-from pipeline.learning.lot.respond import rung_of_file, pattern_answers, spread_answers
-from pipeline.learning.lot.respond import rung_answer
+from pipeline.learning.lot.respond import pattern_answers, rung_answer, rung_of_file, spread_answers
 from reports.lot.figures import LotMaps
 from reports.words.explore_lot import LITTLE, NOT_SIGNIFICANT
 
