@@ -32,8 +32,8 @@ def _adjusted(text: str) -> str:
     """
     text = re.sub(_MATRIX, r'\1 class="matrix"\2', text)
     text = re.sub(_TWO_PRIMES, rf"\1<mi>{_DOUBLE}</mi></msubsup>", text)
-    text = re.sub(rf"<(m[io])>({_PRIME}|{_DOUBLE})</\1>", r'<mo class="mark">\2</mo>', text)
-    return re.sub(r"<mo>(&#x000A8;|&#x002D9;)</mo>", r'<mo class="mark">\1</mo>', text)
+    text = re.sub(rf"<(m[io])>({_PRIME}|{_DOUBLE})</\1>", r'<mo class="accent">\2</mo>', text)
+    return re.sub(r"<mo>(&#x000A8;|&#x002D9;)</mo>", r'<mo class="accent">\1</mo>', text)
 
 
 def _inline(writer: Any, node: nodes.math) -> None:
