@@ -150,13 +150,7 @@ class CampaignTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     instrument: Annotated[InstrumentTable, Meaning("hold, bias, filter and converter")] = InstrumentTable()
     systematic: Annotated[SystematicTable, Meaning("errors that all devices of a tester share")] = SystematicTable()
     operation: Annotated[OperationTable, Meaning("how the gyro is operated")] = OperationTable()
-    reference: Annotated[
-        References,
-        Meaning(
-            "quantity = [value, sd]: values of another instrument, which the posterior is compared with",
-            "that of the quantity",
-        ),
-    ] = {}
+    reference: References = {}
     columns: Annotated[
         dict[str, Source], Meaning("channel = column of the files: a name, a number from 1, or a table")
     ] = {}

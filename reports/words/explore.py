@@ -71,11 +71,6 @@ def against_run(content: WhatIf) -> str:
     return f"The limits of the run give {percent(content.total.old.value)}. {headline(content)} {difference_sentence(content)}"
 
 
-def crossed_sentence(quantity: str) -> str:
-    """Why a limit was not moved."""
-    return f"The limits of {label(quantity)} stay as they were: min must not be above max."
-
-
 def shown_sentence(shown: int, of: int) -> str:
     """How many devices the map and the scatter plot show; empty if all."""
     return (

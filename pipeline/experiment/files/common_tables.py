@@ -29,7 +29,13 @@ AdcBits = Annotated[int, Meta(ge=1, le=64)]
 PhaseError = Annotated[float, Meta(gt=-90.0, lt=90.0)]
 StandardDeviation = Annotated[float, Meta(gt=0.0, le=1e12, description="an sd above 0")]
 #: quantity -> [value, sd]
-References = dict[str, tuple[Value, StandardDeviation]]
+References = Annotated[
+    dict[str, tuple[Value, StandardDeviation]],
+    Meaning(
+        "quantity = [value, sd]: values of another instrument, which the posterior is compared with",
+        "that of the quantity",
+    ),
+]
 
 
 class AntiAliasTable(Struct, frozen=True, forbid_unknown_fields=True):

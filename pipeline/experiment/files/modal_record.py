@@ -84,13 +84,7 @@ class ModalTable(msgspec.Struct, forbid_unknown_fields=True):
     ] = None
     device: Annotated[DeviceTable, Meaning("the device")] = DeviceTable()
     demodulation: Annotated[DemodulationTable, Meaning("how the rate signal is demodulated")] = DemodulationTable()
-    reference: Annotated[
-        References,
-        Meaning(
-            "quantity = [value, sd]: values of another instrument, which the posterior is compared with",
-            "that of the quantity",
-        ),
-    ] = {}
+    reference: References = {}
 
 
 class _Kind(msgspec.Struct):

@@ -20,10 +20,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2, gamma, norm
+from scipy.stats import chi2, norm
 
 from ...arrays import FloatArray
 from .elimination import solved
+from .family import family_wise, independent_tests, skewed_log_tail
 from .model import FixedPart, RandomPart
 from .null import NullDraws, null_draws, projected
 from .reml import LotFit
@@ -101,7 +102,7 @@ def departures_of(
         if isinstance(part, RandomPart)
     ]
     shown = [row for row in rows if row is not None]
-    tests = (_independent(np.stack([null for _, null in shown])) if shown else 0.0) + len(others)
+    tests = (independent_tests(np.stack([null for _, null in shown])) if shown else 0.0) + len(others)
     found = sorted((_with_family(one, tests) for one, _ in shown), key=lambda one: one.log_p)
     return Tested(tuple(found), tests), tuple(_family(log_p, tests) for log_p in others)
 
@@ -155,10 +156,7 @@ def _spread(name: str, level: str, squares: FloatArray, stated: float, two_sided
     if variance <= (1e-9 * middle) ** 2:
         return None
     z = (squares - middle) / np.sqrt(variance)
-    skewness = max(float(np.mean(z[1:] ** 3)), 0.05)
-    # Pearson type III: a gamma variable with mean 0, sd 1 and this skewness.
-    shape = 4.0 / skewness**2
-    log_p = np.asarray(gamma.logsf(shape + np.sqrt(shape) * z, shape))
+    log_p = skewed_log_tail(z)
     freedom = 2.0 * middle**2 / variance
     if two_sided:
         # Below, a chi-square variable with the mean and variance of Q, which ends at zero as Q does.
@@ -170,15 +168,8 @@ def _spread(name: str, level: str, squares: FloatArray, stated: float, two_sided
     return Departure(name, "spread", level, stated, estimate, low, high, float(log_p[0])), log_p[1:]
 
 
-def _independent(log_p: FloatArray) -> float:
-    """K of P(min p > x) = (1 - x)^K, by maximum likelihood over the drawn lots; ``log_p`` (tests, B)."""
-    smallest = np.minimum(np.exp(log_p.min(axis=0)), 1.0 - 1e-12)
-    return float(-smallest.size / np.sum(np.log1p(-smallest)))
-
-
 def _family(log_p: float, tests: float) -> float:
-    single = min(max(float(np.exp(log_p)), SMALLEST), 1.0 - 1e-12)
-    return float(-np.expm1(tests * np.log1p(-single)))
+    return family_wise(max(log_p, float(np.log(SMALLEST))), tests)
 
 
 def _with_family(one: Departure, tests: float) -> Departure:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...arrays import BoolArray
 from ...criticism.budget import ALPHA
+from .family import family_wise
 from .model import LotModel
 from .null import null_draws
 from .outcome import left_out
@@ -120,9 +121,11 @@ def diagnosed(
 
 def _together(scores: Sequence[LotScore], families: int) -> tuple[LotScore, ...]:
     """Scores whose p-values count all families of tests."""
-    return tuple(
-        replace(one, p_value=-float(np.expm1(families * np.log1p(-min(one.p_value, 1.0 - 1e-12))))) for one in scores
-    )
+    return tuple(replace(one, p_value=family_wise(_log(one.p_value), families)) for one in scores)
+
+
+def _log(p: float) -> float:
+    return float(np.log(p)) if p > 0.0 else -np.inf
 
 
 def _subset(part: Part, chosen: BoolArray) -> Part:

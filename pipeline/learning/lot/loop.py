@@ -24,6 +24,7 @@ from ...criticism.announce import announce
 from ...criticism.budget import ALPHA
 from .diagnosis import LotDiagnosis, candidates_of, diagnosed, is_generic, kind_of, mixtures_of
 from .elimination import log_likelihood
+from .family import family_wise
 from .model import LotModel, RandomPart
 from .outcome import HeldOut
 from .population import DeviceMixture, Part
@@ -191,8 +192,9 @@ def warranted(rung: LotRung, one: LotRung, found: LotDiagnosis, part: Part | Dev
     if isinstance(part, DeviceMixture):
         return one.part in {score.name for score in found.significant}
     columns = part.columns.shape[2]
-    alone = 0.5 * chi2.sf(fall, 1) if isinstance(part, RandomPart) else chi2.sf(fall + 2.0 * columns, columns)
-    return -float(np.expm1(found.tests * np.log1p(-min(float(alone), 1.0 - 1e-12)))) < ALPHA
+    random = isinstance(part, RandomPart)
+    alone = np.log(0.5) + chi2.logsf(fall, 1) if random else chi2.logsf(fall + 2.0 * columns, columns)
+    return family_wise(float(alone), found.tests) < ALPHA
 
 
 def _gain(before: HeldOut, after: HeldOut, devices: int) -> float | None:

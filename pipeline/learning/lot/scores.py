@@ -17,10 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, gamma, norm
+from scipy.stats import chi2, norm
 
 from ...arrays import BoolArray, FloatArray
 from .design import LotDesign, field_roots
+from .family import family_wise, independent_tests, skewed_log_tail
 from .measured import MeasuredLot
 from .model import FixedPart, RandomPart
 from .null import NullDraws
@@ -78,23 +79,17 @@ def scored(
         return ()
     log_p = np.stack([row[0] for row in rows])  # (parts, 1 + B)
     visible = np.array([row[2] > INVISIBLE for row in rows])
-    tests = _independent_tests(log_p[visible, 1:]) if np.any(visible) else 1.0
+    tests = independent_tests(log_p[visible, 1:]) if np.any(visible) else 1.0
     return tuple(
         LotScore(
             name=part.name,
             z=float(z),
             log_p=float(one[0]),
-            p_value=float(-np.expm1(tests * np.log1p(-min(np.exp(one[0]), 1.0 - 1e-12)))) if share > INVISIBLE else 1.0,
+            p_value=family_wise(float(one[0]), tests) if share > INVISIBLE else 1.0,
             surviving_share=float(share),
         )
         for part, (one, z, share) in zip(parts, rows)
     )
-
-
-def _independent_tests(log_p: FloatArray) -> float:
-    """K of P(min p > x) = (1 - x)^K, by maximum likelihood over the drawn lots; ``log_p`` (parts, B)."""
-    smallest = np.minimum(np.exp(log_p.min(axis=0)), 1.0 - 1e-12)
-    return float(-smallest.size / np.sum(np.log1p(-smallest)))
 
 
 def _of_fixed(
@@ -131,11 +126,7 @@ def _of_random(
     if whole == 0.0 or sd / whole < INVISIBLE:
         return np.zeros(q.size), 0.0, 0.0 if whole == 0.0 else sd / whole
     z = efficient / sd
-    skewness = max(float(np.mean(z[1:] ** 3)), 0.05)
-    # Pearson type III: a gamma variable with mean 0, sd 1 and this skewness.
-    shape = 4.0 / skewness**2
-    log_p = np.asarray(gamma.logsf(shape + np.sqrt(shape) * z, shape))
-    return log_p, float(z[0]), sd / whole
+    return skewed_log_tail(z), float(z[0]), sd / whole
 
 
 def squares_of_part(part: RandomPart, lot: MeasuredLot, design: LotDesign, p: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.stats import binom, chi2, kurtosistest, norm
 
 from ...arrays import BoolArray, FloatArray
+from .family import family_wise
 from .measured import MeasuredLot
 from .outcome import LeftOut
 from .population import DeviceMixture
@@ -52,8 +53,7 @@ def mixture_scores(out: LeftOut, mixtures: Sequence[DeviceMixture]) -> tuple[Lot
         count = int(beyond.sum())
         log_p = float(binom.logsf(count - 1, beyond.size, tail)) if count else 0.0
         z = (count - beyond.size * tail) / np.sqrt(beyond.size * tail)
-        p = float(-np.expm1(len(mixtures) * np.log1p(-min(np.exp(log_p), 1.0 - 1e-12))))
-        found.append(LotScore(mixture.name, float(z), log_p, p, 1.0))
+        found.append(LotScore(mixture.name, float(z), log_p, family_wise(log_p, len(mixtures)), 1.0))
     return tuple(found)
 
 
@@ -69,7 +69,4 @@ def tail_scores(lot: MeasuredLot, out: LeftOut, apart: BoolArray) -> tuple[LotSc
         if own.size >= FOR_KURTOSIS:
             value = float(kurtosistest(own).statistic)
             rows.append((f"heavy_tail({quantity})", value, float(norm.logsf(value))))
-    return tuple(
-        LotScore(name, value, log_p, float(-np.expm1(len(rows) * np.log1p(-min(np.exp(log_p), 1.0 - 1e-12)))), 1.0)
-        for name, value, log_p in rows
-    )
+    return tuple(LotScore(name, value, log_p, family_wise(log_p, len(rows)), 1.0) for name, value, log_p in rows)

@@ -35,9 +35,6 @@ from ...what_if.rate import common_rate
 from ...what_if.stored import StoredDraws
 from .preview import DrawDeviations, Weights, deviations, weights
 
-#: Texts and numbers that the page shows beside the quantities.
-_TEXTS = ("device_id", "lot", "wafer", "package", "status", "status_reason", "verdict", "failed_limits")
-
 
 @dataclass(frozen=True, eq=False)
 class NightData:
