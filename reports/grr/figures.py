@@ -117,12 +117,13 @@ def _in_turn(
     axes.set_ylabel(axis_label(chart.study))
 
 
-def _by_part(axes: Axes, chart: GaugeChart) -> None:
+def _values(axes: Axes, chart: GaugeChart, x: FloatArray) -> None:
+    """The values of all testers at ``x`` (n,), in the colour and with the marker of each; a sample where they are many."""
     data, rows = chart.data, _some(chart.data.value.size)
     for k in range(len(chart.testers)):
         own = rows[data.tester[rows] == k]
         axes.plot(
-            data.part[own] + _beside(k, len(chart.testers)),
+            x[own],
             data.value[own],
             ls="none",
             color=_COLOURS[k % len(_COLOURS)],
@@ -131,26 +132,19 @@ def _by_part(axes: Axes, chart: GaugeChart) -> None:
             alpha=0.65,
             mew=0,
         )
+
+
+def _by_part(axes: Axes, chart: GaugeChart) -> None:
+    data = chart.data
+    _values(axes, chart, data.part + _beside(data.tester, len(chart.testers)))
     count = np.bincount(data.part)
     axes.plot(np.arange(count.size), np.bincount(data.part, data.value) / count, color=INK, lw=0.9)
     _parts_below(axes, chart)
 
 
 def _by_tester(axes: Axes, chart: GaugeChart) -> None:
-    data, rows = chart.data, _some(chart.data.value.size)
-    parts = len(chart.parts)
-    for k in range(len(chart.testers)):
-        own = rows[data.tester[rows] == k]
-        axes.plot(
-            k + 0.6 * (data.part[own] / max(parts - 1, 1) - 0.5),
-            data.value[own],
-            ls="none",
-            color=_COLOURS[k % len(_COLOURS)],
-            marker=_MARKERS[k % len(_MARKERS)],
-            ms=3.2,
-            alpha=0.65,
-            mew=0,
-        )
+    data = chart.data
+    _values(axes, chart, data.tester + 0.6 * (data.part / max(len(chart.parts) - 1, 1) - 0.5))
     count = np.bincount(data.tester)
     axes.plot(np.arange(count.size), np.bincount(data.tester, data.value) / count, color=INK, lw=0.9, marker="_", ms=16)
     axes.set_xlim(-0.6, len(chart.testers) - 0.4)
@@ -173,9 +167,9 @@ def _parts_below(axes: Axes, chart: GaugeChart) -> None:
     axes.set_ylabel(axis_label(chart.study))
 
 
-def _beside(k: int, testers: int) -> float:
-    """Where the points of a tester lie beside the place of a part."""
-    return 0.5 * ((k + 0.5) / testers - 0.5)
+def _beside(tester: IntArray, testers: int) -> FloatArray:
+    """Where the points of each tester (n,) lie beside the place of a part."""
+    return np.asarray(0.5 * ((tester + 0.5) / testers - 0.5))
 
 
 def _some(count: int) -> IntArray:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
@@ -22,6 +21,7 @@ from pipeline.user_code import fault_of
 from reports.words.explore_loop import DEFECT, WAITING
 
 from ..learning.progress import heard
+from .thread import DaemonThread
 
 if TYPE_CHECKING:
     from bokeh.document import Document
@@ -31,9 +31,9 @@ _LOG = logging.getLogger(__name__)
 
 
 @cache
-def _thread() -> ThreadPoolExecutor:
+def _thread() -> DaemonThread:
     """The thread of the process; it is made when it is first needed."""
-    return ThreadPoolExecutor(1, thread_name_prefix="explore")
+    return DaemonThread("explore")
 
 
 class Session:

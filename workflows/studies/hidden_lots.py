@@ -20,7 +20,7 @@ from pipeline.arrays import FloatArray
 from pipeline.learning.lot.gyro import COORDINATES, NEEDED, UNITS, coordinates, propagated
 from pipeline.learning.lot.measured import MeasuredLot, hold_out
 from pipeline.learning.lot.model import FixedPart
-from populations.draw import draw
+from populations.draw import Draw, draw
 from populations.irregularity import find
 from populations.spec import PopulationSpec, load_spec
 
@@ -125,7 +125,7 @@ def hidden_lot(kind: LotKind, seed: int, sizes: Sequence[float] = (1.0, 1.0), tu
     for name in physical:
         file = msgspec.structs.replace(file, irregularity={k: v for k, v in file.irregularity.items() if k != name})
         made = made.with_values({f"{name}.{p}": _within(made, name, p, size[name]) for p in PHYSICAL[name]})
-    lot = _measured(made, seed, g)
+    lot = measured_lot("hidden", draw(made, seed, 0, LOTS * WAFERS * DIES), made, g)
     accepted = [frozenset({name, *_physical_twins(name)}) for name in physical]
     names, drawn = list(physical), dict[str, FixedPart]()
     without: tuple[str, ...] = ()
@@ -194,8 +194,8 @@ def _with_random_magnitudes(spec: PopulationSpec, g: np.random.Generator) -> Pop
     return msgspec.structs.replace(spec, irregularity=tables)
 
 
-def _measured(spec: PopulationSpec, seed: int, g: np.random.Generator) -> MeasuredLot:
-    made = draw(spec, seed, 0, LOTS * WAFERS * DIES)
+def measured_lot(name: str, made: Draw, spec: PopulationSpec, g: np.random.Generator) -> MeasuredLot:
+    """Drawn devices as a lot in the coordinates of the loop, measured with ``NOISE``."""
     n = len(made.index)
     values = measured_values(made, g)
     covariance = propagated(values, {name: np.full(n, NOISE[name]) for name in NEEDED})
@@ -203,7 +203,7 @@ def _measured(spec: PopulationSpec, seed: int, g: np.random.Generator) -> Measur
     x, y, none = made.die_x_mm, made.die_y_mm, np.full(n, np.nan)
     radius = spec.wafer.diameter_mm / 2.0
     found = coordinates(values)
-    return MeasuredLot("hidden", COORDINATES, UNITS, found, covariance, labels, x, y, radius, none, made.device_id)
+    return MeasuredLot(name, COORDINATES, UNITS, found, covariance, labels, x, y, radius, none, made.device_id)
 
 
 def _added(lot: MeasuredLot, one: HiddenPattern, quantity: str, size: float, g: np.random.Generator) -> MeasuredLot:

@@ -23,8 +23,7 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pipeline.arrays import FloatArray
-from pipeline.learning.lot.gyro import COORDINATES, NEEDED, UNITS, coordinates, propagated
+from pipeline.learning.lot.gyro import COORDINATES
 from pipeline.learning.lot.measured import MeasuredLot
 from pipeline.learning.lot.origin import drift, origin
 from pipeline.learning.lot.origin_answers import DepartureAnswer
@@ -32,9 +31,8 @@ from populations.draw import draw
 from populations.spec import PopulationSpec, load_spec
 
 from ..lots.population import population_at
-from ..lots.simulate import NOISE, measured_values
 from .coverage import Share
-from .hidden_lots import IN
+from .hidden_lots import IN, measured_lot
 from .rows_by_kind import add_rows
 
 SIZES = (30, 60, 200)
@@ -112,15 +110,10 @@ def _night(spec: PopulationSpec, seed: int, kind: str, number: int, k: int, devi
     stream = np.random.SeedSequence(seed, spawn_key=(_STREAM, KINDS.index(kind), number, k))
     own, other = stream.generate_state(2)
     made = draw(msgspec.structs.replace(spec, wafer=wafer), int(own), 0, devices)
-    values = measured_values(made, np.random.default_rng(int(other)))
-    covariance = propagated(values, {name: np.full(devices, NOISE[name]) for name in NEEDED})
-    labels = {"lot": (f"lot {k}",) * devices, "wafer": made.wafer}
-    nothing: FloatArray = np.full(devices, np.nan)
-    names = tuple(f"{k}-{name}" for name in made.device_id)
-    return MeasuredLot(
-        f"night {k}", COORDINATES, UNITS, coordinates(values), covariance, labels, made.die_x_mm, made.die_y_mm,
-        spec.wafer.diameter_mm / 2.0, nothing, names,
-    )  # fmt: skip
+    lot = measured_lot(f"night {k}", made, spec, np.random.default_rng(int(other)))
+    # Nights repeat the names of their lots and devices.
+    labels = {**lot.labels, "lot": (f"lot {k}",) * devices}
+    return replace(lot, labels=labels, device=tuple(f"{k}-{name}" for name in lot.device))
 
 
 def _together(lots: Sequence[MeasuredLot]) -> MeasuredLot:

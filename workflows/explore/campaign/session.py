@@ -57,7 +57,7 @@ class CampaignSession:
     def change(self, terms: tuple[str, ...]) -> None:
         """Put ``terms`` into the model: the fit first, then what is missing beside it."""
         self.terms = terms
-        self.effects.fail("")
+        self.effects.controls.fail("")
         self.effects.chosen(terms)
         self.session.ask("fit", lambda: self.bench.chosen(terms), self._fitted)
         self.session.ask("diagnose", lambda: self.bench.diagnosis(terms), self._diagnosed)
@@ -98,10 +98,10 @@ class CampaignSession:
         )
 
     def _tell(self, line: str) -> None:
-        self.effects.status.text = paragraphs([line or READY])
+        self.effects.controls.doing(line or READY)
 
     def _failed(self, line: str) -> None:
-        self.effects.fail(line)
+        self.effects.controls.fail(line)
         if self.shown is not None and self.shown.terms != self.terms:
             # The model that is shown is the last one that could be fitted.
             self.terms = self.shown.terms

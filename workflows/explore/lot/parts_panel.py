@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from bokeh.models.widgets.buttons import Button
-from bokeh.models.widgets.inputs import Select
-
 from pipeline.criticism.budget import ALPHA
 from pipeline.learning.lot.diagnosis import LotDiagnosis
 from pipeline.learning.lot.scores import LotScore
@@ -17,7 +14,8 @@ from reports.words.numbers import number, with_sd
 from reports.words.quantities import p_words, percent
 
 from ..look import Panel
-from ..parts import controls, error_line, offer, paragraphs, say, stacked, table, text
+from ..model_controls import ModelControls
+from ..parts import paragraphs, say, table, text
 from .bench import ChosenPopulation
 
 _SCORES = ("irregularity", "score, sd", "p alone", "p", "share left visible")
@@ -33,28 +31,16 @@ class IrregularityPanel:
     """
 
     def __init__(self, change: Callable[[tuple[str, ...]], None]) -> None:
-        self._change = change
-        self._parts: tuple[str, ...] = ()
-        self.add = Select(title="Irregularity to add", width=380)
-        self.remove = Select(title="Added irregularity", width=260)
-        self.adding = Button(label="Add and refit", button_type="primary", width=130, align="end", disabled=True)
-        self.removing = Button(label="Remove", width=90, align="end", disabled=True)
-        self.status = text(live=True)
-        self.error = text()
-        self.error.visible = False
-        self.verdict = text(live=True)
+        self.controls = ModelControls("Irregularity to add", "Added irregularity", 260, change)
         self.scores = text()
         self.quantities = text()
         self.spreads = text()
         self.shapes = text()
-        self.adding.on_click(self._add)
-        self.removing.on_click(self._remove)
 
     @property
     def panels(self) -> list[Panel]:
         """The controls with the verdict."""
-        both = controls(self.add, self.adding, self.remove, self.removing)
-        return [Panel(stacked(both, self.status, self.error, self.verdict), "Irregularities", wide=True)]
+        return [Panel(self.controls.element, "Irregularities", wide=True)]
 
     @property
     def tables(self) -> list[Panel]:
@@ -79,17 +65,13 @@ class IrregularityPanel:
 
     def chosen(self, parts: tuple[str, ...]) -> None:
         """Show what is in the model now, or will be once the fit is done."""
-        self._parts = parts
-        offer(self.remove, parts)
-        self.remove.value = parts[-1] if parts else ""
-        self.removing.disabled = not parts
+        self.controls.chosen(parts, parts)
 
     def show(self, found: LotDiagnosis, more: Sequence[str]) -> None:
         """Show the scores beside the model; ``more`` are further sentences."""
-        say(self.verdict, paragraphs([*more, left_sentence(found), ADAPTS]))
-        offer(self.add, {one.name: score_words(one) for one in found.candidates})
-        self.add.value = found.candidates[0].name if found.candidates else ""
-        self.adding.disabled = not found.candidates
+        say(self.controls.verdict, paragraphs([*more, left_sentence(found), ADAPTS]))
+        first = found.candidates[0].name if found.candidates else ""
+        self.controls.offered({one.name: score_words(one) for one in found.candidates}, first)
         marked = [k for k, one in enumerate(found.candidates) if one.p_value < ALPHA]
         self.scores.text = table(_SCORES, [_score(one) for one in found.candidates], marked=marked, height=_HEIGHT)
         probes = [_score(one) for one in found.probes[:8]]
@@ -125,17 +107,6 @@ class IrregularityPanel:
             marked=marked,
             height=_HEIGHT,
         )
-
-    def fail(self, line: str) -> None:
-        """Show why the last wish failed; "" where it did not."""
-        say(self.error, error_line(line))
-
-    def _add(self) -> None:
-        if self.add.value and self.add.value not in self._parts:
-            self._change((*self._parts, str(self.add.value)))
-
-    def _remove(self) -> None:
-        self._change(tuple(name for name in self._parts if name != self.remove.value))
 
 
 def _score(one: LotScore) -> list[str]:

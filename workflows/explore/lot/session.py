@@ -12,7 +12,7 @@ from reports.words.explore_lot import refused_sentences
 from reports.words.lot import compare_lot_lines, diagnose_lot_lines
 
 from ..look import Panel, page
-from ..parts import paragraphs, printed, text
+from ..parts import printed, text
 from ..worker import Session
 from .bench import ChosenPopulation, LotBench
 from .ladder_panel import LotLadderPanel
@@ -51,7 +51,7 @@ class LotSession:
     def change(self, parts: tuple[str, ...]) -> None:
         """Put ``parts`` into the model: the refit and the forecast first, then what is missing beside it."""
         self.parts = parts
-        self.irregularities.fail("")
+        self.irregularities.controls.fail("")
         self.irregularities.chosen(parts)
         self.session.ask("fit", lambda: self.bench.chosen(parts), self._fitted)
         self.session.ask(
@@ -96,10 +96,10 @@ class LotSession:
         self.ladder.show(shown.ladder, words)
 
     def _tell(self, line: str) -> None:
-        self.irregularities.status.text = paragraphs([line or READY])
+        self.irregularities.controls.doing(line or READY)
 
     def _failed(self, line: str) -> None:
-        self.irregularities.fail(line)
+        self.irregularities.controls.fail(line)
         if self.shown is not None and self.shown.parts != self.parts:
             # The model that is shown is the last one that could be fitted.
             self.parts = self.shown.parts

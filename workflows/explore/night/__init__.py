@@ -13,6 +13,7 @@ from bokeh.models.widgets.markups import Div, PreText
 from reports.words.explore import FIGURES, NOTES
 
 from ..look import Panel, page
+from ..thread import DaemonThread
 from .device_panel import DevicePanel
 from .file import toml_of
 from .limits_panel import LimitsPanel
@@ -20,7 +21,6 @@ from .markup import lead, yield_html
 from .points_panels import PointsPanels
 from .state import NightState
 from .stored import load
-from .thread import DaemonThread
 
 
 def view(path: Path) -> Callable[[Document], None]:

@@ -12,8 +12,8 @@ from typing import Any
 class DaemonThread(Executor):
     """One thread that does what is submitted, in order.
 
-    A ``ThreadPoolExecutor`` is joined when the program ends: after Ctrl-C the judgement of a large run would still be finished,
-    for nobody.  A daemon thread ends with the program.
+    A ``ThreadPoolExecutor`` is joined when the program ends: after Ctrl-C the judgement of a large run, or a fit, would still be
+    finished, for nobody.  A daemon thread ends with the program.
     """
 
     def __init__(self, name: str) -> None:
