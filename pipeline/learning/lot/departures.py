@@ -26,9 +26,9 @@ from ...arrays import FloatArray
 from .elimination import solved
 from .family import family_wise, independent_tests, skewed_log_tail
 from .model import FixedPart, RandomPart
-from .null import NullDraws, null_draws, projected
+from .null import null_draws, projected
 from .reml import LotFit
-from .scores import squares_of_part
+from .scores import statistic_of
 
 DepartureKind = Literal["mean", "pattern", "spread"]
 #: Lots drawn for a null: the number of independent tests is then known to 5 %.
@@ -92,15 +92,12 @@ def departures_of(
     -------
     The departures, and the family-wise p-values of ``others``.
     """
-    draws = null_draws(fit, DRAWS, seed)
-    rows = [*_fixed(fit, [part for part in absent if isinstance(part, FixedPart)], draws)]
+    draws = null_draws(fit, DRAWS, seed, [statistic_of(part, fit.lot, fit.design) for part in absent])
+    tested = list(zip(absent, draws.statistics))
+    rows = [_pattern(fit, part, t) for part, t in tested if isinstance(part, FixedPart)]
     if two_sided:
         rows += [_spread(part.name, part.level, draws.squares[k], 1.0, True) for k, part in enumerate(fit.model.random)]
-    rows += [
-        _spread(part.name, part.level, squares_of_part(part, fit.lot, fit.design, draws.projected), 0.0, False)
-        for part in absent
-        if isinstance(part, RandomPart)
-    ]
+    rows += [_spread(part.name, part.level, q[0], 0.0, False) for part, q in tested if isinstance(part, RandomPart)]
     shown = [row for row in rows if row is not None]
     tests = (independent_tests(np.stack([null for _, null in shown])) if shown else 0.0) + len(others)
     found = sorted((_with_family(one, tests) for one, _ in shown), key=lambda one: one.log_p)
@@ -117,10 +114,6 @@ def smallest_seen(fit: LotFit, part: FixedPart, tests: float, false_alarm: float
 _Row = tuple[Departure, FloatArray]
 
 
-def _fixed(fit: LotFit, parts: Sequence[FixedPart], draws: NullDraws) -> list[_Row | None]:
-    return [_pattern(fit, part, draws) for part in parts]
-
-
 def _information(fit: LotFit, part: FixedPart) -> tuple[FloatArray, FloatArray]:
     """X' P X (p, p), and X (n, q, p) where it was seen."""
     x = part.columns * fit.design.seen[..., None]
@@ -129,13 +122,12 @@ def _information(fit: LotFit, part: FixedPart) -> tuple[FloatArray, FloatArray]:
     return 0.5 * (found + found.T), x
 
 
-def _pattern(fit: LotFit, part: FixedPart, draws: NullDraws) -> _Row | None:
+def _pattern(fit: LotFit, part: FixedPart, t: FloatArray) -> _Row | None:
     information, x = _information(fit, part)
     values, vectors = np.linalg.eigh(information)
     if values.max() <= ABSORBED * float(np.sum((fit.factor.white @ x) ** 2)):
         return None
     keep = values > 1e-9 * values.max()
-    t = np.einsum("nqa,nqb->ab", x, draws.projected)
     squares = np.sum((vectors[:, keep].T @ t) ** 2 / values[keep, None], axis=0)
     log_p = np.asarray(chi2.logsf(squares, int(keep.sum())))
     inverse = vectors[:, keep] / values[keep] @ vectors[:, keep].T

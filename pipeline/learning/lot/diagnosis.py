@@ -19,7 +19,7 @@ from .outcome import left_out
 from .population import DeviceMixture, Part, generic_parts, spread_of
 from .prepared import PreparedLot
 from .reml import LotFit
-from .scores import LotScore, scored
+from .scores import LotScore, scored, statistic_of
 from .tails import OUTLIERS, mixture_scores, outliers, tail_scores
 
 #: Lots drawn for a null: the number of independent tests is then known to 5 %.
@@ -102,8 +102,9 @@ def diagnosed(
     seen = ~ready.whole.is_held
     own = [_subset(part, seen) for part in parts]
     probes = generic_parts(fit.lot, spread_of(fit.lot), probes=True)
-    draws = null_draws(fit, DRAWS, seed)
-    found = scored(fit.lot, fit.design, draws, [*own, *probes], ~fit.at_zero)
+    every = [*own, *probes]
+    draws = null_draws(fit, DRAWS, seed, [statistic_of(part, fit.lot, fit.design) for part in every])
+    found = scored(fit.design, draws, every, ~fit.at_zero)
     out = left_out(fit.lot, fit.model, fit.variances)
     single, tails = (
         mixture_scores(out, [one.subset(seen) for one in mixtures]),

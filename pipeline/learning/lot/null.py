@@ -3,13 +3,15 @@
     y* = sum Z sqrt(v) u* + D^(1/2) e*,      p = P y
 
 P y is all that the data say beyond the fixed columns; every score is a function of it.  The same function of p* has the null
-distribution, with the estimated means projected out exactly.
+distribution, with the estimated means projected out exactly.  The drawn lots are evaluated in blocks, because those of 20,000
+devices with 8 quantities would take 0.5 GB.
 
 Shapes: n devices, q quantities, B draws.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +21,12 @@ from .derivatives import squares_of
 from .elimination import LotFactor, LotSolution, solved
 from .reml import LotFit
 
+#: Values p of drawn lots that are held at once: 128 MiB, of which four arrays stand side by side.
+HELD = 2**24
+
+#: A function (k, B) of p (n, q, B).
+Statistic = Callable[[FloatArray], FloatArray]
+
 
 @dataclass(frozen=True, eq=False)
 class NullDraws:
@@ -26,12 +34,12 @@ class NullDraws:
 
     Parameters
     ----------
-    projected : (n, q, 1 + B) p.
     squares : (C, 1 + B) y' P V_c P y of each fitted part.
+    statistics : (k, 1 + B) each, in the order in which they were asked for.
     """
 
-    projected: FloatArray
     squares: FloatArray
+    statistics: tuple[FloatArray, ...]
 
 
 def drawn_values(factor: LotFactor, count: int, generator: np.random.Generator) -> FloatArray:
@@ -62,13 +70,16 @@ def projected(factor: LotFactor, solution: LotSolution) -> FloatArray:
     return np.einsum("nji,njb->nib", factor.white, factor.design.unpadded(solution.residual))
 
 
-def null_draws(fit: LotFit, count: int, seed: int) -> NullDraws:
-    """The measured lot and ``count`` lots drawn from the fit."""
+def null_draws(fit: LotFit, count: int, seed: int, statistics: Sequence[Statistic]) -> NullDraws:
+    """``statistics`` of the measured lot and of ``count`` lots drawn from the fit."""
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)))
-    drawn = drawn_values(fit.factor, count, generator)
-    solution = solved(fit.factor, drawn)
-    own = fit.solution
-    return NullDraws(
-        np.concatenate([projected(fit.factor, own), projected(fit.factor, solution)], axis=2),
-        np.concatenate([squares_of(fit.factor, own)[:, :1], squares_of(fit.factor, solution)], axis=1),
-    )
+    factor, most = fit.factor, max(HELD // fit.design.seen.size, 1)
+    p, squares = projected(factor, fit.solution), squares_of(factor, fit.solution)[:, :1]
+    found: list[list[FloatArray]] = []
+    for first in range(0, count, most):
+        solution = solved(factor, drawn_values(factor, min(most, count - first), generator))
+        p = np.concatenate([p, projected(factor, solution)], axis=2)
+        squares = np.concatenate([squares, squares_of(factor, solution)], axis=1)
+        found.append([statistic(p) for statistic in statistics])
+        p = p[:, :, :0]
+    return NullDraws(squares, tuple(np.concatenate(blocks, axis=1) for blocks in zip(*found)))

@@ -24,7 +24,7 @@ from .design import LotDesign, field_roots
 from .family import family_wise, independent_tests, skewed_log_tail
 from .measured import MeasuredLot
 from .model import FixedPart, RandomPart
-from .null import NullDraws
+from .null import NullDraws, Statistic
 
 Part = RandomPart | FixedPart
 #: Share of a score's sd that the fitted variances leave, below which this lot cannot show the part.
@@ -58,22 +58,29 @@ class LotScore:
         return self.surviving_share > INVISIBLE
 
 
-def scored(
-    lot: MeasuredLot, design: LotDesign, draws: NullDraws, parts: Sequence[Part], active: BoolArray
-) -> tuple[LotScore, ...]:
+def statistic_of(part: Part, lot: MeasuredLot, design: LotDesign) -> Statistic:
+    """t (k, B) of a fixed part, |Z' p|^2 (1, B) of a random one."""
+    if isinstance(part, FixedPart):
+        x = part.columns * design.seen[..., None]
+        used = np.flatnonzero(np.any(x != 0.0, axis=(0, 2)))
+        flat = x[:, used].reshape(-1, x.shape[2]).T
+        return lambda p: np.asarray(flat @ p[:, used].reshape(-1, p.shape[2]))
+    return lambda p: squares_of_part(part, lot, design, p)[None]
+
+
+def scored(design: LotDesign, draws: NullDraws, parts: Sequence[Part], active: BoolArray) -> tuple[LotScore, ...]:
     """Scores of absent parts, in their order.
 
     Parameters
     ----------
+    draws : with the ``statistic_of`` each part.
     active : (C,) the fitted parts whose variance is not at zero, and adapts.
     """
     nuisance = draws.squares[active]
     basis = np.linalg.qr(design.columns[:, :, design.ends[2] :].reshape(-1, design.fixed))[0]
     rows = [
-        _of_fixed(part, design, draws, basis)
-        if isinstance(part, FixedPart)
-        else _of_random(part, lot, design, draws, nuisance)
-        for part in parts
+        _of_fixed(part, design, t, basis) if isinstance(part, FixedPart) else _of_random(t[0], nuisance)
+        for part, t in zip(parts, draws.statistics)
     ]
     if not rows:
         return ()
@@ -92,12 +99,8 @@ def scored(
     )
 
 
-def _of_fixed(
-    part: FixedPart, design: LotDesign, draws: NullDraws, basis: FloatArray
-) -> tuple[FloatArray, float, float]:
+def _of_fixed(part: FixedPart, design: LotDesign, t: FloatArray, basis: FloatArray) -> tuple[FloatArray, float, float]:
     x = part.columns * design.seen[..., None]
-    used = np.flatnonzero(np.any(x != 0.0, axis=(0, 2)))
-    t = x[:, used].reshape(-1, x.shape[2]).T @ draws.projected[:, used].reshape(-1, draws.projected.shape[2])
     # Cov(t) = X' P X, measured on the drawn lots; its scale without the fitted columns shows what they absorb.
     covariance = np.atleast_2d(np.cov(t[:, 1:]))
     values, vectors = np.linalg.eigh(covariance)
@@ -112,10 +115,7 @@ def _of_fixed(
     return log_p, float(-norm.ppf(max(np.exp(log_p[0]), 1e-300))), 1.0
 
 
-def _of_random(
-    part: RandomPart, lot: MeasuredLot, design: LotDesign, draws: NullDraws, nuisance: FloatArray
-) -> tuple[FloatArray, float, float]:
-    q = squares_of_part(part, lot, design, draws.projected)
+def _of_random(q: FloatArray, nuisance: FloatArray) -> tuple[FloatArray, float, float]:
     null = q[1:]
     middle = nuisance[:, 1:].mean(axis=1, keepdims=True)
     known = nuisance - middle
