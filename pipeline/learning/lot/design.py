@@ -60,8 +60,9 @@ class LotDesign:
 
     def padded(self, values: FloatArray) -> FloatArray:
         """(n, q, B) -> (W, k q, B), zero where a wafer has no device."""
-        found = np.where((self.slots >= 0)[..., None, None], values[self.slots], 0.0)
-        return np.ascontiguousarray(found.reshape(len(self.slots), -1, values.shape[-1]))
+        found = values[self.slots]
+        found[self.slots < 0] = 0.0
+        return found.reshape(len(self.slots), -1, values.shape[-1])
 
     def unpadded(self, values: FloatArray) -> FloatArray:
         """The reverse of ``padded``."""
