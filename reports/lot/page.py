@@ -9,7 +9,7 @@ from pipeline.learning.lot.posterior import LotPosteriorAnswer
 from ..html.rendering import environment, stylesheet
 from ..limits_origin import LimitsOrigin
 from ..words.limits import given_limits
-from ..words.lot import ADAPTS, LEVELS, VERDICTS, compare_sentence, refine_sentence
+from ..words.lot import ADAPTS, LEVELS, page_headline
 from ..words.lot_posterior import posterior_note
 from .figures import LotMaps as LotMaps
 from .figures import forecast_figure, residual_maps, spreads_figure
@@ -35,11 +35,6 @@ def render_lot_page(
     truth : what was hidden, where that is known.
     posterior : of the most influential spreads, where it was asked for.
     """
-    headline = compare_sentence(comparison)
-    if refinement is not None:
-        headline = refine_sentence(refinement)
-    elif diagnosis is not None:
-        headline = VERDICTS[diagnosis.verdict]
     added = refinement.irregularities if refinement is not None else ()
     template = environment().get_template("lot.html.j2")
     return template.render(
@@ -47,7 +42,7 @@ def render_lot_page(
         c=comparison,
         d=diagnosis,
         r=refinement,
-        headline=headline,
+        headline=page_headline(comparison, diagnosis, refinement),
         added=added,
         levels=LEVELS,
         meanings=MEANINGS,

@@ -34,7 +34,7 @@ def left_sentence(found: LotDiagnosis) -> str:
         return f"More is missing: {found.significant[0].name} has the best score."
     if found.structure:
         return f"Structure is left that no irregularity of the library explains: {found.structure[0].name}."
-    return "Nothing more is missing: no candidate and no structure is significant."
+    return "No candidate and no structure in the residual is significant."
 
 
 def refused_sentences(refused: Mapping[str, str]) -> list[str]:

@@ -31,7 +31,7 @@ LEVELS: Mapping[str, str] = {
     "all": "common to all devices",
 }
 VERDICTS: Mapping[str, str] = {
-    "adequate": "Nothing more is missing: the lot looks like a draw from this population.",
+    "adequate": "No irregularity is missing from the population.",
     "effect": "One irregularity is missing from the population.",
     "class": "An irregularity is missing; this lot cannot tell apart those of its class.",
     "unknown": "Something is missing that no irregularity of the library explains.",
@@ -93,6 +93,8 @@ def _outcome(name: str, error: Mapping[str, float | None], score: Mapping[str, f
 def diagnose_lot_lines(answer: LotDiagnosisAnswer) -> list[str]:
     """Verdict, candidates, what is invisible."""
     lines = [VERDICTS[answer.verdict]]
+    if answer.verdict == "adequate":
+        lines.append("Whether its spreads, means and patterns hold: gyroscreen compare.")
     if answer.irregularities:
         lines.append(f"missing: {', '.join(answer.irregularities[:_MOST])}")
     lines += [f"  {name} would be told apart by {what}" for name, what in list(answer.separating.items())[:_MOST]]
@@ -127,6 +129,16 @@ def refine_lot_lines(answer: LotRefinementAnswer) -> list[str]:
 def refine_sentence(answer: LotRefinementAnswer) -> str:
     """The verdict on the last rung, in one sentence."""
     return EXPLAINED if answer.verdict == "adequate" and answer.irregularities else VERDICTS[answer.verdict]
+
+
+def page_headline(
+    comparison: LotComparisonAnswer, diagnosis: LotDiagnosisAnswer | None, refinement: LotRefinementAnswer | None
+) -> str:
+    """What the page says first: whether the lot is as predicted, then what is missing."""
+    if refinement is not None and refinement.irregularities:
+        return refine_sentence(refinement)
+    found = refinement or diagnosis
+    return compare_sentence(comparison) + (f" {VERDICTS[found.verdict]}" if found is not None else "")
 
 
 def forecast_words(found: ForecastAnswer | None) -> str:
