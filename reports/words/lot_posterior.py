@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.learning.lot.posterior import ESS_MIN, RHAT_MAX, LotPosteriorAnswer
+from pipeline.learning.lot.posterior import AGREES, ESS_MIN, RHAT_MAX, LotPosteriorAnswer
 
 from .numbers import number
 
@@ -25,11 +25,12 @@ def posterior_note(answer: LotPosteriorAnswer) -> str:
     state = (
         ""
         if answer.converged
-        else f" Not converged: R-hat at most {RHAT_MAX:g} and ESS at least {ESS_MIN:g} are needed."
+        else f" Not converged: R-hat at most {RHAT_MAX:g}, ESS at least {ESS_MIN:g} an error of at most {AGREES:g} are needed."
     )
     others = f", patterns and {len(answer.marginal)} other spreads" if answer.marginal else " and patterns"
     return (
         f"The prior is flat in the sd up to ten times the file's spread; the posterior is marginal over means{others}. "
         f"{answer.draws} draws of emcee, R-hat {number(answer.rhat, 4)}, ESS {number(answer.ess, 3)}, "
-        f"acceptance {number(answer.acceptance, 2)}.{state}"
+        f"acceptance {number(answer.acceptance, 2)}; the log likelihood of the chains is right to "
+        f"{number(answer.surface_error, 2)}.{state}"
     )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from pipeline.learning.lot.measured import MeasuredLot
 from pipeline.learning.lot.model import LotModel, RandomPart, means
 from pipeline.learning.lot.posterior import SCALE, influential, posterior, sampled
+from pipeline.learning.lot.profile import profiled
 from pipeline.learning.lot.reml import fitted
 
 
@@ -79,6 +81,31 @@ def test_a_balanced_one_way_design_has_the_posterior_of_its_two_mean_squares(bet
         own = np.cumsum(density.sum(axis=0)) / density.sum()
         expected = np.interp([0.05, 0.5, 0.95], own, e[0])
         assert np.quantile(found.draws[..., 1], [0.05, 0.5, 0.95]) == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize("between", [0.05, 0.6, 2.0])
+def test_the_profile_is_the_maximum_over_the_other_variances(between):
+    # Two levels of devices on wafers of lots, the lots without any spread of their own, so that one variance is at zero.
+    g = np.random.default_rng(11)
+    lots, wafers, devices = 4, 3, 6
+    lot, wafer = np.divmod(np.repeat(np.arange(lots * wafers), devices), wafers)
+    y = g.normal(size=lots * wafers)[np.repeat(np.arange(lots * wafers), devices)] + g.normal(size=lot.size)
+    none = np.full(lot.size, np.nan)
+    measured = MeasuredLot(
+        "lot", ("y",), ("1",), y[:, None], np.zeros((lot.size, 1, 1)),
+        {"lot": tuple(map(str, lot)), "wafer": tuple(f"{a}-{b}" for a, b in zip(lot, wafer))}, none, none, 50.0, none,
+        tuple(map(str, range(lot.size))),
+    )  # fmt: skip
+    fit = fitted(measured, model(lot.size, ("lot", "wafer", "device")))
+    own, variances = profiled(fit, np.array([1]), np.array([between**2]), fit.variances)
+
+    def value(log_v: np.ndarray) -> float:
+        return -fit.at(np.array([np.exp(log_v[0]), between**2, np.exp(log_v[1])]))
+
+    best = minimize(value, [-2.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 2000})
+    assert variances[1] == pytest.approx(between**2)
+    # The last step may have promised 0.02 in 2 ln L.
+    assert own == pytest.approx(-best.fun, abs=0.02)
 
 
 def test_the_spread_that_is_known_least_matters_most():
