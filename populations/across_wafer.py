@@ -23,7 +23,7 @@ from .site import Site
 
 #: The right-hand side of the equation, for the manual.
 LATEX = (
-    r"\mu_\text{lot} + \mu_\text{wafer} + b \left( \rho^2 - \frac{1}{2} \right) + w_x x + w_y y + N(x, y) + \mu_\text{die}"
+    r"\mu_\text{lot} + \mu_\text{wafer} + b\,(\rho^2 - 1/2) + w_x x + w_y y + N(x, y) + \mu_\text{die}"
 )
 
 

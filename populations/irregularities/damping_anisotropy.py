@@ -36,6 +36,6 @@ IRREGULARITY = Irregularity(
     ),
     source="the paper, eq. (15); magnitude assumed",
     act=act,
-    latex=r"C = c_0 \left( 1 + \begin{pmatrix} \Re d & \Im d \\ \Im d & -\Re d \end{pmatrix} \right),"
+    latex=r"C = c_0 \left( 1 + \begin{pmatrix} \text{Re}\,d & \text{Im}\,d \\ \text{Im}\,d & -\text{Re}\,d \end{pmatrix} \right),"
     r" \quad d = s\,n, \quad |d| \le \text{limit}",
 )

@@ -2,7 +2,7 @@
 
     ln(p / p_lid) = s n
 
-p is the pressure under the lid, s is the sd ``ln_spread`` and n a standard normal number of each package.
+p is the pressure under the lid, s is ``spread`` and n a standard normal number of each package.
 
 Source: spread of getter and outgassing (assumed); with 75 % of the losses due to gas it gives the reported spread of packaged Q.
 """

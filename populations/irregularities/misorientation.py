@@ -63,5 +63,5 @@ IRREGULARITY = Irregularity(
     act=act,
     latex=r"\Delta \ln k_j = \ln \frac{E(\alpha_j + \rho)}{E(\alpha_j)}, \quad"
     r" \frac{1}{E(\alpha)}"
-    r" = s_{11} - 2 \left( s_{11} - s_{12} - \frac{s_{44}}{2} \right) \cos^2 \alpha \, \sin^2 \alpha",
+    r" = s_{11} - (2 s_{11} - 2 s_{12} - s_{44}) \cos^2 \alpha \, \sin^2 \alpha",
 )

@@ -30,7 +30,7 @@ IRREGULARITY = Irregularity(
     parameters=across_wafer_parameters("% of t", "pct", 5.0),
     source="k = E w t^3 / L^3; SOI layer tolerance 25 +-1 um; shares by level as in populations/across_wafer.py",
     act=act,
-    latex=r"\begin{align*} \Delta \ln k_j &= 3 \ln \left( 1 + \frac{\Delta t}{t} \right), \quad k_j = \frac{E\,w\,t^3}{L^3} \\\\ \Delta t &= "
+    latex=r"\begin{align*} \Delta \ln k_j &= 3 \ln (1 + \Delta t / t), \quad k_j = \frac{E\,w\,t^3}{L^3} \\ \Delta t &= "
     + LATEX
     + r" \end{align*}",
 )

@@ -30,7 +30,7 @@ IRREGULARITY = Irregularity(
     parameters=across_wafer_parameters("um", "um", 5.0),
     source="k = E w t^3 / L^3; magnitudes assumed",
     act=act,
-    latex=r"\begin{align*} \Delta \ln k_j &= \ln \left( 1 + \frac{\Delta w}{w} \right), \quad k_j = \frac{E\,w\,t^3}{L^3} \\\\ \Delta w &= "
+    latex=r"\begin{align*} \Delta \ln k_j &= \ln (1 + \Delta w / w), \quad k_j = \frac{E\,w\,t^3}{L^3} \\ \Delta w &= "
     + LATEX
     + r" \end{align*}",
 )

@@ -2,7 +2,7 @@
 
     ln K_k += s n_k, the same for all devices
 
-K_k is the gain of channel k, s is the sd of the gains, and the numbers n_k are the same for all devices of a run.
+K_k is the gain of channel k, s is ``channel_pct``, and the standard normal numbers n_k are the same for all devices of a run.
 
 Source: contact and amplifier tolerances (assumed).
 """

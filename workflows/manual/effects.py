@@ -10,7 +10,7 @@ from pipeline.device.parameters import Parameter
 
 from .markdown import NOTE, block, code, number, plain, table
 from .pictures import signature_picture
-from .signatures import SNR, EffectSignature, alike, effect_signature
+from .signatures import SIGMA_V, SNR, EffectSignature, alike, effect_signature
 
 #: |cosine| of two signatures from which on the index lists the pair.
 _ALIKE = 0.9
@@ -102,7 +102,7 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
         f"# {effect.name}\n",
         f"{plain(effect.signature[:1].upper() + effect.signature[1:])}.\n",
         "## Equation\n",
-        f"$$\n{effect.latex}\n$$\n" if effect.latex else "",
+        f"$$\n{effect.latex}\n$$\n\nIn plain text, as `gyroscreen effects {effect.name}` prints it:\n" if effect.latex else "",
         block(_lines(effect.law)),
         f"Source: {plain(effect.source)}.\n",
         "## Parameters\n",
@@ -139,16 +139,17 @@ def _parameter(effect: Effect, one: Parameter) -> tuple[str, ...]:
 
 
 def _caption(effect: Effect, found: EffectSignature) -> str:
-    sizes = ", ".join(f"{code(name)} = {number(float(value))}" for name, value in found.sizes.items())
+    sizes = ", ".join(f"{code(name)} = {_rounded(float(value), 3)}" for name, value in found.sizes.items())
+    chirp = f"The record is a chirp of 1 s on a device like that of the paper, with {sizes}"
     if effect.disturbance is not None:
-        return f"A chirp of 1 s on a device like that of the paper, with {sizes} and lines of 1 mV.\n"
-    snr = f"this changes the record by {_rounded(float((found.change**2).sum() ** 0.5) / 1e-3)} times the noise of 1 mV"
-    wanted = "" if abs(float((found.change**2).sum() ** 0.5) / 1e-3 / SNR - 1.0) < 0.1 else " (clipping starts at once)"
-    return f"A chirp of 1 s on a device like that of the paper, with {sizes}: {snr}{wanted}, in the norm of both channels.\n"
+        return f"{chirp} and lines of 1 mV.\n"
+    snr = float((found.change**2).sum() ** 0.5) / SIGMA_V
+    wanted = "" if abs(snr / SNR - 1.0) < 0.1 else f" Clipping sets in at once, so no size comes closer to {SNR:g}."
+    return f"{chirp}. The norm of its change over both channels is {_rounded(snr, 2)} times the noise of 1 mV.{wanted}\n"
 
 
-def _rounded(value: float) -> str:
-    return number(float(f"{value:.2g}"))
+def _rounded(value: float, digits: int) -> str:
+    return number(float(f"{value:.{digits}g}"))
 
 
 def _properties(effect: Effect) -> list[tuple[str, str]]:
