@@ -22,9 +22,7 @@ from .irregularity import IrregularityParameter
 from .site import Site
 
 #: The right-hand side of the equation, for the manual.
-LATEX = (
-    r"\mu_\text{lot} + \mu_\text{wafer} + b\,(\rho^2 - 1/2) + w_x x + w_y y + N(x, y) + \mu_\text{die}"
-)
+LATEX = r"\mu_\text{lot} + \mu_\text{wafer} + b\,(\rho^2 - 1/2) + w_x x + w_y y + N(x, y) + \mu_\text{die}"
 
 
 def across_wafer_parameters(unit: str, suffix: str, high: float) -> tuple[IrregularityParameter, ...]:

@@ -105,7 +105,19 @@ def staged(sources: ManualSources, pages: Mapping[str, str], work: Path) -> None
 
 def _sphinx(pages: Path, site: Path, strict: bool, notebooks: bool) -> None:
     mode = "force" if notebooks else "off"
-    command = [sys.executable, "-m", "sphinx", "-q", "-b", "html", "-j", "auto", "-T", "-D", f"nb_execution_mode={mode}"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-b",
+        "html",
+        "-j",
+        "auto",
+        "-T",
+        "-D",
+        f"nb_execution_mode={mode}",
+    ]
     command += ["-W", "--keep-going"] if strict else []
     # The interpreter's import path goes with it: an installation may live beside the working folder.
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])

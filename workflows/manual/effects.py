@@ -102,7 +102,9 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
         f"# {effect.name}\n",
         f"{plain(effect.signature[:1].upper() + effect.signature[1:])}.\n",
         "## Equation\n",
-        f"$$\n{effect.latex}\n$$\n\nIn plain text, as `gyroscreen effects {effect.name}` prints it:\n" if effect.latex else "",
+        f"$$\n{effect.latex}\n$$\n\nIn plain text, as `gyroscreen effects {effect.name}` prints it:\n"
+        if effect.latex
+        else "",
         block(_lines(effect.law)),
         f"Source: {plain(effect.source)}.\n",
         "## Parameters\n",
@@ -145,7 +147,9 @@ def _caption(effect: Effect, found: EffectSignature) -> str:
         return f"{chirp} and lines of 1 mV.\n"
     snr = float((found.change**2).sum() ** 0.5) / SIGMA_V
     wanted = "" if abs(snr / SNR - 1.0) < 0.1 else f" Clipping sets in at once, so no size comes closer to {SNR:g}."
-    return f"{chirp}. The norm of its change over both channels is {_rounded(snr, 2)} times the noise of 1 mV.{wanted}\n"
+    return (
+        f"{chirp}. The norm of its change over both channels is {_rounded(snr, 2)} times the noise of 1 mV.{wanted}\n"
+    )
 
 
 def _rounded(value: float, digits: int) -> str:

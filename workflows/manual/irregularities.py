@@ -14,6 +14,7 @@ from populations.draw import draw
 from populations.irregularity import Irregularity, IrregularityParameter, find
 from populations.spec import PopulationSpec, load_spec
 
+from .laws import law_as_latex
 from .markdown import NOTE, block, code, number, plain, table
 from .patterns import generic_pattern, parts_alike, population_pattern
 from .pictures import pattern_picture
@@ -28,12 +29,10 @@ of your own.
 
 ## Irregularities of a population
 """
-_GENERIC_ABOUT = """\
-## Generic irregularities
-
-`y` is a quantity of the lot, `s` and `b` are free sizes, and `n(unit)` is a standard normal number that the devices of a
-unit share. `rho` and `phi` are the polar coordinates of a die in wafer radii.
+_GENERIC_SYMBOLS = r"""$\Delta q$ is the change of a quantity $q$ of the lot. $s$ and $b$ are free sizes. $n$ is a standard normal number; its index
+names the unit whose devices share it. $\rho$ and $\varphi$ are the polar coordinates of a die, $\rho$ in wafer radii.
 """
+_GENERIC_ABOUT = f"## Generic irregularities\n\n{_GENERIC_SYMBOLS}"
 _ALIKE_ABOUT = """\
 ## Which irregularities look alike?
 
@@ -41,7 +40,7 @@ A random part of an irregularity has a level: the devices of a lot, wafer or die
 same level and changes in the same proportion, so no measured lot can tell them apart; `refine` names them together.
 """
 #: What a change means on a page; the symbols are those of the equations.
-_CHANGED = {
+CHANGED = {
     "ln_stiffness": "the stiffness of all springs, $\\ln k$",
     "ln_spring": "the stiffness of each spring, $\\ln k_j$",
     "azimuth_rad": "the azimuth of each spring",
@@ -93,7 +92,7 @@ def _index(
     known: Mapping[str, Irregularity], generic: Mapping[str, GenericIrregularity], alike: tuple[tuple[str, ...], ...]
 ) -> str:
     own = [(f"[`{name}`]({name}.md)", one.stage, plain(law_of(one))) for name, one in known.items()]
-    shapes = [(f"[`{name}`](generic-{name}.md)", plain(_documented(one))) for name, one in generic.items()]
+    shapes = [(f"[`{name}`](generic-{name}.md)", *_sentence_and_law(one)) for name, one in generic.items()]
     names = "\n".join([*known, *(f"generic-{name}" for name in generic)])
     return "\n".join(
         [
@@ -104,7 +103,7 @@ def _index(
             "\n".join(f"- {', '.join(map(code, names))}" for names in alike),
             "",
             _GENERIC_ABOUT,
-            table(("irregularity", "law"), shapes),
+            table(("irregularity", "what it is", "law"), shapes),
             f"```{{toctree}}\n:hidden:\n\n{names}\n```\n",
         ]
     )
@@ -156,11 +155,13 @@ def _generic_page(one: GenericIrregularity) -> str:
     probe = (
         "A probe: it shows a misfit and is never named, because it says nothing about its cause.\n" if one.probe else ""
     )
+    sentence, law = _sentence_and_law(one)
     return "\n".join(
         [
             NOTE,
             f"# {one.name} (generic)\n",
-            f"{plain(_documented(one))}\n",
+            f"{sentence}\n",
+            f"## Equation\n\n{law.replace('$', '$$')}\n\n{_GENERIC_SYMBOLS}" if law else "",
             probe,
             f"A lot must have: {needs}.\n",
             "## Picture\n",
@@ -198,6 +199,12 @@ def _parameter(one: IrregularityParameter, given: Mapping[str, float]) -> tuple[
     )
 
 
+def _sentence_and_law(one: GenericIrregularity) -> tuple[str, str]:
+    """What a generic irregularity is, and its law as a formula or nothing."""
+    sentence, law = law_as_latex(_documented(one))
+    return plain(sentence), f"${law}$" if law else ""
+
+
 def _documented(one: GenericIrregularity) -> str:
     """The summary of the file that declares it."""
     module = next(m for m in list(sys.modules.values()) if getattr(m, "GENERIC", None) is one)
@@ -209,7 +216,7 @@ def _changes(known: Mapping[str, Irregularity], spec: PopulationSpec) -> Mapping
     every = {name: dict(values_of(one, spec)) for name, one in known.items()}
     drawn = draw(msgspec.structs.replace(spec, irregularity=every), 0, 0, 1)
     return {
-        name: tuple(words for field, words in _CHANGED.items() if getattr(change, field) is not None)
+        name: tuple(words for field, words in CHANGED.items() if getattr(change, field) is not None)
         for name, _, change in drawn.changes
     }
 
