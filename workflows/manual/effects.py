@@ -41,9 +41,12 @@ _ABOUT = """\
 # Effects
 
 An effect is one term in the physics of a device or of its read-out. `gyroscreen model add NAME model.toml` adds one to a
-model, `diagnose` and `refine` look for them. At its null value an effect does exactly nothing. psi = (psi_x, psi_y) is the
-rocking and z the up-down motion, both mass-normalised and in V s; v are the drive samples, x the motion of a sense
-electrode, S the volts of a pick-off before the filter. `docs/how-to/add-an-effect.md` shows how to write one of your own.
+model; `diagnose` and `refine` look for them. At its null value an effect does exactly nothing.
+
+In the equations $\\psi = (\\psi_x, \\psi_y)$ is the rocking motion and $z$ the up-down motion, both mass-normalised and in V s. $v$
+are the drive samples, $x$ is the motion at an electrode, and $S$ are the volts of the pick-offs before the filter. Dots stand for
+the terms of the plant. `docs/how-to/add-an-effect.md` shows how to
+write an effect of your own.
 """
 _ALIKE_ABOUT = """\
 ## Which effects look alike?
