@@ -79,7 +79,8 @@ Parameter = IrregularityParameter
 class Irregularity:
     """Name, stage, parameters, source and law of an irregularity.
 
-    ``latex`` is the equation for the manual; an irregularity of your own needs none.  The file that declares it defines the symbols.
+    ``latex`` is the equation for the manual; an irregularity of your own needs none.  The head of its
+    file defines the symbols.
     """
 
     name: str

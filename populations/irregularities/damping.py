@@ -2,8 +2,8 @@
 
     1/Q = (p / p0) exp(x_gas) / Q_gas + exp(x_anchor) / Q_anchor + 1 / Q_thermoelastic
 
-p is the pressure around the device and p_0 the nominal one.  x_gas and x_anchor are normal.  x_gas of rocking and x_gas of up-down
-are correlated, because the gaps and the gas are the same.  1/Q_gas is the nominal 1/Q minus the other two losses.
+p is the pressure around the device and p_0 the nominal one.  x_gas and x_anchor are normal.  x_gas of rocking and x_gas of
+up-down are correlated, because the gaps and the gas are the same.  1/Q_gas is the nominal 1/Q minus the other two losses.
 
 Source: free-molecular damping is proportional to p; losses add; reported spread of packaged Q: 11 % (1800 +-200 at 200 mTorr).
 """

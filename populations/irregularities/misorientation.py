@@ -4,8 +4,8 @@
     d ln k_j = ln E(a) - ln E(a at rotation 0)
     phi_j -> phi_j + azimuth error   =>   e = -sum k_j exp(2 i phi_j) / sum k_j gains an imaginary part
 
-E is the modulus of silicon along a spring, s_11, s_12 and s_44 are its compliances, alpha_j is the angle of spring j to the crystal
-without an error, and rho is the rotation of the mask.  The azimuth of each spring has an error of its own, with the sd
+E is the modulus of silicon along a spring, s_11, s_12 and s_44 are its compliances, alpha_j is the angle of spring j to the
+crystal without an error, and rho is the rotation of the mask.  The azimuth of each spring has an error of its own, with the sd
 ``azimuth_mrad``: it turns the axes.
 
 E has a period of 90 deg, so the rotation causes no split of four identical springs at right angles; azimuth errors rotate theta.

@@ -2,8 +2,8 @@
 
     d = lot + die, a vector;   I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y;   static moment m_p d -> updown_tilt
 
-d_lot and d_die are vectors; their components are normal with the sds ``lot_um`` and ``die_um``.  m_p is the mass of the post and I the
-inertia of rocking.  The static moment m_p d tilts the up-down mode.
+d_lot and d_die are vectors; their components are normal with the sds ``lot_um`` and ``die_um``.  m_p is the mass of the post
+and I the inertia of rocking.  The static moment m_p d tilts the up-down mode.
 
 Source: parallel-axis theorem and static moment (derivation in populations/assembly.py); placement errors assumed.
 """

@@ -3,8 +3,8 @@
     d ln k_j = N(0, s) for each spring j
     four springs at right angles: e = (k2 + k4 - k1 - k3) / sum k, real, sd s / 2
 
-s is ``die_pct``, and n_j a standard normal number of each spring.  Four springs at right angles that differ only in stiffness have
-theta = 0 or 90 deg, and the sd of their anisotropy is s / 2.
+s is ``die_pct``, and n_j a standard normal number of each spring.  Four springs at right angles that differ only in stiffness
+have theta = 0 or 90 deg, and the sd of their anisotropy is s / 2.
 
 Source: K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x y (derivation); magnitude assumed.
 """

@@ -55,7 +55,7 @@ def test_a_question_of_zsh_is_answered_without_what_renders_markup(folder):
         [sys.executable, "-c", code], env=os.environ | asked | paths, cwd=folder, capture_output=True, text=True
     )
     answer, loaded = done.stdout.splitlines()
-    assert answer.startswith("_arguments '*: :((\"refine\":\"")
+    assert answer.startswith('_arguments \'*: :(("refine":"')
     assert loaded == "[]"
 
 
