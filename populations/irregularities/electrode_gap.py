@@ -3,7 +3,8 @@
     ln g_k = lot + wafer + die_k,   K ~ A / g^2,   k_e = eps A V^2 / g^3
 
 g_k is the gap of electrode k, A_k its area, K_k its gain and k_e its electrostatic spring at the voltage V.
-n_lot, n_wafer and n_die are normal with the sds ``lot_pct``, ``wafer_pct`` and ``die_pct``.  Each electrode has an n_die of its own.
+n_lot, n_wafer and n_die are normal with the sds ``lot_pct``, ``wafer_pct`` and ``die_pct``.  Each
+electrode has an n_die of its own.
 
 Source: parallel plates (derivation); Sensors 12 (2012) 6857 reports a gap asymmetry of +-5 % for a 4 um gap.
 """

@@ -44,8 +44,8 @@ An effect is one term in the physics of a device or of its read-out. `gyroscreen
 model; `diagnose` and `refine` look for them. At its null value an effect does exactly nothing.
 
 In the equations $\\psi = (\\psi_x, \\psi_y)$ is the rocking motion and $z$ the up-down motion, both mass-normalised and in V s.
-$v$ are the drive samples, $x$ is the motion at an electrode, and $S$ are the volts of the pick-offs before the filter. Dots stand for
-the terms of the plant. `docs/how-to/add-an-effect.md` shows how to
+$v$ are the drive samples, $x$ is the motion at an electrode, and $S$ are the volts of the pick-offs before the filter. Dots stand
+for the terms of the plant. `docs/how-to/add-an-effect.md` shows how to
 write an effect of your own.
 """
 _ALIKE_ABOUT = """\
