@@ -30,7 +30,8 @@ of your own.
 ## Irregularities of a population
 """
 _GENERIC_SYMBOLS = r"""$\Delta q$ is the change of a quantity $q$ of the lot. $s$ and $b$ are free sizes. $n$ is a standard
-normal number; its index names the unit whose devices share it. $\rho$ and $\varphi$ are the polar coordinates of a die, $\rho$ in wafer radii.
+normal number; its index names the unit whose devices share it. $\rho$ and $\varphi$ are the polar coordinates of a die,
+$\rho$ in wafer radii.
 """
 _GENERIC_ABOUT = f"## Generic irregularities\n\n{_GENERIC_SYMBOLS}"
 _ALIKE_ABOUT = """\
