@@ -21,6 +21,9 @@ from pipeline.arrays import FloatArray
 from .irregularity import IrregularityParameter
 from .site import Site
 
+#: The right-hand side of the equation, for the manual.
+LATEX = r"\mu_\text{lot} + \mu_\text{wafer} + b\,(\rho^2 - 1/2) + w_x x + w_y y + N(x, y) + \mu_\text{die}"
+
 
 def across_wafer_parameters(unit: str, suffix: str, high: float) -> tuple[IrregularityParameter, ...]:
     """Parameters of the deviation; spreads are in ``unit``, between 0 and ``high``, and their names end in ``suffix``."""

@@ -77,13 +77,18 @@ Parameter = IrregularityParameter
 
 @dataclass(frozen=True)
 class Irregularity:
-    """Name, stage, parameters, source and law of an irregularity."""
+    """Name, stage, parameters, source and law of an irregularity.
+
+    ``latex`` is the equation for the manual; an irregularity of your own needs none.  The head of its
+    file defines the symbols.
+    """
 
     name: str
     stage: Stage
     parameters: tuple[IrregularityParameter, ...]
     source: str
     act: Callable[[Mapping[str, float], Site], Change]
+    latex: str = ""
 
 
 def find(folders: tuple[str, ...] = ()) -> Mapping[str, Irregularity]:

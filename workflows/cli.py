@@ -73,6 +73,8 @@ def command_line() -> Any:
     if VARIABLE in os.environ:  # a shell asks what can follow; typer knows the shells only after this call
         from typer.completion import completion_init  # type: ignore[attr-defined]
 
+        # The summaries hold no markup, and what would render it takes a third of the time for which zsh waits.
+        sys.modules.setdefault("rich", None)  # type: ignore[arg-type]
         completion_init()
     return with_debug_everywhere(typer.main.get_command(app))
 

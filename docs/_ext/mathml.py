@@ -1,6 +1,6 @@
 """Formulas as MathML, written when the manual is built: the pages need no script and no other host."""
 
-import re
+import xml.etree.ElementTree as ElementTree
 from typing import Any
 
 from docutils import nodes
@@ -20,20 +20,56 @@ def _mathml(latex: str, display: str, node: nodes.Element) -> str:
         return f"<code>{latex}</code>"
 
 
-_PRIME, _DOUBLE = "&#x02032;", "&#x02033;"
-_MATRIX = r"<mo[^>]*>&#x0*28;</mo>(<mtable)(.*?</mtable>)<mo[^>]*>&#x0*29;</mo>"
-_TWO_PRIMES = rf"<msup>(<msubsup>(?:(?!</msubsup>).)*)<mi>{_PRIME}</mi></msubsup><mi>{_PRIME}</mi></msup>"
+_NAMESPACE = "http://www.w3.org/1998/Math/MathML"
+_PRIMES = ("\u2032", "\u2033")
+_DOTS = ("\u02d9", "\u00a8")
+ElementTree.register_namespace("", _NAMESPACE)
 
 
 def _adjusted(text: str) -> str:
     """What only fonts for mathematics draw well, which not every machine has: manual.css draws it by these classes.
 
-    Parentheses around a matrix become its border; primes and dots, which would be tiny, become larger.
+    Parentheses around a matrix become its border; primes stand beside their letter, and dots become larger.
     """
-    text = re.sub(_MATRIX, r'\1 class="matrix"\2', text)
-    text = re.sub(_TWO_PRIMES, rf"\1<mi>{_DOUBLE}</mi></msubsup>", text)
-    text = re.sub(rf"<(m[io])>({_PRIME}|{_DOUBLE})</\1>", r'<mo class="accent">\2</mo>', text)
-    return re.sub(r"<mo>(&#x000A8;|&#x002D9;)</mo>", r'<mo class="accent">\1</mo>', text)
+    root = ElementTree.fromstring(text)
+    for node in root.iter():
+        _beside(node)
+        _bordered(node)
+        if _is(node, "mo") and node.text in _DOTS:
+            node.set("class", "accent")
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _is(node: ElementTree.Element, name: str) -> bool:
+    return node.tag == f"{{{_NAMESPACE}}}{name}"
+
+
+def _beside(node: ElementTree.Element) -> None:
+    """A prime as a superscript becomes an operator beside the base."""
+    primed = (_is(node, "msup") or _is(node, "msubsup")) and node[-1].text in _PRIMES
+    if not primed:
+        return
+    prime = node[-1].text
+    node.remove(node[-1])
+    base = list(node)
+    for one in base:
+        node.remove(one)
+    inner = ElementTree.SubElement(node, f"{{{_NAMESPACE}}}{'msub' if len(base) == 2 else 'mrow'}")
+    inner.extend(base)
+    node.tag = f"{{{_NAMESPACE}}}mrow"
+    mark = ElementTree.SubElement(node, f"{{{_NAMESPACE}}}mo", {"lspace": "0", "rspace": "0", "class": "prime"})
+    mark.text = prime
+
+
+def _bordered(node: ElementTree.Element) -> None:
+    """Parentheses on both sides of a matrix become its class."""
+    inside = list(node)
+    for before, one, after in zip(inside, inside[1:], inside[2:]):
+        around = _is(before, "mo") and _is(after, "mo") and (before.text, after.text) == ("(", ")")
+        if _is(one, "mtable") and around:
+            one.set("class", "matrix")
+            node.remove(before)
+            node.remove(after)
 
 
 def _inline(writer: Any, node: nodes.math) -> None:

@@ -54,7 +54,8 @@ class FillPages(SphinxPostTransform):
 def _first_sentence(page: nodes.document) -> str:
     paragraphs = (node for node in page.findall(nodes.paragraph) if isinstance(node.parent, nodes.section))
     text = " ".join(next((node.astext() for node in paragraphs), "").split())
-    return re.split(r"(?<=[.:])\s+(?=[A-Z`])", text)[0]
+    # An initial or an abbreviated journal ends no sentence.
+    return re.split(r"(?<=[.:])(?<!\b[A-Z]\.)\s+(?=[A-Z`])", text)[0]
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
     1/Q = (p / p0) exp(x_gas) / Q_gas + exp(x_anchor) / Q_anchor + 1 / Q_thermoelastic
 
-x_gas of rocking and x_gas of up-down are correlated, because the gaps and the gas are the same.  1/Q_gas is the nominal 1/Q minus
-the other two losses.
+p is the pressure around the device and p_0 the nominal one.  x_gas and x_anchor are normal.  x_gas of rocking and x_gas of
+up-down are correlated, because the gaps and the gas are the same.  1/Q_gas is the nominal 1/Q minus the other two losses.
 
 Source: free-molecular damping is proportional to p; losses add; reported spread of packaged Q: 11 % (1800 +-200 at 200 mTorr).
 """
@@ -47,4 +47,6 @@ IRREGULARITY = Irregularity(
     ),
     source="losses add, gas damping proportional to pressure; magnitudes from the reported spread of packaged Q",
     act=act,
+    latex=r"\frac{1}{Q} = \frac{p}{p_0}\,\frac{e^{x_\text{gas}}}{Q_\text{gas}}"
+    r" + \frac{e^{x_\text{anchor}}}{Q_\text{anchor}} + \frac{1}{Q_\text{thermoelastic}}",
 )

@@ -2,7 +2,7 @@
 
     C = c0 (1 + [[Re d, Im d], [Im d, -Re d]]),   d = s n, n a complex normal, |d| limited to ``limit``
 
-It determines zeta1, zeta2 and c12.
+s is ``die`` and n a complex normal.  A larger d is shortened to ``limit``, on the same axis.  d determines zeta1, zeta2 and c12.
 
 Source: the paper's rocking dampings differ by a factor 2.0 (3.167e-4, 1.586e-4); the spread is an assumption, to be varied.
 """
@@ -36,4 +36,6 @@ IRREGULARITY = Irregularity(
     ),
     source="the paper, eq. (15); magnitude assumed",
     act=act,
+    latex=r"C = c_0 \left( 1 + \begin{pmatrix} \text{Re}\,d & \text{Im}\,d \\ \text{Im}\,d & -\text{Re}\,d \end{pmatrix} \right),"
+    r" \quad d = s\,n, \quad |d| \le \text{limit}",
 )

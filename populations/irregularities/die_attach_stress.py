@@ -2,7 +2,8 @@
 
     f_i = f0 + h sigma_i   =>   e = h ((sigma_x - sigma_y) + 2 i sigma_xy) / f0,   d ln k = h (sigma_x + sigma_y) / f0
 
-sigma_x - sigma_y and 2 sigma_xy are normal with the same sd s, so there is no preferred axis.  (sigma_x + sigma_y)/2 is normal;
+h is ``hz_per_mpa`` and f_0 the rocking frequency.  sigma_x - sigma_y and 2 sigma_xy are normal with the same sd s =
+``difference_mpa``, so there is no preferred axis.  (sigma_x + sigma_y)/2 is normal;
 its mean and sd are given as ratios to s, so that varying s varies the whole stress.
 
 Source: h = 4.8 Hz/MPa for springs of 1 mm x 20 um at 535 Hz (derivation: stress stiffening of a fixed-guided beam); 0.1 to
@@ -47,4 +48,6 @@ IRREGULARITY = Irregularity(
     ),
     source="stress stiffening (derivation); stresses assumed",
     act=act,
+    latex=r"e = \frac{h}{f_0} \left( \sigma_x - \sigma_y + 2 i \sigma_{xy} \right), \quad"
+    r" \Delta \ln k = \frac{h}{f_0} \left( \sigma_x + \sigma_y \right)",
 )

@@ -2,6 +2,10 @@
 
     K ~ A,   gain for rocking ~ K times the arm   =>   sense_imbalance, drive_imbalance, electrode_mismatch, softening
 
+A_k is the area of electrode k, l_k its arm and K_k its gain.  s_A is ``die_pct``, s_l is ``arm_pct``, and the n are
+standard normal numbers of each electrode.  Areas and arms determine
+sense_imbalance, drive_imbalance, the electrode mismatch and the electrostatic softening.
+
 Source: parallel-plate force and current eps A V / g^2; the sense gains of the paper's device differ by 7.4 %; magnitudes
 assumed.
 """
@@ -31,4 +35,6 @@ IRREGULARITY = Irregularity(
     ),
     source="parallel plates; magnitudes assumed",
     act=act,
+    latex=r"\Delta \ln A_k = s_A\,n_{A, k}, \quad \Delta \ln l_k = s_l\,n_{l, k}, \quad K_k \propto A_k,"
+    r" \quad \text{gain for rocking} \propto K_k\,l_k",
 )

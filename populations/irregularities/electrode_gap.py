@@ -2,6 +2,10 @@
 
     ln g_k = lot + wafer + die_k,   K ~ A / g^2,   k_e = eps A V^2 / g^3
 
+g_k is the gap of electrode k, A_k its area, K_k its gain and k_e its electrostatic spring at the voltage V.
+n_lot, n_wafer and n_die are normal with the sds ``lot_pct``, ``wafer_pct`` and ``die_pct``.  Each
+electrode has an n_die of its own.
+
 Source: parallel plates (derivation); Sensors 12 (2012) 6857 reports a gap asymmetry of +-5 % for a 4 um gap.
 """
 
@@ -29,4 +33,6 @@ IRREGULARITY = Irregularity(
     ),
     source="parallel plates; Sensors 12 (2012) 6857; magnitudes assumed",
     act=act,
+    latex=r"\Delta \ln g_k = n_\text{lot} + n_\text{wafer} + n_{\text{die}, k}, \quad K_k \propto \frac{A_k}{g_k^2},"
+    r" \quad k_e = \frac{\varepsilon A_k V^2}{g_k^3}",
 )

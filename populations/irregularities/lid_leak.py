@@ -2,6 +2,8 @@
 
     with probability ``fraction``: ln(p / p_lid) += max(N(ln_mean, ln_spread), 0)
 
+q is ``fraction``, m is ``ln_mean`` and s is ``ln_spread``.  The pressure p is that under the lid.
+
 Source: seal yields of 98 to 100 % (J. MEMS, 2018-0257); loss of Q in leaking packages (Micromachines 14 (2023) 1956).
 """
 
@@ -33,4 +35,5 @@ IRREGULARITY = Irregularity(
     ),
     source="J. MEMS 2018-0257 (seal yield); Micromachines 14 (2023) 1956 (loss of Q)",
     act=act,
+    latex=r"\Delta \ln p = \max(n, 0) \ \text{with probability}\ q, \quad n \sim N(m, s)",
 )

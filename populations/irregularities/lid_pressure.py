@@ -2,6 +2,8 @@
 
     ln(p / p_lid) = s n
 
+p is the pressure under the lid, s is ``spread`` and n a standard normal number of each package.
+
 Source: spread of getter and outgassing (assumed); with 75 % of the losses due to gas it gives the reported spread of packaged Q.
 """
 
@@ -24,4 +26,5 @@ IRREGULARITY = Irregularity(
     parameters=(IrregularityParameter("spread", "1", 0.0, 3.0, "sd of ln(pressure) from package to package"),),
     source="assumed; consistent with the reported packaged Q of 1800 +-200 at 200 mTorr",
     act=act,
+    latex=r"\Delta \ln p = s\,n",
 )

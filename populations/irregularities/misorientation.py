@@ -4,6 +4,10 @@
     d ln k_j = ln E(a) - ln E(a at rotation 0)
     phi_j -> phi_j + azimuth error   =>   e = -sum k_j exp(2 i phi_j) / sum k_j gains an imaginary part
 
+E is the modulus of silicon along a spring, s_11, s_12 and s_44 are its compliances, alpha_j is the angle of spring j to the
+crystal without an error, and rho is the rotation of the mask.  The azimuth of each spring has an error of its own, with the sd
+``azimuth_mrad``: it turns the axes.
+
 E has a period of 90 deg, so the rotation causes no split of four identical springs at right angles; azimuth errors rotate theta.
 
 Source: Hopcroft, Nix, Kenny, J. MEMS 19 (2010) 229 (silicon compliances); azimuth errors assumed (0.3 um over 1 mm).
@@ -57,4 +61,7 @@ IRREGULARITY = Irregularity(
     ),
     source="Hopcroft et al., J. MEMS 19 (2010) 229; azimuth errors assumed",
     act=act,
+    latex=r"\Delta \ln k_j = \ln \frac{E(\alpha_j + \rho)}{E(\alpha_j)}, \quad"
+    r" \frac{1}{E(\alpha)}"
+    r" = s_{11} - (2 s_{11} - 2 s_{12} - s_{44}) \cos^2 \alpha \, \sin^2 \alpha",
 )

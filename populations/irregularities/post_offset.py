@@ -2,6 +2,9 @@
 
     d = lot + die, a vector;   I_xx += m_p y^2, I_yy += m_p x^2, I_xy -= m_p x y;   static moment m_p d -> updown_tilt
 
+d_lot and d_die are vectors; their components are normal with the sds ``lot_um`` and ``die_um``.  m_p is the mass of the post
+and I the inertia of rocking.  The static moment m_p d tilts the up-down mode.
+
 Source: parallel-axis theorem and static moment (derivation in populations/assembly.py); placement errors assumed.
 """
 
@@ -28,4 +31,6 @@ IRREGULARITY = Irregularity(
     ),
     source="parallel-axis theorem; magnitudes assumed",
     act=act,
+    latex=r"d = d_\text{lot} + d_\text{die}, \quad I \to I + m_p"
+    r" \begin{pmatrix} d_y^2 & -d_x d_y \\ -d_x d_y & d_x^2 \end{pmatrix}",
 )

@@ -2,6 +2,8 @@
 
     e += s (r_lot n_lot + r_wafer n_wafer + n_die),   n complex normals without preferred axis
 
+s is ``die_pct``, r_lot is ``lot_ratio`` and r_wafer is ``wafer_ratio``.  The n are complex normals: no axis is preferred.
+
 Source: an assumption, to be varied.  Reported splits before trimming are 1.9 Hz (the paper) and 9 to 26 Hz.
 """
 
@@ -31,4 +33,5 @@ IRREGULARITY = Irregularity(
     ),
     source="assumption; consistent with the split before trimming that the paper reports",
     act=act,
+    latex=r"e = s \left( r_\text{lot}\,n_\text{lot} + r_\text{wafer}\,n_\text{wafer} + n_\text{die} \right)",
 )

@@ -2,7 +2,8 @@
 
     T = T_edge rho along the radius at azimuth phi,   e = a T^2 exp(2 i phi)
 
-The tilt couples in-plane and out-of-plane bending in second order, so e varies as T^2.
+rho and phi are the polar coordinates of the die, rho = 1 at the edge of the wafer.  T_edge is ``edge_deg`` and a is
+``anisotropy_pct_per_deg2``.  The tilt couples in-plane and out-of-plane bending in second order, so e varies as T^2.
 
 Source: radial tilt of 0 at the centre and 0.3 to 1 deg at the edge (assumed); T^2 exp(2 i phi) from the product of inertia of a
 tilted beam (derivation).
@@ -36,4 +37,5 @@ IRREGULARITY = Irregularity(
     ),
     source="radial tilt of deep etching (magnitude assumed); T^2 law (derivation)",
     act=act,
+    latex=r"e = a\,T^2 e^{2 i \varphi}, \quad T = \rho\,T_\text{edge}",
 )

@@ -3,7 +3,8 @@
     d ln k_j = N(0, s) for each spring j
     four springs at right angles: e = (k2 + k4 - k1 - k3) / sum k, real, sd s / 2
 
-so four springs at right angles that differ only in stiffness have theta = 0 or 90 deg.
+s is ``die_pct``, and n_j a standard normal number of each spring.  Four springs at right angles that differ only in stiffness
+have theta = 0 or 90 deg, and the sd of their anisotropy is s / 2.
 
 Source: K_xx = sum k y^2, K_yy = sum k x^2, K_xy = -sum k x y (derivation); magnitude assumed.
 """
@@ -27,4 +28,5 @@ IRREGULARITY = Irregularity(
     parameters=(IrregularityParameter("die_pct", "% of k", 0.0, 10.0, "sd of the stiffness of a single spring"),),
     source="K = sum of springs; magnitude assumed",
     act=act,
+    latex=r"\Delta \ln k_j = s\,n_j",
 )

@@ -2,6 +2,9 @@
 
     k = E w t^3 / L^3   =>   d ln k = ln(1 + dw/w)
 
+E is Young's modulus of the spring, w its width, t its thickness and L its length.  The deviation dw has a mean of each lot and
+wafer, a radial bow b, a wedge, a smooth random field N and a value of each die.  rho, x and y are in wafer radii.
+
 Source: fixed-guided beam, out of plane (derivation); magnitudes assumed.
 """
 
@@ -11,7 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..across_wafer import across_wafer, across_wafer_parameters
+from ..across_wafer import LATEX, across_wafer, across_wafer_parameters
 from ..irregularity import Change, Irregularity
 from ..site import Site
 
@@ -27,4 +30,7 @@ IRREGULARITY = Irregularity(
     parameters=across_wafer_parameters("um", "um", 5.0),
     source="k = E w t^3 / L^3; magnitudes assumed",
     act=act,
+    latex=r"\begin{align*} \Delta \ln k_j &= \ln (1 + \Delta w / w), \quad k_j = \frac{E\,w\,t^3}{L^3} \\ \Delta w &= "
+    + LATEX
+    + r" \end{align*}",
 )

@@ -2,6 +2,8 @@
 
     df/f = TCF (T - T0)   =>   d ln k = 2 ln(1 + TCF (T - T0)),   T = operating temperature + N(0, s)
 
+TCF is ``tcf_ppm_per_k``, T_0 the temperature at which the device has its nominal frequencies, and s the sd ``spread_k``.
+
 Source: TCF of -28 ppm/K for silicon resonators, Hopcroft, Nix, Kenny, J. MEMS 19 (2010) 229; temperature spread of the test
 assumed.
 """
@@ -34,4 +36,5 @@ IRREGULARITY = Irregularity(
     ),
     source="Hopcroft et al., J. MEMS 19 (2010) 229",
     act=act,
+    latex=r"\Delta \ln k = 2 \ln \left( 1 + \text{TCF}\,(T - T_0) \right), \quad T \sim N(T_\text{operating}, s)",
 )

@@ -2,6 +2,8 @@
 
     ln K_k += s n_k, the same for all devices
 
+K_k is the gain of channel k, s is ``channel_pct``, and the standard normal numbers n_k are the same for all devices of a run.
+
 Source: contact and amplifier tolerances (assumed).
 """
 
@@ -27,4 +29,5 @@ IRREGULARITY = Irregularity(
     parameters=(IrregularityParameter("channel_pct", "%", 0.0, 30.0, "sd of the gain of a channel of the prober"),),
     source="assumed",
     act=act,
+    latex=r"\Delta \ln K_k = s\,n_k",
 )

@@ -32,9 +32,9 @@ def test_the_own_effect_is_the_only_one_found_with_the_hidden_size(names):
 
 
 def test_the_own_irregularity_is_found_in_the_lot(names):
-    refinement = names["lot"].refinement
-    assert [name.split(".")[0] for name in refinement.irregularities] == ["notch_stress"]
-    assert refinement.ladder[-1].status == "confirmed"
+    refined = names["refined"]
+    assert [name.split(".")[0] for name in refined.irregularities] == ["notch_stress"]
+    assert refined.table["status"].iloc[-1] == "confirmed"
 
 
 def test_the_book_holds_no_output(names):

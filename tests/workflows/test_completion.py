@@ -1,6 +1,7 @@
 """What the Tab key offers, asked for as the shells ask; installation in a home folder; wrong input in one line."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ from pipeline.device.effect import find_effects
 from populations.extend import shipped
 from populations.irregularity import find
 from workflows.cli import call
+from workflows.commands.completion import script_of
 from workflows.commands.groups import complete
 
 ASK = "import sys; sys.argv[0] = 'gyroscreen'; from workflows.cli import main; main()"
@@ -39,6 +41,22 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (path / name).mkdir(parents=True)
     (path / "mine.toml").write_text("")
     return path
+
+
+def test_a_question_of_zsh_is_answered_without_what_renders_markup(folder):
+    code = (
+        f"{ASK.removesuffix('main()')}\n"
+        "try: main()\n"
+        "finally: print([name for name in ('rich.console', 'rich.markdown', 'numpy') if name in sys.modules])"
+    )
+    asked = {"_GYROSCREEN_COMPLETE": "complete_zsh", "_TYPER_COMPLETE_ARGS": "gyroscreen ref"}
+    paths = {"PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | asked | paths, cwd=folder, capture_output=True, text=True
+    )
+    answer, loaded = done.stdout.splitlines()
+    assert answer.startswith('_arguments \'*: :(("refine":"')
+    assert loaded == "[]"
 
 
 @pytest.mark.parametrize(
@@ -95,6 +113,39 @@ def test_a_script_is_printed_and_installed(shell, script, tmp_path, monkeypatch,
     assert str(tmp_path / script) in capfd.readouterr().out
     assert call(["completion"]) == 0
     assert f"~/{script}" in capfd.readouterr().out
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="zsh is not installed")
+def test_the_first_tab_of_a_zsh_has_an_answer(tmp_path):
+    """zsh runs the file in place of the function at the first Tab: the words of the line must reach it."""
+    (tmp_path / "_gyroscreen").write_text(script_of("zsh"))
+    probe = (
+        f"fpath=({tmp_path} $fpath); compdef() {{ }}; words=(gyroscreen ref); CURRENT=2;"
+        '_arguments() { print -r -- "$@" }; autoload -U _gyroscreen; _gyroscreen'
+    )
+    done = subprocess.run(
+        ["zsh", "-f", "-c", probe], env=with_program(tmp_path), capture_output=True, text=True, check=True
+    )
+    assert "refine" in done.stdout, done.stderr
+
+
+@pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
+def test_fish_asks_the_script(tmp_path):
+    (tmp_path / "script.fish").write_text(script_of("fish"))
+    asked = f"source {tmp_path}/script.fish; complete -C 'gyroscreen ref'"
+    done = subprocess.run(
+        ["fish", "--no-config", "-c", asked], env=with_program(tmp_path), capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("refine\t"), done.stderr
+
+
+def with_program(folder: Path) -> dict[str, str]:
+    """An environment in which `gyroscreen` is this package."""
+    program = folder / "gyroscreen"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -c "{ASK}" "$@"\n')
+    program.chmod(0o755)
+    root = str(Path(__file__).parents[2])
+    return os.environ | {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": root}
 
 
 def test_bash_accepts_the_script_and_asks_it(folder):

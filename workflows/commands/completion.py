@@ -14,6 +14,8 @@ from reports.words.completion import HOW_TO, installed_line
 from .groups.complete import SHELLS, VARIABLE
 
 PROGRAM = "gyroscreen"
+#: zsh loads the file at the first Tab and runs it in place of the function, which would leave this Tab without an answer.
+_ZSH_FIRST_TAB = 'if [[ $zsh_eval_context[-1] == loadautofunc ]]; then\n  _gyroscreen_completion "$@"\nfi\n'
 
 
 def completion(shell: str | None, install: bool) -> None:
@@ -37,10 +39,12 @@ def completion(shell: str | None, install: bool) -> None:
             "no script for this shell", value=shell, allowed=", ".join(SHELLS), next_step="gyroscreen completion"
         )
     if not install:
-        print(get_completion_script(prog_name=PROGRAM, complete_var=VARIABLE, shell=shell))
+        print(script_of(shell))
         return
     try:
         _, path = install_script(shell=shell, prog_name=PROGRAM, complete_var=VARIABLE)
+        if shell == "zsh":
+            path.write_text(script_of(shell), encoding="utf-8")
     except OSError as error:
         raise unwritable("the script", error.filename, error, f"gyroscreen completion {shell} prints it") from None
     except UnicodeError:
@@ -50,3 +54,9 @@ def completion(shell: str | None, install: bool) -> None:
             next_step=f"load the output of `gyroscreen completion {shell}` there yourself",
         ) from None
     print(installed_line(path))
+
+
+def script_of(shell: str) -> str:
+    """The completion script of a shell."""
+    script: str = get_completion_script(prog_name=PROGRAM, complete_var=VARIABLE, shell=shell)
+    return f"{script.rstrip()}\n\n{_ZSH_FIRST_TAB}" if shell == "zsh" else script

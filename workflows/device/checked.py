@@ -79,11 +79,12 @@ def checked(measured: Measured) -> CheckedCampaign:
 
 
 def _check_text(report: CheckReport) -> list[str]:
-    lines = ["levels      record                channel   offset V      rms V     peak V    floor V"]
+    wide = max(20, *(len(level.record) for level in report.levels))
+    lines = [f"levels      {'record':{wide}s}  channel   offset V      rms V     peak V    floor V"]
     for level in report.levels:
         floor = "" if level.floor_v is None else f"{level.floor_v:10.3g}"
         numbers = f"{level.offset_v:10.2g} {level.rms_v:10.4g} {level.peak_v:10.4g} {floor}"
-        lines.append(f"            {level.record:20s}  {level.channel:8s} {numbers}")
+        lines.append(f"            {level.record:{wide}s}  {level.channel:8s} {numbers}")
     for finding in report.findings:
         where = " ".join(part for part in (finding.record, finding.channel) if part)
         lines.append(f"{finding.severity + ':':11s} {where + ': ' if where else ''}{finding.text}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,12 +13,16 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.errors import ConfigError, NegativeError, UsageError, unwritable
+from reports.words.manual import CORRECT, CORRECT_OR_SKIP, NOT_BUILT
 
 from .sources import ManualSources
 
 #: What the extra [docs] installs, by the names of the modules.
-_NEEDS = ("sphinx", "myst_nb", "pydata_sphinx_theme", "sphinx_design", "latex2mathml")
+_NEEDS = ("sphinx", "myst_nb", "pydata_sphinx_theme", "sphinx_design", "latex2mathml", "arviz_base")
 _SHOWN = 20
+#: A line of Sphinx that names a fault, or the last line of a traceback, such as that of a notebook.
+_FAULT = re.compile(r"\b(WARNING|ERROR): |^\s*[\w.]*(Error|Exception): ")
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 #: A file of every site that Sphinx builds.
 _MARK = "objects.inv"
 
@@ -100,7 +105,19 @@ def staged(sources: ManualSources, pages: Mapping[str, str], work: Path) -> None
 
 def _sphinx(pages: Path, site: Path, strict: bool, notebooks: bool) -> None:
     mode = "force" if notebooks else "off"
-    command = [sys.executable, "-m", "sphinx", "-q", "-b", "html", "-j", "auto", "-D", f"nb_execution_mode={mode}"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-b",
+        "html",
+        "-j",
+        "auto",
+        "-T",
+        "-D",
+        f"nb_execution_mode={mode}",
+    ]
     command += ["-W", "--keep-going"] if strict else []
     # The interpreter's import path goes with it: an installation may live beside the working folder.
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -114,10 +131,7 @@ def _sphinx(pages: Path, site: Path, strict: bool, notebooks: bool) -> None:
         stdin=subprocess.DEVNULL,
     )
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if line.strip()]
-        faults = [line for line in lines if "WARNING" in line or "ERROR" in line] or lines
+        lines = [_COLOUR.sub("", line) for line in done.stderr.splitlines() if line.strip()]
+        faults = list(dict.fromkeys(line.strip() for line in lines if _FAULT.search(line))) or lines[-_SHOWN:]
         shown = "\n".join(line.replace(f"{pages}{os.sep}", "docs/") for line in faults[:_SHOWN])
-        raise NegativeError(
-            f"the manual was not built: {len(faults)} faults\n{shown}",
-            next_step="correct the pages named, or build without --strict",
-        )
+        raise NegativeError(NOT_BUILT.format(faults=shown), next_step=CORRECT if strict else CORRECT_OR_SKIP)

@@ -10,7 +10,7 @@ from pipeline.device.parameters import Parameter
 
 from .markdown import NOTE, block, code, number, plain, table
 from .pictures import signature_picture
-from .signatures import SNR, EffectSignature, alike, effect_signature
+from .signatures import SIGMA_V, SNR, EffectSignature, alike, effect_signature
 
 #: |cosine| of two signatures from which on the index lists the pair.
 _ALIKE = 0.9
@@ -41,9 +41,12 @@ _ABOUT = """\
 # Effects
 
 An effect is one term in the physics of a device or of its read-out. `gyroscreen model add NAME model.toml` adds one to a
-model, `diagnose` and `refine` look for them. At its null value an effect does exactly nothing. psi = (psi_x, psi_y) is the
-rocking and z the up-down motion, both mass-normalised and in V s; v are the drive samples, x the motion of a sense
-electrode, S the volts of a pick-off before the filter. `docs/how-to/add-an-effect.md` shows how to write one of your own.
+model; `diagnose` and `refine` look for them. At its null value an effect does exactly nothing.
+
+In the equations $\\psi = (\\psi_x, \\psi_y)$ is the rocking motion and $z$ the up-down motion, both mass-normalised and in V s.
+$v$ are the drive samples, $x$ is the motion at an electrode, and $S$ are the volts of the pick-offs before the filter. Dots stand
+for the terms of the plant. `docs/how-to/add-an-effect.md` shows how to
+write an effect of your own.
 """
 _ALIKE_ABOUT = """\
 ## Which effects look alike?
@@ -102,7 +105,9 @@ def _page(effect: Effect, found: EffectSignature, library: Mapping[str, Effect])
         f"# {effect.name}\n",
         f"{plain(effect.signature[:1].upper() + effect.signature[1:])}.\n",
         "## Equation\n",
-        f"$$\n{effect.latex}\n$$\n" if effect.latex else "",
+        f"$$\n{effect.latex}\n$$\n\nIn plain text, as `gyroscreen effects {effect.name}` prints it:\n"
+        if effect.latex
+        else "",
         block(_lines(effect.law)),
         f"Source: {plain(effect.source)}.\n",
         "## Parameters\n",
@@ -139,16 +144,19 @@ def _parameter(effect: Effect, one: Parameter) -> tuple[str, ...]:
 
 
 def _caption(effect: Effect, found: EffectSignature) -> str:
-    sizes = ", ".join(f"{code(name)} = {number(float(value))}" for name, value in found.sizes.items())
+    sizes = ", ".join(f"{code(name)} = {_rounded(float(value), 3)}" for name, value in found.sizes.items())
+    chirp = f"The record is a chirp of 1 s on a device like that of the paper, with {sizes}"
     if effect.disturbance is not None:
-        return f"A chirp of 1 s on a device like that of the paper, with {sizes} and lines of 1 mV.\n"
-    snr = f"this changes the record by {_rounded(float((found.change**2).sum() ** 0.5) / 1e-3)} times the noise of 1 mV"
-    wanted = "" if abs(float((found.change**2).sum() ** 0.5) / 1e-3 / SNR - 1.0) < 0.1 else " (clipping starts at once)"
-    return f"A chirp of 1 s on a device like that of the paper, with {sizes}: {snr}{wanted}, in the norm of both channels.\n"
+        return f"{chirp} and lines of 1 mV.\n"
+    snr = float((found.change**2).sum() ** 0.5) / SIGMA_V
+    wanted = "" if abs(snr / SNR - 1.0) < 0.1 else f" Clipping sets in at once, so no size comes closer to {SNR:g}."
+    return (
+        f"{chirp}. The norm of its change over both channels is {_rounded(snr, 2)} times the noise of 1 mV.{wanted}\n"
+    )
 
 
-def _rounded(value: float) -> str:
-    return number(float(f"{value:.2g}"))
+def _rounded(value: float, digits: int) -> str:
+    return number(float(f"{value:.{digits}g}"))
 
 
 def _properties(effect: Effect) -> list[tuple[str, str]]:

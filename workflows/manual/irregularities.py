@@ -6,11 +6,15 @@ import inspect
 import sys
 from collections.abc import Iterator, Mapping
 
+import msgspec
+
 from pipeline.learning.lot.generic import GenericIrregularity, generic_irregularities
-from populations.describe import law_of, levels_of
+from populations.describe import law_of, levels_of, values_of
+from populations.draw import draw
 from populations.irregularity import Irregularity, IrregularityParameter, find
 from populations.spec import PopulationSpec, load_spec
 
+from .laws import law_as_latex
 from .markdown import NOTE, block, code, number, plain, table
 from .patterns import generic_pattern, parts_alike, population_pattern
 from .pictures import pattern_picture
@@ -25,18 +29,39 @@ of your own.
 
 ## Irregularities of a population
 """
-_GENERIC_ABOUT = """\
-## Generic irregularities
-
-`y` is a quantity of the lot, `s` and `b` are free sizes, and `n(unit)` is a standard normal number that the devices of a
-unit share. `rho` and `phi` are the polar coordinates of a die in wafer radii.
+_GENERIC_SYMBOLS = r"""$\Delta q$ is the change of a quantity $q$ of the lot. $s$ and $b$ are free sizes. $n$ is a standard
+normal number; its index names the unit whose devices share it. $\rho$ and $\varphi$ are the polar coordinates of a die,
+$\rho$ in wafer radii.
 """
+_GENERIC_ABOUT = f"## Generic irregularities\n\n{_GENERIC_SYMBOLS}"
 _ALIKE_ABOUT = """\
 ## Which irregularities look alike?
 
 A random part of an irregularity has a level: the devices of a lot, wafer or die share its numbers. Parts on one line have the
 same level and changes in the same proportion, so no measured lot can tell them apart; `refine` names them together.
 """
+#: What a change means on a page; the symbols are those of the equations.
+CHANGED = {
+    "ln_stiffness": "the stiffness of all springs, $\\ln k$",
+    "ln_spring": "the stiffness of each spring, $\\ln k_j$",
+    "azimuth_rad": "the azimuth of each spring",
+    "anisotropy": "the anisotropy $e$ of the stiffness, "
+    r"$K = K_0 \left( 1 + \begin{pmatrix} \text{Re}\,e & \text{Im}\,e \\ \text{Im}\,e & -\text{Re}\,e \end{pmatrix} \right)$",
+    "post_offset_mm": "the offset $d$ of the post from the centre",
+    "ln_area": "the area of each electrode, $\\ln A_k$",
+    "ln_gap": "the gap of each electrode, $\\ln g_k$",
+    "ln_arm": "the arm of each electrode, $\\ln l_k$",
+    "ln_channel": "the gain of each channel of the prober, $\\ln K_k$",
+    "ln_pressure": "the pressure around the device, $\\ln p$",
+    "ln_gas": "the gas damping of rocking and of up-down motion at a given pressure",
+    "ln_anchor": "the anchor loss",
+    "damping_anisotropy": "the anisotropy $d$ of the damping",
+}
+_STAGES = {
+    "fabrication": "fabrication (always present)",
+    "probe": "probe (only in the wafer prober)",
+    "package": "package (only in the package)",
+}
 _NEEDS = {
     "lots": "two lots or more",
     "wafers": "two wafers or more",
@@ -51,10 +76,11 @@ def irregularity_pages() -> Mapping[str, str]:
     """Path below docs/reference/ -> page or picture of each irregularity, and their index."""
     spec = load_spec()
     known, generic, levels = find(), generic_irregularities(), levels_of(spec)
+    changes = _changes(known, spec)
     alike = parts_alike(spec)
     pages = {"index.md": _index(known, generic, alike)}
     for name, one in known.items():
-        pages[f"{name}.md"] = _page(one, spec, levels[name], alike)
+        pages[f"{name}.md"] = _page(one, spec, levels[name], changes[name], alike)
         if name in spec.irregularity:
             pages[f"{name}.svg"] = pattern_picture(population_pattern(one, spec))
     for name, shape in generic.items():
@@ -67,7 +93,7 @@ def _index(
     known: Mapping[str, Irregularity], generic: Mapping[str, GenericIrregularity], alike: tuple[tuple[str, ...], ...]
 ) -> str:
     own = [(f"[`{name}`]({name}.md)", one.stage, plain(law_of(one))) for name, one in known.items()]
-    shapes = [(f"[`{name}`](generic-{name}.md)", plain(_documented(one))) for name, one in generic.items()]
+    shapes = [(f"[`{name}`](generic-{name}.md)", *_sentence_and_law(one)) for name, one in generic.items()]
     names = "\n".join([*known, *(f"generic-{name}" for name in generic)])
     return "\n".join(
         [
@@ -78,15 +104,21 @@ def _index(
             "\n".join(f"- {', '.join(map(code, names))}" for names in alike),
             "",
             _GENERIC_ABOUT,
-            table(("irregularity", "law"), shapes),
+            table(("irregularity", "what it is", "law"), shapes),
             f"```{{toctree}}\n:hidden:\n\n{names}\n```\n",
         ]
     )
 
 
-def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...], alike: tuple[tuple[str, ...], ...]) -> str:
+def _page(
+    one: Irregularity,
+    spec: PopulationSpec,
+    levels: tuple[str, ...],
+    changes: tuple[str, ...],
+    alike: tuple[tuple[str, ...], ...],
+) -> str:
     text = inspect.cleandoc(one.act.__globals__.get("__doc__") or one.name)
-    summary, *rest = list(_paragraphs(text))
+    summary, *rest = list(_paragraphs(text, laws=not one.latex))
     parameters = [_parameter(parameter, spec.irregularity.get(one.name, {})) for parameter in one.parameters]
     picture = []
     if one.name in spec.irregularity:
@@ -104,9 +136,11 @@ def _page(one: Irregularity, spec: PopulationSpec, levels: tuple[str, ...], alik
             NOTE,
             f"# {one.name}\n",
             summary,
-            "## Law\n",
+            "## Equation\n",
+            f"$$\n{one.latex}\n$$\n" if one.latex else "",
             *rest,
-            f"Stage {code(one.stage)}; {varies}.\n",
+            f"It changes {'; '.join(changes)}.\n",
+            f"Stage: {_STAGES[one.stage]}. It {varies}.\n",
             "## Parameters\n",
             f"Keys of `[irregularity.{one.name}]` in a population file.\n",
             table(("key", "meaning", "unit", "null", "cloverleaf", "range"), parameters),
@@ -122,11 +156,13 @@ def _generic_page(one: GenericIrregularity) -> str:
     probe = (
         "A probe: it shows a misfit and is never named, because it says nothing about its cause.\n" if one.probe else ""
     )
+    sentence, law = _sentence_and_law(one)
     return "\n".join(
         [
             NOTE,
             f"# {one.name} (generic)\n",
-            f"{plain(_documented(one))}\n",
+            f"{sentence}\n",
+            f"## Equation\n\n{law.replace('$', '$$')}\n\n{_GENERIC_SYMBOLS}" if law else "",
             probe,
             f"A lot must have: {needs}.\n",
             "## Picture\n",
@@ -164,13 +200,32 @@ def _parameter(one: IrregularityParameter, given: Mapping[str, float]) -> tuple[
     )
 
 
+def _sentence_and_law(one: GenericIrregularity) -> tuple[str, str]:
+    """What a generic irregularity is, and its law as a formula or nothing."""
+    sentence, law = law_as_latex(_documented(one))
+    return plain(sentence), f"${law}$" if law else ""
+
+
 def _documented(one: GenericIrregularity) -> str:
     """The summary of the file that declares it."""
     module = next(m for m in list(sys.modules.values()) if getattr(m, "GENERIC", None) is one)
     return " ".join(inspect.cleandoc(module.__doc__ or one.meaning).split("\n\n")[0].split())
 
 
-def _paragraphs(text: str) -> Iterator[str]:
-    """The paragraphs of a docstring as Markdown; indented ones are equations."""
+def _changes(known: Mapping[str, Irregularity], spec: PopulationSpec) -> Mapping[str, tuple[str, ...]]:
+    """What each irregularity changes in a device, in the order of :class:`Change`."""
+    every = {name: dict(values_of(one, spec)) for name, one in known.items()}
+    drawn = draw(msgspec.structs.replace(spec, irregularity=every), 0, 0, 1)
+    return {
+        name: tuple(words for field, words in CHANGED.items() if getattr(change, field) is not None)
+        for name, _, change in drawn.changes
+    }
+
+
+def _paragraphs(text: str, laws: bool) -> Iterator[str]:
+    """The paragraphs of a docstring as Markdown; indented ones are equations in plain text, shown where ``laws`` is true."""
     for part in text.split("\n\n"):
-        yield block(inspect.cleandoc(part)) if part.startswith("    ") else f"{plain(' '.join(part.split()))}\n"
+        if not part.startswith("    "):
+            yield f"{plain(' '.join(part.split()))}\n"
+        elif laws:
+            yield block(inspect.cleandoc(part))

@@ -76,7 +76,7 @@ def population_pattern(irregularity: Irregularity, spec: PopulationSpec) -> Patt
     for wafer in chosen:
         at = np.array([one == wafer for one in whole.wafer])
         maps.append(WaferPicture(wafer, whole.die_x_mm[at], whole.die_y_mm[at], changes[shown][at]))
-    what = f"change of\n{shown} [{_UNITS.get(shown, '1')}]"
+    what = f"change of {shown} [{_UNITS.get(shown, '1')}]"
     bars = tuple((key, share) for key, share in ranked[:_BARS] if share > _LEAST_SHARE)
     return Pattern(name, what, spec.wafer.diameter_mm / 2.0, tuple(maps), bars)
 
@@ -102,7 +102,7 @@ def generic_pattern(generic: GenericIrregularity, spec: PopulationSpec) -> Patte
     for wafer in wafers:
         at = np.array([one == wafer for one in lot.wafers])
         maps.append(WaferPicture(wafer.replace("/", " "), lot.x_mm[at], lot.y_mm[at], values[at]))
-    return Pattern(generic.name, "change [sizes]", lot.radius_mm, tuple(maps))
+    return Pattern(generic.name, "change, in units of its size", lot.radius_mm, tuple(maps))
 
 
 def parts_alike(spec: PopulationSpec) -> tuple[tuple[str, ...], ...]:

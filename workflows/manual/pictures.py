@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 
 from pipeline.arrays import FloatArray
 from reports.html.style import AFTER, BEFORE, MUTED, log_ticks, style
 
-from .patterns import Pattern
+from .patterns import Pattern, WaferPicture
 from .signatures import SIGMA_V, EffectSignature
 
 #: Width of a picture [inch]: that of the text of a page.
@@ -101,27 +103,38 @@ def _over_time(axes: Axes, found: EffectSignature) -> None:
 def pattern_picture(found: Pattern) -> str:
     """Maps of wafers, and the shares of the spreads of quantities where they are known, as the text of an SVG file."""
     with style():
-        bars = bool(found.shares)
-        figure = Figure(figsize=(_WIDE, 4.6 if bars else 2.6))
-        grid = figure.add_gridspec(2 if bars else 1, len(found.maps), height_ratios=(1.2, 1.0) if bars else (1.0,))
-        figure.subplots_adjust(
-            left=0.23 if bars else 0.02, right=0.99, top=0.92, bottom=0.12 if bars else 0.05, hspace=0.2, wspace=0.1
-        )
+        rows = len(found.shares)
+        heights = (2.3, 0.7 + 0.22 * rows)
+        figure = Figure(figsize=(_WIDE, sum(heights) if rows else heights[0]), layout="constrained")
+        grid = figure.add_gridspec(2 if rows else 1, len(found.maps), height_ratios=heights if rows else heights[:1])
         largest = max(float(np.max(np.abs(one.values))) for one in found.maps) or 1.0
         for k, one in enumerate(found.maps):
-            axes = figure.add_subplot(grid[0, k])
-            shown = axes.scatter(
-                one.x, one.y, c=one.values, s=42, marker="s", cmap="PuOr", vmin=-largest, vmax=largest, linewidths=0
-            )
-            axes.add_patch(Circle((0.0, 0.0), found.radius, fill=False, edgecolor=MUTED, linewidth=0.8))
-            axes.set(title=one.title, aspect="equal", xticks=(), yticks=())
-            axes.margins(0.08)
-            axes.set_frame_on(False)
-        bar = figure.colorbar(shown, ax=figure.axes, shrink=0.8 if not bars else 0.5, pad=0.02, anchor=(0.0, 1.0))
-        bar.set_label(found.what)
-        if bars:
+            shown = _dies(figure.add_subplot(grid[0, k]), one, found.radius, largest)
+        figure.colorbar(shown, ax=figure.axes, shrink=0.8, pad=0.02)
+        figure.suptitle(found.what, fontsize="medium")
+        if rows:
             axes = figure.add_subplot(grid[1, :])
             names, values = zip(*reversed(found.shares))
             axes.barh(names, [100.0 * value for value in values], color=AFTER, height=0.65)
             axes.set(xlabel="rms change, as a share of the spread of the quantity in the population [%]")
         return svg_file(figure, found.name)
+
+
+def _dies(axes: Axes, wafer: WaferPicture, radius: float, largest: float) -> PatchCollection:
+    """Every die of a wafer as a rectangle, coloured by its value."""
+    width, height = _pitch(wafer.x), _pitch(wafer.y)
+    dies = [Rectangle((x - width / 2.0, y - height / 2.0), width, height) for x, y in zip(wafer.x, wafer.y)]
+    shown = PatchCollection(dies, cmap="PuOr", norm=Normalize(-largest, largest), linewidths=0, antialiaseds=False)
+    shown.set_array(wafer.values)
+    axes.add_collection(shown)
+    axes.add_patch(Circle((0.0, 0.0), radius, fill=False, edgecolor=MUTED, linewidth=0.8))
+    around = 1.03 * radius
+    axes.set(title=wafer.title, aspect="equal", xticks=(), yticks=(), xlim=(-around, around), ylim=(-around, around))
+    axes.set_frame_on(False)
+    return shown
+
+
+def _pitch(places: FloatArray) -> float:
+    """Distance of neighbouring dies along one axis."""
+    steps = np.diff(np.unique(np.round(places, 6)))
+    return float(steps.min()) if len(steps) else 1.0

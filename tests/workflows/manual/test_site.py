@@ -23,11 +23,14 @@ from pipeline.quantities import QUANTITIES
 from pipeline.store.irregularity_table import IRREGULARITIES
 from pipeline.store.schema import COLUMNS
 from pipeline.toml_keys import meanings
-from populations.irregularity import find
+from populations.irregularity import CHANGES, find
 from workflows import api
 from workflows.cli import app
 from workflows.manual.build import build
+from workflows.manual.irregularities import CHANGED
 from workflows.manual.keys import FILES, tables_of
+from workflows.manual.laws import law_as_latex
+from workflows.manual.markdown import plain
 from workflows.manual.pages import generated_pages
 from workflows.manual.python import public_classes, public_functions
 from workflows.manual.signatures import SIGMA_V, SNR, alike, effect_signature
@@ -151,9 +154,11 @@ def test_the_index_of_effects_names_pairs_that_one_chirp_cannot_tell_apart(pages
     assert "| [`pickoff_pole`](pickoff_pole.md) | `loop_delay` | at every size |" in index
 
 
-def test_every_irregularity_has_a_page_with_its_law_parameters_and_picture(pages):
+def test_every_irregularity_has_a_page_with_its_equation_parameters_and_picture(pages):
     for name, one in find().items():
         page = pages[f"reference/irregularities/{name}.md"]
+        convert(one.latex)
+        assert f"$$\n{one.latex}\n$$" in page
         assert all(f"| `{parameter.name}` |" in page for parameter in one.parameters)
         assert "Source: " in page
         assert "## Look-alikes" in page
@@ -161,9 +166,34 @@ def test_every_irregularity_has_a_page_with_its_law_parameters_and_picture(pages
     # Width and thickness act on the same stiffness; the split of an anisotropy has its own direction.
     assert "| `spring_width.lot` | `spring_thickness.lot` |" in pages["reference/irregularities/spring_width.md"]
     assert "No random part" in pages["reference/irregularities/lid_leak.md"]
-    for name in generic_irregularities():
-        assert pages[f"reference/irregularities/generic-{name}.md"]
+    # What it changes is found by drawing a device, not declared a second time.
+    tilt, stress = (pages[f"reference/irregularities/{name}.md"] for name in ("sidewall_tilt", "die_attach_stress"))
+    assert "It changes the anisotropy $e$" in tilt
+    assert "It changes the stiffness of all springs, $\\ln k$; the anisotropy $e$" in stress
+    assert set(CHANGED) == set(CHANGES)
+    for name, one in generic_irregularities().items():
+        page = pages[f"reference/irregularities/generic-{name}.md"]
+        assert ("## Equation" in page) == (not one.probe), name
         ElementTree.fromstring(pages[f"reference/irregularities/generic-{name}.svg"])
+
+
+def test_laws_of_generic_irregularities_become_formulas():
+    assert law_as_latex("A gradient: y += s (n1 x + n2 y), x and y in wafer radii.") == (
+        "A gradient. The coordinates x and y are in wafer radii.",
+        r"\Delta q = s\,(n_1\,x + n_2\,y)",
+    )
+    assert law_as_latex("Two: y_j += s_j n(device), y_k += +-s_k n(device).")[1] == (
+        r"\Delta q_j = s_j\,n_\text{device}, \Delta q_k = \pm\,s_k\,n_\text{device}"
+    )
+    assert law_as_latex("Probe: a field on each wafer.  Never named.")[1] == ""
+
+
+def test_symbols_in_sentences_are_set_as_in_print_and_names_are_not():
+    assert plain("psi_x^2 over 2 um") == "ψ<sub>x</sub><sup>2</sup> over 2 µm"
+    assert plain("V_b (1 + gamma t)") == "V<sub>b</sub> (1 + γ t)"
+    for name in ("sense_imbalance", "f1_hz", "deltas", "cubic_stiffness.k3"):
+        assert plain(name) == name.replace("_", "\\_")
+    assert plain("``psi_x``") == "`psi_x`"
 
 
 class References(HTMLParser):
