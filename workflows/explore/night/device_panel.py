@@ -8,9 +8,9 @@ import numpy as np
 from bokeh.models.widgets.inputs import Select, TextInput
 from bokeh.models.widgets.markups import Div
 
-from pipeline.errors import GyroscreenError
 from reports.words import explore as words
 
+from ..worker import line_of
 from . import figures as draw
 from . import markup
 from .device import DeviceView, device_view
@@ -59,8 +59,8 @@ class DevicePanel:
     def _found(self, row: int, found: Any) -> None:
         if row != self.state.device:
             return
-        if isinstance(found, GyroscreenError):
-            self.left.text = markup.note_html(str(found))
+        if isinstance(found, Exception):
+            self.left.text = markup.note_html(line_of(found))
             return
         self.looked = found
         virtual = self.state.night.config.source.kind == "population"
