@@ -20,8 +20,9 @@ JUDGING = "is judged"
 REFUSED = "refused"
 NOT_TIMED = "The next record is predicted for campaigns that hold time records alone."
 NO_RECORDS = (
-    "This measurement has no samples and no sweeps to draw. What compare says below tells where the model fails."
+    "This measurement has no samples, sweeps or decays to draw. What compare says below tells where the model fails."
 )
+NO_SPECTRUM = "The amplitudes of a decay have no spectrum: they are drawn by time and by level."
 
 
 def band_words(kind: str, band_hz: tuple[float, float], centres_hz: Sequence[float]) -> str:

@@ -11,10 +11,12 @@ from functools import cached_property
 
 from pipeline.criticism.fit_tests import RefitTest
 from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
+from pipeline.criticism.problem import FitResult
 from pipeline.criticism.rung import FitCache
 from pipeline.criticism.selection import ForwardSelection, forward_selection
 from pipeline.device.model import Model
 from pipeline.experiment.record import Campaign
+from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
 from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
@@ -24,7 +26,7 @@ from pipeline.learning.next_experiment.predicted import NextRecord, next_experim
 from ...device.measured import Measured
 from ...learning import Answers, ComparisonResult, compare
 from ...learning.device_verdict import with_verdicts
-from ...learning.views import records_of, tones_of
+from ...learning.views import decays_of, records_of, tones_of
 from .chosen import chosen_selection
 from .curves import View
 
@@ -38,7 +40,7 @@ class ChosenModel:
     terms : the chosen effects in their order.
     refinement : their ladder, with the verdict on each rung.
     judged : for each chosen effect the test by which ``refine`` accepts or refuses it.
-    views : records in time, sweeps and responses beside this model; empty for a modal record.
+    views : records in time, sweeps, responses and decays beside this model; empty for a modal record.
     """
 
     terms: tuple[str, ...]
@@ -69,11 +71,11 @@ class CampaignBench:
 
     @cached_property
     def first(self) -> tuple[View, ...]:
-        """Records in time, sweeps and responses beside the given model; nothing where its fit failed."""
+        """Records in time, sweeps, responses and decays beside the given model; nothing where its fit failed."""
         found = self._compared
         if not found.problem.fit(()).ok:
             return ()
-        return (*records_of(found.problem, found.fit), *tones_of(found.problem, found.fit))
+        return _views(found.problem, found.fit)
 
     def diagnosis(self, terms: tuple[str, ...] = ()) -> DiagnosisAnswer:
         """What ``gyroscreen diagnose`` says of the given model with ``terms``: candidates with their scores, and the verdict."""
@@ -94,12 +96,11 @@ class CampaignBench:
             answers = self._answers
             found = chosen_selection(self._cache, terms, answers.rules)
             ladder = as_ladder(answers.problem, found.selection, answers.rules)
-            fit = answers.fitted(terms)
             self._chosen[terms] = ChosenModel(
                 terms,
                 _refinement(answers, ladder),
                 found.judged,
-                (*records_of(answers.problem, fit), *tones_of(answers.problem, fit)),
+                _views(answers.problem, answers.fitted(terms)),
             )
         return self._chosen[terms]
 
@@ -140,6 +141,11 @@ class CampaignBench:
     def _cache(self) -> FitCache:
         answers, selection = self._selected
         return FitCache(answers.problem, selection.fits)
+
+
+def _views(problem: object, fit: CampaignFit | FitResult) -> tuple[View, ...]:
+    """All that can be drawn of a measurement beside a fit."""
+    return (*records_of(problem, fit), *tones_of(problem, fit), *decays_of(problem, fit))
 
 
 def _refinement(answers: Answers, ladder: Ladder) -> RefinementAnswer:
