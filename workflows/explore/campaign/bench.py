@@ -9,17 +9,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from pipeline.criticism.fit_tests import RefitTest
 from pipeline.criticism.ladder import Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import FitResult
 from pipeline.criticism.rung import FitCache
 from pipeline.criticism.selection import ForwardSelection, forward_selection
 from pipeline.device.model import Model
+from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
 from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
+from pipeline.learning.joint.mixed import MixedProblem
+from pipeline.learning.joint.next_record import Repeat, RepeatedRecord, repeated_record, repeats
+from pipeline.learning.joint.problem import JointProblem
 from pipeline.learning.next_experiment.experiments import Experiment
 from pipeline.learning.next_experiment.predicted import NextRecord, next_experiments, next_record
 
@@ -29,6 +35,10 @@ from ...learning.device_verdict import with_verdicts
 from ...learning.views import decays_of, records_of, tones_of
 from .chosen import chosen_selection
 from .curves import View
+
+#: A record that may come next, and what two fits say of it.
+Next = Experiment | Repeat
+Told = NextRecord | RepeatedRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,22 +116,32 @@ class CampaignBench:
 
     @property
     def predicts(self) -> bool:
-        """Whether the next record can be predicted: the measurement has records in the time domain alone."""
-        return isinstance(self._measured, Campaign)
+        """Whether the next record can be predicted: not from poles and residues, which are no record."""
+        return not isinstance(self._measured, ModalRecord)
 
-    def experiments(self, terms: tuple[str, ...], effect: str) -> tuple[Experiment, ...]:
-        """Experiments that may come next; raises as ``next_experiments``."""
-        return next_experiments(self._recorded, terms, effect)
-
-    def next_record(self, terms: tuple[str, ...], effect: str, experiment: Experiment) -> NextRecord:
-        """What the given model with ``terms``, without and with ``effect``, says of an experiment; raises as ``next_record``."""
-        return next_record(self._recorded, terms, effect, experiment)
-
-    @property
-    def _recorded(self) -> CampaignProblem:
+    def experiments(self, terms: tuple[str, ...], effect: str) -> tuple[Next, ...]:
+        """Experiments that may come next: drives, and the measured sweeps, responses and decays once more."""
         problem = self._answers.problem
-        assert isinstance(problem, CampaignProblem)
-        return problem
+        found: list[Next] = []
+        if isinstance(problem, CampaignProblem | MixedProblem) and _driven(problem.campaign):
+            found += next_experiments(problem, terms, effect)
+        if isinstance(problem, JointProblem):
+            found += repeats(problem)
+        return tuple(found)
+
+    def next_record(self, terms: tuple[str, ...], effect: str, experiment: Next) -> Told:
+        """What the given model with ``terms``, without and with ``effect``, says of one of ``experiments``.
+
+        Raises
+        ------
+        NegativeError, UsageError, ConfigError : as of ``next_record`` and ``repeated_record``.
+        """
+        problem = self._answers.problem
+        if isinstance(experiment, Repeat):
+            assert isinstance(problem, JointProblem)
+            return repeated_record(problem, terms, effect, experiment)
+        assert isinstance(problem, CampaignProblem | MixedProblem)
+        return next_record(problem, terms, effect, experiment)
 
     @cached_property
     def _compared(self) -> ComparisonResult:
@@ -141,6 +161,11 @@ class CampaignBench:
     def _cache(self) -> FitCache:
         answers, selection = self._selected
         return FitCache(answers.problem, selection.fits)
+
+
+def _driven(campaign: Campaign) -> bool:
+    """Whether a fitted record has a drive; without one nothing is known of what a drive would do."""
+    return any(np.any(record.drive_v) for record in campaign.with_role("fit"))
 
 
 def _views(problem: object, fit: CampaignFit | FitResult) -> tuple[View, ...]:

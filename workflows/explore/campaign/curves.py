@@ -71,7 +71,8 @@ def bands(parameters: Mapping[str, float], view: View) -> dict[str, tuple[float,
     room = max(0.2 * (high - low), view.resolution_hz)
     nyquist = 0.5 * view.sample_rate_hz
     found: list[tuple[tuple[float, float], str, tuple[float, ...]]]
-    found = [((max(low - room, 0.0), min(high + room, nyquist)), "drive", ())]
+    driven = bool(np.any(view.drive_v))
+    found = [((max(low - room, 0.0), min(high + room, nyquist)), "drive", ())] if driven else []
     found += [(one.band_hz, "resonance", one.centres_hz) for one in resonance_windows(parameters, [view])]
     found.append(((0.0, nyquist), "full", ()))
     return {band_words(kind, band, centres): band for band, kind, centres in found}

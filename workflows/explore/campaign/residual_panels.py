@@ -151,7 +151,8 @@ class ResidualPanels:
         self.time.xaxis.axis_label = "row" if isinstance(first, ToneView) else "time, s"
         driven = any(largest_drive(view) for view in self._before)
         self.drive.xaxis.axis_label = f"largest {'drive' if driven else 'response'} of the record, V"
-        self.note.text = paragraphs([NO_SPECTRUM]) if isinstance(first, DecayView) else ""
+        self.spectrum.visible = not isinstance(first, DecayView)
+        self.note.text = "" if self.spectrum.visible else paragraphs([NO_SPECTRUM])
         for one, what in zip(self._figures, ("amplitude", *["rms"] * 3)):
             one.yaxis.axis_label = f"{what}, {unit}"
 

@@ -7,8 +7,8 @@ where it does not, so the same sum is known from two counts:
 
 While one limit moves, which draws meet the others is fixed and is kept as one byte per draw; what is left is one comparison for
 each draw of the devices whose draws lie on both sides of a limit.  Draws are kept as float32 deviations from the estimate of
-the device: a rounding of 1e-7 sd.  A device some of whose draws have no value of a limited quantity may be shown as failed where it
-is undecided.  So a preview is shown as one, until the judgement of ``workflows.what_if`` replaces it.
+the device: a rounding of 1e-7 sd.  A device some of whose draws have no value of a limited quantity may be shown as failed where
+it is undecided.  So a preview is shown as one, until the judgement of ``workflows.what_if`` replaces it.
 
 Shapes: B devices, n draws each, absent ones at the end of a row.
 """
