@@ -12,6 +12,7 @@ from bokeh.models.widgets.inputs import Select
 from bokeh.models.widgets.sliders import Slider
 from bokeh.plotting import figure
 
+from pipeline.arrays import FloatArray
 from pipeline.experiment.envelopes import EnvelopeRecord
 from pipeline.learning.joint.next_record import Repeat, RepeatedRecord
 from reports.learning.decay_view import DecayView
@@ -30,6 +31,8 @@ NEXT = "What would the next record show"
 #: Range of the drive scale; 1 is the highest level of the records so far.
 SCALES = (0.1, 2.0)
 _SENSES = 2
+#: Least difference that is drawn [sigma]; it is nothing beside the noise.
+_LEAST = 1e-2
 
 
 class NextPanel:
@@ -122,13 +125,15 @@ class NextPanel:
                 by_f.data = by_t.data = {"x": [], "y": []}
                 continue
             spectrum, time = by_frequency(view, k, band, True), by_time(view, k, True)
-            by_f.data = _positive(spectrum.frequency_hz, spectrum.residual)
+            by_f.data = _positive(*_at_each(spectrum.frequency_hz, spectrum.residual))
             by_t.data = _positive(time.x, time.y)
         for drawn, sources in self._sources.items():
             show_range(drawn.x_range, *(one.data["x"] for one in sources), log=False)
             show_range(drawn.y_range, *(one.data["y"] for one in sources), 1.0, log=True)
         self.time.xaxis.axis_label = "row" if isinstance(view, ToneView) else "time, s"
         self.frequency.visible = not isinstance(view, DecayView)
+        for drawn in self._sources:
+            drawn.legend.visible = view.residual.shape[1] > 1
 
     def _effect(self) -> None:
         if self.effect.value:
@@ -175,7 +180,13 @@ def _figure(name: str, x: str, y: str) -> figure:
     return drawn
 
 
+def _at_each(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Each different ``x`` (N,), and the rms of ``y`` there: a sweep has several passes over the same frequencies."""
+    every, place, count = np.unique(x, return_inverse=True, return_counts=True)
+    return every, np.sqrt(np.bincount(place, weights=y**2) / count)
+
+
 def _positive(x: object, y: object) -> dict[str, Any]:
     values, at = np.asarray(y, dtype=np.float64), np.asarray(x, dtype=np.float64)
-    own = np.isfinite(values) & (values > 1e-6)
+    own = np.isfinite(values) & (values > _LEAST)
     return {"x": at[own], "y": values[own]}

@@ -6,13 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bokeh.document import Document
-from bokeh.models.layouts import Column, Row
+from bokeh.models.layouts import Row
 from bokeh.models.ui.ui_element import UIElement
 from bokeh.models.widgets.markups import Div, PreText
 
 from reports.words.explore import FIGURES, NOTES
 
 from ..look import Panel, page
+from ..parts import stacked
 from ..process import StoppableProcess
 from ..thread import DaemonThread
 from .device_panel import DevicePanel
@@ -85,7 +86,7 @@ def _yield(state: NightState) -> Div:
 
 def _file(state: NightState) -> PreText:
     """The limits as a file."""
-    shown = PreText(name="file", styles={"max-height": "260px", "overflow": "auto"}, sizing_mode="stretch_width")
+    shown = PreText(name="file", styles={"overflow": "auto"}, sizing_mode="stretch_width")
 
     def show() -> None:
         shown.text = toml_of(state.limits)
@@ -96,8 +97,8 @@ def _file(state: NightState) -> PreText:
 
 
 def _row(*items: UIElement) -> Row:
-    return Row(*items, sizing_mode="stretch_width")
+    return Row(*items, sizing_mode="stretch_width", styles={"min-width": "0"})
 
 
 def _column(*items: UIElement) -> UIElement:
-    return items[0] if len(items) == 1 else Column(*items, sizing_mode="stretch_width")
+    return items[0] if len(items) == 1 else stacked(*items)

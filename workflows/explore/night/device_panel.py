@@ -10,6 +10,7 @@ from bokeh.models.widgets.markups import Div
 
 from reports.words import explore as words
 
+from ..parts import text
 from ..worker import line_of
 from . import figures as draw
 from . import markup
@@ -25,7 +26,7 @@ class DevicePanel:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         self.name = TextInput(title="Device", placeholder=state.night.device_ids[0], **wide)
         self.channel = Select(title="Sense channel", options=[("0", "1"), ("1", "2")], value="0", **wide)
-        self.details = Div(text=markup.note_html(words.NO_DEVICE), **wide)
+        self.details = text(markup.note_html(words.NO_DEVICE))
         self.left = Div(text="", **wide)
         self.curves = draw.device_figures()
         self.looked: DeviceView | None = None
