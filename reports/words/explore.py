@@ -19,6 +19,7 @@ ALL_WAFERS = "all wafers"
 EXACT = "Judged as by gyroscreen report --limits."
 AS_STORED = "By the limits of the run, as in its report."
 PREVIEW = "Preview while the limit moves; the judgement follows."
+READING_DRAWS = "Reading the draws of this quantity; then its limits can be changed."
 NO_DEVICE = "Click a device in a figure, or type its name."
 SIMULATING = "Reading the records and fitting the model ..."
 NOT_IDENTIFIED = "No device of this run could be identified, so there is no yield; the report names the reasons."
@@ -57,7 +58,12 @@ def night_lead(devices: int, wafers: int, lots: int, rule: str) -> str:
 
 def counts_sentence(total: Yield) -> str:
     """The devices by verdict."""
-    return f"{total.passed} of {total.devices} devices pass, {total.failed} fail, {total.undecided} are undecided."
+
+    def some(number: int, one: str, more: str) -> str:
+        return f"{number} {one if number == 1 else more}"
+
+    first = f"{total.passed} of {total.devices} devices {'passes' if total.passed == 1 else 'pass'}"
+    return f"{first}, {some(total.failed, 'fails', 'fail')}, {some(total.undecided, 'is', 'are')} undecided."
 
 
 def interval_words(total: Yield) -> str:
@@ -86,7 +92,7 @@ def selected_sentence(number: int, passed: int) -> str:
         return "No device is selected."
     if number == 1:
         return f"One device is selected; it {'passes' if passed else 'does not pass'}."
-    return f"{number} devices are selected, of which {passed} pass."
+    return f"{number} devices are selected, of which {passed} pass{'es' if passed == 1 else ''}."
 
 
 def device_sentence(name: str, place: str, verdict: str, failed: Sequence[str], p_pass: float) -> str:

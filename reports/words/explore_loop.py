@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pipeline.criticism.budget import CLEAR_SNR, DETECTABLE_SNR
 from pipeline.criticism.fit_tests import RefitTest
 from pipeline.learning.answers import CandidateAnswer
+from pipeline.learning.joint.next_record import RepeatedRecord
 from pipeline.learning.next_experiment.predicted import NextRecord
 
 from .campaign import effect_words
@@ -18,10 +19,12 @@ READY = "Ready."
 DEFECT = "internal error"
 JUDGING = "is judged"
 REFUSED = "refused"
-NOT_TIMED = "The next record is predicted for campaigns that hold time records alone."
+NO_NEXT = "A modal record holds poles and residues: nothing says how the next record would be measured."
+NO_DRIVE = "What a drive would do is not known from records without one, so no next record is predicted."
 NO_RECORDS = (
-    "This measurement has no samples and no sweeps to draw. What compare says below tells where the model fails."
+    "This measurement has no samples, sweeps or decays to draw. What compare says below tells where the model fails."
 )
+NO_SPECTRUM = "The amplitudes of a decay have no spectrum: they are drawn by time and by level."
 
 
 def band_words(kind: str, band_hz: tuple[float, float], centres_hz: Sequence[float]) -> str:
@@ -44,7 +47,7 @@ def judged_sentence(effect: str, test: RefitTest) -> str:
     return f"Refine would not add {effect_words(effect)}: {test.reason}."
 
 
-def next_record_sentences(found: NextRecord, asked_v: float) -> list[str]:
+def next_record_sentences(found: NextRecord | RepeatedRecord, asked_v: float) -> list[str]:
     """How far apart the models without and with an effect are, by the records so far and with the next one."""
     name = effect_words(found.effect)
     level = found.experiment.level_v

@@ -2,9 +2,10 @@
 
 usage: python -m tests.measure.explore_drag [DEVICES]; the default is 100,000 (1.1 GB, made in half a minute).  Needs Chromium.
 
-The page stamps each movement of the pointer and each new text of the yield.  "one step": the pointer moves once and waits for the
-answer.  "sweep": the pointer moves 60 times without waiting; the time is from the last movement to the last text.  Wall time on a
-busy machine says little, so the load is printed too.
+The page stamps each movement of the pointer and each answer to it.  "one step": the pointer moves once and waits for the
+answer.  The steps are 0.15 to 6 s apart, so that most of them fall into the judgement at rest, or into the moment at which it
+replaces the preview.  "sweep": the pointer moves 60 times without waiting; the time is from the last movement to the last answer.
+Wall time on a busy machine says little, so the load is printed too.
 """
 
 from __future__ import annotations
@@ -15,28 +16,34 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from bokeh.document import Document
 from playwright.sync_api import Page, sync_playwright
 
+from reports.words.explore import PREVIEW
 from tests.measure.what_if_time import stub_run
 from tests.workflows.explore.conftest import ARGUMENTS, chromium
 from tests.workflows.explore.night_page import END, Dragged
 from workflows.explore.night import panels
 from workflows.explore.night.state import NightState
 from workflows.explore.night.stored import load
+from workflows.explore.process import StoppableProcess
+from workflows.explore.thread import DaemonThread
 
-_STEPS = 30
+#: One cycle of steps, and how often it is repeated.
+_PAUSES_S = (0.15, 0.3, 0.4, 0.6, 0.9, 1.3, 1.8, 2.5, 3.5, 6.0)
+_CYCLES = 12
 FORGET = "() => { window.moved = []; window.told = []; }"
+TEXT = 'Bokeh.documents[0].get_model_by_name("yield").text'
+TOLD = "[window.moved, window.told]"
+#: The file of the limits is another after each movement, the yield may be the same; both come together.
 STAMPS = """() => {
-  const total = Bokeh.documents[0].get_model_by_name("yield");
+  const file = Bokeh.documents[0].get_model_by_name("file");
   window.moved = []; window.told = [];
   window.addEventListener("pointermove", () => window.moved.push(performance.now()), true);
-  total.properties.text.change.connect(() => requestAnimationFrame(() => window.told.push(performance.now())));
+  file.properties.text.change.connect(() => requestAnimationFrame(() => window.told.push(performance.now())));
 }"""
 
 
@@ -53,7 +60,7 @@ def _processor_time(run: Path, devices: int) -> None:
     start = time.process_time()
     night = load(run)
     read = time.process_time() - start
-    state = NightState(night, Document(), ThreadPoolExecutor(1))
+    state = NightState(night, Document(), DaemonThread("devices"), StoppableProcess("judge", "workflows"))
     panels(state)
     limit = night.limits.limits[0]
     ends = np.linspace(limit.low, 0.5 * (limit.low + limit.high), 23).tolist()
@@ -104,15 +111,17 @@ def _single(page: Page) -> list[float]:
     line = Dragged(**page.evaluate(END, 1))
     page.mouse.move(line.x, line.y)
     page.mouse.down()
+    # The first movement starts the drag and moves no line.
+    page.mouse.move(line.x - 3, line.y)
     found = []
-    for k in range(1, _STEPS + 1):
+    for k in range(len(_PAUSES_S) * _CYCLES):
+        page.wait_for_timeout(1e3 * _PAUSES_S[k % len(_PAUSES_S)])
         page.evaluate(FORGET)
-        page.mouse.move(line.x - 6 * k, line.y)
-        stamps = _answered(page, 0)
-        if stamps[1]:
-            found.append(stamps[1][0] - stamps[0][0])
+        # To and fro: each place differs from the one before.
+        page.mouse.move(line.x - 6 * (1 + k % 30), line.y)
+        moved, told = _answered(page)
+        found.append(told - moved)
     page.mouse.up()
-    _answered(page, 5_000)
     return found
 
 
@@ -123,21 +132,23 @@ def _sweep(page: Page) -> float:
     page.evaluate(FORGET)
     for k in range(1, 61):
         page.mouse.move(line.x + 3 * k, line.y)
-    # The judgement at rest comes later and is no answer to the movement.
-    moved, told = _answered(page, 230)
+    # The last preview is there when the judgement has replaced it.
+    while PREVIEW in page.evaluate(TEXT):
+        page.wait_for_timeout(100)
     page.mouse.up()
+    moved, told = page.evaluate(TOLD)
     return float(told[-1] - moved[-1])
 
 
-def _answered(page: Page, quiet_ms: int) -> Any:
-    """Stamps of movements and answers, once there is an answer and ``quiet_ms`` have passed without another."""
-    stamps: Any = [[], []]
-    for _ in range(2000):
-        before, stamps = stamps, page.evaluate("() => [window.moved, window.told]")
-        if stamps[1] and (quiet_ms == 0 or len(stamps[1]) == len(before[1])):
-            break
-        page.wait_for_timeout(max(quiet_ms, 5))
-    return stamps
+def _answered(page: Page) -> tuple[float, float]:
+    """Stamps of the movement and of its answer."""
+    for _ in range(6000):
+        moved, told = page.evaluate(TOLD)
+        after = [one for one in told if moved and one > moved[0]]
+        if after:
+            return moved[0], after[0]
+        page.wait_for_timeout(5)
+    raise TimeoutError("a movement was not answered within 30 s")
 
 
 if __name__ == "__main__":

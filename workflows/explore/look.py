@@ -39,6 +39,7 @@ _WIDGETS = """
 :host { font: inherit; }
 .bk-input, .bk-btn { background-color: var(--page); color: var(--ink); border-color: var(--muted); }
 .bk-input, .bk-btn { font: inherit; font-size: 0.9rem; }
+.bk-btn:is(:hover, :focus, :active) { background-color: var(--page); color: var(--ink); }
 select.bk-input { appearance: auto; background-image: none; }
 .bk-input option { background-color: var(--page); color: var(--ink); }
 .bk-input:focus, .bk-btn:focus, .bk-btn:focus-visible { outline: 2px solid var(--focus); outline-offset: 1px; }

@@ -7,14 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.arrays import FloatArray
 from pipeline.criticism.problem import FitResult
 from pipeline.experiment.record import Campaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer
 from pipeline.learning.campaign.problem import CampaignProblem
+from pipeline.learning.envelopes.part import EnvelopePart
 from pipeline.learning.joint.problem import JointProblem
 from pipeline.learning.timed.part import TimePart
 from pipeline.learning.tones.part import TonePart
+from reports.learning.decay_view import DecayView
 from reports.learning.record_view import RecordView
 from reports.learning.tone_view import ToneView
 
@@ -112,3 +115,44 @@ def _passes(part: TonePart, values: Mapping[str, float]) -> list[ToneView]:
             )
         )
     return found
+
+
+def decays_of(problem: object, fit: CampaignFit | FitResult) -> list[DecayView]:
+    """The amplitudes of each free decay, with the prediction of a fit."""
+    if not (isinstance(problem, JointProblem) and isinstance(fit, FitResult)):
+        return []
+    values = problem.values(fit)
+    parts = (part for part in problem.parts_of(fit) if isinstance(part, EnvelopePart))
+    return [view for part in parts for view in _decays(part, values)]
+
+
+def _decays(part: EnvelopePart, values: Mapping[str, float]) -> list[DecayView]:
+    found = []
+    for record, noise, own in zip(part.records, part.row_noise, part.predicted(values)):
+        scores = [(record.amplitude_v - own.amplitude_v) / noise.amplitude_v]
+        for measured, model, sd in (
+            (record.phase_rad, own.phase_rad, noise.phase_rad),
+            (record.frequency_hz, own.frequency_hz, noise.frequency_hz),
+        ):
+            if measured is not None and model is not None and sd is not None:
+                # Where a phase is lost, its sd is infinite, and the amplitude alone counts.
+                score = np.where(np.isfinite(sd), (measured - model) / sd, np.nan)
+                scores.append(_columns(score, record.amplitude_v.shape[1]))
+        known = np.isfinite(scores)
+        square = np.sum(np.where(known, scores, 0.0) ** 2, axis=0) / np.maximum(known.sum(axis=0), 1)
+        found.append(
+            DecayView(
+                record.name,
+                str(record.role or "fit"),
+                record.time_s,
+                record.amplitude_v,
+                own.amplitude_v,
+                np.asarray(np.sqrt(square)),
+            )
+        )
+    return found
+
+
+def _columns(score: FloatArray, senses: int) -> FloatArray:
+    """(N, S) of a score of each row (N,) or of each sense (N, S)."""
+    return np.broadcast_to(score.reshape(score.shape[0], -1), (score.shape[0], senses))

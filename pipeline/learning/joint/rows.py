@@ -86,18 +86,20 @@ class JointRows:
                 found.append(tuple(np.full(block.residual.shape, 1e6) for block in self.regression.measured))
         return found
 
-    def _slopes(self, values: Values, names: Sequence[str]) -> list[FloatArray]:
-        every, own = {**self.at_null, **values}, {name: max(abs(at), 1e-12) for name, at in self.start.items()}
+    def typical(self, k: int) -> Values:
+        """Typical sizes of all parameters in part ``k``, for the steps of differences."""
+        own = {name: max(abs(at), 1e-12) for name, at in self.start.items()}
         # A clip level has no size at its null; a hundredth of itself is one.
         scanned = {
             name: grid for term in self.terms if not term.has_slope for name, grid in (term.scanned or {}).items()
         }
         own |= {name: 1e-2 * grid[0] for name, grid in scanned.items()}
-        found = []
-        for part, sizes in zip(self.parts, self.sizes):
-            typical = {**own, **sizes, **{name: sizes[name] ** 2 for name in self.even if name in sizes}}
-            found.append(part.slopes(every, names, typical))
-        return list(self._in_order(found))
+        sizes = self.sizes[k]
+        return {**own, **sizes, **{name: sizes[name] ** 2 for name in self.even if name in sizes}}
+
+    def _slopes(self, values: Values, names: Sequence[str]) -> list[FloatArray]:
+        every = {**self.at_null, **values}
+        return list(self._in_order([p.slopes(every, names, self.typical(k)) for k, p in enumerate(self.parts)]))
 
     def probes(self, values: Values) -> Signatures:
         """Generic shapes of each part at ``values``; those of one part are zero in the others."""

@@ -137,7 +137,7 @@ def test_the_residual_is_that_of_the_record_in_volts_and_in_sigmas(page, bench):
     views = {one.name: one for one in bench.first}
     record, unit = titled(document, "Record"), titled(document, "Unit")
     time = next(one for one in document.models if getattr(one, "name", None) == "Residual by time")
-    curve = time.renderers[0].data_source
+    curve = next(one.data_source for one in time.renderers if "y" in one.data_source.data)
     assert set(views) == {name for name, _ in record.options}
     record.value = "chirp-low"
     residual = views["chirp-low"].residual[:, 0]
@@ -168,7 +168,7 @@ def test_the_next_record_of_a_linear_effect_scales_with_its_drive(page, bench):
     view_ = difference(one)
     # What is free in every record takes a little of the difference.
     assert np.sqrt(np.sum(view_.residual**2)) == pytest.approx(one.apart, rel=0.01)
-    scale = titled(document, "Drive scale (1: highest level so far)")
+    scale = titled(document, "Level scale (1: as measured so far)")
     scale.value = 0.5
     scale.trigger("value_throttled", 1.0, 0.5)
     settle(document)
@@ -191,6 +191,6 @@ def test_a_modal_record_has_no_residuals_to_draw_and_no_next_record():
     assert bench.comparison.fit_ok
     residual = ResidualPanels()
     residual.show(bench.first, (), {})
-    assert "no samples and no sweeps to draw" in residual.note.text
+    assert "no samples, sweeps or decays to draw" in residual.note.text
     assert residual.record.options == []
     assert not bench.predicts

@@ -19,14 +19,16 @@ pytest.importorskip("bokeh", reason="the extra [explore] is not installed")
 
 from bokeh.document import Document
 from bokeh.events import SelectionGeometry
+from bokeh.server.callbacks import NextTickCallback
 
-from reports.words.explore import EXACT, PREVIEW, UNITS, label
-from workflows.explore.night import panels
-from workflows.explore.night import state as states
+from pipeline.errors import IntegrityError
+from reports.words.explore import EXACT, PREVIEW, READING_DRAWS, UNITS, label
+from workflows.explore.night import limits_panel, panels
 from workflows.explore.night.device import device_view
 from workflows.explore.night.device_panel import DevicePanel
 from workflows.explore.night.figures import places
 from workflows.explore.night.limits_panel import LimitsPanel
+from workflows.explore.night.markup import note_html
 from workflows.explore.night.points_panels import PointsPanels
 from workflows.explore.night.state import NightState
 from workflows.explore.night.stored import NightData, load
@@ -38,8 +40,14 @@ class Inline(Executor):
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         """``function`` at once."""
         found: Future[Any] = Future()
-        found.set_result(function(*arguments, **named))
+        try:
+            found.set_result(function(*arguments, **named))
+        except Exception as error:
+            found.set_exception(error)
         return found
+
+    def stop(self, wanted: Future[Any]) -> None:
+        """There is nothing left to stop."""
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +57,7 @@ def stored(night: Path) -> NightData:
 
 @pytest.fixture
 def state(stored: NightData) -> NightState:
-    return NightState(stored, Document(), Inline())
+    return NightState(stored, Document(), Inline(), Inline())
 
 
 def pass_time(state: NightState) -> None:
@@ -74,6 +82,13 @@ def command_says(stored: NightData, text: str, folder: Path, capsys: Any) -> dic
     return found["yield"]
 
 
+def next_tick(state: NightState) -> None:
+    """Run the one answer that waits for the next tick."""
+    (answer,) = [one for one in state.document.session_callbacks if isinstance(one, NextTickCallback)]
+    state.document.remove_next_tick_callback(answer)
+    answer.callback()
+
+
 def test_a_moved_line_is_previewed_and_then_judged_as_the_command_does(
     state: NightState, stored: NightData, tmp_path: Path, capsys: Any
 ) -> None:
@@ -84,9 +99,6 @@ def test_a_moved_line_is_previewed_and_then_judged_as_the_command_does(
     line = [one for one in figure.center if type(one).__name__ == "Span"][1]
     first = state.judged.total.passed
     line.location = 532.2
-    # The pause before a moved line is answered, but not the rest after which it is judged.
-    (pause,) = state.document.session_callbacks
-    pause.callback()
     assert PREVIEW in total.text
     preview = state.judged.total
     pass_time(state)
@@ -99,15 +111,16 @@ def test_a_moved_line_is_previewed_and_then_judged_as_the_command_does(
     assert f"{100 * says['yield']:.1f}" in total.text
 
 
-def test_many_movements_are_answered_once(state: NightState) -> None:
+def test_many_movements_are_answered_together(state: NightState, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits_panel, "perf_counter", lambda: 5.0)
     panel = LimitsPanel(state)
     told: list[float] = []
     state.follow("verdicts", lambda: told.append(state.judged.total.value))
     for value in np.linspace(535.0, 530.0, 20):
         panel.distribution.high.location = float(value)
-    assert told == []
+    assert len(told) == 1  # the first one, at once
     pass_time(state)
-    assert len(told) == 2  # one preview, one judgement
+    assert len(told) == 3  # one preview of all others, one judgement
     assert panel.limit().high == 530.0
 
 
@@ -122,7 +135,7 @@ def test_fields_and_lines_say_the_same(state: NightState) -> None:
     pass_time(state)
     panel._restore()
     assert panel.high.value == 536.0
-    assert state.judged.content is None
+    assert state.judged.against_run == ""
 
 
 def test_a_limit_of_another_quantity_can_be_added(state: NightState) -> None:
@@ -222,25 +235,79 @@ def test_all_units_are_known(stored: NightData) -> None:
     assert set(stored.known) <= set(UNITS)
 
 
-def test_the_judgement_of_limits_that_have_moved_on_is_dropped(
-    state: NightState, monkeypatch: pytest.MonkeyPatch
-) -> None:
+class Waiting(Inline):
+    """Work is done when the test says so."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = []
+        self.stopped: list[Future[Any]] = []
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        """Keep it."""
+        self.asked.append((Future(), function, arguments))
+        return self.asked[-1][0]
+
+    def stop(self, wanted: Future[Any]) -> None:
+        """Keep it."""
+        self.stopped.append(wanted)
+
+
+def test_a_movement_ends_the_judgement_of_the_limits_before(stored: NightData) -> None:
+    judge = Waiting()
+    state = NightState(stored, Document(), Inline(), judge)
     state.take("f1_hz", 522.0, 533.0)
-    asked = []
-    monkeypatch.setattr(states, "again", lambda night, limits: asked.append(limits) or state.judged)
     state._rested()
     state.take("f1_hz", 522.0, 531.0)
+    state.take("f1_hz", 522.0, 533.0)
+    ((future, function, arguments),) = judge.asked
+    assert judge.stopped == [future]
     now = state.judged
-    state.document.session_callbacks[0].callback()
-    assert asked
+    # Its answer comes too late, though the limits are the same again.
+    future.set_result(function(*arguments))
+    next_tick(state)
     assert state.judged is now
+    assert not now.exact
+
+
+def test_a_judgement_that_fails_is_said_in_one_line(stored: NightData) -> None:
+    judge = Waiting()
+    state = NightState(stored, Document(), Inline(), judge)
+    for error, words in (
+        (IntegrityError("a file is not what was committed"), "committed"),
+        (ValueError("a"), "internal"),
+    ):
+        state.take("f1_hz", 522.0, 533.0 if words == "committed" else 532.0)
+        state._rested()
+        judge.asked[-1][0].set_exception(error)
+        next_tick(state)
+        assert words in state.message
+        assert "\n" not in state.message
+
+
+def test_the_fields_of_a_quantity_wait_for_its_draws(night: Path) -> None:
+    worker = Waiting()
+    state = NightState(load(night), Document(), worker, Inline())
+    panel = LimitsPanel(state)
+    assert not panel.low.disabled
+    panel.quantity.value = "f3_hz"
+    assert (panel.low.disabled, panel.high.disabled, panel.reading.text) == (True, True, note_html(READING_DRAWS))
+    panel.quantity.value = "f1_hz"
+    assert not panel.low.disabled
+    panel.quantity.value = "f3_hz"
+    future, function, arguments = worker.asked[-1]
+    future.set_result(function(*arguments))
+    pass_time(state)
+    assert (panel.low.disabled, panel.reading.visible) == (False, False)
+    panel.quantity.value = "f1_hz"
+    panel.quantity.value = "f3_hz"
+    assert not panel.low.disabled
 
 
 def test_a_night_without_an_identified_device_states_no_yield(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stub_runs(monkeypatch, stub_block("fit_failed", "no maximum"))
     assert call([*run_arguments(tmp_path), "--json"]) == 1
     (run,) = (tmp_path / "results").glob("run=*")
-    state = NightState(load(run), Document(), Inline())
+    state = NightState(load(run), Document(), Inline(), Inline())
     for panel in panels(state):
         state.document.add_root(panel.model)
     text = state.document.get_model_by_name("yield").text

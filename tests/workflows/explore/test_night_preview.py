@@ -15,7 +15,7 @@ pytest.importorskip("bokeh", reason="the extra [explore] is not installed")
 from pipeline.errors import UsageError
 from reports.limits import Limits, load_limits
 from workflows.explore.night.file import moved, toml_of
-from workflows.explore.night.judged import again, as_stored, preview
+from workflows.explore.night.judged import as_stored, judged_by, preview
 from workflows.explore.night.stored import NightData, load
 
 from .conftest import NIGHT, made_night
@@ -35,9 +35,9 @@ def agree(found: NightData, limits: Limits, moving: str) -> None:
         # Limits so narrow that the gate refuses every device.
         assert shown.total.undecided == len(found.devices)
         with pytest.raises(UsageError, match="no device of the run can be judged"):
-            again(found, limits)
+            judged_by(found.results, found.run_id, limits)
         return
-    exact = again(found, limits)
+    exact = judged_by(found.results, found.run_id, limits)
     assert shown.codes.tolist() == exact.codes.tolist()
     assert shown.total == exact.total
     if not limits.rule.by_estimate:
@@ -84,7 +84,7 @@ def test_what_does_not_move_is_kept(stored: NightData) -> None:
     further = moved(stored.limits, "f1_hz", 531.0, 540.0)
     shown, second = preview(stored, further, "f1_hz", first)
     assert second is first
-    assert shown.codes.tolist() == again(stored, further).codes.tolist()
+    assert shown.codes.tolist() == judged_by(stored.results, stored.run_id, further).codes.tolist()
 
 
 @pytest.mark.parametrize("rule", ["simple", {"name": "guard_band", "k": 2.0}])

@@ -12,21 +12,27 @@ from bokeh.models.widgets.inputs import Select
 from bokeh.models.widgets.sliders import Slider
 from bokeh.plotting import figure
 
-from pipeline.learning.next_experiment.experiments import Experiment
-from pipeline.learning.next_experiment.predicted import NextRecord
-from reports.learning.record_view import RecordView, drive_band
+from pipeline.arrays import FloatArray
+from pipeline.experiment.envelopes import EnvelopeRecord
+from pipeline.learning.joint.next_record import Repeat, RepeatedRecord
+from reports.learning.decay_view import DecayView
+from reports.learning.record_view import RecordView
+from reports.learning.tone_view import ToneView
 from reports.words.campaign import effect_words
-from reports.words.explore_loop import next_record_sentences
+from reports.words.explore_loop import NO_DRIVE, next_record_sentences
 
 from ..look import DRAWN, FEW, Panel, plot
 from ..parts import controls, legend_above, offer, on, paragraphs, plain_ticks, show_range, stacked, text
-from .curves import by_frequency, by_time
+from .bench import Next, Told
+from .curves import View, bands, by_frequency, by_time
 
 #: Heading of the panel.
 NEXT = "What would the next record show"
 #: Range of the drive scale; 1 is the highest level of the records so far.
 SCALES = (0.1, 2.0)
 _SENSES = 2
+#: Least difference that is drawn [sigma]; it is nothing beside the noise.
+_LEAST = 1e-2
 
 
 class NextPanel:
@@ -38,13 +44,13 @@ class NextPanel:
     listed : called with an effect whose experiments the user wants to see.
     """
 
-    def __init__(self, ask: Callable[[str, Experiment], None], listed: Callable[[str], None]) -> None:
+    def __init__(self, ask: Callable[[str, Next], None], listed: Callable[[str], None]) -> None:
         self._ask, self._listed = ask, listed
-        self._experiments: dict[str, Experiment] = {}
+        self._experiments: dict[str, Next] = {}
         self.effect = Select(title="Without and with", width=240)
         self.shape = Select(title="Excitation of the next record", width=380)
         self.scale = Slider(
-            title="Drive scale (1: highest level so far)",
+            title="Level scale (1: as measured so far)",
             start=SCALES[0],
             end=SCALES[1],
             step=0.05,
@@ -91,10 +97,12 @@ class NextPanel:
         else:
             self._effect()
 
-    def excite(self, found: Sequence[Experiment]) -> None:
+    def excite(self, found: Sequence[Next]) -> None:
         """The experiments that may be chosen."""
         self._experiments = {_words(one): one for one in found}
         offer(self.shape, list(self._experiments))
+        if not found:
+            self.words.text = paragraphs([NO_DRIVE])
         if self.shape.value not in self._experiments:
             self.shape.value = next(iter(self._experiments), "")
         else:
@@ -106,32 +114,41 @@ class NextPanel:
         if self.effect.value and experiment is not None:
             self._ask(str(self.effect.value), experiment.scaled(float(self.scale.value)))
 
-    def show(self, found: NextRecord, asked: Experiment) -> None:
+    def show(self, found: Told, asked: Next) -> None:
         """Show a prediction of the record that was asked for."""
         self.words.text = paragraphs(next_record_sentences(found, asked.level_v))
         view = difference(found)
+        band = next(iter(bands({}, view).values()), (0.0, 0.0))
         for k in range(_SENSES):
             by_f, by_t = self._sources[self.frequency][k], self._sources[self.time][k]
-            if k >= view.senses:
+            if k >= view.residual.shape[1]:
                 by_f.data = by_t.data = {"x": [], "y": []}
                 continue
-            low, high = drive_band(view)
-            room = max(0.2 * (high - low), view.resolution_hz)
-            spectrum = by_frequency(view, k, (max(low - room, 0.0), min(high + room, 0.5 * view.sample_rate_hz)), True)
-            time = by_time(view, k, True)
-            by_f.data = _positive(spectrum.frequency_hz, spectrum.residual)
+            spectrum, time = by_frequency(view, k, band, True), by_time(view, k, True)
+            by_f.data = _positive(*_at_each(spectrum.frequency_hz, spectrum.residual))
             by_t.data = _positive(time.x, time.y)
         for drawn, sources in self._sources.items():
             show_range(drawn.x_range, *(one.data["x"] for one in sources), log=False)
             show_range(drawn.y_range, *(one.data["y"] for one in sources), 1.0, log=True)
+        self.time.xaxis.axis_label = "row" if isinstance(view, ToneView) else "time, s"
+        self.frequency.visible = not isinstance(view, DecayView)
+        for drawn in self._sources:
+            drawn.legend.visible = view.residual.shape[1] > 1
 
     def _effect(self) -> None:
         if self.effect.value:
             self._listed(str(self.effect.value))
 
 
-def difference(found: NextRecord) -> RecordView:
+def difference(found: Told) -> View:
     """The next record as a record: measured with the effect, modelled without it, the residual in sigmas."""
+    if isinstance(found, RepeatedRecord):
+        told, name = found.told, found.experiment.words
+        if isinstance(told, EnvelopeRecord):
+            without_v = np.abs(found.without_v)
+            return DecayView(name, "fit", told.time_s, told.amplitude_v, without_v, found.residual)
+        y = np.asarray(found.without_v, dtype=np.complex128)
+        return ToneView(name, "", "fit", told.frequency_hz, told.level_v, told.sense_v, y, found.residual)
     residual = (found.with_v - found.without_v) / found.sigma_v
     return RecordView(
         name=found.experiment.words,
@@ -145,7 +162,9 @@ def difference(found: NextRecord) -> RecordView:
     )
 
 
-def _words(one: Experiment) -> str:
+def _words(one: Next) -> str:
+    if isinstance(one, Repeat):
+        return one.shape
     parts = [one.shape, f"{one.excitation.duration_s:g} s"]
     parts += [] if one.bias_v is None else [f"bias {one.bias_v:.3g} V"]
     parts += [] if one.rate_dps is None else [f"rate {one.rate_dps:g} deg/s"]
@@ -161,7 +180,13 @@ def _figure(name: str, x: str, y: str) -> figure:
     return drawn
 
 
+def _at_each(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Each different ``x`` (N,), and the rms of ``y`` there: a sweep has several passes over the same frequencies."""
+    every, place, count = np.unique(x, return_inverse=True, return_counts=True)
+    return every, np.sqrt(np.bincount(place, weights=y**2) / count)
+
+
 def _positive(x: object, y: object) -> dict[str, Any]:
     values, at = np.asarray(y, dtype=np.float64), np.asarray(x, dtype=np.float64)
-    own = np.isfinite(values) & (values > 1e-6)
+    own = np.isfinite(values) & (values > _LEAST)
     return {"x": at[own], "y": values[own]}

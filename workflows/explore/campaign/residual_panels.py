@@ -12,13 +12,27 @@ from bokeh.models.annotations.geometry import Span
 from bokeh.models.widgets.inputs import Select
 from bokeh.plotting import figure
 
-from reports.learning.record_view import RecordView
-from reports.words.explore_loop import NO_RECORDS
+from reports.learning.decay_view import DecayView
+from reports.learning.tone_view import ToneView
+from reports.words.explore_loop import NO_RECORDS, NO_SPECTRUM
 from reports.words.quantities import error_words
 
 from ..look import AFTER, BEFORE, DRAWN, Panel, plot
-from ..parts import controls, legend_above, offer, on, plain_ticks, show_range, stacked, text
-from .curves import Curve, View, bands, by_drive, by_frequency, by_response, by_time, error_of, name_of, worst
+from ..parts import controls, legend_above, offer, on, paragraphs, plain_ticks, show_range, stacked, text
+from .curves import (
+    Curve,
+    View,
+    bands,
+    by_drive,
+    by_frequency,
+    by_response,
+    by_time,
+    decay,
+    error_of,
+    largest_drive,
+    name_of,
+    worst,
+)
 
 Views = Sequence[View]
 
@@ -37,12 +51,10 @@ class ResidualPanels:
         self.unit = Select(title="Unit", options=["σ", "V"], value="σ", width=80)
         self.spectrum = _figure("Residual by frequency", "frequency, Hz", x="linear")
         self.measured = ColumnDataSource({"x": [], "measured": [], "model": []})
-        self.spectrum.line(
-            "x", "measured", source=self.measured, color=DRAWN, line_width=4, alpha=0.5, legend_label="measured"
-        )
-        self.spectrum.line("x", "model", source=self.measured, color=DRAWN, line_width=1.2, legend_label="model")
-        legend_above(self.spectrum)
+        _beside(self.spectrum, self.measured)
         self.time = _figure("Residual by time", "time, s", x="linear")
+        self.decayed = ColumnDataSource({"x": [], "measured": [], "model": []})
+        _beside(self.time, self.decayed)
         self.response = _figure("Residual by level of the response", "response, V rms", x="log")
         self.drive = _figure(
             "Residual by level of the drive, all records", "largest drive of the record, V", x="linear"
@@ -75,7 +87,7 @@ class ResidualPanels:
         """Show the records beside the given model and beside the chosen one; ``after`` is empty where they are the same."""
         self._before, self._after, self._parameters = before, after, parameters
         if not before:
-            self.note.text = NO_RECORDS
+            self.note.text = paragraphs([NO_RECORDS])
             return
         latest = after or before
         held = {"validate": " (held out)"}
@@ -98,7 +110,8 @@ class ResidualPanels:
         if self.channel.value not in senses:
             self.channel.value = senses[0]
         if self.band.value not in self._bands:
-            self.band.value = next(iter(self._bands))
+            self.band.value = next(iter(self._bands), "")
+        self.band.disabled = not self._bands
         self.draw()
 
     def _named(self, views: Views) -> View | None:
@@ -107,11 +120,11 @@ class ResidualPanels:
     def draw(self) -> None:
         """Draw what the controls name."""
         first = self._named(self._before)
-        if first is None or self.band.value not in self._bands or not self.channel.value:
+        if first is None or not self.channel.value:
             return
         channel, white = int(self.channel.value) - 1, self.unit.value == "σ"
         last = self._named(self._after)
-        band, unit = self._bands[self.band.value], self.unit.value
+        band, unit = self._bands.get(self.band.value, (0.0, 0.0)), self.unit.value
         shown = [by_frequency(view, channel, band, white) for view in (first, last) if view is not None]
         now = shown[-1]
         self.measured.data = {"x": now.frequency_hz, "measured": now.measured, "model": now.model}
@@ -122,20 +135,35 @@ class ResidualPanels:
             [by_response(one, channel, white) for one in records],
             [by_drive(every, channel, white) for every in (self._before, self._after) if every],
         )
-        sigma = by_time(first, channel, False).y / by_time(first, channel, True).y
-        level = 1.0 if white else float(np.nanmedian(sigma))
+        sigma_v = float(np.nanmedian(by_time(first, channel, False).y / by_time(first, channel, True).y))
+        level = 1.0 if white else sigma_v
         noise = [now.noise, level, level, level]
-        for figure_, sources, curves, value in zip(self._figures, self._pairs, drawn, noise):
+        self._decay(records[-1], channel, sigma_v if white else 1.0)
+        both = (self.measured, self.decayed, None, None)
+        for figure_, sources, curves, value, beside in zip(self._figures, self._pairs, drawn, noise, both):
             for source, curve in zip_longest(sources, curves):
                 source.data = {"x": [], "y": []} if curve is None else _positive(curve)
             show_range(figure_.x_range, *(one.x for one in curves), log=figure_ is self.response)
-            above = [now.measured, now.model] if figure_ is self.spectrum else []
+            above = [] if beside is None else [beside.data["measured"], beside.data["model"]]
             show_range(figure_.y_range, *(one.y for one in curves), *above, value, log=True)
         for line, value in zip(self._noise, noise):
             line.location = value if np.isfinite(value) and value > 0.0 else None
-        self.time.xaxis.axis_label = "time, s" if isinstance(first, RecordView) else "row"
+        self.time.xaxis.axis_label = "row" if isinstance(first, ToneView) else "time, s"
+        driven = any(largest_drive(view) for view in self._before)
+        self.drive.xaxis.axis_label = f"largest {'drive' if driven else 'response'} of the record, V"
+        self.spectrum.visible = not isinstance(first, DecayView)
+        self.note.text = "" if self.spectrum.visible else paragraphs([NO_SPECTRUM])
         for one, what in zip(self._figures, ("amplitude", *["rms"] * 3)):
             one.yaxis.axis_label = f"{what}, {unit}"
+
+    def _decay(self, view: View, channel: int, unit_v: float) -> None:
+        """Amplitudes of a decay beside its residual, in units of ``unit_v`` [V]; nothing of another record."""
+        found: tuple[Any, Any, Any] = ([], [], [])
+        if isinstance(view, DecayView):
+            time_s, measured, model = decay(view, channel)
+            found = time_s, measured / unit_v, model / unit_v
+        self.decayed.data = dict(zip(("x", "measured", "model"), found))
+        self.time.legend.visible = isinstance(view, DecayView)
 
 
 def _figure(name: str, x_label: str, x: str) -> figure:
@@ -145,6 +173,13 @@ def _figure(name: str, x_label: str, x: str) -> figure:
     )  # fmt: skip
     plain_ticks(drawn)
     return drawn
+
+
+def _beside(drawn: figure, source: ColumnDataSource) -> None:
+    """Measurement and model as two curves of a figure."""
+    drawn.line("x", "measured", source=source, color=DRAWN, line_width=4, alpha=0.5, legend_label="measured")
+    drawn.line("x", "model", source=source, color=DRAWN, line_width=1.2, legend_label="model")
+    legend_above(drawn)
 
 
 def _pair(drawn: figure, points: bool) -> tuple[ColumnDataSource, ColumnDataSource]:

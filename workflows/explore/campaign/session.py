@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from bokeh.document import Document
 
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer
-from pipeline.learning.next_experiment.experiments import Experiment
 from reports.words.campaign import class_sentence
-from reports.words.explore_loop import NOT_TIMED, READY, judged_sentence
+from reports.words.explore_loop import NO_NEXT, READY, judged_sentence
 from reports.words.terminal import compare_lines
 
 from ..look import Panel, page
 from ..parts import paragraphs, printed, text
 from ..worker import Session
-from .bench import CampaignBench, ChosenModel
+from .bench import CampaignBench, ChosenModel, Next
 from .curves import View
 from .effects_panel import EffectsPanel
 from .ladder_panel import LadderPanel, statuses
@@ -46,7 +45,7 @@ class CampaignSession:
                 *self.effects.panels,
                 Panel(self.ladder.model, "Ladder", wide=True),
                 *self.residual.panels,
-                *(self.next.panels if bench.predicts else [Panel(text(paragraphs([NOT_TIMED])), NEXT, wide=True)]),
+                *(self.next.panels if bench.predicts else [Panel(text(paragraphs([NO_NEXT])), NEXT, wide=True)]),
                 self.effects.library,
                 where,
             ],
@@ -89,7 +88,7 @@ class CampaignSession:
         without = tuple(name for name in self.terms if name != effect)
         self.session.ask("experiments", lambda: self.bench.experiments(without, effect), self.next.excite)
 
-    def _next(self, effect: str, experiment: Experiment) -> None:
+    def _next(self, effect: str, experiment: Next) -> None:
         without = tuple(name for name in self.terms if name != effect)
         self.session.ask(
             "next",

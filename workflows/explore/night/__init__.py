@@ -6,16 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bokeh.document import Document
-from bokeh.models.layouts import Column, Row
+from bokeh.models.layouts import Row
 from bokeh.models.ui.ui_element import UIElement
 from bokeh.models.widgets.markups import Div, PreText
 
 from reports.words.explore import FIGURES, NOTES
 
 from ..look import Panel, page
+from ..parts import stacked
+from ..process import StoppableProcess
 from ..thread import DaemonThread
 from .device_panel import DevicePanel
 from .file import toml_of
+from .judged import preview
 from .limits_panel import LimitsPanel
 from .markup import lead, yield_html
 from .points_panels import PointsPanels
@@ -32,11 +35,14 @@ def view(path: Path) -> Callable[[Document], None]:
     IntegrityError : a file is not what was committed.
     """
     night = load(path)
-    # One thread: judgements follow each other, and the newest limits win.
-    worker = DaemonThread("judge")
+    if night.has_draws and night.known:
+        # The first preview compiles its kernels or loads them, which a movement would wait for.
+        preview(night, night.limits, night.limits.quantities[0], None)
+    worker, judge = DaemonThread("devices"), StoppableProcess("judge", "workflows.explore.night.judged")
 
     def fill(document: Document) -> None:
-        page(document, f"Night {night.run_id}", lead(night), panels(NightState(night, document, worker)))
+        judge.start()
+        page(document, f"Night {night.run_id}", lead(night), panels(NightState(night, document, worker, judge)))
 
     return fill
 
@@ -47,7 +53,10 @@ def panels(state: NightState) -> list[Panel]:
     limits, points, device = LimitsPanel(state), PointsPanels(state), DevicePanel(state)
     parts: dict[str, list[UIElement]] = {
         "yield": [total],
-        "limits": [limits.quantity, limits.distribution.figure, _row(limits.low, limits.high, limits.reset), points.remark],
+        "limits": [
+            limits.quantity, limits.distribution.figure, _row(limits.low, limits.high, limits.reset),
+            limits.reading, points.remark,
+        ],
         "wafer": [_row(points.wafer, points.colour), points.map.figure, points.drawn],
         "scatter": [_row(points.x, points.y), points.pair],
         "device": [
@@ -77,7 +86,7 @@ def _yield(state: NightState) -> Div:
 
 def _file(state: NightState) -> PreText:
     """The limits as a file."""
-    shown = PreText(name="file", styles={"max-height": "260px", "overflow": "auto"}, sizing_mode="stretch_width")
+    shown = PreText(name="file", styles={"overflow": "auto"}, sizing_mode="stretch_width")
 
     def show() -> None:
         shown.text = toml_of(state.limits)
@@ -88,8 +97,8 @@ def _file(state: NightState) -> PreText:
 
 
 def _row(*items: UIElement) -> Row:
-    return Row(*items, sizing_mode="stretch_width")
+    return Row(*items, sizing_mode="stretch_width", styles={"min-width": "0"})
 
 
 def _column(*items: UIElement) -> UIElement:
-    return items[0] if len(items) == 1 else Column(*items, sizing_mode="stretch_width")
+    return items[0] if len(items) == 1 else stacked(*items)

@@ -8,9 +8,10 @@ import numpy as np
 from bokeh.models.widgets.inputs import Select, TextInput
 from bokeh.models.widgets.markups import Div
 
-from pipeline.errors import GyroscreenError
 from reports.words import explore as words
 
+from ..parts import text
+from ..worker import line_of
 from . import figures as draw
 from . import markup
 from .device import DeviceView, device_view
@@ -25,7 +26,7 @@ class DevicePanel:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         self.name = TextInput(title="Device", placeholder=state.night.device_ids[0], **wide)
         self.channel = Select(title="Sense channel", options=[("0", "1"), ("1", "2")], value="0", **wide)
-        self.details = Div(text=markup.note_html(words.NO_DEVICE), **wide)
+        self.details = text(markup.note_html(words.NO_DEVICE))
         self.left = Div(text="", **wide)
         self.curves = draw.device_figures()
         self.looked: DeviceView | None = None
@@ -59,8 +60,8 @@ class DevicePanel:
     def _found(self, row: int, found: Any) -> None:
         if row != self.state.device:
             return
-        if isinstance(found, GyroscreenError):
-            self.left.text = markup.note_html(str(found))
+        if isinstance(found, Exception):
+            self.left.text = markup.note_html(line_of(found))
             return
         self.looked = found
         virtual = self.state.night.config.source.kind == "population"

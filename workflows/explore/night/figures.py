@@ -15,6 +15,7 @@ from bokeh.models.annotations.legends import ColorBar
 from bokeh.models.mappers import CategoricalColorMapper, CategoricalMarkerMapper, LinearColorMapper
 from bokeh.models.renderers.glyph_renderer import GlyphRenderer
 from bokeh.models.sources import ColumnDataSource
+from bokeh.models.tickers import BasicTicker
 from bokeh.models.tools import HoverTool
 from bokeh.plotting import figure
 
@@ -32,7 +33,8 @@ from .stored import NightData
 #: Most devices that are drawn one by one; most wafers that are drawn side by side.
 POINTS, WAFERS = 4000, 60
 _BINS = 48
-_PITCH = 2.3
+#: Distances of wafers that are drawn side by side and below each other, in radii; the names need room.
+_ACROSS, _DOWN = 2.3, 2.7
 #: Ranges of a figure without data: Bokeh warns where it has to find them from nothing.
 _EMPTY: dict[str, Any] = {"x_range": (0.1, 1.0), "y_range": (0.1, 1.0)}
 
@@ -122,6 +124,7 @@ def distribution() -> Distribution:
         drawn.add_layout(end)
     _legend_above(drawn)
     drawn.xgrid.visible = False
+    drawn.yaxis.ticker = BasicTicker(min_interval=1)
     return Distribution(drawn, bars, selected, ends[0], ends[1])
 
 
@@ -164,7 +167,7 @@ def places(night: NightData, wafer: str) -> MapPlaces:
     if len(names) > WAFERS:
         return MapPlaces(x / radius, y / radius, {"": (0.0, 0.0)})
     across = max(1, math.ceil(math.sqrt(1.5 * len(names))))
-    centres = {name: (_PITCH * (k % across), -_PITCH * (k // across)) for k, name in enumerate(names)}
+    centres = {name: (_ACROSS * (k % across), -_DOWN * (k // across)) for k, name in enumerate(names)}
     words = np.array([centres.get(word, (np.nan, np.nan)) for word in night.wafers.words]).reshape(-1, 2)
     middle = words[night.wafers.codes]
     return MapPlaces(x / (radius or 1.0) + middle[:, 0], y / (radius or 1.0) + middle[:, 1], centres)
@@ -182,7 +185,7 @@ def _marks(drawn: figure, source: ColumnDataSource, x: str, y: str, size: float)
     return drawn.scatter(
         x, y, source=source, size=size, marker={"field": "verdict", "transform": shape},
         fill_color={"field": "verdict", "transform": colour}, line_color={"field": "verdict", "transform": edge},
-        line_width=1.5, legend_field="verdict", fill_alpha=0.9, nonselection_alpha=0.12, selection_alpha=1.0,
+        line_width=1.5, legend_field="verdict", fill_alpha=0.9, nonselection_alpha=0.3, selection_alpha=1.0,
     )  # fmt: skip
 
 
@@ -215,7 +218,7 @@ def wafer_map(source: ColumnDataSource) -> WaferMap:
     _legend_above(drawn)
     numbers = drawn.scatter(
         "mx", "my", source=source, size=9, marker="square", fill_color={"field": "c", "transform": scale},
-        line_color=None, nonselection_alpha=0.12, selection_alpha=1.0,
+        line_color=None, nonselection_alpha=0.3, selection_alpha=1.0,
     )  # fmt: skip
     bar = ColorBar(color_mapper=scale, width=10, title="", visible=False)
     drawn.add_layout(bar, "right")

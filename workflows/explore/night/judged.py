@@ -6,6 +6,7 @@ Shapes: B devices.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from pipeline.arrays import FloatArray, IntArray
 from reports.acceptance import by_estimates
 from reports.coded import CodedText
 from reports.limits import Limits
-from reports.what_if.content import WhatIf
+from reports.words.explore import against_run
 from reports.yields import Yield, yield_of
 
 from ...what_if.run import judged_run
@@ -32,7 +33,7 @@ class JudgedLimits:
     codes : (B,) verdicts as places in ``VERDICTS``.
     failed : B lists of failed quantities; ``None`` of a preview.
     p_pass : (B,) P(conform); nan where unknown.
-    content : what the page of ``report --limits`` says; ``None`` of a preview and of the limits of the run.
+    against_run : how the yield differs from that of the run; "" of a preview and of the limits of the run.
     """
 
     limits: Limits
@@ -40,7 +41,7 @@ class JudgedLimits:
     codes: IntArray
     failed: CodedText | None
     p_pass: FloatArray
-    content: WhatIf | None
+    against_run: str = ""
 
     @property
     def exact(self) -> bool:
@@ -52,24 +53,31 @@ def as_stored(night: NightData) -> JudgedLimits:
     """The run by its own limits, as it was stored."""
     devices = night.devices
     codes = codes_of(devices.text("verdict"), VERDICTS)
-    return JudgedLimits(night.limits, night.total, codes, devices.text("failed_limits"), devices.number("p_pass"), None)
+    return JudgedLimits(night.limits, night.total, codes, devices.text("failed_limits"), devices.number("p_pass"))
 
 
-def again(night: NightData, limits: Limits) -> JudgedLimits:
-    """The run by ``limits``: what ``gyroscreen report --limits`` finds.
+def judged_by(results: Path, run_id: str, limits: Limits) -> JudgedLimits:
+    """The run by ``limits`` that are not its own: what ``gyroscreen report --limits`` finds.
+
+    It reads the run again, so that a process of its own can do it.
 
     Raises
     ------
     ConfigError : the run knows nothing of a limited quantity.
     UsageError : no device can be judged.
+    IntegrityError : a stored file is not what was committed.
     """
-    if limits == night.limits:
-        return as_stored(night)
-    found = judged_run(night.results, night.run_id, limits, "limits")
+    found = judged_run(results, run_id, limits, "limits")
     after = found.after
     codes = codes_of(after.text("verdict"), VERDICTS)
+    # The content names each device that changes its verdict; the page needs one sentence of it.
     return JudgedLimits(
-        limits, found.content.total.new, codes, after.text("failed_limits"), after.number("p_pass"), found.content
+        limits,
+        found.content.total.new,
+        codes,
+        after.text("failed_limits"),
+        after.number("p_pass"),
+        against_run(found.content),
     )
 
 
@@ -95,4 +103,4 @@ def preview(night: NightData, limits: Limits, moving: str, before: Kept | None) 
         p = p_conform(night.weights, limits, draws[moving], limit, own)
         codes = verdict_codes(p, limits, status)
     undecided, passed, failed = np.bincount(codes, minlength=3).tolist()
-    return JudgedLimits(limits, yield_of(passed, failed, undecided), codes, None, p, None), own
+    return JudgedLimits(limits, yield_of(passed, failed, undecided), codes, None, p), own

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
-import time
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 from bokeh.events import SelectionGeometry
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.inputs import Select, Spinner
+from bokeh.models.widgets.markups import Div
 
 from reports.limits import Limit
 from reports.words import explore as words
 
+from ..worker import line_of
 from . import figures as draw
+from . import markup
 from .state import NightState
 
-#: Shortest and longest pause before a moved line is answered [ms].
+#: Shortest and longest pause between two answers to a line that moves [ms].
 _PAUSE_MS = (10, 80)
 
 
@@ -32,10 +35,11 @@ class LimitsPanel:
         wide: dict[str, Any] = {"sizing_mode": "stretch_width"}
         self.quantity = Select(title="Quantity", options=options, value=names[0] if names else "", **wide)
         self.low, self.high = (Spinner(title=title, mode="float", **wide) for title in ("min", "max"))
+        self.reading = Div(text="", visible=False, **wide)
         self.reset = Button(label="Limits of the run", align="end", **wide)
         self.distribution = draw.distribution()
         self.window = draw.window_of("", np.full(len(night.devices), np.nan), None)
-        self._waiting, self._pause_ms = False, _PAUSE_MS[0]
+        self._waiting, self._next = False, -math.inf
         self.quantity.on_change("value", state.then(self.choose))
         for span, spinner in ((self.distribution.low, self.low), (self.distribution.high, self.high)):
             span.on_change("location", state.then(self._moves))
@@ -67,6 +71,26 @@ class LimitsPanel:
         self.state.quietly(self._place)
         self.scale()
         self.outline()
+        self._read(name)
+
+    def _read(self, name: str) -> None:
+        """Read the draws of a quantity where they are not there, which takes seconds in a large run; its fields wait."""
+        night, state = self.state.night, self.state
+        if night.holds(name):
+            self._wait("")
+            return
+        self._wait(words.READING_DRAWS)
+
+        def there(found: Any) -> None:
+            if self.quantity.value == name:
+                self._wait(line_of(found) if isinstance(found, Exception) else "")
+
+        state.work(lambda: night.draws(name), there)
+
+    def _wait(self, why: str) -> None:
+        """Let the fields wait, and say why; "" lets them be used."""
+        self.low.disabled = self.high.disabled = bool(why)
+        self.reading.update(text=markup.note_html(why), visible=bool(why))
 
     def _ends(self) -> tuple[tuple[Any, Any, float], ...]:
         """Line, field and value of both ends."""
@@ -86,17 +110,24 @@ class LimitsPanel:
             spinner.value = end if math.isfinite(end) else None
 
     def _moves(self) -> None:
-        # Every position of the mouse is an event.  Those that came while a preview was computed are read in the pause, and one
-        # further preview answers them all; without it each would be answered, later and later.
-        if not self._waiting:
-            self._waiting = True
-            self.state.document.add_timeout_callback(self.dragged, self._pause_ms)
+        # The first movement is answered at once.  After that every position of the mouse is an event; those that came while a
+        # preview was computed are read in the pause, and one further preview answers them all.  Without the pause each would be
+        # answered, later and later.
+        pause_s = self._next - perf_counter()
+        if self._waiting:
+            return
+        if pause_s <= 0.0:
+            self.dragged()
+            return
+        self._waiting = True
+        self.state.document.add_timeout_callback(self.dragged, math.ceil(1e3 * pause_s))
 
     def dragged(self) -> None:
         """Take the limit over from the lines."""
-        self._waiting, start = False, time.perf_counter()
+        self._waiting, start = False, perf_counter()
         self._follow_lines()
-        self._pause_ms = int(np.clip(1e3 * (time.perf_counter() - start), *_PAUSE_MS))
+        end = perf_counter()
+        self._next = end + 1e-3 * float(np.clip(1e3 * (end - start), *_PAUSE_MS))
 
     def _follow_lines(self) -> None:
         wanted = []

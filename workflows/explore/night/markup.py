@@ -24,8 +24,8 @@ def yield_html(night: NightData, found: JudgedLimits, message: str) -> str:
     total = found.total
     if not night.devices.identified():
         return f'<div class="total"><strong class="refused">{escape(words.NOT_IDENTIFIED)}</strong></div>'
-    state = words.PREVIEW if not found.exact else words.AS_STORED if found.content is None else words.EXACT
-    more = [] if found.content is None else [words.against_run(found.content)]
+    state = words.PREVIEW if not found.exact else words.EXACT if found.against_run else words.AS_STORED
+    more = [found.against_run] if found.against_run else []
     parts = [
         f'<span class="yield" style="font-size: 2.4rem; font-weight: 700; font-variant-numeric: tabular-nums">'
         f"{escape(percent(total.value))}</span> <span>{escape(words.interval_words(total))}</span>",

@@ -6,9 +6,9 @@ where it does not, so the same sum is known from two counts:
     P(conform) = (p/s a + (1 - p)/(1 - s) b) / n      a, b: draws that meet the moved limits, and do or do not meet the run's
 
 While one limit moves, which draws meet the others is fixed and is kept as one byte per draw; what is left is one comparison for
-each draw.  Draws are kept as float32 deviations from the estimate of the device: a rounding of 1e-7 sd.  A device some of whose
-draws have no value of a limited quantity may be shown as failed where it is undecided.  So a preview is shown as one, until the
-judgement of ``workflows.what_if`` replaces it.
+each draw of the devices whose draws lie on both sides of a limit.  Draws are kept as float32 deviations from the estimate of
+the device: a rounding of 1e-7 sd.  A device some of whose draws have no value of a limited quantity may be shown as failed where
+it is undecided.  So a preview is shown as one, until the judgement of ``workflows.what_if`` replaces it.
 
 Shapes: B devices, n draws each, absent ones at the end of a row.
 """
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +49,13 @@ class DrawDeviations:
     centre: FloatArray
     draws: npt.NDArray[np.float32]
     size: IntArray
+
+    @cached_property
+    def reach(self) -> FloatArray:
+        """(B, 2) smallest and largest deviation; -inf and inf where a draw is absent, inf and -inf where all are."""
+        out = np.empty((self.draws.shape[0], 2))
+        _reach(self.draws, out)
+        return out
 
     def meet(self, limit: Limit) -> Bytes:
         """(B, n) 1 where a draw meets the limit."""
@@ -113,10 +121,18 @@ def weights(old: Limits, p_run: FloatArray, draws: dict[str, DrawDeviations]) ->
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """The limits that do not move, and for each draw (B, n): bit 0, it meets them; bit 1, it meets those of the run."""
+    """What stays while a limit moves.
+
+    Parameters
+    ----------
+    others : the limits that do not move.
+    met : for each draw (B, n): bit 0, it meets them; bit 1, it meets those of the run.
+    counts : (B, 2) draws that meet ``others``: those that meet the limits of the run, and those that do not.
+    """
 
     others: tuple[Limit, ...]
     met: Bytes
+    counts: IntArray
 
 
 def kept(found: Weights, limits: Limits, moving: str, draws: dict[str, DrawDeviations], before: Kept | None) -> Kept:
@@ -127,7 +143,10 @@ def kept(found: Weights, limits: Limits, moving: str, draws: dict[str, DrawDevia
     own = np.ones_like(found.met)
     for one in others:
         own &= draws[one.quantity].meet(one)
-    return Kept(others, own | np.left_shift(found.met, 1, dtype=np.uint8))
+    own |= np.left_shift(found.met, 1, dtype=np.uint8)
+    counts = np.zeros((own.shape[0], 2), dtype=np.int64)
+    _totals(own, counts)
+    return Kept(others, own, counts)
 
 
 def p_conform(
@@ -141,12 +160,11 @@ def p_conform(
     moving, limit : the draws and the limit that moves; ``None``: it was removed.
     own : what stays.
     """
-    if moving is None or limit is None:
-        inside, outside = (np.sum(own.met == code, axis=1) for code in (3, 1))
-    else:
-        counts = np.zeros((own.met.shape[0], 2), dtype=np.int64)
-        _count(own.met, moving.draws, moving.centre, *_ends(limit), counts)
-        inside, outside = counts.T
+    counts = own.counts
+    if moving is not None and limit is not None:
+        counts = np.zeros_like(own.counts)
+        _count(own.met, own.counts, moving.draws, moving.centre, moving.reach, *_ends(limit), counts)
+    inside, outside = counts.T
     p = found.inside * inside + found.outside * outside
     known = np.isfinite(found.p_run) & np.isfinite(p)
     if contains(limits, found.old):
@@ -184,8 +202,55 @@ def _meet(draws, centre, low, high, period, out):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, nogil=True)
-def _count(met, draws, centre, low, high, period, counts):  # type: ignore[no-untyped-def]
+def _reach(draws, out):  # type: ignore[no-untyped-def]
     for b in range(draws.shape[0]):
+        low, high, absent = np.inf, -np.inf, 0
         for i in range(draws.shape[1]):
-            if met[b, i] & 1 and _inside(centre[b] + draws[b, i], low, high, period):
+            x = draws[b, i]
+            if np.isnan(x):
+                absent += 1
+            else:
+                low, high = min(low, x), max(high, x)
+        partly = 0 < absent < draws.shape[1]
+        out[b, 0], out[b, 1] = (-np.inf, np.inf) if partly else (low, high)
+
+
+@njit(cache=True, nogil=True)
+def _totals(met, counts):  # type: ignore[no-untyped-def]
+    for b in range(met.shape[0]):
+        for i in range(met.shape[1]):
+            if met[b, i] & 1:
                 counts[b, 1 - (met[b, i] >> 1)] += 1
+
+
+@njit(cache=True, nogil=True)
+def _side(centre, reach, low, high, period):  # type: ignore[no-untyped-def]
+    """1: all draws meet the limit; -1: none does; 0: each has to be compared."""
+    if reach[0] > reach[1]:
+        return -1
+    if period == 0.0:
+        if centre + reach[0] >= low and centre + reach[1] <= high:
+            return 1
+        return -1 if centre + reach[1] < low or centre + reach[0] > high else 0
+    if not reach[1] - reach[0] < period:
+        return 0
+    # Rounding may put a draw at an end of the arc on its other side.
+    room = 1e-9 * period
+    first = centre + reach[0] - low
+    first -= period * np.floor(first / period)
+    last = first + reach[1] - reach[0]
+    if last <= high - low - room:
+        return 1
+    return -1 if first > high - low + room and last < period - room else 0
+
+
+@njit(cache=True, nogil=True)
+def _count(met, totals, draws, centre, reach, low, high, period, counts):  # type: ignore[no-untyped-def]
+    for b in range(draws.shape[0]):
+        side = _side(centre[b], reach[b], low, high, period)
+        if side == 1:
+            counts[b] = totals[b]
+        elif side == 0:
+            for i in range(draws.shape[1]):
+                if met[b, i] & 1 and _inside(centre[b] + draws[b, i], low, high, period):
+                    counts[b, 1 - (met[b, i] >> 1)] += 1

@@ -6,6 +6,7 @@ Shapes: B devices.
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -34,6 +35,30 @@ from ...what_if.gate import status_by
 from ...what_if.rate import common_rate
 from ...what_if.stored import StoredDraws
 from .preview import DrawDeviations, Weights, deviations, weights
+
+
+@dataclass(frozen=True, eq=False)
+class KeptDevices(Devices):
+    """Devices whose columns are converted once: each movement of a limit asks for a dozen of them.  The arrays are read-only."""
+
+    _numbers: dict[str, FloatArray] = field(default_factory=dict, repr=False)
+    _texts: dict[str, CodedText] = field(default_factory=dict, repr=False)
+
+    def number(self, name: str) -> FloatArray:
+        """As of ``Devices``."""
+        if name not in self._numbers:
+            found = super().number(name)
+            found.flags.writeable = False
+            self._numbers[name] = found
+        return self._numbers[name]
+
+    def text(self, name: str, rows: Sequence[int] | None = None) -> CodedText:
+        """As of ``Devices``."""
+        if rows is not None:
+            return super().text(name, rows)
+        if name not in self._texts:
+            self._texts[name] = super().text(name)
+        return self._texts[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +119,10 @@ class NightData:
             return np.ones(len(self.devices), dtype=np.bool_)
         return self.wafers.equals(wafer) | self.devices.text("lot").equals(wafer)
 
+    def holds(self, quantity: str) -> bool:
+        """Whether the limit of ``quantity`` can be previewed without reading its draws first."""
+        return not self.has_draws or quantity in self._draws
+
     def draws(self, *quantities: str) -> dict[str, DrawDeviations]:
         """The draws of ``quantities``, read from disk when they are first asked for."""
         with self._lock:
@@ -151,7 +180,7 @@ def load(folder: Path) -> NightData:
     def read(tables: StoredRun) -> NightData:
         config = config_of_stored(results, tables)
         table = pa.Table.from_batches(tables.devices.to_batches(), schema=tables.devices.schema).combine_chunks()
-        devices = Devices(table)
+        devices = KeptDevices(table)
         if not len(devices):
             raise UsageError("the run holds no device", value=run_id, next_step="gyroscreen run --resume continues it")
         limits = config.judged_by()
