@@ -29,8 +29,8 @@ from scipy.linalg import qr
 
 from ...arrays import ComplexArray, FloatArray
 from ...experiment.noise.lines import MOST_HARMONICS
-from .inband import Band, end_states, features
-from .likelihood import FEATURES, ORDER
+from .columns import feature_columns
+from .inband import Band
 from .mismatch import MismatchPrior
 from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
 
@@ -64,21 +64,6 @@ class Compressed:
     def arrays(self) -> tuple[ComplexArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """What the kernels take after x: expansion, triangle, cross, data, prior_root, prior_offset."""
         return self.expansion, self.triangle, self.cross, self.data, self.prior_root, self.prior_offset
-
-
-def _columns(band: Band, expansion: ComplexArray) -> FloatArray:
-    """Features as real columns (2 W, J)."""
-    width = band.bins.size
-    out = np.empty((3, 2, ORDER + 1, 2, 2, width))
-    for k in range(3):
-        pole = complex(expansion[k])
-        ends = end_states(band, pole, ORDER)
-        plus = np.swapaxes(features(band, pole, ORDER, ends), 0, 1)
-        minus = np.swapaxes(features(band, pole.conjugate(), ORDER, ends.conj()), 0, 1)
-        real, imag = plus + minus, 1j * (plus - minus)
-        out[k, :, :, 0, 0], out[k, :, :, 0, 1] = real.real, real.imag
-        out[k, :, :, 1, 0], out[k, :, :, 1, 1] = imag.real, imag.imag
-    return out.reshape(FEATURES, 2 * width).T
 
 
 def _stacked(spectrum: ComplexArray) -> FloatArray:
@@ -149,7 +134,7 @@ def compress(
     ------
     numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
-    columns = tuple(_columns(record.band, expansion) for record in records)
+    columns = tuple(feature_columns(record.band, expansion) for record in records)
     blocks: list[FloatArray] = []
     targets: list[FloatArray] = []
     for own_columns, record in zip(columns, records):
