@@ -4,7 +4,8 @@ import numpy as np
 from bench.device import device
 from bench.naive import log_posterior
 
-from pipeline.inference.screening.likelihood import FEATURES, log_likelihood
+from pipeline.inference.screening.batch import whole_rows
+from pipeline.inference.screening.likelihood import FEATURES
 from pipeline.inference.screening.sample import sample
 from workflows.screening.settings import POSTERIOR_STREAM, device_seed
 
@@ -46,7 +47,7 @@ def test_peer_emcee(timed):
     fit = scoring.fit
     # The plain likelihood is that of the compressed one, up to a constant.
     moved = fit.x + 2.0 * np.sqrt(np.diag(fit.covariance)) * np.eye(fit.x.size)[0]
-    ours = np.diff(log_likelihood(np.stack([fit.x, moved]), *fit.likelihood.arrays))[0]
+    ours = np.diff(whole_rows(fit.likelihood).log_likelihood(np.stack([fit.x, moved])))[0]
     plain = [log_posterior(x, data, d.noise.sigma_v, scoring.prior) for x in (fit.x, moved)]
     assert abs(ours - (plain[1] - plain[0])) < 1e-3 * abs(ours)
 
@@ -68,10 +69,10 @@ def test_peer_emcee_compiled(timed):
 
     _, scoring, _ = of_device()
     fit = scoring.fit
-    start, steps = start_points(fit, np.random.default_rng(4)), 100
+    start, steps, rows = start_points(fit, np.random.default_rng(4)), 100, whole_rows(fit.likelihood)
 
     def work():
-        sampler = emcee.EnsembleSampler(WALKERS, fit.x.size, log_likelihood, args=fit.likelihood.arrays, vectorize=True)
+        sampler = emcee.EnsembleSampler(WALKERS, fit.x.size, rows.log_likelihood, vectorize=True)
         sampler.run_mcmc(start, steps, skip_initial_state_check=True)
 
     timed.peer(

@@ -46,7 +46,16 @@ def feature_columns(band: Band, expansion: ComplexArray) -> FloatArray:
     ends = _end_states(band, expansion)
     tops = np.stack([band.now, band.following]) if band.first_order_hold else band.now[None]
     _add_free(
-        band.e_iw, tops, expansion, np.exp(argument), np.expm1(argument), np.expm1(argument) - argument, gain, ends, step, out
+        band.e_iw,
+        tops,
+        expansion,
+        np.exp(argument),
+        np.expm1(argument),
+        np.expm1(argument) - argument,
+        gain,
+        ends,
+        step,
+        out,
     )
     return out.reshape(FEATURES, -1).T
 
@@ -218,6 +227,4 @@ def _add_free(
                             b[i] = end.conjugate() if conjugate else end
                         for i in range(_ORDERS):
                             c[i] = -own * b[i] - b[i + 1]
-                        _add_polynomial(
-                            u, v, a, c, b[0], -1.0 if conjugate else 1.0, out[k, d, m, 0], out[k, d, m, 1]
-                        )
+                        _add_polynomial(u, v, a, c, b[0], -1.0 if conjugate else 1.0, out[k, d, m, 0], out[k, d, m, 1])
