@@ -30,7 +30,18 @@ _APART = 1e-6
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _newton(pr, pi, qr, qi, kxx, kxy, kyy, cxx, cxy, cyy):  # type: ignore[no-untyped-def]
+def _newton(
+    pr: float,
+    pi: float,
+    qr: float,
+    qi: float,
+    kxx: float,
+    kxy: float,
+    kyy: float,
+    cxx: float,
+    cxy: float,
+    cyy: float,
+) -> tuple[float, float]:
     """Step (re, im) from the pole p with the root q divided out."""
     sr, si = pr * pr - pi * pi, 2.0 * pr * pi
     ar, ai = sr + pr * cxx + kxx, si + pi * cxx

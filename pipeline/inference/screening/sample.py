@@ -88,8 +88,8 @@ def _independence_chains(
     """Independence Metropolis-Hastings with the t proposal from start (E, n, P); points (E, n, L, P) and accepted shares (E,).
 
     A proposal y of x is accepted with the probability min(1, pi(y) t(x) / (pi(x) t(y))) (Hastings, Biometrika 57 (1970) 97),
-    as by emcee's MHMove.  Walkers of such moves do not interact and proposals do not depend on where a walker is, so the densities
-    of all proposals are one call.
+    as by emcee's MHMove.  Walkers of such moves do not interact, and a proposal does not depend on where its walker is, so the
+    densities of all proposals are one call.
     """
     count, walkers, size = start.shape
     together = count * walkers

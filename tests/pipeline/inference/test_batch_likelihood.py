@@ -6,12 +6,11 @@ import pytest
 from pipeline.device import gyro_batch
 from pipeline.device.gyro import cartesian_modes
 from pipeline.inference.screening.batch import local_rows, whole_rows
-from pipeline.inference.screening.fit import maximise, modes_at
 from pipeline.inference.screening.likelihood import allowed, residual_rows
 from pipeline.inference.screening.sample import _sufficient_rows, _t_draws
 from workflows.config import RunConfig
-from workflows.screening.block import DeviceBlock, virtual_block
 from workflows.screening import virtual_device
+from workflows.screening.block import DeviceBlock, virtual_block
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +68,8 @@ def test_points_outside_of_the_support_are_excluded(fits):
     outside = points[:4].copy()
     outside[0, 3], outside[1, 7], outside[2, 10] = -1.0, -1.0, 1.5
     found = whole_rows(fit.likelihood).log_likelihood(outside)
-    assert np.all(found[:3] == -np.inf) and np.isfinite(found[3])
+    assert np.all(found[:3] == -np.inf)
+    assert np.isfinite(found[3])
 
 
 @pytest.mark.parametrize("size", [12, 14])

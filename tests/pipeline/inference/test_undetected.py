@@ -15,13 +15,12 @@ from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
 from pipeline.inference.gate import Gate, GoodnessOfFit, Undetected, status_of
 from pipeline.inference.screening.compressed import BandData, compress
-from pipeline.inference.screening.fit import Fit
+from pipeline.inference.screening.fit import Fit, modes_at
 from pipeline.inference.screening.inband import make_band
 from pipeline.inference.screening.mismatch import BROAD, NIGHTLY_MODEL
 from pipeline.inference.screening.undetected.bounds import Candidates, Projection, judged, summary
 from pipeline.inference.screening.undetected.clipping import adc_sizes, loud_samples
 from pipeline.inference.screening.undetected.library import probes_of, scored_effects
-from pipeline.inference.screening.fit import modes_at
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.parity import kind_of
