@@ -23,8 +23,8 @@ from .batch import Rows, local_rows, whole_rows
 from .convergence import mean_ess, split_chains, split_rhat
 from .fit import Fit
 
-#: Degrees of freedom of the t proposal: bounded weights where the posterior has the tails of a normal.  Of 100 default devices, 200
-#: accept 0.98 of the proposals and 20 accept 0.83; the least ESS is 2222 and 1635.
+#: Degrees of freedom of the t proposal: bounded weights where the posterior has the tails of a normal.  In 100 default devices,
+#: 200 degrees accept 0.98 of the proposals and 20 accept 0.83; the least ESS is 2222 and 1635.
 _FREEDOM = 200.0
 _PROBE = 256
 #: Probes by which the few rows are compared with all rows, and the largest difference of the log likelihoods.
