@@ -144,13 +144,54 @@ def _smallest_step(value: ComplexArray, slope: ComplexArray) -> complex:
     return complex(np.inf) if failed else complex(min(steps, key=abs))
 
 
+@njit(cache=True, error_model="numpy")
+def _smallest_step_of_two(value: ComplexArray, slope: ComplexArray) -> complex:
+    """:func:`_smallest_step` of two senses in closed form: the smaller eigenvalue of -slope^-1 value.
+
+    It is the determinant over the larger one, which does not cancel.  Not finite where there is none.
+    """
+    # Elimination with the larger pivot keeps the accuracy of a solver.
+    i = 0 if abs(slope[0, 0]) >= abs(slope[1, 0]) else 1
+    factor = slope[1 - i, 0] / slope[i, 0]
+    corner = slope[1 - i, 1] - factor * slope[i, 1]
+    c = -(value[1 - i, 0] - factor * value[i, 0]) / corner
+    d = -(value[1 - i, 1] - factor * value[i, 1]) / corner
+    a = (-value[i, 0] - slope[i, 1] * c) / slope[i, 0]
+    b = (-value[i, 1] - slope[i, 1] * d) / slope[i, 0]
+    middle, half = 0.5 * (a + d), 0.5 * (a - d)
+    root = np.sqrt(half * half + b * c)
+    larger = middle + root if abs(middle + root) >= abs(middle - root) else middle - root
+    return 0.0j if larger == 0.0 else (a * d - b * c) / larger
+
+
+@njit(cache=True)
+def _refine_two(A: FloatArray, poles: ComplexArray, last: FloatArray) -> None:
+    """:func:`refine` of two senses, in place of the seeds."""
+    for i in range(poles.size):
+        z, size = poles[i], np.inf
+        for _ in range(_ITERATIONS):
+            value, slope = polynomial_at(A, z)
+            step = _smallest_step_of_two(value, slope)
+            size = abs(step) if np.isfinite(step.real) and np.isfinite(step.imag) else np.inf
+            if size == np.inf:
+                break
+            z += step
+            if size < 1e-15:
+                break
+        poles[i] = z
+        last[i] = size
+
+
 def refine(A: FloatArray, seeds: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     """Zeros (K,) [1] of det A(z) next to ``seeds`` (K,), and the size (K,) of the last correction of each; Ruhe 1973.
 
     The size is inf where a correction could not be computed.
     """
-    poles = seeds.copy()
+    poles = np.array(seeds, dtype=np.complex128)
     last = np.empty(seeds.size)
+    if A.shape[1] == 2:
+        _refine_two(np.ascontiguousarray(A), poles, last)
+        return poles, last
     for i, seed in enumerate(seeds):
         z, size = complex(seed), np.inf
         for _ in range(_ITERATIONS):

@@ -17,9 +17,10 @@ import pyarrow as pa
 from ..errors import GyroscreenError, UsageError
 from ..sql.client import QueryProcess, SqlAnswer
 from ..sql.request import Question, file_schema
+from .folders import PREFIX
 from .manifest import Kind, Manifest
 from .output import FORMATS, write_table
-from .read import LATEST, PREFIX, find_run, list_runs
+from .read import LATEST, find_run, list_runs
 from .views import columns_view, runs_view, view_schema
 
 __all__ = ["FORMATS", "answer", "query", "write_table"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import pyarrow as pa
 
 from ..errors import IntegrityError, UsageError
 from .files import sha256
+from .folders import PREFIX, run_folders
 from .irregularity_table import schema_of
 from .journal import read_manifest
 from .manifest import NAME as MANIFEST
@@ -19,13 +19,10 @@ from .manifest import FileEntry, Kind, Manifest
 from .parquet import decode_table
 
 CONFIG = "run.toml"
-PREFIX = "run="
 #: The name of the newest run.
 LATEST = "latest"
 #: How often a reader starts again because a writer replaced files while it read.
 _TRIES = 20
-#: "s3:" of s3://bucket; one letter is a drive of Windows.
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:$")
 T = TypeVar("T")
 
 
@@ -37,39 +34,6 @@ class RunTables:
     posterior: pa.Table
     manifest: Manifest
     config_toml: str
-
-
-def check_results(results: Path) -> None:
-    """Check that ``results`` can be a folder: a URL would make folders of that name.
-
-    Raises
-    ------
-    UsageError : it is a URL.
-    """
-    if _URL.match(results.parts[0] if results.parts else ""):
-        raise UsageError(
-            "results are kept in a folder, not at a URL: commits need renames and locks, which object storage lacks",
-            value=str(results),
-            allowed="a folder of a file system",
-            next_step="run in a folder and copy the finished run (docs/how-to/cluster.md)",
-        )
-
-
-def run_folders(results: Path) -> tuple[Path, ...]:
-    """Folders of runs (``run=<id>`` with a manifest), by name; anything else in the results folder is no run.
-
-    Nor is a link: what it leads to lies elsewhere, and would be changed from here.
-    """
-    check_results(results)
-    if not results.is_dir():
-        return ()
-    return tuple(
-        sorted(
-            path
-            for path in results.iterdir()
-            if path.name.startswith(PREFIX) and not path.is_symlink() and (path / MANIFEST).exists()
-        )
-    )
 
 
 def list_runs(results: Path) -> tuple[Manifest, ...]:

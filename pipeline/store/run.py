@@ -27,22 +27,12 @@ from ..errors import ConfigError, IncompleteError, IntegrityError, UsageError
 from . import files, log
 from .block import amended, block_file, check_block, other_name
 from .checkpoint import checkpoint, encoded, put_manifest, sweep
+from .folders import PREFIX, check_results
 from .journal import Journal, read_manifest
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Kind, Manifest
 from .parquet import encode_table
-from .read import (
-    CONFIG,
-    PREFIX,
-    check_results,
-    find_run,
-    list_runs,
-    read_block,
-    read_config,
-    read_file,
-    read_table,
-    settled,
-)
+from .read import CONFIG, find_run, list_runs, read_block, read_config, read_file, read_table, settled
 from .stream import streamed
 
 RUN_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")

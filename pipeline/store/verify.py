@@ -18,6 +18,7 @@ from ..errors import IntegrityError, UsageError
 from .checkpoint import OWN
 from .digest import TableDigest, comparable
 from .files import STAGED, sha256
+from .folders import PREFIX, run_folders
 from .irregularity_table import schema_of
 from .journal import journal_name, read_manifest
 from .lock import NAME as LOCK
@@ -26,7 +27,7 @@ from .log import damages
 from .manifest import NAME as MANIFEST
 from .manifest import FileEntry, Manifest, in_block_order
 from .parquet import decode_table
-from .read import PREFIX, read_file, run_folders
+from .read import read_file
 from .stream import Names, tables
 
 #: Folder in that of a run where damaged files go when they are repaired.

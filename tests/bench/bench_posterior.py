@@ -1,10 +1,11 @@
-"""Posterior of a device: E ensembles of n walkers, L + B steps, P = 14 parameters, S senses, J = 48 rows of the triangle."""
+"""Posterior of a device: E ensembles of n walkers, L + B steps, P = 14 parameters, J = 48 features of a sense, r = 16 rows."""
 
 import numpy as np
 from bench.device import device
 from bench.naive import log_posterior
 
-from pipeline.inference.screening.likelihood import FEATURES, log_likelihood
+from pipeline.inference.screening.batch import local_rows, whole_rows
+from pipeline.inference.screening.likelihood import FEATURES
 from pipeline.inference.screening.sample import sample
 from workflows.screening.settings import POSTERIOR_STREAM, device_seed
 
@@ -27,11 +28,12 @@ def test_part_posterior(timed):
     points = sampler.ensembles * sampler.walkers
     moves = points * (sampler.steps + sampler.burn)
     calls = moves + 2 * points + 256
+    rows = local_rows(fit.likelihood, fit.x).target.size
     found = timed.part(
         PART,
         lambda: sample(fit, sampler, device_seed(d.config, POSTERIOR_STREAM, 0)),
-        {"normal": size * (moves + points + 256), "flop": calls * 2 * FEATURES * (FEATURES + 1)},
-        "(E n (L + B + 1) + 256) P normals; (E n (L + B + 2) + 256) calls of S J (J + 1) flops",
+        {"normal": size * (moves + points + 256), "flop": calls * 2 * rows * 2 * FEATURES},
+        "(E n (L + B + 1) + 256) P normals; (E n (L + B + 2) + 256) calls of 4 r J flops",
     )
     assert found.move == "laplace"
     assert found.ess > 1000.0
@@ -46,7 +48,7 @@ def test_peer_emcee(timed):
     fit = scoring.fit
     # The plain likelihood is that of the compressed one, up to a constant.
     moved = fit.x + 2.0 * np.sqrt(np.diag(fit.covariance)) * np.eye(fit.x.size)[0]
-    ours = np.diff(log_likelihood(np.stack([fit.x, moved]), *fit.likelihood.arrays))[0]
+    ours = np.diff(whole_rows(fit.likelihood).log_likelihood(np.stack([fit.x, moved])))[0]
     plain = [log_posterior(x, data, d.noise.sigma_v, scoring.prior) for x in (fit.x, moved)]
     assert abs(ours - (plain[1] - plain[0])) < 1e-3 * abs(ours)
 
@@ -68,10 +70,10 @@ def test_peer_emcee_compiled(timed):
 
     _, scoring, _ = of_device()
     fit = scoring.fit
-    start, steps = start_points(fit, np.random.default_rng(4)), 100
+    start, steps, rows = start_points(fit, np.random.default_rng(4)), 100, whole_rows(fit.likelihood)
 
     def work():
-        sampler = emcee.EnsembleSampler(WALKERS, fit.x.size, log_likelihood, args=fit.likelihood.arrays, vectorize=True)
+        sampler = emcee.EnsembleSampler(WALKERS, fit.x.size, rows.log_likelihood, vectorize=True)
         sampler.run_mcmc(start, steps, skip_initial_state_check=True)
 
     timed.peer(

@@ -221,6 +221,17 @@ def test_help_imports_no_numerical_package():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_the_loop_of_a_device_imports_nothing_of_lots(tmp_path):
+    code = (
+        "import sys; from workflows.cli import call;"
+        f"code = call(['diagnose', {str(tmp_path)!r}]);"
+        "print(code, [name for name in ('scipy.stats', 'pipeline.learning.lot', 'pipeline.store.run') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "campaign.toml" in done.stderr
+    assert done.stdout.splitlines()[-1] == "5 []"
+
+
 def test_a_worker_imports_no_report_and_no_statistics_package():
     heavy = (
         "scipy.stats",

@@ -15,8 +15,8 @@ from pipeline.arrays import FloatArray
 from pipeline.errors import UsageError
 from pipeline.quantities import NAMES
 from pipeline.store.columns import StoredRun, StoredTable, with_run
+from pipeline.store.folders import PREFIX
 from pipeline.store.query import query as query_results
-from pipeline.store.read import PREFIX
 from pipeline.store.run import open_run as open_store
 from pipeline.store.schema import COLUMNS
 from reports.devices import Devices, rows_of

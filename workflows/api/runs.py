@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pipeline.errors import UsageError
-from pipeline.store.read import PREFIX, find_run
+from pipeline.store.folders import PREFIX
+from pipeline.store.read import find_run
 
 from ..config import load_config
 from .night import ScreeningRun

@@ -26,7 +26,6 @@ from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
 from ..learning.progress import working
-from ..stored_page import written_page
 
 PAGES: dict[type[Result], str] = {
     ComparisonResult: "compare.html",
@@ -121,6 +120,9 @@ def _has_fit(found: Result) -> bool:
 
 
 def _written(page: str, found: Result, out: Path) -> Path:
+    # Only a page needs the packages that store results.
+    from ..stored_page import written_page
+
     return written_page(page, out / PAGES[type(found)], "choose another folder with --out")
 
 

@@ -23,7 +23,7 @@ from reports.words.lot_posterior import posterior_lines
 
 from ..learning.progress import working
 from ..lots.loop import LotAnswers, lot_answers
-from ..lots.measured import is_lot, read_measured_lot
+from ..lots.measured import read_measured_lot
 from ..stored_page import written_page
 
 Command = Literal["compare", "diagnose", "refine"]
@@ -31,11 +31,6 @@ Command = Literal["compare", "diagnose", "refine"]
 SHIPPED = "cloverleaf"
 #: The refined population, beside the page.
 POPULATION = "population.toml"
-
-
-def names_a_lot(path: Path, population: Path | None) -> bool:
-    """Whether the command is asked for a lot rather than for the measurement of one device."""
-    return population is not None or is_lot(path)
 
 
 def answer_lot(

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.errors import IncompleteError, IntegrityError, UsageError, printable, printable_lines
+from pipeline.store.folders import PREFIX
 from pipeline.store.manifest import Manifest
 from pipeline.store.query import answer, write_table
-from pipeline.store.read import LATEST, PREFIX, find_run, list_runs
+from pipeline.store.read import LATEST, find_run, list_runs
 from pipeline.store.verify import verify as verify_results
 
 if TYPE_CHECKING:

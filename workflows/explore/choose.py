@@ -11,12 +11,13 @@ from bokeh.document import Document
 
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
 from pipeline.errors import UsageError
+from pipeline.store.folders import PREFIX, run_folders
 from pipeline.store.manifest import NAME as MANIFEST
-from pipeline.store.read import PREFIX, find_run, run_folders
+from pipeline.store.read import find_run
 from populations.spec import PopulationSpec
 from reports.limits import DEFAULT_LIMITS, Limits
 
-from ..lots.measured import is_lot
+from ..lots.named import is_lot
 
 Kind = Literal["night", "campaign", "lot"]
 

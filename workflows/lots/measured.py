@@ -7,23 +7,9 @@ from pathlib import Path
 from pipeline.errors import MeasurementError, UsageError
 from pipeline.learning.lot.lot_file import LotFile
 from pipeline.learning.lot.table import LotTable, lot_of_table, read_lot, read_table
+from pipeline.store.folders import PREFIX, run_folders
 from pipeline.store.manifest import NAME as MANIFEST
-from pipeline.store.read import PREFIX, read_run, run_folders
-
-
-def is_lot(path: Path) -> bool:
-    """Whether ``path`` names a lot rather than the measurement of one device."""
-    if path.is_dir():
-        return (path / "lot.toml").is_file() or (path / MANIFEST).is_file() or bool(run_folders(path))
-    return path.name == "lot.toml" or (path.suffix == ".toml" and path.is_file() and _names_a_table(path))
-
-
-def _names_a_table(path: Path) -> bool:
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
-    return any(line.partition("=")[0].strip() == "file" for line in text.splitlines()) and "[[record]]" not in text
+from pipeline.store.read import read_run
 
 
 def read_measured_lot(path: Path) -> LotTable:

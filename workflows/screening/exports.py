@@ -24,7 +24,8 @@ import pyarrow.csv as pacsv
 from pipeline.errors import UsageError, unwritable
 from pipeline.store.columns import StoredRun, with_run
 from pipeline.store.files import replacing
-from pipeline.store.read import PREFIX, find_run
+from pipeline.store.folders import PREFIX
+from pipeline.store.read import find_run
 from pipeline.store.schema import DEVICES
 from reports.devices import Devices
 from reports.limits import Limits

@@ -19,11 +19,12 @@ from distributed import Client
 from pipeline.errors import GyroscreenError, IntegrityError
 from pipeline.store import log
 from pipeline.store.block import amended
+from pipeline.store.folders import PREFIX, run_folders
 from pipeline.store.journal import read_manifest
 from pipeline.store.lock import one_writer
 from pipeline.store.manifest import FileEntry, Manifest
 from pipeline.store.parquet import encode_table
-from pipeline.store.read import PREFIX, read_block, run_folders
+from pipeline.store.read import read_block
 from pipeline.store.repair import cut_journal, put_aside, restore_file, restore_log
 from pipeline.store.run import RunStore
 from pipeline.store.verify import verify_run

@@ -16,8 +16,9 @@ from typing import Any
 import psutil
 import tomli_w
 
+from pipeline.store.folders import PREFIX
 from pipeline.store.query import query
-from pipeline.store.read import PREFIX, find_run
+from pipeline.store.read import find_run
 from pipeline.store.run import RunStore, create_run
 from pipeline.store.verify import verify
 

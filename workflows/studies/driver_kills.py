@@ -19,9 +19,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from pipeline.store.folders import PREFIX
 from pipeline.store.lock import one_writer
 from pipeline.store.log import NAME as LOG
-from pipeline.store.read import PREFIX, find_run, read_run
+from pipeline.store.read import find_run, read_run
 from pipeline.store.run import RunStore, create_run
 from pipeline.store.verify import verify
 

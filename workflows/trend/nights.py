@@ -12,8 +12,9 @@ from pathlib import Path
 
 from pipeline.errors import UsageError
 from pipeline.store.columns import with_run
+from pipeline.store.folders import PREFIX
 from pipeline.store.manifest import Manifest
-from pipeline.store.read import PREFIX, find_run, list_runs, read_config
+from pipeline.store.read import find_run, list_runs, read_config
 from pipeline.store.run import open_run
 from reports.devices import Devices
 from reports.limits import Limits

@@ -155,8 +155,8 @@ def residues_of(
     rows, targets = [], []
     for record in records:
         band = make_band(record.drive_v, replace(instrument, sample_rate_hz=record.sample_rate_hz), low_hz, high_hz)
-        plus = np.stack([features(band, complex(p), 0)[0] for p in poles])
-        minus = np.stack([features(band, complex(np.conj(p)), 0)[0] for p in poles])
+        plus = np.stack([features(band, complex(p)) for p in poles])
+        minus = np.stack([features(band, complex(np.conj(p))) for p in poles])
         flat = (plus + minus).reshape(-1, band.bins.size), (1j * (plus - minus)).reshape(-1, band.bins.size)
         columns = np.concatenate(flat).T / np.sqrt(band.samples)
         rows.append(np.concatenate([columns.real, columns.imag]))

@@ -29,8 +29,8 @@ from scipy.linalg import qr
 
 from ...arrays import ComplexArray, FloatArray
 from ...experiment.noise.lines import MOST_HARMONICS
-from .inband import Band, end_states, features
-from .likelihood import FEATURES, ORDER
+from .columns import feature_columns
+from .inband import Band
 from .mismatch import MismatchPrior
 from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
 
@@ -64,21 +64,6 @@ class Compressed:
     def arrays(self) -> tuple[ComplexArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """What the kernels take after x: expansion, triangle, cross, data, prior_root, prior_offset."""
         return self.expansion, self.triangle, self.cross, self.data, self.prior_root, self.prior_offset
-
-
-def _columns(band: Band, expansion: ComplexArray) -> FloatArray:
-    """Features as real columns (2 W, J)."""
-    width = band.bins.size
-    out = np.empty((3, 2, ORDER + 1, 2, 2, width))
-    for k in range(3):
-        pole = complex(expansion[k])
-        ends = end_states(band, pole, ORDER)
-        plus = np.swapaxes(features(band, pole, ORDER, ends), 0, 1)
-        minus = np.swapaxes(features(band, pole.conjugate(), ORDER, ends.conj()), 0, 1)
-        real, imag = plus + minus, 1j * (plus - minus)
-        out[k, :, :, 0, 0], out[k, :, :, 0, 1] = real.real, real.imag
-        out[k, :, :, 1, 0], out[k, :, :, 1, 1] = imag.real, imag.imag
-    return out.reshape(FEATURES, 2 * width).T
 
 
 def _stacked(spectrum: ComplexArray) -> FloatArray:
@@ -133,6 +118,12 @@ def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
     return np.ascontiguousarray(left[:, size > 1e-6 * np.sqrt(band.samples)])
 
 
+def _scaled(columns: FloatArray, nuisance: FloatArray, samples: int) -> FloatArray:
+    """Columns (2 W, ..) [V] over the sd of the noise of a bin at unit sigma, less their part in a ``nuisance`` basis (2 W, L)."""
+    scaled = columns * math.sqrt(2.0 / samples)
+    return scaled - nuisance @ (nuisance.T @ scaled) if nuisance.shape[1] else scaled
+
+
 def compress(
     records: Sequence[BandData], sigma_v: FloatArray, expansion: ComplexArray, prior: MismatchPrior | None = None
 ) -> Compressed:
@@ -149,26 +140,20 @@ def compress(
     ------
     numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
-    columns = tuple(_columns(record.band, expansion) for record in records)
-    blocks: list[FloatArray] = []
-    targets: list[FloatArray] = []
-    for own_columns, record in zip(columns, records):
-        scale = math.sqrt(2.0 / record.band.samples)
-        a = own_columns * scale
-        y = _stacked(record.spectrum) * scale
-        n = record.nuisance
-        if n.shape[1]:
-            a, y = a - n @ (n.T @ a), y - n @ (n.T @ y)
-        blocks.append(a)
-        targets.append(y)
+    columns = tuple(feature_columns(record.band, expansion) for record in records)
+    blocks = [_scaled(own, record.nuisance, record.band.samples) for own, record in zip(columns, records)]
+    targets = [_scaled(_stacked(record.spectrum), record.nuisance, record.band.samples) for record in records]
     rows = sum(a.shape[0] - record.nuisance.shape[1] for a, record in zip(blocks, records))
     root, offset = (np.zeros((0, 2)), np.zeros(0)) if prior is None else prior.rows()
     real = 2 * rows + offset.size
     if all(record.noise is None for record in records):
         size = columns[0].shape[1]
-        both = np.concatenate([np.concatenate(blocks), np.concatenate(targets) / sigma_v], axis=1)
+        both = np.empty((size + 2, sum(a.shape[0] for a in blocks)))
+        np.concatenate([a.T for a in blocks], axis=1, out=both[:size])
+        np.concatenate([y.T for y in targets], axis=1, out=both[size:])
+        both[size:] /= sigma_v[:, None]
         # [A, y] = Q [[T, Q^T y], [0, r]] with |r|^2 = rest: Q itself would take twice the time.
-        _, corner = qr(np.asfortranarray(both), mode="raw", overwrite_a=True, check_finite=False)
+        _, corner = qr(both.T, mode="raw", overwrite_a=True, check_finite=False)
         triangle, data, left = corner[:size, :size], corner[:size, size:], corner[size:, size:]
         rest = np.sum(left**2, axis=0)
         scaled = np.ascontiguousarray(triangle / sigma_v[:, None, None])

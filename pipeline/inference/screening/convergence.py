@@ -6,7 +6,7 @@ Every ensemble is split in halves, which gives C chains x_c of n draws:
     rho_t = 1 - (W - a_t) / V,           a_t = autocovariance at lag t, mean over chains (a_0 with n - 1),   V = W (n - 1)/n + B/n
     ESS   = C n / (-1 + 2 sum_t rho_t)   over Geyer's initial positive and monotone sequence of pairs rho_2k + rho_2k+1
 
-Equal to arviz_stats (methods "split" and "mean"), computed for all parameters at once.
+Equal to arviz_stats (methods "split" and "mean"), without the lags that do not count.
 Sources: Vehtari et al., Bayesian Analysis 16 (2021) 667; Geyer, Statist. Sci. 7 (1992) 473.
 
 Shapes: E ensembles, n draws, P parameters, C = 2 E chains.
@@ -15,7 +15,7 @@ Shapes: E ensembles, n draws, P parameters, C = 2 E chains.
 from __future__ import annotations
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from numba import njit
 
 from ...arrays import FloatArray
 
@@ -40,37 +40,48 @@ def mean_ess(chains: FloatArray) -> FloatArray:
     """ESS (P,) [draws] of the mean, of chains (P, C, n)."""
     count, n = chains.shape[1:]
     means = chains.mean(axis=2)
-    size = next_fast_len(2 * n, real=True)
-    spectrum = rfft(chains - means[:, :, None], n=size, axis=2)
-    # The mean autocovariance is the transform of the mean power.
-    power = np.mean(spectrum.real**2 + spectrum.imag**2, axis=1)
-    covariance = irfft(power, n=size, axis=1)[:, :n] / n
-    within = covariance[:, 0] * n / (n - 1.0)
-    total = within * (n - 1.0) / n + means.var(axis=1, ddof=1)
+    between = means.var(axis=1, ddof=1)
+    centred = chains - means[:, :, None]
     out = np.full(chains.shape[0], float(count * n))
     for i in np.flatnonzero(~(np.ptp(chains, axis=(1, 2)) < np.finfo(float).resolution)):
-        rho = 1.0 - (within[i] - covariance[i]) / total[i]
-        rho[0] = 1.0
-        tau = max(_autocorrelation_time(rho), 1.0 / np.log10(count * n))
-        out[i] = count * n / tau
+        out[i] = count * n / max(_autocorrelation_time(centred[i], between[i]), 1.0 / np.log10(count * n))
     return out
 
 
-def _autocorrelation_time(rho: FloatArray) -> float:
-    """-1 + 2 sum rho_t over Geyer's sequences, of autocorrelations rho (n,); the last odd term counts once where it is even."""
-    draws = rho.size
-    kept = np.zeros(draws)
-    kept[:2] = rho[:2]
-    even, odd, t = rho[0], rho[1], 1
-    while t < draws - 3 and even + odd > 0.0:
-        even, odd = rho[t + 1], rho[t + 2]
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
+def _covariance(centred: FloatArray, lag: int) -> float:
+    """a_t: autocovariance at a lag, mean over chains (C, n) without their means."""
+    count, n = centred.shape
+    total = 0.0
+    for c in range(count):
+        for i in range(n - lag):
+            total += centred[c, i] * centred[c, i + lag]
+    return total / (count * n)
+
+
+@njit(cache=True)
+def _autocorrelation_time(centred: FloatArray, between: float) -> float:
+    """-1 + 2 sum rho_t over Geyer's sequences, of chains (C, n); the last odd term counts once where it is even.
+
+    ``between`` is the variance B/n of the means.  The lags after the end of the sequence are not computed.
+    """
+    n = centred.shape[1]
+    within = _covariance(centred, 0) * n / (n - 1.0)
+    whole = within * (n - 1.0) / n + between
+    kept = np.zeros(n)
+    kept[0] = 1.0
+    kept[1] = 1.0 - (within - _covariance(centred, 1)) / whole
+    even, odd, t = kept[0], kept[1], 1
+    while t < n - 3 and even + odd > 0.0:
+        even = 1.0 - (within - _covariance(centred, t + 1)) / whole
+        odd = 1.0 - (within - _covariance(centred, t + 2)) / whole
         if even + odd >= 0.0:
-            kept[t + 1 : t + 3] = even, odd
+            kept[t + 1], kept[t + 2] = even, odd
         t += 2
     last = t - 2
     if even > 0.0:
         kept[last + 1] = even
     for t in range(1, last - 1, 2):
         if kept[t + 1] + kept[t + 2] > kept[t - 1] + kept[t]:
-            kept[t + 1 : t + 3] = 0.5 * (kept[t - 1] + kept[t])
+            kept[t + 1] = kept[t + 2] = 0.5 * (kept[t - 1] + kept[t])
     return float(-1.0 + 2.0 * kept[: last + 1].sum() + kept[last + 1 : last + 2].sum())

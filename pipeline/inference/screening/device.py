@@ -14,10 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray
-from ...device.effect import Context
-from ...device.effects.electrode_mismatch import mechanics as mismatched
-from ...device.gyro import gyro_mechanics, to_physical
-from ...device.mechanics import modes_of
+from ...device.mechanics import Modes
 from ...experiment.antialias import behind_filter
 from ...experiment.forward.modal_bank import respond
 from ...experiment.instrument import Instrument
@@ -29,7 +26,7 @@ from ..estimate import RateSettings
 from ..gate import Gate
 from ..general.starts import gyro_start
 from .compressed import BandData, nuisance_basis
-from .fit import Fit, maximise, start_from_modes
+from .fit import Fit, maximise, modes_at, start_from_modes
 from .inband import Band, make_band
 from .mismatch import MismatchPrior
 from .quality import full_band_quality, with_dependent_noise
@@ -136,11 +133,8 @@ def best_fit(
 
 def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> FloatArray:
     """Pick-off volts (N, 2) [V] after the anti-alias filter, of parameters x (12,) or (14,) under a drive (N, 2) [V]."""
-    mechanics = gyro_mechanics(to_physical(x[None, :12]))
-    if x.size == 14:
-        plant = {"sense_imbalance": x[10], "drive_imbalance": x[11]}
-        mechanics = mismatched(mechanics, x[12:], Context(instrument.bias_v, instrument.bias_v, plant))
-    bank = behind_filter(modes_of(mechanics), instrument.antialias)
+    poles, residues = modes_at(x)
+    bank = behind_filter(Modes(poles[None], residues[None]), instrument.antialias)
     return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
 
 

@@ -93,10 +93,11 @@ def start_from_modes(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
     )
 
 
-def _poles(x: FloatArray) -> ComplexArray:
+def modes_at(x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Poles (3,) and residues (3, 2, 2) [rad/s] of parameters x (12,) or (14,)."""
     poles, residues = np.empty(3, dtype=np.complex128), np.empty((3, 2, 2), dtype=np.complex128)
     cartesian_modes(x, poles, residues)
-    return poles
+    return poles, residues
 
 
 def _descend(start: FloatArray, likelihood: Compressed, reach: float) -> tuple[FloatArray, bool, float]:
@@ -145,7 +146,7 @@ def information_covariance(
     records: Sequence[BandData], sigma_v: FloatArray, x: FloatArray, prior: MismatchPrior | None = None
 ) -> FloatArray:
     """Cramer-Rao bound (P, P): inverse Fisher information of ``records`` and ``prior`` at ``x`` (P,); sigma (S,) [V]."""
-    likelihood = compress(records, sigma_v, _poles(x), prior)
+    likelihood = compress(records, sigma_v, modes_at(x)[0], prior)
     return _covariance(jacobian_rows(x, *likelihood.arrays))
 
 
@@ -163,7 +164,7 @@ def maximise(
     """
     x, converged = start[:12] if prior is None else with_mismatch(start, prior), False
     for _ in range(_EXPANSIONS):
-        likelihood = compress(records, sigma_v, _poles(x), prior)
+        likelihood = compress(records, sigma_v, modes_at(x)[0], prior)
         x, minimum, shift = _descend(x, likelihood, 10.0 * _DISC)
         if minimum and shift < _DISC:
             converged = True

@@ -1,4 +1,4 @@
-"""Compiled residuals, Jacobian and likelihood of the compressed data (``compressed``) as functions of the parameters.
+"""Compiled residuals and Jacobian of the compressed data (``compressed``) as functions of the parameters.
 
     e_a = d_a - T_a c_a(x) [- T_01 c_1(x) for a = 0],     e_prior = offset - root m'
 
@@ -146,51 +146,4 @@ def jacobian_rows(
     for i in range(prior_offset.size):
         for j in range(2):
             out[2 * rows + i, 12 + j] = prior_root[i, j]
-    return out
-
-
-@njit(cache=True)
-def log_likelihood(
-    points: FloatArray,
-    expansion: ComplexArray,
-    triangle: FloatArray,
-    cross: FloatArray,
-    data: FloatArray,
-    prior_root: FloatArray,
-    prior_offset: FloatArray,
-) -> FloatArray:
-    """-chi2/2 (n,) [1] of the compressed part and of the prior at ``points`` (n, P), -inf outside the support of the prior."""
-    count = points.shape[0]
-    rows = triangle.shape[1]
-    c = np.zeros((2, count, FEATURES))
-    of_point = np.empty((2, FEATURES))
-    shift = np.empty(3)
-    inside = np.empty(count, dtype=np.bool_)
-    for n in range(count):
-        inside[n] = allowed(points[n])
-        if inside[n]:
-            coefficients(points[n], expansion, of_point, shift)
-            for a in range(2):
-                for j in range(FEATURES):
-                    c[a, n, j] = of_point[a, j]
-    first = np.dot(c[0], triangle[0].T)
-    second = np.dot(c[1], triangle[1].T)
-    if cross.shape[0]:
-        shared = np.dot(c[1], cross.T)
-        for n in range(count):
-            for i in range(rows):
-                first[n, i] += shared[n, i]
-    out = np.empty(count)
-    for n in range(count):
-        total = 0.0
-        for i in range(rows):
-            r = data[0, i] - first[n, i]
-            total += r * r
-        for i in range(rows):
-            r = data[1, i] - second[n, i]
-            total += r * r
-        for i in range(prior_offset.size):
-            r = prior_offset[i] - prior_root[i, 0] * points[n, 12] - prior_root[i, 1] * points[n, 13]
-            total += r * r
-        out[n] = -0.5 * total if inside[n] else -np.inf
     return out

@@ -61,13 +61,18 @@ class FullBandQuality:
         }
 
 
+def _squares(y: FloatArray) -> FloatArray:
+    """Sums (S,) [V^2] of the squares of y (N, S)."""
+    return np.array([column @ column for column in y.T])
+
+
 def _mean_square(rest: FloatArray, noise: NoiseSpectrum, line_hz: float | None, dependent: FloatArray) -> float:
     """Mean square (1) of a residual without lines (N, S) in units of the noise and ``dependent`` (S,) [V^2]."""
     samples, senses = rest.shape
     rate = noise.sample_rate_hz
     removed = lines_removed(samples, rate, line_hz)
     if noise.white:
-        whole = np.sum(rest**2 / (noise.sigma_v**2 + dependent))
+        whole = np.sum(_squares(rest) / (noise.sigma_v**2 + dependent))
         return float(whole) / (senses * (samples - removed))
     frequency = np.arange(samples // 2 + 1) * rate / samples
     kept = frequency >= max(noise.low_hz, rate / samples)
@@ -84,7 +89,8 @@ def full_band_quality(
     weight = np.array([rest.shape[0] for rest in rests], dtype=float)
     squares = [_mean_square(rest, noise, line_hz, np.zeros(rest.shape[1])) for rest in rests]
     relative = [
-        float(np.linalg.norm(rest) / max(float(np.linalg.norm(r.sense_v)), 1e-300)) for rest, r in zip(rests, records)
+        math.sqrt(float(_squares(rest).sum()) / max(float(_squares(r.sense_v).sum()), 1e-300))
+        for rest, r in zip(rests, records)
     ]
     square = float(np.average(squares, weights=weight))
     senses = noise.sigma_v.size

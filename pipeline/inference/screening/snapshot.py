@@ -21,10 +21,10 @@ from ...arrays import FloatArray
 from ..estimate import Estimate, RateSettings, estimate_from
 from ..gate import Gate, GoodnessOfFit, status_of
 from ..systematic import Identified
+from .batch import whole_rows
 from .compressed import BandData
 from .device import best_fit, explains
 from .fit import Fit
-from .likelihood import log_likelihood
 from .mismatch import MismatchPrior, without_tilt
 
 _FREEDOM = 20.0
@@ -69,7 +69,7 @@ def posterior_draws(fit: Fit, seed: np.random.SeedSequence) -> tuple[FloatArray,
     unit = random.standard_normal((_PROPOSALS, size))
     unit *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, size=(_PROPOSALS, 1)))
     points = fit.x + unit @ factor.T
-    log_weight = log_likelihood(points, *fit.likelihood.arrays)
+    log_weight = whole_rows(fit.likelihood).log_likelihood(points)
     log_weight += 0.5 * (_FREEDOM + size) * np.log1p(np.sum(unit**2, axis=1) / _FREEDOM)
     weight = np.exp(log_weight - np.max(log_weight))
     weight /= weight.sum()

@@ -6,10 +6,11 @@ import emcee
 import numpy as np
 import pytest
 from arviz_stats.base.array import array_stats
+from emcee.model import Model
 from scipy.signal import lfilter
 
 from pipeline.inference.screening.convergence import mean_ess, split_chains, split_rhat
-from pipeline.inference.screening.sample import _independence_chains, _log_t, _t_draws
+from pipeline.inference.screening.sample import _generator, _independence_chains, _log_t, _t_draws
 
 
 def autoregressive(a, shape, random):
@@ -43,22 +44,42 @@ def test_a_chain_that_does_not_move_has_no_rhat_and_equal_means_give_one():
     assert mean_ess(split_chains(still)) == 400.0
 
 
+class Chances:
+    """What emcee's move draws to accept: the given uniform numbers, step by step."""
+
+    def __init__(self, steps):
+        self.steps = iter(steps)
+
+    def rand(self, count):
+        numbers = next(self.steps)
+        assert numbers.size == count
+        return numbers
+
+
 def test_independence_chains_are_those_of_emcee():
     def log_density(x):
         return -0.5 * np.sum(x**2, axis=1) - 0.1 * np.abs(x[:, 0]) ** 3
 
-    def propose(x, random):
-        y = _t_draws(x.shape[0], x.shape[1], random)
-        return y, _log_t(x) - _log_t(y)
+    ensembles, walkers, size, steps = 3, 40, 5, 30
+    start = np.random.default_rng(7).normal(size=(ensembles, walkers, size))
+    points, accepted = _independence_chains(log_density, start, steps, np.random.SeedSequence(8))
+    random = _generator(np.random.SeedSequence(8))
+    proposals = _t_draws(steps * ensembles * walkers, size, random).reshape(steps, ensembles, walkers, size)
+    chances = random.random((steps, ensembles, walkers))
+    for e in range(ensembles):
+        proposed = iter(proposals[:, e])
 
-    start = np.random.default_rng(7).normal(size=(3, 40, 5))
-    randoms = [np.random.RandomState(seed) for seed in (8, 9, 10)]
-    chains = []
-    for own, random in zip(start, randoms):
-        sampler = emcee.EnsembleSampler(40, 5, log_density, moves=emcee.moves.MHMove(propose), vectorize=True)
-        sampler.random_state = random.get_state()
-        sampler.run_mcmc(own, 30, skip_initial_state_check=True)
-        chains.append(sampler.get_chain())
-    points, accepted = _independence_chains(log_density, start, 30, randoms)
-    np.testing.assert_array_equal(points, np.stack(chains, axis=1))
-    assert np.all((accepted > 0.5) & (accepted < 1.0))
+        def propose(x, random, proposed=proposed):
+            y = next(proposed)
+            return y, _log_t(x) - _log_t(y)
+
+        move, chance = emcee.moves.MHMove(propose), Chances(chances[:, e])
+        state = emcee.State(start[e], log_prob=log_density(start[e]))
+        model = Model(log_density, lambda x: (log_density(x), None), map, chance)
+        shares = np.zeros(walkers)
+        for step in range(steps):
+            state, moved = move.propose(model, state)
+            shares += moved
+            np.testing.assert_array_equal(points[e, :, step], state.coords)
+        assert accepted[e] == pytest.approx(shares.mean() / steps)
+        assert 0.5 < accepted[e] < 1.0

@@ -15,13 +15,13 @@ from pipeline.experiment.instrument import AntiAlias, Instrument
 from pipeline.experiment.record import Record
 from pipeline.inference.gate import Gate, GoodnessOfFit, Undetected, status_of
 from pipeline.inference.screening.compressed import BandData, compress
-from pipeline.inference.screening.fit import Fit
+from pipeline.inference.screening.fit import Fit, modes_at
 from pipeline.inference.screening.inband import make_band
 from pipeline.inference.screening.mismatch import BROAD, NIGHTLY_MODEL
 from pipeline.inference.screening.undetected.bounds import Candidates, Projection, judged, summary
 from pipeline.inference.screening.undetected.clipping import adc_sizes, loud_samples
 from pipeline.inference.screening.undetected.library import probes_of, scored_effects
-from pipeline.inference.screening.undetected.linear import cartesian_poles, linear_devices
+from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.parity import kind_of
 from pipeline.inference.screening.undetected.signatures import signatures
@@ -42,7 +42,7 @@ def device():
     x = np.concatenate([to_cartesian(np.array([[values[name] for name in PHYSICAL]]))[0], list(MISMATCH.values())])
     band = make_band(DRIVE, INSTRUMENT, 400.0, 700.0)
     data = BandData(band, band.transform(y), np.zeros((2 * band.bins.size, 0)))
-    likelihood = compress([data], np.full(2, 1e-3), cartesian_poles(x)[0], BROAD)
+    likelihood = compress([data], np.full(2, 1e-3), modes_at(x)[0], BROAD)
     fit = Fit(x, np.eye(14), 0.0, 1, likelihood, True)
     (linear,), moved = linear_devices(fit, [band], INSTRUMENT, partial(moved_mechanics, True))
     loud = loud_samples(y)

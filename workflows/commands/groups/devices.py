@@ -168,12 +168,13 @@ def _for_a_lot(
     posterior: int | None = None,
 ) -> bool:
     """Whether ``path`` is a lot; it is then answered."""
-    if population is None and not path.is_dir() and path.suffix != ".toml":
-        return False
-    from ..lot import answer_lot, names_a_lot
+    if population is None:
+        from ...lots.named import is_lot
 
-    if not names_a_lot(path, population):
-        return False
+        if not is_lot(path):
+            return False
+    from ..lot import answer_lot
+
     answer_lot(command, path, population, out, limits, json, model, effects, posterior)
     return True
 

@@ -17,7 +17,7 @@ import pyarrow as pa
 from pipeline.arrays import BoolArray, FloatArray, IntArray
 from pipeline.errors import UsageError
 from pipeline.store.columns import StoredRun, with_run
-from pipeline.store.read import PREFIX
+from pipeline.store.folders import PREFIX
 from pipeline.store.run import open_run
 from reports.coded import CodedText
 from reports.common_errors import given_common, with_common

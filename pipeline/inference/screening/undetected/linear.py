@@ -22,11 +22,11 @@ import numpy as np
 from ....arrays import ComplexArray, FloatArray
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
-from ....device.gyro import PHYSICAL, cartesian_mechanics, cartesian_modes, to_physical
+from ....device.gyro import PHYSICAL, cartesian_mechanics, to_physical
 from ....device.mechanics import Mechanics, modes_of, state_matrix
 from ....experiment.antialias import filter_response
 from ....experiment.instrument import Instrument
-from ..fit import Fit
+from ..fit import Fit, modes_at
 from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
@@ -39,13 +39,6 @@ def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
     context = Context(bias_v, bias_v, plant)
     mechanics = cartesian_mechanics(x[None, :12])
     return (mechanics if x.size == 12 else mismatched(mechanics, x[12:], context)), context
-
-
-def cartesian_poles(x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Poles (3,) and residues (3, 2, 2) [rad/s] of parameters x (12,) or (14,)."""
-    poles, residues = np.empty(3, dtype=np.complex128), np.empty((3, 2, 2), dtype=np.complex128)
-    cartesian_modes(x, poles, residues)
-    return poles, residues
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +205,7 @@ def linear_devices(
     x, expansion = fit.x, fit.likelihood.expansion
     mechanics, context = device_mechanics(x, instrument.bias_v)
     every = [mechanics, *others(mechanics, context)]
-    poles, parts = _position_modes(every, cartesian_poles(x)[0])
+    poles, parts = _position_modes(every, modes_at(x)[0])
     read, position = (
         np.concatenate([getattr(one, name) for one in every]) for name in ("velocity_sense", "position_sense")
     )

@@ -144,7 +144,7 @@ def _mode_scans(
             omega = 2.0 * np.pi * f
             pole = complex(-zeta * omega, omega * np.sqrt(1.0 - zeta**2))
             gain = pole / (pole - np.conj(pole))
-            y = gain * features(band, pole, 0)[0] + np.conj(gain) * features(band, complex(np.conj(pole)), 0)[0]
+            y = gain * features(band, pole) + np.conj(gain) * features(band, pole.conjugate())
             columns.append(np.concatenate([y.real, y.imag], axis=1))
         weight = np.array([share for *_, share in points[first : first + most]])
         yield _band_scan(ScanPoints(effect.name, weight.size, weight, reach), np.concatenate(columns).T, nuisance)

@@ -1,0 +1,149 @@
+"""Likelihood of many points at once, for the sampler (``likelihood`` has that of one point, with its slopes, for the fit).
+
+    -chi2/2 = -|d - A c(x)|^2 / 2,     c = [c_0, c_1] residues times powers of the shift of each pole,     A (r, 2 J), d (r,)
+
+``whole_rows`` has all rows of the compressed data.  ``local_rows`` has few: with the slopes J and the residual e at the maximum,
+
+    W = orth[J, e],    A -> W' A,    d -> W' d
+
+what is left out is the square of the curvature of the model outside of W.  ``sample`` measures it.
+
+Shapes: n points, P = 12 or 14 parameters, S = 2 senses, J = 48 features, r rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ...arrays import ComplexArray, FloatArray
+from ...device.gyro_batch import batch_modes
+from .compressed import Compressed
+from .likelihood import FEATURES, ORDER, allowed, jacobian_rows, residual_rows
+
+_ORDERS = ORDER + 1
+#: Points whose features are in the cache at once: 200 kB.
+_AT_ONCE = 256
+#: Rows of a vector of the processor: 16 rows take less time than 15.
+_LANES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a compressed likelihood, in sigmas.
+
+    Parameters
+    ----------
+    expansion : poles (3,) [rad/s] of the features.
+    design, target : A (r, 2 J) and d (r,).
+    prior_root, prior_offset : (2, 2) and (2,) of the mismatches; (0, 2) and (0,) without.
+    """
+
+    expansion: ComplexArray
+    design: FloatArray
+    target: FloatArray
+    prior_root: FloatArray
+    prior_offset: FloatArray
+
+    def log_likelihood(self, points: FloatArray) -> FloatArray:
+        """-chi2/2 (n,) [1] of the rows and of the prior at ``points`` (n, P), -inf outside the support of the prior."""
+        return _log_likelihood(
+            np.ascontiguousarray(points.T),
+            np.exp(points[:, 8:10].T),
+            self.expansion,
+            self.design,
+            self.target,
+            self.prior_root,
+            self.prior_offset,
+        )
+
+
+def whole_rows(likelihood: Compressed) -> Rows:
+    """All rows of a compressed likelihood."""
+    rows = likelihood.triangle.shape[1]
+    design = np.zeros((2 * rows, 2 * FEATURES))
+    design[:rows, :FEATURES], design[rows:, FEATURES:] = likelihood.triangle
+    design[: likelihood.cross.shape[0], FEATURES:] = likelihood.cross
+    return Rows(likelihood.expansion, design, likelihood.data.ravel(), likelihood.prior_root, likelihood.prior_offset)
+
+
+def local_rows(likelihood: Compressed, x: FloatArray) -> Rows:
+    """The rows that matter near the maximum ``x`` (P,): P + 1, and zeros."""
+    whole = whole_rows(likelihood)
+    count = whole.target.size
+    residual, _ = residual_rows(x, *likelihood.arrays)
+    slopes = jacobian_rows(x, *likelihood.arrays)[:count]
+    kept = np.concatenate([slopes / np.linalg.norm(slopes, axis=0), residual[:count, None]], axis=1)
+    basis = np.zeros((-(-kept.shape[1] // _LANES) * _LANES, count))
+    basis[: kept.shape[1]] = np.linalg.qr(kept)[0].T
+    return Rows(whole.expansion, basis @ whole.design, basis @ whole.target, whole.prior_root, whole.prior_offset)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _features(poles: FloatArray, residues: FloatArray, expansion: ComplexArray, out: FloatArray) -> None:
+    """Fill ``out`` (2 J, n) with c of modes (3, 2, n), (3, S, D, 2, n): each rocking pole at the nearer one of the expansion."""
+    count = poles.shape[2]
+    shift = np.empty((3, 2, count))
+    crossed = np.empty(count, dtype=np.bool_)
+    ar, ai, br, bi = expansion[0].real, expansion[0].imag, expansion[1].real, expansion[1].imag
+    for n in range(count):
+        pr, pi, qr, qi = poles[0, 0, n], poles[0, 1, n], poles[1, 0, n], poles[1, 1, n]
+        straight = np.sqrt((pr - ar) ** 2 + (pi - ai) ** 2) + np.sqrt((qr - br) ** 2 + (qi - bi) ** 2)
+        across = np.sqrt((pr - br) ** 2 + (pi - bi) ** 2) + np.sqrt((qr - ar) ** 2 + (qi - ai) ** 2)
+        swap = across < straight
+        crossed[n] = swap
+        shift[0, 0, n], shift[0, 1, n] = (qr if swap else pr) - ar, (qi if swap else pi) - ai
+        shift[1, 0, n], shift[1, 1, n] = (pr if swap else qr) - br, (pi if swap else qi) - bi
+        shift[2, 0, n] = poles[2, 0, n] - expansion[2].real
+        shift[2, 1, n] = poles[2, 1, n] - expansion[2].imag
+    for k in range(3):
+        for a in range(2):
+            for d in range(2):
+                first = a * 2 * 3 * 2 * _ORDERS + (k * 2 + d) * _ORDERS * 2
+                own, other = residues[k, a, d], residues[1 - k if k < 2 else k, a, d]
+                for n in range(count):
+                    cr = other[0, n] if crossed[n] else own[0, n]
+                    ci = other[1, n] if crossed[n] else own[1, n]
+                    out[first, n], out[first + 1, n] = cr, ci
+                for m in range(1, _ORDERS):
+                    j = first + 2 * m
+                    for n in range(count):
+                        cr, ci, hr, hi = out[j - 2, n], out[j - 1, n], shift[k, 0, n], shift[k, 1, n]
+                        out[j, n], out[j + 1, n] = cr * hr - ci * hi, cr * hi + ci * hr
+
+
+@njit(cache=True)
+def _log_likelihood(
+    x: FloatArray,
+    gains: FloatArray,
+    expansion: ComplexArray,
+    design: FloatArray,
+    target: FloatArray,
+    prior_root: FloatArray,
+    prior_offset: FloatArray,
+) -> FloatArray:
+    """:meth:`Rows.log_likelihood` of points x (P, n) with gains (2, n) = exp(x[8:10])."""
+    count = x.shape[1]
+    out = np.empty(count)
+    for first in range(0, count, _AT_ONCE):
+        last = min(first + _AT_ONCE, count)
+        own = x[:, first:last].copy()
+        poles, residues = np.empty((3, 2, last - first)), np.empty((3, 2, 2, 2, last - first))
+        batch_modes(own, gains[:, first:last].copy(), poles, residues)
+        c = np.empty((design.shape[1], last - first))
+        _features(poles, residues, expansion, c)
+        model = np.dot(design, c)
+        total = np.zeros(last - first)
+        for i in range(target.size):
+            for n in range(last - first):
+                r = target[i] - model[i, n]
+                total[n] += r * r
+        for i in range(prior_offset.size):
+            for n in range(last - first):
+                r = prior_offset[i] - prior_root[i, 0] * own[12, n] - prior_root[i, 1] * own[13, n]
+                total[n] += r * r
+        for n in range(last - first):
+            out[first + n] = -0.5 * total[n] if allowed(own[:, n]) else -np.inf
+    return out
