@@ -68,7 +68,8 @@ class FitTests:
     signatures, projected : absent terms at this fit, and their columns with the baseline projected out.
     scores, null : of the absent terms, most significant first, and the null that gave their p-values.
     goodness : tests of structure in the residual.
-    regions, excess : residual energy by region, and that above the common noise level (0 where the level is unknown).
+    regions, excess : residual energy by region; the misfit, that above the common noise level or what one family of generic
+        shapes explains, whichever is larger (0 where the level is unknown).
     """
 
     fit: FitResult
@@ -127,7 +128,8 @@ def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
             projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
         )
         regions, structure = residual_tests.result()
-    misfit = excess(regions) if fit.noise_known else 0.0
+    # The energy of regions does not see a misfit that lies in few directions.
+    misfit = max(excess(regions), structure.explained) if fit.noise_known else 0.0
     return FitTests(fit, base, signatures, projected, scores, null, structure, regions, misfit)
 
 
