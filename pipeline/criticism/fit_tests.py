@@ -37,22 +37,21 @@ class Rules:
     ----------
     alpha : family-wise probability of naming a term where none is present.
     alpha_left : probability of calling noise structured ("unknown").
-    rungs : largest number of terms that may be added.
+    rungs : largest number of terms that may be added; the candidates are its only limit unless one is given.
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
-    same_promise : a refused term is not refitted again while its promise has changed by less than this share.
-    settled_share : candidates that promise less than this share of what a refit has reached are not refitted.
+    same_promise : promises that differ by less than this share are equal: a refused term is not refitted again while its own has
+        changed by less, and candidates that promise less than a refit has reached by more are not refitted.
     class_refits : number of rivals of a term that are refitted in its place.
     draws, seed : of the simulated nulls.
     """
 
     alpha: float = ALPHA
     alpha_left: float = ALPHA
-    rungs: int = 6
+    rungs: float = np.inf
     least_share: float = 0.15
     least_expected: float = 0.05
     same_promise: float = 0.2
-    settled_share: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
     seed: int = 0

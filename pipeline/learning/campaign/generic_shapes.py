@@ -26,16 +26,14 @@ import numpy as np
 from ...arrays import FloatArray
 from ...experiment.forward.generic_forces import RecordMotion
 
-#: Share of the largest amplitude below which |a|^-1 is that of a linear force: dry friction at rest has no direction.
-_AT_REST = 1e-3
-
 
 def force_families(motion: RecordMotion) -> dict[str, list[FloatArray]]:
     """Forces (N, n) that follow the motion, by family.  Their unit does not matter, but it is the same in all records."""
     q, qd, time = motion.q * motion.omega, motion.qd, motion.t
     axes, every = range(motion.axes), range(motion.q.shape[1])
     amplitude = np.sqrt(np.sum(q[:, : motion.axes] ** 2 + qd[:, : motion.axes] ** 2, axis=1))
-    amplitude = np.maximum(amplitude, _AT_REST * max(float(amplitude.max()), 1e-300))
+    # |q_i| <= |a|, so |a|^-1 q_i stays finite; at rest it is zero.
+    amplitude = np.maximum(amplitude, np.finfo(float).tiny)
     return {
         "elastic force of third order": _potentials(q, axes, 3),
         "elastic force of fourth order": _potentials(q, axes, 4),
