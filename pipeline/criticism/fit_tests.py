@@ -134,7 +134,9 @@ def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
 
 def _residual_tests(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], ResidualTests]:
     regions = tuple(problem.regions(fit))
-    return regions, goodness(fit, base, problem.probes(fit), regions, problem.spectrum(fit))
+    # Only a known noise level can say that something is left.
+    probes = problem.probes(fit) if fit.noise_known else Signatures((), ())
+    return regions, goodness(fit, base, probes, regions, problem.spectrum(fit))
 
 
 def _log_p_of_decrease(tests: FitTests, delta_chi2: float, parameters: int) -> float:
