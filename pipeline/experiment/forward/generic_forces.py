@@ -32,6 +32,7 @@ class RecordMotion:
     q, qd : (N, n) [V s], [V] of the coordinates of the plant.
     u : (N, D) [V], the drive as forces see it.
     x, xd : (N, S) [V s], [V], motion of the sense electrodes.
+    driven : (N, D) [V s], motion of the drive electrodes.
     t : (N,) [s] from the first sample.
     omega : (n,) [rad/s], sqrt of the diagonal of K.
     axes : nonlinear laws act on the first ``axes`` coordinates.
@@ -42,6 +43,7 @@ class RecordMotion:
     u: FloatArray
     x: FloatArray
     xd: FloatArray
+    driven: FloatArray
     t: FloatArray
     omega: FloatArray
     axes: int
@@ -72,7 +74,8 @@ def record_motion(system: System, group: DriveGroup, record: int, starts: Starts
     own = int(np.flatnonzero(np.any(whole.sense_motion, axis=0))[-1]) + 1
     omega = np.sqrt(np.diagonal(whole.mechanics.stiffness[0])[:own])
     t = np.arange(states.shape[0]) / group.sample_rate_hz
-    return RecordMotion(states[:, :own], states[:, n : n + own], u, x, xd, t, omega, whole.axes)
+    driven = states[:, :n] @ whole.drive_motion.T
+    return RecordMotion(states[:, :own], states[:, n : n + own], u, x, xd, driven, t, omega, whole.axes)
 
 
 def responses(system: System, group: DriveGroup, forces: Sequence[FloatArray], hold: Hold = "foh") -> FloatArray:

@@ -6,7 +6,7 @@ missing physics leaves something, to first order along the fitted motion (q, q',
     elastic 3, 4    forces -dV/dq of V = q_i^m q_j^(k - m), k = 3, 4, for each pair of axes
     stiffness       |a|^m q_i, m = -1, 1, 4;   damping  |a|^m q_i', m = -1, 1, 2;   |a|^2 = sum over axes of q^2 w^2 + q'^2
     viscous         q_j' on each coordinate i
-    drive           u_k^2 on each coordinate
+    drive           u_k^2, and u_k x_k at each drive electrode, on each coordinate: electrostatic forces of second order
     slow            t^m q_i, t^m q_i', m = 1, 2: frequency and damping that change along the record
     pick-off        x x', x^2 x' in each channel: a gap that is not constant
     path            u_k, and u_k one sample later, in each channel: drive that reaches the read-out directly
@@ -47,7 +47,12 @@ def force_families(motion: RecordMotion) -> dict[str, list[FloatArray]]:
 def drive_families(motion: RecordMotion) -> dict[str, list[FloatArray]]:
     """Forces (N, n) that follow the drive, by family, in the same unit in all records."""
     every = range(motion.q.shape[1])
-    return {"force of the squared drive": [_in(i, v * v, motion.q) for i in every for v in motion.u.T]}
+    return {
+        "force of the squared drive": [_in(i, v * v, motion.q) for i in every for v in motion.u.T],
+        "force of drive times motion": [
+            _in(i, v * x, motion.q) for i in every for v, x in zip(motion.u.T, motion.driven.T)
+        ],
+    }
 
 
 def volt_families(motion: RecordMotion) -> dict[str, list[FloatArray]]:

@@ -64,7 +64,8 @@ def test_a_family_holds_the_signature_of_an_effect(effect: str) -> None:
     family = next(c for c in probes.candidates if c.name == EFFECTS[effect])
     columns, shapes = np.concatenate(known.blocks), np.concatenate(probes.blocks)
     z = np.concatenate([columns[:, cell] for cell in hidden.cells], axis=1)
-    basis, _ = np.linalg.qr(shapes[:, family.cells[0]] / np.linalg.norm(shapes[:, family.cells[0]], axis=0))
+    own = shapes[:, family.cells[0]]
+    basis, _ = np.linalg.qr(own / np.linalg.norm(own, axis=0))
     left = np.linalg.norm(z - basis @ (basis.T @ z), axis=0) / np.linalg.norm(z, axis=0)
     assert left.max() < 0.1
 
