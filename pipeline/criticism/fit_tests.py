@@ -37,22 +37,21 @@ class Rules:
     ----------
     alpha : family-wise probability of naming a term where none is present.
     alpha_left : probability of calling noise structured ("unknown").
-    rungs : largest number of terms that may be added.
+    rungs : largest number of terms that may be added; the candidates are its only limit unless one is given.
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
-    same_promise : a refused term is not refitted again while its promise has changed by less than this share.
-    settled_share : candidates that promise less than this share of what a refit has reached are not refitted.
+    same_promise : promises that differ by less than this share are equal: a refused term is not refitted again while its own has
+        changed by less, and candidates that promise less than a refit has reached by more are not refitted.
     class_refits : number of rivals of a term that are refitted in its place.
     draws, seed : of the simulated nulls.
     """
 
     alpha: float = ALPHA
     alpha_left: float = ALPHA
-    rungs: int = 6
+    rungs: float = np.inf
     least_share: float = 0.15
     least_expected: float = 0.05
     same_promise: float = 0.2
-    settled_share: float = 0.8
     class_refits: int = 4
     draws: int = DRAWS
     seed: int = 0
@@ -68,7 +67,8 @@ class FitTests:
     signatures, projected : absent terms at this fit, and their columns with the baseline projected out.
     scores, null : of the absent terms, most significant first, and the null that gave their p-values.
     goodness : tests of structure in the residual.
-    regions, excess : residual energy by region, and that above the common noise level (0 where the level is unknown).
+    regions, excess : residual energy by region; the misfit, that above the common noise level or what one family of generic
+        shapes explains, whichever is larger (0 where the level is unknown).
     """
 
     fit: FitResult
@@ -127,13 +127,16 @@ def fit_tests(problem: Problem, fit: FitResult, rules: Rules) -> FitTests:
             projected, signatures.candidates, fit.noise_known, rules.draws, rules.seed, signatures.local
         )
         regions, structure = residual_tests.result()
-    misfit = excess(regions) if fit.noise_known else 0.0
+    # The energy of regions does not see a misfit that lies in few directions.
+    misfit = max(excess(regions), structure.explained) if fit.noise_known else 0.0
     return FitTests(fit, base, signatures, projected, scores, null, structure, regions, misfit)
 
 
 def _residual_tests(problem: Problem, fit: FitResult, base: Baseline) -> tuple[tuple[Region, ...], ResidualTests]:
     regions = tuple(problem.regions(fit))
-    return regions, goodness(fit, base, problem.probes(fit), regions, problem.spectrum(fit))
+    # Only a known noise level can say that something is left.
+    probes = problem.probes(fit) if fit.noise_known else Signatures((), ())
+    return regions, goodness(fit, base, probes, regions, problem.spectrum(fit))
 
 
 def _log_p_of_decrease(tests: FitTests, delta_chi2: float, parameters: int) -> float:

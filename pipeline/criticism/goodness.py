@@ -54,11 +54,15 @@ class ResidualStructure:
 
 @dataclass(frozen=True)
 class ResidualTests:
-    """All tests together; ``p_value`` by Bonferroni, ``level`` the rms [sigma] of the residual per degree of freedom."""
+    """All tests together; ``p_value`` by Bonferroni, ``level`` the rms [sigma] of the residual per degree of freedom.
+
+    ``explained``: the part of chi2 that one family of probes explains, less its rank; the misfit is at least as large.
+    """
 
     p_value: float
     structures: tuple[ResidualStructure, ...]
     level: float
+    explained: float = 0.0
 
     @property
     def worst(self) -> ResidualStructure | None:
@@ -80,8 +84,9 @@ def goodness(
     level = float(np.sqrt(chi2 / max(base.dof, 1)))
     if not fit.noise_known:
         return ResidualTests(1.0, (), level)
+    probed, explained = _probes(base, probes)
     results = [
-        _probes(base, probes),
+        probed,
         _agreements(fit, base),
         _regions(regions),
         _lines(spectra),
@@ -91,7 +96,7 @@ def goodness(
     if not structures:
         return ResidualTests(1.0, (), level)
     smallest = min(structure.log_p for structure in structures)
-    return ResidualTests(float(np.exp(log_any(smallest, len(structures)))), structures, level)
+    return ResidualTests(float(np.exp(log_any(smallest, len(structures)))), structures, level, explained)
 
 
 def excess(regions: Sequence[Region]) -> float:
@@ -119,10 +124,11 @@ def _strongest(test: str, log_p: Sequence[float], where: Sequence[str]) -> Resid
     return ResidualStructure(test, float(log_any(log_p[worst], len(log_p))), where[worst])
 
 
-def _probes(base: Baseline, probes: Signatures) -> ResidualStructure | None:
+def _probes(base: Baseline, probes: Signatures) -> tuple[ResidualStructure | None, float]:
+    """The strongest family of probes, and the largest part of chi2 that one explains (its rank subtracted)."""
     if not probes.candidates:
-        return None
-    projected = project(base, probes.blocks)
+        return None, 0.0
+    projected, explained = project(base, probes.blocks), 0.0
     log_p, where = [], []
     for candidate in probes.candidates:
         for cell in cells_of(projected, candidate):
@@ -131,7 +137,8 @@ def _probes(base: Baseline, probes: Signatures) -> ResidualStructure | None:
             delta_chi2 = float(delta_chi2s(cell, projected.score[:, None])[0][0])
             log_p.append(float(log_tail(delta_chi2 / cell.inflation, cell.rank)))
             where.append(candidate.name)
-    return _strongest("probe", log_p, where)
+            explained = max(explained, delta_chi2 - cell.rank)
+    return _strongest("probe", log_p, where), explained
 
 
 def _agreements(fit: FitResult, base: Baseline) -> ResidualStructure | None:

@@ -25,9 +25,6 @@ from .problem import FitResult, ResidualBlock
 HeldOutStatus = Literal["confirmed", "partial", "refused"]
 #: Largest ratio of the observed to the nominal sd where chi2 rises.
 _MAX_INFLATION = 3.0
-#: Without it, unknown physics gets terms of which held-out data show less than half, each at the cost of all its rivals: two
-#: poles and delays beside self-heating, at 24 sd below what they promise (outside 5, seed 2041).
-_CONTRADICTED = 2.0
 
 
 @dataclass(frozen=True)
@@ -45,10 +42,13 @@ class PairedDifference:
         Confirmed where chi2 falls by more than 2 sd.  Refused where it rises by more than 2 sd, or where it rises at all
         although the right model would have lowered it by more than 2 sd.
         """
-        if self.delta_chi2 > 2.0 * self.sd > 0.0:
+        clear = 2.0 * self.sd
+        if self.delta_chi2 > clear > 0.0:
             return "confirmed"
-        contradicted = self.delta_chi2 < 0.0 and self.change > _CONTRADICTED * self.sd
-        return "refused" if contradicted or self.delta_chi2 < -2.0 * self.sd else "partial"
+        # Without it, unknown physics gets terms of which held-out data show less than half, each at the cost of all its rivals:
+        # two poles and delays beside self-heating, at 24 sd below what they promise (outside 5, seed 2041).
+        contradicted = self.delta_chi2 < 0.0 and self.change > clear
+        return "refused" if contradicted or self.delta_chi2 < -clear else "partial"
 
 
 def held_out_difference(before: FitResult, after: FitResult) -> PairedDifference:

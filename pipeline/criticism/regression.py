@@ -18,8 +18,6 @@ from .problem import Candidate, FitResult, Region, ResidualBlock, Signatures, Sp
 
 #: Best points of a scan that become starts of a fit.
 STARTS = 3
-#: Largest number of predictions of one fit.
-_STEPS = 300
 
 Values = Mapping[str, float]
 Predict = Callable[[Sequence[Values]], Sequence[Sequence[FloatArray]]]
@@ -119,7 +117,6 @@ class Regression:
                     xtol=1e-10,
                     ftol=1e-10,
                     gtol=1e-10,
-                    max_nfev=_STEPS,
                 )
             except (ValueError, np.linalg.LinAlgError):
                 continue

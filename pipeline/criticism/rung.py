@@ -130,7 +130,7 @@ def refits(
         # Projection does not see a curved candidate, so each of them is refitted.
         if explained and score not in curved:
             break
-        if promised[name] < rules.settled_share * reached and not tests.is_coarse:
+        if promised[name] < (1.0 - rules.same_promise) * reached and not tests.is_coarse:
             break
         if name in before and score not in curved and before[name].stays(score, tests, rules):
             reasons[name] = before[name].test.reason
@@ -173,11 +173,12 @@ def _best(
     """Of accepted refits (gain, parameters, step) the one that gains most; among equals, one that leaves no structure.
 
     The gain of a curved term is too small while the deviations of the records are linear: a pole of 27 us gained 2430, a
-    feedthrough 2476.  So it equals the best from ``settled_share`` of it on, and comes first where all leave structure.
+    feedthrough 2476.  So it equals the best where it gains the same within ``same_promise``; it comes first where all leave
+    structure.
     """
     ranked = sorted(accepted, key=lambda one: one[0], reverse=True)
     new, best = tests.signatures.curved - tests.signatures.beside, ranked[0][0] if ranked else 0.0
-    curved = [step for gain, _, step in ranked if step.term in new and gain >= rules.settled_share * best]
+    curved = [step for gain, _, step in ranked if step.term in new and gain >= (1.0 - rules.same_promise) * best]
     equal = [step for gain, k, step in ranked if step in curved or tests.is_negligible(best - gain, k, rules.alpha)]
     for step in equal if len(equal) > 1 else ():
         if not cache.tests(step.fit, rules).is_structured(rules.alpha_left):

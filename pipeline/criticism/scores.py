@@ -26,8 +26,8 @@ import numpy as np
 from ..arrays import RANK, BoolArray, FloatArray, IntArray
 from .problem import Candidate, FitResult
 
-#: A surviving share below this is rounding: the baseline absorbs the whole signature.
-ABSORBED = 1e-6
+#: A surviving share below this is the error of the columns: the baseline absorbs the whole signature.
+ABSORBED = float(np.sqrt(RANK))
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +261,7 @@ def inverse_of(gram: FloatArray) -> tuple[FloatArray, int]:
     if gram.size == 0:
         return np.zeros_like(gram), 0
     size, vector = np.linalg.eigh(gram)
-    good = size > max(RANK * float(size[-1]), ABSORBED**2)
+    good = size > RANK * max(float(size[-1]), 1.0)
     return np.asarray((vector[:, good] / size[good]) @ vector[:, good].T), int(good.sum())
 
 

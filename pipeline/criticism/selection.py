@@ -5,7 +5,7 @@ One budget of false alarms, ``Rules.alpha`` per family of candidates, decides ev
 1. A score must be significant at ``alpha`` among all candidates.
 2. Its refit must lower chi2 as significantly, and the held-out data must agree (``refit_test`` has five reasons to refuse).
 3. Of the accepted refits, the one with the smallest chi2 + 2 k is added (Akaike 1974; k parameters).  Candidates are refitted
-   in the order of what their scores promise, until none promises ``settled_share`` of what the best refit has reached.
+   in the order of what their scores promise, until none promises what the best refit has reached (within ``same_promise``).
 4. A term is removed when the fit without it is not worse at ``alpha``.
 5. Where no single candidate is significant but structure is left, a pair that is significant at ``alpha`` is added.
 
@@ -34,8 +34,8 @@ class ForwardSelection:
     steps : terms added, in order.
     refused : term -> why it was not added although its score was significant.
     failed : why the first fit, or every fit with a term that was wanted first, failed.
-    unfinished : term -> why its fit failed, although its score promises more than the misfit that is left at the end, and more
-        than any term whose refit was judged.
+    unfinished : term -> why its fit failed, although its score promises as much as the misfit that is left at the end (within
+        ``same_promise``), and more than any term whose refit was judged.
     fits : every fit made, by its terms; the first entry is the first fit.
     """
 
@@ -83,7 +83,8 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
             left = tests[-1].fit.chi2 - tests[-1].fit.dof - 2.0 * np.sqrt(2.0 * tests[-1].fit.dof)
             # A term that promises less than one whose refit was judged would not have explained more than that one.
             judged = max((promised.get(name, 0.0) for name in found.refused), default=0.0)
-            unfinished = {name: why for name, why in found.failed.items() if promised[name] > max(left, judged)}
+            enough = max((1.0 - rules.same_promise) * left, judged)
+            unfinished = {name: why for name, why in found.failed.items() if promised[name] > enough}
             break
         current, dropped = _prune(cache, found.steps[-1].fit, rules)
         steps += [*found.steps[:-1], replace(found.steps[-1], fit=current, dropped=dropped)]

@@ -130,14 +130,14 @@ def nonlinear_responses(
     steps = _substeps(group.clock, substeps)
 
     def one(record: int) -> FloatArray:
-        u = _force_drive(system, group, record)
+        u = force_drive(system, group, record)
         r = _nonlinear_pickoff(system, u, group.clock, start_states[record], steps)
-        return np.stack([_after_readout(delayed(system, d), r, group.clock, steps) for d in delays_s])
+        return np.stack([after_readout(delayed(system, d), r, group.clock, steps) for d in delays_s])
 
     return np.stack(_for_distinct_records(one, response_sources(group, starts), group.threads), axis=1)
 
 
-def _force_drive(system: System, group: DriveGroup, record: int) -> FloatArray:
+def force_drive(system: System, group: DriveGroup, record: int) -> FloatArray:
     """u (N', D) [V] of a record at the steps of the clock, as forces see it."""
     clock, v = group.clock, force_volts(system, group.drives[record])
     return lagged_drive(interpolated(v, clock), system.readout, clock.step_s)
@@ -154,7 +154,7 @@ def linear_motions(system: System, group: DriveGroup, starts: Starts | None, sub
     clock, steps = group.clock, _substeps(group.clock, substeps)
 
     def one(record: int) -> Motion:
-        u = _force_drive(system, group, record)
+        u = force_drive(system, group, record)
         start = start_states[record]
         state = None if start is None else full_start(system, start)
         return linear_motion(system.mechanics, u, clock.step_s, clock.hold, state, steps)
@@ -179,7 +179,7 @@ def first_order_response(system: System, group: DriveGroup, motions: Sequence[Mo
                 r += _force_volts(system, motion.state, u, group.clock.step_s / motion.steps.substeps)
         if system.senses:
             r += _sense_effect_volts(system, motion.state, motion.drive, group.clock, motion.steps.substeps)
-        return _after_readout(system, r, group.clock, motion.steps.substeps)
+        return after_readout(system, r, group.clock, motion.steps.substeps)
 
     source = [next(k for k, other in enumerate(motions) if other is motion) for motion in motions]
     return np.stack(_for_distinct_records(one, source, group.threads))
@@ -261,7 +261,7 @@ def _sense_effect_volts(
     return np.asarray(sensed - s)
 
 
-def _after_readout(system: System, r: FloatArray, clock: SampleClock, substeps: int) -> FloatArray:
+def after_readout(system: System, r: FloatArray, clock: SampleClock, substeps: int) -> FloatArray:
     """Pick-off volts r (M, S) after the read-out, (N, S) [V]."""
 
     def one(readout: Readout) -> FloatArray:

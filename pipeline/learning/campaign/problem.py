@@ -19,6 +19,7 @@ from ...errors import GyroscreenError
 from ...experiment.noise.level import NoiseLevel
 from ...experiment.record import Campaign
 from ...inference.general.fit import CampaignFit, fit_with_columns
+from ...inference.general.linear_step import relative_change
 from ...inference.general.residuals import CampaignResiduals
 from ...inference.general.scales import scaled_to, top_hz
 from ...inference.general.variation import RecordVariation
@@ -34,8 +35,9 @@ from ..where.regions import misfit_regions, structure_regions
 from .curved import corrected_beside, curved_terms, spread_starts, trigger_offset
 from .mode_grid import Scan, mode_scans
 from .modes import mode_candidate
+from .probes import probe_signatures
 from .rows import FourierRows, fit_result, spectra_of, strata_of
-from .signatures import KnownSignatures, disturbance_candidate, known_signatures, probe_signatures
+from .signatures import KnownSignatures, disturbance_candidate, known_signatures
 
 
 class CampaignProblem:
@@ -74,6 +76,7 @@ class CampaignProblem:
         self.model = scaled_to(model.with_channels(first.sense_v.shape[1], first.drive_v.shape[1]), campaign)
         self._fits: dict[frozenset[str], tuple[CampaignFit, FitResult]] = {}
         self._known: KnownSignatures | None = None
+        self._probes: tuple[CampaignFit, Signatures] | None = None
         self._offset: tuple[FloatArray, ...] = ()
         # Effects that add a mode, with the full names of its frequency and damping ratio.
         self._modes = {name: effect.mode for name, effect in self.model.library.items() if effect.mode is not None}
@@ -177,9 +180,11 @@ class CampaignProblem:
         return (found,)
 
     def probes(self, fit: FitResult) -> Signatures:
-        """Generic shapes (2 F S, K) that almost any missing effect resembles."""
+        """Generic shapes (2 F S, K) that almost any missing effect resembles; reused as the signatures are."""
         fitted = self.campaign_fit(fit.terms)
-        return probe_signatures(self._residuals(fitted), fitted, self.records, self.spectra)
+        if self._probes is None or _moved(self._probes[0], fitted) > STALE:
+            self._probes = fitted, probe_signatures(self._residuals(fitted), fitted, self.records, self.spectra)
+        return self._probes[1]
 
     def regions(self, fit: FitResult) -> Sequence[Region]:
         """Residual energy of each record and channel by resonance, harmonic, band and time, up to Nyquist."""
@@ -222,3 +227,9 @@ class CampaignProblem:
 
     def _residuals(self, fitted: CampaignFit) -> CampaignResiduals:
         return CampaignResiduals(fitted.model, self.campaign, self.noise, self.threads)
+
+
+def _moved(before: CampaignFit, now: CampaignFit) -> float:
+    """rms(change) / rms(prediction) of the predicted fit records from one fit to another [1]."""
+    old, new = ([record.predicted_v for record in fit.of_role("fit")] for fit in (before, now))
+    return relative_change(old, new)

@@ -1,4 +1,4 @@
-"""Signatures of absent effects in the rows of a campaign, the candidates that they make, and generic probes.
+"""Signatures of absent effects in the rows of a campaign, and the candidates that they make.
 
     Z = d model / d parameter / sigma      at the null of the effect, by differences of simulated records
 
@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...criticism.problem import Candidate, LocalCandidate, Signatures, TermParameter, stratum_grams
+from ...criticism.problem import Candidate, LocalCandidate, TermParameter, stratum_grams
 from ...device.effect import Effect
 from ...device.model import Model
 from ...device.parameters import Parameter
@@ -228,27 +228,3 @@ def disturbance_candidate(fitted: CampaignFit, records: Sequence[Record], name: 
         tuple({f"{name}.{k}": v for k, v in shape.point.items()} for shape in shapes),
         levels=tuple(shape.level for shape in shapes),
     )
-
-
-def probe_signatures(
-    problem: CampaignResiduals, fitted: CampaignFit, records: Sequence[Record], spectra: Sequence[FourierRows]
-) -> Signatures:
-    """Generic shapes (2 F S, K) that almost any missing effect resembles, one candidate each.
-
-    Powers, drifts, slopes and crosstalk of the predicted records, whitened, each in each channel separately.
-    """
-    blocks = []
-    count = 0
-    for record, transform in zip(records, spectra):
-        y = next(r for r in fitted.records if r.name == record.name).predicted_v
-        t = np.arange(y.shape[0])[:, None] / record.sample_rate_hz
-        slope = np.gradient(y, axis=0)
-        shapes = [y * t, y**2, y**3, np.abs(y) * y, y**2 * slope, slope, slope * t, y[:, ::-1], np.sign(y)]
-        rows = transform(problem.whiten(np.stack(shapes), problem.task(record, fitted.values)))
-        # Each shape acts in each channel separately.
-        separate = rows[:, None] * np.eye(y.shape[1])[:, None, :]
-        blocks.append(separate.reshape(len(shapes) * y.shape[1], -1).T)
-        count = blocks[-1].shape[1]
-    unit = (TermParameter("amplitude"),)
-    candidates = tuple(Candidate(f"shape {i}", unit, (slice(i, i + 1),)) for i in range(count))
-    return Signatures(candidates, tuple(blocks))

@@ -29,8 +29,9 @@ from ...inference.general.free_disturbances import best_shape
 from ...inference.general.gauss_newton import CLOSE
 from ...inference.general.scales import top_hz
 from ...inference.general.starts import excited_band, find_start
+from ..campaign.probes import probe_signatures
 from ..campaign.rows import FourierRows, block_of, coordinate_jacobian, spectra_of, strata_of
-from ..campaign.signatures import disturbance_candidate, probe_signatures
+from ..campaign.signatures import disturbance_candidate
 from ..joint.part import PartNoise, RecordLeft, Values
 from ..where.partition import CampaignPartition, campaign_partition, record_partitions
 from ..where.regions import misfit_regions, structure_regions

@@ -35,8 +35,6 @@ MAX_ORDER = 5
 LEVELS = 6
 #: Width of a fine band in units of the sample rate (25 Hz at 10 kHz).
 _FINE = 0.0025
-#: Mains frequencies [Hz].
-_MAINS = (50.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def campaign_partition(fit: CampaignFit, records: Mapping[str, RecordPartition])
     for spectrum in pooled_spectra(spectra):
         found += lines_in(spectrum, responses)
     widths = (records[mine.name].sample_rate_hz / mine.residual.shape[0] for mine in fitted)
-    return CampaignPartition(records, tuple(_merged(found, 1.5 * max(widths, default=0.0))))
+    return CampaignPartition(records, tuple(_merged(found, 1.5 * max(widths, default=0.0), _mains_hz(fit))))
 
 
 def residual_spectra(fit: CampaignFit, records: Mapping[str, RecordPartition]) -> list[Spectrum]:
@@ -118,11 +116,22 @@ def _spectrum(residual: FloatArray, sample_rate_hz: float) -> Spectrum:
     return Spectrum(np.arange(chi2.size)[inside] * sample_rate_hz / samples, chi2[inside], 2 * senses)
 
 
-def _merged(frequencies_hz: Sequence[float], resolution_hz: float) -> list[float]:
+def _mains_hz(fit: CampaignFit) -> tuple[float, ...]:
+    """Mains frequencies [Hz] that effects of the library declare."""
+    declared = [
+        (effect.mains_frequency, parameter)
+        for effect in fit.model.library.values()
+        for parameter in effect.parameters
+        if effect.mains_frequency
+    ]
+    return tuple(hz for name, parameter in declared if parameter.name == name for hz in parameter.grid)
+
+
+def _merged(frequencies_hz: Sequence[float], resolution_hz: float, mains_hz: Sequence[float]) -> list[float]:
     """Frequencies [Hz], those closer than the resolution merged; the exact harmonic of the mains where one is as close."""
     out: list[float] = []
     for f in sorted(frequencies_hz):
-        exact = next((k * m for m in _MAINS if abs(f - (k := round(f / m)) * m) <= resolution_hz and k > 0), f)
+        exact = next((k * m for m in mains_hz if abs(f - (k := round(f / m)) * m) <= resolution_hz and k > 0), f)
         if not out or exact - out[-1] > resolution_hz:
             out.append(exact)
     return out

@@ -19,9 +19,11 @@ from itertools import pairwise
 
 import numpy as np
 from msgspec import convert, structs
+from scipy.special import ndtri
 
 from ...arrays import FloatArray, IntArray
 from ...criticism.budget import ALPHA
+from ...criticism.goodness import WINDOW
 from ...criticism.problem import Region
 from ...criticism.regions import RegionShare, explained_share, region_shares
 from ...experiment.noise.level import NoiseLevel
@@ -40,8 +42,9 @@ _WINDOWS = 12
 _WHOLE = ("level", "direction", "channel", "record")
 #: Largest number of items of a list: places of a family, pairs and rivals of effects.
 LISTED = 12
-#: Limit of a sample [sigma] in the energies of tests that must be robust to outliers.
-_CLIP = 4.0
+#: Limit of a sample [sigma] in the energies of tests that must be robust to outliers: ``WINDOW`` samples of noise exceed it with
+#: the probability ``ALPHA``.
+_CLIP = -float(ndtri(ALPHA / (2.0 * WINDOW)))
 
 Labels = Mapping[str, object]
 

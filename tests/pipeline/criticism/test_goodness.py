@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from pipeline.criticism.goodness import agreement, goodness, partitions
-from pipeline.criticism.problem import FitResult, Region, ResidualBlock, Signatures, Spectrum
+from pipeline.criticism.problem import Candidate, FitResult, Region, ResidualBlock, Signatures, Spectrum, TermParameter
 from pipeline.criticism.regions import explained_by_region, region_shares
 from pipeline.criticism.scores import baseline
 
@@ -109,3 +109,22 @@ def test_a_weak_line_is_structure_in_the_pooled_spectrum_and_coloured_noise_is_n
     assert found.worst is not None
     assert (found.worst.test, found.worst.where) == ("line", "line at 6000 Hz")
     assert found.p_value < 1e-6
+
+
+def test_a_family_of_probes_sees_10_sigmas_in_one_direction_and_says_how_much_misfit_they_are() -> None:
+    rng, k, found = np.random.default_rng(9), 6, []
+    family = Candidate("family", (TermParameter("amplitude"),) * k, (slice(0, k),))
+    for snr in (0.0, 10.0):
+        shapes, _ = np.linalg.qr(rng.standard_normal((4 * ROWS, k)))
+        residual = rng.standard_normal(4 * ROWS) + snr * shapes[:, 0]
+        fit = _fit(rng, np.split(residual, 4))
+        base, probes = baseline(fit), Signatures((family,), tuple(np.split(shapes, 4)))
+        found.append(goodness(fit, base, probes, ()))
+    noise, hidden = found
+    assert noise.p_value > 0.01
+    assert hidden.worst is not None
+    assert (hidden.worst.test, hidden.worst.where) == ("probe", "family")
+    assert hidden.p_value < 1e-10
+    # Noncentral chi2_6: 100 + 0 after its rank is subtracted, sd sqrt(2 (6 + 2 100)).
+    assert hidden.explained == pytest.approx(100.0, abs=4.0 * np.sqrt(2.0 * (k + 200.0)))
+    assert noise.explained < stats.chi2.ppf(0.999, k) - k
