@@ -50,9 +50,8 @@ def main() -> None:
         start = time.process_time()
         found = own.posterior("compare", 3)
         took = time.process_time() - start
-        print(
-            f"posterior of 3 spreads: {took:.1f} s, R-hat {found.rhat:.3f}, ESS {found.ess:.0f} of {found.draws}, surface {found.surface_error:.2f}"
-        )
+        print(f"posterior of 3 spreads: {took:.1f} s, R-hat {found.rhat:.3f}, ESS {found.ess:.0f} of {found.draws}")
+        print(f"sd of the error of ln L: {found.surface_error:.2f}")
     print(f"peak {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
