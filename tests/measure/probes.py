@@ -2,15 +2,14 @@
 
     python tests/measure/probes.py SEED KIND:NUMBER [KIND:NUMBER ...]
 
-Prints for each campaign its hidden effects, the effects that are added, p over all probes as one of five tests, the strongest
-families with chi2 / degrees of freedom, and the processor time of the columns.
+Prints for each campaign its hidden effects, the effects that are added, p over all probes as one of five tests, and the strongest
+families with chi2 / degrees of freedom.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-import time
 from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -39,9 +38,8 @@ def measure(kind: str, number: int, seed: int) -> str:
         return RestrictedProblem(problem, hidden.left_out) if hidden.left_out else problem
 
     answers, selection = campaign_answers(hidden.campaign, hidden.model, threads=1).selected(Rules(), restricted)
-    fit, start = selection.last.fit, time.process_time()
+    fit = selection.last.fit
     shapes = answers.problem.probes(fit)
-    seconds = time.process_time() - start
     projected, found = project(baseline(fit), shapes.blocks), []
     for family in shapes.candidates:
         cell = cells_of(projected, family)[0]
@@ -51,7 +49,7 @@ def measure(kind: str, number: int, seed: int) -> str:
     found.sort()
     p = float(np.exp(log_any(log_any(found[0][0], len(found)), TESTS)))
     best = ", ".join(what for _, what in found[:3])
-    return f"{kind} {number}: {hidden.effects} -> {selection.added}; p = {p:.2g}; {best}; {seconds:.1f} s"
+    return f"{kind} {number}: {hidden.effects} -> {selection.added}; p = {p:.2g}; {best}"
 
 
 if __name__ == "__main__":
