@@ -107,8 +107,17 @@ def _shown(times: Sequence[float]) -> str:
     return f"median {middle:.0f} ms, 90 % below {np.quantile(times, 0.9):.0f} ms, largest {most:.0f} ms of {len(times)}"
 
 
+def _line(page: Page) -> Dragged:
+    """The upper end of the limit, once the page has come to rest."""
+    before, line = None, Dragged(**page.evaluate(END, 1))
+    while line != before:
+        page.wait_for_timeout(1000)
+        before, line = line, Dragged(**page.evaluate(END, 1))
+    return line
+
+
 def _single(page: Page) -> list[float]:
-    line = Dragged(**page.evaluate(END, 1))
+    line = _line(page)
     page.mouse.move(line.x, line.y)
     page.mouse.down()
     # The first movement starts the drag and moves no line.
@@ -126,7 +135,7 @@ def _single(page: Page) -> list[float]:
 
 
 def _sweep(page: Page) -> float:
-    line = Dragged(**page.evaluate(END, 1))
+    line = _line(page)
     page.mouse.move(line.x, line.y)
     page.mouse.down()
     page.evaluate(FORGET)

@@ -33,7 +33,7 @@ from .stored import NightData
 #: Most devices that are drawn one by one; most wafers that are drawn side by side.
 POINTS, WAFERS = 4000, 60
 _BINS = 48
-#: Distances of wafers that are drawn side by side and below each other, in radii; the names need room.
+#: Distances of wafers in a row and of rows, in radii; names need room.
 _ACROSS, _DOWN = 2.3, 2.7
 #: Ranges of a figure without data: Bokeh warns where it has to find them from nothing.
 _EMPTY: dict[str, Any] = {"x_range": (0.1, 1.0), "y_range": (0.1, 1.0)}
@@ -123,8 +123,7 @@ def distribution() -> Distribution:
         end.level = "overlay"
         drawn.add_layout(end)
     _legend_above(drawn)
-    drawn.xgrid.visible = False
-    drawn.yaxis.ticker = BasicTicker(min_interval=1)
+    drawn.xgrid.visible, drawn.yaxis.ticker = False, BasicTicker(min_interval=1)
     return Distribution(drawn, bars, selected, ends[0], ends[1])
 
 
