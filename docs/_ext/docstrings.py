@@ -9,6 +9,12 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
+#: An array in a signature, which autodoc writes out in full.
+_ARRAY = re.compile(
+    r"(?:[\w.~]*\.|~)?ndarray\[(?:[\w.~]*\.|~)?tuple\[(?:[\w.~]*\.|~)?Any, \.\.\.\], "
+    r"(?:[\w.~]*\.|~)?dtype\[(?:[\w.~]*\.|~)?(float64|complex128|int64|bool)\]\]"
+)
+_ARRAYS = {"float64": "FloatArray", "complex128": "ComplexArray", "int64": "IntArray", "bool": "BoolArray"}
 _LISTS = ("Parameters", "Raises", "Attributes")
 
 
@@ -58,7 +64,19 @@ def _process(app: Sphinx, what: str, name: str, found: Any, options: Any, lines:
     lines[:] = as_rst([re.sub(r":[a-z:]+:`~?([^`]*)`", r"``\1``", line) for line in lines])
 
 
+def short_arrays(text: str | None) -> str | None:
+    """A signature, or its return type, with arrays by their names in `pipeline.arrays`."""
+    return None if text is None else _ARRAY.sub(lambda found: _ARRAYS[found[1]], text)
+
+
+def _signature(
+    app: Sphinx, what: str, name: str, found: Any, options: Any, arguments: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    return short_arrays(arguments), short_arrays(returned)
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Convert every docstring that autodoc reads."""
     app.connect("autodoc-process-docstring", _process)
+    app.connect("autodoc-process-signature", _signature)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
