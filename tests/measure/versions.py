@@ -50,7 +50,9 @@ def main() -> None:
     parser.add_argument("checkout", nargs="*", type=Path)
     parser.add_argument("--devices", type=int, default=24)
     parser.add_argument("--rounds", type=int, default=8)
-    parser.add_argument("--caches", type=Path, help="Folder for the compiled code of the versions, kept for the next time.")
+    parser.add_argument(
+        "--caches", type=Path, help="Folder for the compiled code of the versions, kept for the next time."
+    )
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.serve:
