@@ -94,7 +94,7 @@ class RepeatedRecord:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _RepeatRows:
     """The rows of the new record.
 
     Parameters
@@ -163,7 +163,7 @@ def _seen(white: FloatArray) -> FloatArray:
     return np.nan_to_num(white).reshape(-1)
 
 
-def _rows_of(problem: JointProblem, experiment: Repeat, values: _Values) -> _Rows:
+def _rows_of(problem: JointProblem, experiment: Repeat, values: _Values) -> _RepeatRows:
     """The rows of ``experiment``; a fit with ``values`` says what is measured."""
     for place, part in enumerate(problem.parts):
         sizes, scale = problem.rows.typical(place), experiment.scale
@@ -183,7 +183,7 @@ def _rows_of(problem: JointProblem, experiment: Repeat, values: _Values) -> _Row
     )
 
 
-def _tones(part: TonePart, k: int, scale: float, sizes: _Values, values: _Values) -> _Rows:
+def _tones(part: TonePart, k: int, scale: float, sizes: _Values, values: _Values) -> _RepeatRows:
     record, sd_v = part.campaign.records[k], part.rows.noise.sd_v[k]
     louder = replace(record, drive_v=scale * record.drive_v, sense_v=scale * record.sense_v)
     campaign = replace(part.campaign, records=(louder,), timed=None, envelopes=())
@@ -191,7 +191,7 @@ def _tones(part: TonePart, k: int, scale: float, sizes: _Values, values: _Values
     (told,) = model.predict(values)
     offset = 1e-3 * max(float(np.abs(told).max()), 1e-300)
     own = {**sizes, **dict.fromkeys(offset_names(told.shape[1]), offset), PHASE: 1.0}
-    return _Rows(
+    return _RepeatRows(
         (replace(louder, sense_v=told), told),
         lambda at: model.predict(at)[0],
         lambda y: np.stack([y.real / sd_v, y.imag / sd_v], axis=2),
@@ -199,7 +199,7 @@ def _tones(part: TonePart, k: int, scale: float, sizes: _Values, values: _Values
     )
 
 
-def _decay(part: EnvelopePart, k: int, scale: float, sizes: _Values, values: _Values) -> _Rows:
+def _decay(part: EnvelopePart, k: int, scale: float, sizes: _Values, values: _Values) -> _RepeatRows:
     record, noise = part.records[k], part.row_noise[k]
     louder = replace(record, amplitude_v=scale * record.amplitude_v)
     # The sd of a phase and of a frequency is that of the amplitude, relative to it.
@@ -250,7 +250,7 @@ def _decay(part: EnvelopePart, k: int, scale: float, sizes: _Values, values: _Va
             found.append(Predicted(amplitude, None if record.phase_rad is None else phase, frequency, frequency))
         return found
 
-    return _Rows((next_one, told), lambda at: asked.predict(at)[k], shown, slopes)
+    return _RepeatRows((next_one, told), lambda at: asked.predict(at)[k], shown, slopes)
 
 
 def _with(each: tuple[T, ...], k: int, one: T) -> tuple[T, ...]:
