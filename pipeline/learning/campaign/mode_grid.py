@@ -64,7 +64,8 @@ class Scan:
     @property
     def mixing(self) -> FloatArray:
         """(W, D R): the amplitude of each waveform in each drive of each record, from ``gains``."""
-        return np.asarray(self.gains.transpose(2, 1, 0).reshape(self.gains.shape[2], -1))
+        records, drives, waveforms = self.gains.shape
+        return np.asarray(self.gains.transpose(2, 1, 0).reshape(waveforms, drives * records))
 
 
 def mode_scans(

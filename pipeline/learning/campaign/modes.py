@@ -44,7 +44,7 @@ def mode_candidate(
         for scan, decays, (residual, basis, gamma) in zip(scans, first_decay, stacked):
             begin, response, decay = _side_by_side(scan.points[together])
             part = slice(begin, begin + response.shape[1])
-            mixed = (response @ scan.mixing).reshape(size, response.shape[1], drives, -1)
+            mixed = (response @ scan.mixing).reshape(size, response.shape[1], drives, len(scan.places))
             if columns > drives:
                 free = np.zeros((*mixed.shape[:2], columns, mixed.shape[3]), dtype=np.complex128)
                 free[:, :, :drives] = mixed
