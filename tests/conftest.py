@@ -1,6 +1,7 @@
 """One BLAS thread for all tests, set before numpy is loaded: the matrices are small and the cores are few."""
 
 import os
+import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,10 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
+
+# A shell that starts the suite in the background has it ignore Ctrl-C, as would all programs that the tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The same examples every time, and no deadline: a busy machine is not a failure.
 settings.register_profile("suite", deadline=None, derandomize=True)
