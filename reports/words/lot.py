@@ -138,7 +138,11 @@ def page_headline(
     if refinement is not None and refinement.irregularities:
         return refine_sentence(refinement)
     found = refinement or diagnosis
-    return compare_sentence(comparison) + (f" {VERDICTS[found.verdict]}" if found is not None else "")
+    if found is None:
+        return compare_sentence(comparison)
+    numbers = " The size of a spread, a mean or a pattern differs from its file: see Spreads."
+    differs = found.verdict == "adequate" and comparison.fit_ok and comparison.as_predicted is False
+    return f"{compare_sentence(comparison)} {VERDICTS[found.verdict]}{numbers if differs else ''}"
 
 
 def forecast_words(found: ForecastAnswer | None) -> str:
