@@ -132,14 +132,13 @@ def sampled(fit: LotFit, chosen: IntArray, intervals: FloatArray, seed: int) -> 
         known = known.extended(w)
         middle, factor = _improved(w, prior(w) + known.values[-PILOT:] - _log_t(unit), middle, factor)
     while True:
-        w, draws = _chains(
-            partial(_log_density, prior, known.surface(middle, factor)), middle, factor, chosen, offset, seed
-        )
+        surface = known.surface(middle, factor)
+        w, draws = _chains(partial(_log_density, prior, surface), middle, factor, chosen, offset, seed)
         flat = w.reshape(-1, size)
         # A walker that stays gives the same point twice.  The draws farthest out show where the surface is extrapolated.
         far = np.argsort(np.sum(((flat - middle) @ np.linalg.inv(factor).T) ** 2, axis=1))[-FARTHEST:]
         checked = np.unique(flat[[*random.choice(len(flat), CHECKED, replace=False), *far]], axis=0)
-        expected = known.surface(middle, factor)(checked)
+        expected = surface(checked)
         known = known.extended(checked)
         error = float(np.std(expected - known.values[-len(checked) :]))
         if error < AGREES or len(known.points) >= MOST_POINTS:
