@@ -22,7 +22,7 @@ from .derivatives import derivatives
 from .elimination import factorised, log_likelihood, solved
 from .reml import CEILING, FLOOR, LotFit, centred
 
-#: Steps in which the other variances follow, and the rise of 2 ln L that is worth no more: a quarter of the error that is allowed.
+#: Steps in which the other variances follow, and the rise of 2 ln L that is worth no more: a quarter of what ``AGREES`` allows.
 FOLLOW, SETTLED = 20, 0.02
 #: Variance at which every other part starts at least: from far below it, no step in ln v would find a rise.
 RISE = 1e-2
