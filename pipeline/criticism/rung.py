@@ -94,6 +94,14 @@ class Refusal:
         too_little = self.test.delta_chi2 < rules.least_share * tests.excess
         return (self.test.outcome != "little" or too_little) and _same_promise(score, self.score, rules)
 
+    def is_hopeless(self, tests: FitTests, rules: Rules) -> bool:
+        """Whether a refit at the fit of ``tests`` would explain too little, though it gained twice what it gained before.
+
+        A curved term has no other promise than its last refit; terms without a scan gained at most 2.1 times what was
+        expected of them (docs/explanation/selection.md).
+        """
+        return self.test.outcome != "at limit" and 2.0 * self.test.delta_chi2 < rules.least_share * tests.excess
+
 
 @dataclass(frozen=True, eq=False)
 class RungOutcome:

@@ -21,8 +21,8 @@ START = 3.0
 
 
 def _model(values: Mapping[str, float]) -> FloatArray:
-    t, k = values.get("T", 0.0), values.get("k", 0.0)
-    return np.asarray((values["a"] + t) * X + t**2 * X**2 + k * np.abs(X))
+    t, k, w = (values.get(name, 0.0) for name in ("T", "k", "w"))
+    return np.asarray((values["a"] + t) * X + t**2 * X**2 + k * np.abs(X) + w * np.sin(9.0 * X))
 
 
 def _predict(points: Sequence[Mapping[str, float]]) -> list[list[FloatArray]]:
@@ -44,12 +44,13 @@ class _Curved(Regression):
         return super().fit(terms, start)
 
 
-def _problem(t: float, k: float, seed: int, noise: float = 1.0) -> _Curved:
+def _problem(t: float, k: float, seed: int, noise: float = 1.0, wave: float = 0.0, cube: float = 0.0) -> _Curved:
     random = np.random.default_rng(seed)
-    truth = _model({"a": 2.0, "T": t, "k": k})
+    truth = _model({"a": 2.0, "T": t, "k": k, "w": wave}) + cube * X**3
     blocks = tuple(ResidualBlock(name, truth + noise * random.standard_normal(truth.shape)) for name in ("fit", "held"))
-    terms = (Term("delay", (TermParameter("T", side=1),)), Term("kink", (TermParameter("k"),)))
-    # Cubes are the generic shape: neither term has them.
+    others = (Term("kink", (TermParameter("k"),)), Term("wave", (TermParameter("w"),)))
+    terms = (Term("delay", (TermParameter("T", side=1),)), *others)
+    # Cubes are the generic shape: no term has them.
     return _Curved(_predict, blocks, {"a": 0.0}, terms, held=1, probe={"square": (X**2,), "cube": (X**3,)})
 
 
@@ -73,3 +74,15 @@ def test_a_term_beside_which_the_records_were_corrected_is_refitted_though_too_l
     problem = _problem(t, 0.0, 4, 0.5)
     assert "delay" not in forward_selection(problem).added
     assert forward_selection(replace(problem, beside=frozenset({"delay"}))).added == added
+
+
+def test_a_curved_term_that_explained_too_little_beside_a_larger_effect_is_refitted_after_it_and_added() -> None:
+    # The delay lowers chi2 by 2000 of 10 million.
+    assert set(forward_selection(_problem(1.5, 0.0, 5, wave=100.0)).added) == {"wave", "delay"}
+
+
+def test_a_curved_term_that_gained_nothing_is_not_refitted_after_another_effect_though_structure_is_left() -> None:
+    selection = forward_selection(_problem(0.0, 0.0, 6, wave=100.0, cube=20.0))
+    assert selection.last.is_structured(0.003)
+    assert frozenset({"delay"}) in selection.fits
+    assert frozenset({"wave", "delay"}) not in selection.fits
