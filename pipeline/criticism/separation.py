@@ -24,7 +24,8 @@ from itertools import combinations
 import numpy as np
 
 from ..arrays import FloatArray
-from .problem import FitResult
+from ..errors import NegativeError
+from .problem import FitResult, Problem
 from .scores import triangle
 
 
@@ -67,6 +68,21 @@ class Separation:
 def known_of(fit: FitResult) -> FloatArray:
     """R (P, P) with R' R = J' J over the fitted blocks; triangular."""
     return triangle(np.concatenate([triangle(block) for block in fit.jacobian]))
+
+
+def fits_to_separate(problem: Problem, terms: Sequence[str], effect: str) -> tuple[FitResult, FitResult]:
+    """The fits with ``terms``, without and with ``effect``.
+
+    Raises
+    ------
+    NegativeError : one of them fails.
+    """
+    without = problem.fit(tuple(terms))
+    fit = problem.fit((*without.terms, effect), without)
+    for one in (without, fit):
+        if not one.ok:
+            raise NegativeError(f"a fit failed: {one.why}", value=effect, next_step="choose another effect")
+    return without, fit
 
 
 def snr(right: Prediction, wrong: Prediction) -> float:

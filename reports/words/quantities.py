@@ -191,8 +191,9 @@ def p_words(p_value: float | None) -> str:
     if p_value < 1e-99:
         return "< 10⁻⁹⁹"
     if p_value < 1e-3:
-        exponent = math.floor(math.log10(p_value))
-        return f"{p_value / 10.0**exponent:.0f}·10{str(exponent).translate(SUPERSCRIPT)}"
+        # The format rounds before it takes the exponent: 9.6e-22 is 1·10⁻²¹.
+        digit, exponent = f"{p_value:.0e}".split("e")
+        return f"{digit}·10{str(int(exponent)).translate(SUPERSCRIPT)}"
     return f"{p_value:.2g}"
 
 

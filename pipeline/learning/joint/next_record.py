@@ -17,8 +17,8 @@ import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 from ...criticism.announce import announce
-from ...criticism.separation import Prediction, known_of, snr
-from ...errors import NegativeError, UsageError
+from ...criticism.separation import Prediction, fits_to_separate, known_of, snr
+from ...errors import UsageError
 from ...experiment.envelopes import EnvelopeRecord
 from ...experiment.tones import ToneRecord
 from ...inference.envelopes.model import EnvelopeModel, Predicted
@@ -133,11 +133,7 @@ def repeated_record(problem: JointProblem, terms: Sequence[str], effect: str, ex
     UsageError : no measured record has the name.
     ConfigError : the model has no motion at this level.
     """
-    without = problem.fit(tuple(terms))
-    fit = problem.fit((*without.terms, effect), without)
-    for one in (without, fit):
-        if not one.ok:
-            raise NegativeError(f"a fit failed: {one.why}", value=effect, next_step="choose another effect")
+    without, fit = fits_to_separate(problem, terms, effect)
     announce(f"predicting the next record with {effect}")
     values, names = problem.values(without), tuple(without.parameters)
     rows = _rows_of(problem, experiment, problem.values(fit))

@@ -20,8 +20,8 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...criticism.announce import announce
-from ...criticism.separation import Prediction, snr
-from ...errors import NegativeError, UsageError
+from ...criticism.separation import Prediction, fits_to_separate, snr
+from ...errors import UsageError
 from ..campaign.recorded import RecordedProblem
 from .experiments import Experiment, experiments
 from .predictors import changes, in_range, predictor, whitened
@@ -81,11 +81,7 @@ def next_record(problem: RecordedProblem, terms: Sequence[str], effect: str, exp
     UsageError : the response exceeds the converter at every level that was tried.
     ConfigError : a model cannot exist at the conditions of the experiment.
     """
-    without = problem.fit(tuple(terms))
-    fit = problem.fit((*without.terms, effect), without)
-    for one in (without, fit):
-        if not one.ok:
-            raise NegativeError(f"a fit failed: {one.why}", value=effect, next_step="choose another effect")
+    without, fit = fits_to_separate(problem, terms, effect)
     announce(f"predicting the next record with {effect}")
     pair = predictor(problem, without, "without"), predictor(problem, fit, effect)
     reached = in_range(problem.campaign, pair, experiment)

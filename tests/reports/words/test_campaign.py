@@ -149,7 +149,7 @@ def test_numbers_have_the_digits_that_matter() -> None:
         "100\u00a0%",
         "−10.0\u00a0%",
     ]
-    assert [p_words(p) for p in (1e-200, 3e-5, 0.25, None)] == ["< 10⁻⁹⁹", "3·10⁻⁵", "0.25", "–"]
+    assert [p_words(p) for p in (1e-200, 9.6e-22, 3e-5, 0.25, None)] == ["< 10⁻⁹⁹", "1·10⁻²¹", "3·10⁻⁵", "0.25", "–"]
 
 
 def test_laws_are_typeset_with_greek_letters_and_powers() -> None:
