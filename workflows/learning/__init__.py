@@ -28,24 +28,24 @@ from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, 
 from pipeline.learning.campaign.answers import CampaignAnswers, campaign_answers
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.common import classes_of
-from pipeline.learning.joint.answers import JointAnswers, joint_answers
-from pipeline.learning.joint.problem import JointProblem
-from pipeline.learning.modal.answers import ModalAnswers, modal_answers
-from pipeline.learning.modal.problem import ModalProblem
-from pipeline.learning.next_experiment.separating import Proposal
-from reports.limits import Limits
 from reports.words.terminal import lines_of
 
 from ..device.measured import Measured, with_fit_records
 from . import tables
-from .device_verdict import verdict_of, with_verdicts
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
+    from pipeline.learning.joint.answers import JointAnswers
+    from pipeline.learning.joint.problem import JointProblem
+    from pipeline.learning.modal.answers import ModalAnswers
+    from pipeline.learning.modal.problem import ModalProblem
+    from pipeline.learning.next_experiment.separating import Proposal
+    from reports.limits import Limits
 
-Answers = CampaignAnswers | ModalAnswers | JointAnswers
+    Answers = CampaignAnswers | ModalAnswers | JointAnswers
+
+__all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
 
 
 @threadpool_limits.wrap(limits=1)
@@ -78,10 +78,17 @@ def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Lim
 
 
 def _answers(measured: Measured, model: Model) -> Answers:
+    # Each kind of measurement loads its own part.
     measured = with_fit_records(measured)
     if isinstance(measured, ToneCampaign):
+        from pipeline.learning.joint.answers import joint_answers
+
         return joint_answers(measured, model)
-    return modal_answers(measured, model) if isinstance(measured, ModalRecord) else campaign_answers(measured, model)
+    if isinstance(measured, ModalRecord):
+        from pipeline.learning.modal.answers import modal_answers
+
+        return modal_answers(measured, model)
+    return campaign_answers(measured, model)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,6 +116,8 @@ class Result(ABC):
         """The verdict on the device by the given model; empty without limits and for a plant that is no gyro."""
         if self.limits is None or not isinstance(self.answers, CampaignAnswers) or not self.answers.problem.fit(()).ok:
             return {}
+        from .device_verdict import verdict_of
+
         found = verdict_of(self.answers.fitted(), self.answers.problem.campaign, self.limits)
         if found is None:
             return {}
@@ -265,7 +274,11 @@ class RefinementResult(SelectionResult):
     def answer(self) -> RefinementAnswer:
         """The result as data."""
         found = self.answers.refinement(self.ladder, self.separating, self.drive_files)
-        return with_verdicts(found, self.answers, self.limits) if isinstance(self.answers, CampaignAnswers) else found
+        if not isinstance(self.answers, CampaignAnswers):
+            return found
+        from .device_verdict import with_verdicts
+
+        return with_verdicts(found, self.answers, self.limits)
 
     @cached_property
     def first_diagnosis(self) -> DiagnosisAnswer:

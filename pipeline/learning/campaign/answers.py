@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from msgspec import UNSET, UnsetType, structs
 
@@ -32,9 +33,7 @@ from ..answers import (
     RefinementAnswer,
     RungAnswer,
 )
-from ..common import bad_samples_of, diagnosis_answer, refinement_answer
-from ..modal.terms import GAUGES
-from ..next_experiment.separating import Proposal, separating_record
+from ..common import GAUGES, bad_samples_of, diagnosis_answer, refinement_answer
 from ..where.regions import (
     FAMILIES,
     FREQUENCY_KINDS,
@@ -47,6 +46,9 @@ from .hold import hold_hint, hold_look_alikes
 from .problem import CampaignProblem
 from .records_differ import every_candidate, prepared, selected
 from .variation_text import records_differ_answer
+
+if TYPE_CHECKING:
+    from ..next_experiment.separating import Proposal
 
 #: What records without a drive leave open.
 NO_FORCE = "the force: without a drive, modes, initial states and sizes of effects are in units of the sense signal"
@@ -101,6 +103,9 @@ class CampaignAnswers:
 
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
         """For every class of several effects the record that separates it best; ``terms`` are in the fit."""
+        # Few campaigns have a class.
+        from ..next_experiment.separating import separating_record
+
         found = (separating_record(self.problem, terms, one) for one in classes if len(one.members) > 1)
         return tuple(one for one in found if one is not None)
 
