@@ -63,7 +63,7 @@ def campaign_answers(
     ----------
     campaign : with at least one record to fit.
     model : plant and effects to start from.
-    threads : signatures computed at the same time; by default one per usable core.
+    threads : records examined, and signatures computed, at the same time; by default one per usable core.
 
     Raises
     ------
@@ -73,8 +73,9 @@ def campaign_answers(
         raise MeasurementError(
             "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
         )
-    campaign = without_bad_samples(campaign)
-    problem = CampaignProblem(campaign, model, noise_level(campaign), threads or usable_cores())
+    threads = threads or usable_cores()
+    campaign = without_bad_samples(campaign, threads)
+    problem = CampaignProblem(campaign, model, noise_level(campaign), threads)
     return CampaignAnswers(prepared(problem))
 
 
