@@ -19,6 +19,7 @@ from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
 
+from ..ahead import compiled_ahead
 from ..device.measured import Measured
 from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
@@ -48,14 +49,16 @@ def diagnose(
     path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool, limits: Path | None
 ) -> None:
     """See ``gyroscreen diagnose --help``."""
-    _answer(diagnose_measurement, path, model, out, folders, json, limits)
+    with compiled_ahead():
+        _answer(diagnose_measurement, path, model, out, folders, json, limits)
 
 
 def refine(
     path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool, limits: Path | None
 ) -> None:
     """See ``gyroscreen refine --help``."""
-    _answer(refine_measurement, path, model, out, folders, json, limits)
+    with compiled_ahead():
+        _answer(refine_measurement, path, model, out, folders, json, limits)
 
 
 @threadpool_limits.wrap(limits=1)

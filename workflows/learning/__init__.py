@@ -21,29 +21,26 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
-from pipeline.experiment.files.modal_record import ModalRecord
-from pipeline.experiment.tones import ToneCampaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer, to_builtins
-from pipeline.learning.campaign.answers import CampaignAnswers, campaign_answers
+from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.common import classes_of
 from reports.words.terminal import lines_of
 
-from ..device.measured import Measured, with_fit_records
+from ..device.measured import Measured
 from . import tables
+from .of_kind import answers_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pipeline.learning.joint.answers import JointAnswers
     from pipeline.learning.joint.problem import JointProblem
-    from pipeline.learning.modal.answers import ModalAnswers
     from pipeline.learning.modal.problem import ModalProblem
     from pipeline.learning.next_experiment.separating import Proposal
     from reports.limits import Limits
 
-    Answers = CampaignAnswers | ModalAnswers | JointAnswers
+    from .of_kind import Answers
 
 __all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
 
@@ -56,7 +53,7 @@ def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Li
     ------
     MeasurementError : a campaign without a record to fit; a modal record whose modes are not those of the plant.
     """
-    answers = _answers(campaign, model)
+    answers = answers_of(campaign, model)
     answers.problem.fit(())
     return ComparisonResult(answers, limits=limits)
 
@@ -64,7 +61,7 @@ def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Li
 @threadpool_limits.wrap(limits=1)
 def diagnose(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Limits | None = None) -> DiagnosisResult:
     """Find what ``model`` lacks; raises as :func:`compare`."""
-    answers = _answers(campaign, model)
+    answers = answers_of(campaign, model)
     answers, selection = answers.selected(answers.rules)
     return DiagnosisResult(answers, as_diagnosis(answers.problem, selection, answers.rules), limits=limits)
 
@@ -72,23 +69,9 @@ def diagnose(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: L
 @threadpool_limits.wrap(limits=1)
 def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Limits | None = None) -> RefinementResult:
     """Add effects to ``model`` until no further one is significant; raises as :func:`compare`."""
-    answers = _answers(campaign, model)
+    answers = answers_of(campaign, model)
     answers, selection = answers.selected(answers.rules)
     return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules), limits=limits)
-
-
-def _answers(measured: Measured, model: Model) -> Answers:
-    # Each kind of measurement loads its own part.
-    measured = with_fit_records(measured)
-    if isinstance(measured, ToneCampaign):
-        from pipeline.learning.joint.answers import joint_answers
-
-        return joint_answers(measured, model)
-    if isinstance(measured, ModalRecord):
-        from pipeline.learning.modal.answers import modal_answers
-
-        return modal_answers(measured, model)
-    return campaign_answers(measured, model)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
