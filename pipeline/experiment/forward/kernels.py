@@ -63,7 +63,7 @@ def deviation_from_linear(
     half: FloatArray,
     held: FloatArray,
     ramp: FloatArray,
-    scale: float,
+    inverse: float,
     step_s: float,
     substeps: int,
     n: int,
@@ -81,7 +81,7 @@ def deviation_from_linear(
     shape : tuple of H zeros.
     forces, p, ends, laws : of ``force_law.acting_forces``, and what force laws use.
     half, held, ramp : (2H, 2H), (D, 2H), (D, 2H) response over half a substep to a state, a drive and the slope of a drive.
-    scale, step_s, substeps, n : factor of q in a state [rad/s], time between samples [s], substeps, coordinates.
+    inverse, step_s, substeps, n : 1 / scale [s/rad], time between samples [s], substeps, coordinates.
     drive, sloped : (N, D) [V]; whether the drive is linear between samples (first-order hold).
     start : (2H,) state at the first sample [V].
     taps : (T, 2H).
@@ -92,7 +92,8 @@ def deviation_from_linear(
     size = 2 * half_size
     drives = held.shape[0]
     h = step_s / substeps
-    inverse = 1.0 / scale
+    # A quotient that is a factor in a loop would become a division in it.
+    sixth = h * (1.0 / 6.0)
     q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.empty(drives)
     # At the start, middle and end of a substep: linear motion, and the deviation without the forces since its start.
     motion, free = np.empty((3, size)), np.empty((3, size))
@@ -154,9 +155,9 @@ def deviation_from_linear(
                     grown[0, half_size + i] += 2.0 * (k[1, i] + k[2, i])
                 _summed(size, half, 0, size, grown, 0, grown, 1)
                 for i in range(size):
-                    free[0, i] = free[2, i] + h / 6.0 * grown[1, i]
+                    free[0, i] = free[2, i] + sixth * grown[1, i]
                 for i in range(n):
-                    free[0, half_size + i] += h / 6.0 * k[3, i]
+                    free[0, half_size + i] += sixth * k[3, i]
             for i in range(size):
                 motion[0, i] = motion[2, i]
             point += 1
@@ -212,7 +213,7 @@ def first_order_deviation(
     laws: Laws,
     half: FloatArray,
     whole: FloatArray,
-    scale: float,
+    inverse: float,
     step_s: float,
     substeps: int,
     n: int,
@@ -232,7 +233,7 @@ def first_order_deviation(
     size = 2 * half_size
     drives = drive.shape[1]
     h = step_s / substeps
-    inverse = 1.0 / scale
+    sixth = h * (1.0 / 6.0)
     q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.empty(drives)
     # The deviation, with the force at the start of a substep, and the response to that in its middle.
     impulse, d, grown = np.empty((1, half_size)), np.empty((2, size)), np.empty((1, size))
@@ -259,13 +260,13 @@ def first_order_deviation(
                         push(forces[f], t + 0.5 * node * h, q, qd, u, p, ends[f], ends[f + 1], laws, out)
                 if node == 1:
                     for i in range(n):
-                        impulse[0, i] = h / 1.5 * out[i]
+                        impulse[0, i] = 4.0 * sixth * out[i]
                     _summed(size, half, half_size, half_size, impulse, 0, grown, 0)
                     for i in range(size):
                         d[0, i] += grown[0, i]
                     continue
                 for i in range(n):
-                    d[0, half_size + i] += h / 6.0 * out[i]
+                    d[0, half_size + i] += sixth * out[i]
                 if node == 0:
                     for i in range(size):
                         d[1, i] = d[0, i]
