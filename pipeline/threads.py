@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, wraps
 from threading import Lock
-from typing import TypeVar
+from typing import TypeVar, TypeVarTuple
 
 In = TypeVar("In")
 Out = TypeVar("Out")
+Given = TypeVarTuple("Given")
 
 
 def usable_cores() -> int:
@@ -27,16 +28,16 @@ def mapped(job: Callable[[In], Out], items: Iterable[In], threads: int) -> list[
         return list(pool.map(job, each))
 
 
-def once(make: Callable[[In], Out]) -> Callable[[In], Out]:
-    """``make`` with a cache: one call per argument, even if several threads request it at the same time.
+def once(make: Callable[[*Given], Out]) -> Callable[[*Given], Out]:
+    """``make`` with a cache: one call for the same arguments, even if several threads request it at the same time.
 
     For functions that compile code, which takes seconds.
     """
     cached, lock = cache(make), Lock()
 
     @wraps(make)
-    def locked(argument: In) -> Out:
+    def locked(*given: *Given) -> Out:
         with lock:
-            return cached(argument)
+            return cached(*given)
 
     return locked

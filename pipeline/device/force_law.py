@@ -7,17 +7,18 @@ at time t [s], coordinates q (n,) [V s], velocities qd (n,) [V], drive samples u
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
-from numba.core.errors import NumbaExperimentalFeatureWarning
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..errors import ConfigError
 from ..threads import once
 
@@ -48,10 +49,12 @@ LAWS_TYPE = types.NamedTuple(
     (_MATRIX, _MATRIX, _MATRIX, _MATRIX, types.float64, types.float64, types.int64, types.float64, types.int64), Laws
 )
 FORCE_SIGNATURE = types.void(types.float64, _VECTOR, _VECTOR, _VECTOR, _VECTOR, LAWS_TYPE, _VECTOR)
-# Tuples of function pointers allow one compiled integrator for all combinations of effects.  The warning filter is set once,
-# because changing filters around each call is not thread-safe.
-warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
-FORCE_TYPE = types.FunctionType(FORCE_SIGNATURE)
+#: Types of the forces that act, as compiled loops take them: addresses (F,), parameters one after the other, ends (F + 1,), laws.
+FORCES_TYPES = (types.Array(types.int64, 1, "C"), _VECTOR, types.Array(types.int64, 1, "C"), LAWS_TYPE)
+
+
+#: Only compiled loops call a force: a wrapper for Python would take half of the compilation.
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cpython_wrapper": True}
 
 
 @once
@@ -63,7 +66,7 @@ def compiled_force(force: Callable[..., None]) -> Any:
     ConfigError : numba cannot compile it.
     """
     try:
-        return njit(FORCE_SIGNATURE, cache=True, error_model="numpy")(force)
+        return njit(FORCE_SIGNATURE, **_OPTIONS)(force)
     except Exception as error:
         raise ConfigError(
             "the force law of an effect does not compile",
@@ -73,15 +76,64 @@ def compiled_force(force: Callable[..., None]) -> Any:
         ) from error
 
 
-@cache
+@once
+def _address(force: Callable[..., None]) -> int:
+    """Address of the machine code of ``force``, which stays as long as the process; raises as :func:`compiled_force`."""
+    compiled = compiled_force(force).get_compile_result(FORCE_SIGNATURE)
+    return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+
+
+def acting_forces(forces: Sequence[tuple[Any, FloatArray]]) -> tuple[IntArray, FloatArray, IntArray]:
+    """Addresses (F,) of forces, their parameters one after the other, and where those of each begin and end (F + 1,).
+
+    Raises
+    ------
+    ConfigError : as :func:`compiled_force`.
+    """
+    parameters = [np.asarray(p, dtype=np.float64) for _, p in forces]
+    addresses = np.array([_address(force) for force, _ in forces], dtype=np.int64)
+    return addresses, np.concatenate([np.zeros(0), *parameters]), np.cumsum([0, *(p.size for p in parameters)])
+
+
+# An address needs no type of its own for each number of forces, and no look at the function that it belongs to.
+def _push(
+    typing: Any, address: Any, t: Any, q: Any, qd: Any, u: Any, p: Any, first: Any, end: Any, laws: Any, out: Any
+) -> tuple[Any, Callable[..., Any]]:
+    """Type and code of a call of the force at ``address`` with the parameters p[first:end]."""
+
+    def generated(target: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointer, t, q, qd, u, p, first, end, laws, out = values
+        # A slice would count references, which takes longer than most forces.
+        own, whole = make_array(_VECTOR)(target, builder), make_array(_VECTOR)(target, builder, p)
+        data = builder.gep(whole.data, [first])
+        strides = cgutils.unpack_tuple(builder, whole.strides)
+        populate_array(own, data, [builder.sub(end, first)], strides, whole.itemsize, None)
+        convention = target.call_conv
+        kind = convention.get_function_type(types.void, FORCE_SIGNATURE.args).as_pointer()
+        given = (t, q, qd, u, own._getvalue(), laws, out)
+        code = builder.inttoptr(pointer, kind)
+        status, _ = convention.call_function(builder, code, types.void, FORCE_SIGNATURE.args, given)
+        with cgutils.if_unlikely(builder, status.is_error):
+            convention.return_status_propagate(builder, status)
+        return target.get_dummy_value()
+
+    motion = (types.float64, _VECTOR, _VECTOR, _VECTOR)
+    return types.void(types.int64, *motion, _VECTOR, types.int64, types.int64, LAWS_TYPE, _VECTOR), generated
+
+
+#: push(address, t, q, qd, u, p, first, end, laws, out) in compiled loops calls the force at an address of ``acting_forces``.
+push: Any = intrinsic(_push)
+
+
+@once
 def _each_point() -> Any:
     motion = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(types.UniTuple(FORCE_TYPE, 1), *motion, _VECTOR, LAWS_TYPE, _MATRIX)
+    signature = types.void(types.int64, *motion, _VECTOR, LAWS_TYPE, _MATRIX)
     return njit(signature, cache=True, error_model="numpy")(_at_each_point)
 
 
 def _at_each_point(
-    law: Any,
+    address: int,
     t: FloatArray,
     q: FloatArray,
     qd: FloatArray,
@@ -92,7 +144,7 @@ def _at_each_point(
 ) -> None:
     """Add the force at each of m points to ``out`` (m, n); q, qd (m, n), u (m, D)."""
     for i in range(t.size):
-        law[0](t[i], q[i], qd[i], u[i], p, laws, out[i])
+        push(address, t[i], q[i], qd[i], u[i], p, 0, p.size, laws, out[i])
 
 
 def _rows(values: FloatArray) -> Any:
@@ -166,5 +218,5 @@ def force_along(force: Callable[..., None], points: Points, p: FloatArray, laws:
         return _with_vectors(force, points, p, laws)
     out = np.zeros(points.q.shape[::-1])
     rows = (np.ascontiguousarray(each.T) for each in (points.q, points.qd, points.u))
-    _each_point()((compiled_force(force),), np.ascontiguousarray(points.t), *rows, p, laws, out)
+    _each_point()(_address(force), np.ascontiguousarray(points.t), *rows, p, laws, out)
     return out.T

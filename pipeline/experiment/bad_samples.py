@@ -20,6 +20,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..errors import MeasurementError
+from ..threads import mapped
 from .arx import Arx
 from .instrument import Adc
 from .outliers import MOST_BAD as MOST_BAD
@@ -47,18 +48,20 @@ def bad_stretches(record: Record, adc: Adc | None) -> tuple[BadStretch, ...]:
     return tuple(sorted(out, key=lambda one: (one.channel, one.first)))
 
 
-def without_bad_samples(campaign: Campaign) -> Campaign:
+def without_bad_samples(campaign: Campaign, threads: int = 1) -> Campaign:
     """The campaign with its bad samples marked (``Record.bad``) and interpolated; records already marked stay as they are.
+
+    ``threads`` records are examined at the same time.
 
     Raises
     ------
     MeasurementError : a channel of a record has more than ``MOST_BAD`` bad samples.
     """
-    records = tuple(
-        _accepted(record if record.bad is not None else marked(record, campaign.instrument.adc))
-        for record in campaign.records
-    )
-    return replace(campaign, records=records)
+
+    def examined(record: Record) -> Record:
+        return _accepted(record if record.bad is not None else marked(record, campaign.instrument.adc))
+
+    return replace(campaign, records=tuple(mapped(examined, campaign.records, threads)))
 
 
 def refilled(record: Record, predicted_v: FloatArray) -> Record:

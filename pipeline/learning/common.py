@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 from msgspec import UNSET
 from msgspec.structs import replace
@@ -20,9 +20,18 @@ from ..criticism.selection import ForwardSelection, forward_selection
 from ..criticism.verdict import TermClass
 from ..experiment.record import Record
 from .answers import BadSamples, CandidateAnswer, DiagnosisAnswer, RefinementAnswer, RungAnswer, SizeDisagreement
-from .next_experiment.separating import Proposal
+
+if TYPE_CHECKING:
+    from .next_experiment.separating import Proposal
 
 P = TypeVar("P", bound=Problem)
+
+#: Degeneracies of plant "gyro" that no linear experiment can resolve.
+GAUGES = (
+    "common rotation of the drive and sense electrodes (theta rotates with them)",
+    "up-down tilt about the other axis (absorbed by updown_gain)",
+    "linear part of electrostatic softening (absorbed by the frequencies and theta)",
+)
 
 
 @dataclass(frozen=True, eq=False)

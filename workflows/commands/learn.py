@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
@@ -17,15 +18,18 @@ from pipeline.errors import NegativeError, printable_lines
 from pipeline.experiment.campaign import read_measurement
 from pipeline.experiment.files.modal_record import ModalRecord
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, RefinementAnswer, to_json
-from reports.limits import Limits, load_limits
-from reports.limits_origin import LimitsOrigin, origin_of_file
 
+from ..ahead import compiled_ahead
 from ..device.measured import Measured
 from ..learning import ComparisonResult, DiagnosisResult, RefinementResult, Result, SelectionResult
 from ..learning import compare as compare_measurement
 from ..learning import diagnose as diagnose_measurement
 from ..learning import refine as refine_measurement
 from ..learning.progress import working
+
+if TYPE_CHECKING:
+    from reports.limits import Limits
+    from reports.limits_origin import LimitsOrigin
 
 PAGES: dict[type[Result], str] = {
     ComparisonResult: "compare.html",
@@ -45,14 +49,16 @@ def diagnose(
     path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool, limits: Path | None
 ) -> None:
     """See ``gyroscreen diagnose --help``."""
-    _answer(diagnose_measurement, path, model, out, folders, json, limits)
+    with compiled_ahead():
+        _answer(diagnose_measurement, path, model, out, folders, json, limits)
 
 
 def refine(
     path: Path, model: Path | None, out: Path | None, folders: Sequence[Path], json: bool, limits: Path | None
 ) -> None:
     """See ``gyroscreen refine --help``."""
-    _answer(refine_measurement, path, model, out, folders, json, limits)
+    with compiled_ahead():
+        _answer(refine_measurement, path, model, out, folders, json, limits)
 
 
 @threadpool_limits.wrap(limits=1)
@@ -66,7 +72,7 @@ def _answer(
     limits_file: Path | None,
 ) -> None:
     """Read the measurement, run ``command`` on it, write drive files and the page where ``out`` is given, and print."""
-    limits = None if limits_file is None else load_limits(limits_file)
+    limits, origin = (None, None) if limits_file is None else _stated(limits_file)
     measured = read_measurement(path)
     page = None
     with working(command.__name__, quiet=json):
@@ -76,7 +82,6 @@ def _answer(
                 found = found.with_drive_files(out)
             if _has_fit(found):
                 announce("drawing the page")
-                origin = None if limits_file is None else origin_of_file(limits_file, "command line")
                 page = _written(_page(measured, found, folders, origin), found, out)
         # Records that separate classes are looked for when the answer is first asked for.
         _ = found.answer
@@ -84,6 +89,14 @@ def _answer(
     if page is not None and not json:
         print(page)
     _require_positive(found.answer)
+
+
+def _stated(limits_file: Path) -> tuple[Limits, LimitsOrigin]:
+    # Only a verdict needs the packages that know the result quantities.
+    from reports.limits import load_limits
+    from reports.limits_origin import origin_of_file
+
+    return load_limits(limits_file), origin_of_file(limits_file, "command line")
 
 
 def _require_positive(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAnswer) -> None:

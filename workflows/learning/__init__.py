@@ -21,31 +21,28 @@ from threadpoolctl import threadpool_limits
 from pipeline.criticism.ladder import Diagnosis, Ladder, as_diagnosis, as_ladder
 from pipeline.criticism.problem import FitResult
 from pipeline.device.model import DEFAULT_COMPARE_MODEL, Model
-from pipeline.experiment.files.modal_record import ModalRecord
-from pipeline.experiment.tones import ToneCampaign
 from pipeline.inference.general.fit import CampaignFit
 from pipeline.learning.answers import ComparisonAnswer, DiagnosisAnswer, Noise, RefinementAnswer, to_builtins
-from pipeline.learning.campaign.answers import CampaignAnswers, campaign_answers
+from pipeline.learning.campaign.answers import CampaignAnswers
 from pipeline.learning.campaign.problem import CampaignProblem
 from pipeline.learning.common import classes_of
-from pipeline.learning.joint.answers import JointAnswers, joint_answers
-from pipeline.learning.joint.problem import JointProblem
-from pipeline.learning.modal.answers import ModalAnswers, modal_answers
-from pipeline.learning.modal.problem import ModalProblem
-from pipeline.learning.next_experiment.separating import Proposal
-from reports.limits import Limits
 from reports.words.terminal import lines_of
 
-from ..device.measured import Measured, with_fit_records
+from ..device.measured import Measured
 from . import tables
-from .device_verdict import verdict_of, with_verdicts
+from .of_kind import answers_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
+    from pipeline.learning.joint.problem import JointProblem
+    from pipeline.learning.modal.problem import ModalProblem
+    from pipeline.learning.next_experiment.separating import Proposal
+    from reports.limits import Limits
 
-Answers = CampaignAnswers | ModalAnswers | JointAnswers
+    from .of_kind import Answers
+
+__all__ = ["ComparisonResult", "DiagnosisResult", "RefinementResult", "compare", "diagnose", "refine"]
 
 
 @threadpool_limits.wrap(limits=1)
@@ -56,7 +53,7 @@ def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Li
     ------
     MeasurementError : a campaign without a record to fit; a modal record whose modes are not those of the plant.
     """
-    answers = _answers(campaign, model)
+    answers = answers_of(campaign, model)
     answers.problem.fit(())
     return ComparisonResult(answers, limits=limits)
 
@@ -64,7 +61,7 @@ def compare(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Li
 @threadpool_limits.wrap(limits=1)
 def diagnose(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Limits | None = None) -> DiagnosisResult:
     """Find what ``model`` lacks; raises as :func:`compare`."""
-    answers = _answers(campaign, model)
+    answers = answers_of(campaign, model)
     answers, selection = answers.selected(answers.rules)
     return DiagnosisResult(answers, as_diagnosis(answers.problem, selection, answers.rules), limits=limits)
 
@@ -72,16 +69,9 @@ def diagnose(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: L
 @threadpool_limits.wrap(limits=1)
 def refine(campaign: Measured, model: Model = DEFAULT_COMPARE_MODEL, limits: Limits | None = None) -> RefinementResult:
     """Add effects to ``model`` until no further one is significant; raises as :func:`compare`."""
-    answers = _answers(campaign, model)
+    answers = answers_of(campaign, model)
     answers, selection = answers.selected(answers.rules)
     return RefinementResult(answers, as_ladder(answers.problem, selection, answers.rules), limits=limits)
-
-
-def _answers(measured: Measured, model: Model) -> Answers:
-    measured = with_fit_records(measured)
-    if isinstance(measured, ToneCampaign):
-        return joint_answers(measured, model)
-    return modal_answers(measured, model) if isinstance(measured, ModalRecord) else campaign_answers(measured, model)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,6 +99,8 @@ class Result(ABC):
         """The verdict on the device by the given model; empty without limits and for a plant that is no gyro."""
         if self.limits is None or not isinstance(self.answers, CampaignAnswers) or not self.answers.problem.fit(()).ok:
             return {}
+        from .device_verdict import verdict_of
+
         found = verdict_of(self.answers.fitted(), self.answers.problem.campaign, self.limits)
         if found is None:
             return {}
@@ -265,7 +257,11 @@ class RefinementResult(SelectionResult):
     def answer(self) -> RefinementAnswer:
         """The result as data."""
         found = self.answers.refinement(self.ladder, self.separating, self.drive_files)
-        return with_verdicts(found, self.answers, self.limits) if isinstance(self.answers, CampaignAnswers) else found
+        if not isinstance(self.answers, CampaignAnswers):
+            return found
+        from .device_verdict import with_verdicts
+
+        return with_verdicts(found, self.answers, self.limits)
 
     @cached_property
     def first_diagnosis(self) -> DiagnosisAnswer:

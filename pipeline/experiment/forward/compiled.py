@@ -1,4 +1,4 @@
-"""The loops of ``kernels``, compiled once for each number of coordinates and of places for forces, and cached on disk."""
+"""The loops of ``kernels``, compiled once for each number of coordinates and cached on disk."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 from numba import njit, types
 
-from ...device.force_law import FORCE_TYPE, LAWS_TYPE
+from ...device.force_law import FORCES_TYPES
 from ...threads import once
 from .kernels import deviation_from_linear, first_order_deviation, linear_states
 
@@ -24,19 +24,13 @@ _STEPS = (types.float64, types.int64)
 _DRIVE = (_MATRIX, types.boolean)
 
 
-def forces_type(places: int) -> tuple[Any, ...]:
-    """Types of force functions, of the number that acts, of their parameters and of what they use."""
-    return types.UniTuple(FORCE_TYPE, places), types.int64, types.UniTuple(_VECTOR, places), LAWS_TYPE
-
-
 @once
-def compiled_deviation(sizes: tuple[int, int]) -> Any:
-    """``deviation_from_linear`` for at most H coordinates and P forces, ``sizes`` = (H, P)."""
-    half_size, places = sizes
+def compiled_deviation(half_size: int) -> Any:
+    """``deviation_from_linear`` for at most ``half_size`` coordinates (H)."""
     shape = types.UniTuple(types.int64, half_size)
     matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
     reads = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(shape, *forces_type(places), *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    signature = types.void(shape, *FORCES_TYPES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
     return njit(signature, **OPTIONS)(deviation_from_linear)
 
 
@@ -49,11 +43,10 @@ def compiled_linear_states(half_size: int) -> Any:
 
 
 @once
-def compiled_first_order(sizes: tuple[int, int]) -> Any:
-    """``first_order_deviation`` for at most H coordinates and P forces, ``sizes`` = (H, P)."""
-    half_size, places = sizes
+def compiled_first_order(half_size: int) -> Any:
+    """``first_order_deviation`` for at most ``half_size`` coordinates (H)."""
     shape = types.UniTuple(types.int64, half_size)
     matrices = (_MATRIX, _MATRIX, types.float64)
     reads = (_MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(shape, *forces_type(places), *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    signature = types.void(shape, *FORCES_TYPES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
     return njit(signature, **OPTIONS)(first_order_deviation)

@@ -86,7 +86,8 @@ def responses(system: System, group: DriveGroup, forces: Sequence[FloatArray], h
     mechanics, clock = system.mechanics, _sampled(group, hold)
     found = []
     for force in forces:
-        acting = np.arange(force.shape[1])[np.any(force, axis=0)]
+        # Column by column, each search ends at the first sample that is not zero.
+        acting = np.flatnonzero([column.any() for column in force.T])
         if not acting.size:
             found.append(np.zeros((force.shape[0], system.sense_motion.shape[0])))
             continue

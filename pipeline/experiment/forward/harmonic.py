@@ -17,12 +17,11 @@ import numpy as np
 from numba import njit, types
 
 from ...arrays import ComplexArray, FloatArray
+from ...device.force_law import FORCES_TYPES, acting_forces
 from ...errors import ConfigError
 from ...threads import once
-from .compiled import forces_type
 from .harmonic_kernels import follow
 from .harmonic_terms import SHAPES, TonePoints, force_samples, jacobian_of, linear_state, pickoff_tones, residual_of
-from .integrate import compiled_forces
 from .system import System
 from .tones import linear_tones, read_out
 
@@ -36,9 +35,9 @@ _ROWS = (_MATRIX, _MATRIX, _VECTOR, _VECTOR, _CUBE, _MATRIX)
 
 
 @once
-def _compiled(places: int) -> Any:
-    """``follow`` for at most ``places`` forces as machine code, cached on disk."""
-    return njit(types.int64(*forces_type(places), *_ROWS), cache=True, nogil=True, error_model="numpy")(follow)
+def _compiled() -> Any:
+    """``follow`` as machine code, cached on disk."""
+    return njit(types.int64(*FORCES_TYPES, *_ROWS), cache=True, nogil=True, error_model="numpy")(follow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +79,9 @@ def steady_motion(system: System, points: TonePoints) -> SteadyMotion:
     if not system.forces:
         return SteadyMotion(system, points, linear_state(system, points))
     x = np.zeros((points.omega.size, system.mechanics.stiffness.shape[1] * SHAPES.shape[0]))
-    acting = compiled_forces([(effect.force, p) for effect, p in system.forces])
     missed = int(
-        _compiled(len(acting[0]))(
-            *acting,
+        _compiled()(
+            *acting_forces([(effect.force, p) for effect, p in system.forces]),
             system.laws,
             np.ascontiguousarray(system.mechanics.gyroscopic[0]),
             SHAPES,

@@ -22,13 +22,11 @@ Long because the compiler needs the functions that call each other with one list
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
-from ...arrays import FloatArray
-from ...device.force_law import Laws
+from ...arrays import FloatArray, IntArray
+from ...device.force_law import Laws, push
 
 #: Newton iterations of a step; relative change at which they end; largest relative change of the motion in one step.
 NEWTON, TOLERANCE, LARGEST_STEP = 12, 1e-11, 0.35
@@ -71,9 +69,9 @@ def _solve(a: FloatArray, b: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _balance(
-    forces: Any,
-    count: int,
-    p: Any,
+    forces: IntArray,
+    p: FloatArray,
+    ends: IntArray,
     laws: Laws,
     gyroscopic: FloatArray,
     shapes: FloatArray,
@@ -123,8 +121,8 @@ def _balance(
                 value += a * shapes[2 * h - 1, s] + b * shapes[2 * h, s]
                 rate += h * w * (b * shapes[2 * h - 1, s] - a * shapes[2 * h, s])
             q[i], qd[i], out[i] = value, rate, 0.0
-        for k in range(count):
-            forces[k](t, q, qd, u[s], p[k], laws, out)
+        for k in range(forces.size):
+            push(forces[k], t, q, qd, u[s], p, ends[k], ends[k + 1], laws, out)
         for i in range(n):
             total = out[i]
             for d in range(u.shape[1]):
@@ -132,7 +130,7 @@ def _balance(
             residual[i * terms] -= total / times
             for r in range(1, terms):
                 residual[i * terms + r] -= 2.0 / times * total * shapes[r, s]
-        if count == 0 or step == 0.0:
+        if forces.size == 0 or step == 0.0:
             continue
         for j in range(n):
             for kind in range(2):
@@ -144,8 +142,8 @@ def _balance(
                     qd[j] = at + size
                 for i in range(n):
                     moved[i] = 0.0
-                for k in range(count):
-                    forces[k](t, q, qd, u[s], p[k], laws, moved)
+                for k in range(forces.size):
+                    push(forces[k], t, q, qd, u[s], p, ends[k], ends[k + 1], laws, moved)
                 if kind == 0:
                     q[j] = at
                 else:
@@ -176,9 +174,9 @@ def _size(x: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _newton(
-    forces: Any,
-    count: int,
-    p: Any,
+    forces: IntArray,
+    p: FloatArray,
+    ends: IntArray,
     laws: Laws,
     gyroscopic: FloatArray,
     shapes: FloatArray,
@@ -193,7 +191,7 @@ def _newton(
     """Newton's method from x (m,), in place: the sign of det J at the solution, 0 where it was not found."""
     last = np.inf
     for _ in range(iterations):
-        _balance(forces, count, p, laws, gyroscopic, shapes, t, w, u, x, residual, jacobian)
+        _balance(forces, p, ends, laws, gyroscopic, shapes, t, w, u, x, residual, jacobian)
         sign = _solve(jacobian, residual)
         change, size = _size(residual), _size(x)
         if sign == 0.0 or not np.isfinite(change):
@@ -208,9 +206,9 @@ def _newton(
 
 @njit(cache=True, error_model="numpy")
 def _settle(
-    forces: Any,
-    count: int,
-    p: Any,
+    forces: IntArray,
+    p: FloatArray,
+    ends: IntArray,
     laws: Laws,
     gyroscopic: FloatArray,
     shapes: FloatArray,
@@ -231,7 +229,7 @@ def _settle(
     for k in range(SLOW_STEPS + GROWING_STEPS):
         if k >= SLOW_STEPS:
             step *= 1.6
-        _balance(forces, count, p, laws, gyroscopic, shapes, t, w, u, x, residual, jacobian)
+        _balance(forces, p, ends, laws, gyroscopic, shapes, t, w, u, x, residual, jacobian)
         for i in range(n):
             for j in range(n):
                 c = (laws.damping[i, j] + gyroscopic[i, j]) / step
@@ -250,14 +248,14 @@ def _settle(
             x[i] -= residual[i]
         if k > SLOW_STEPS // 2 and change <= 1e-5 * size:
             break
-    sign = _newton(forces, count, p, laws, gyroscopic, shapes, t, w, u, x, NEWTON, residual, jacobian)
+    sign = _newton(forces, p, ends, laws, gyroscopic, shapes, t, w, u, x, NEWTON, residual, jacobian)
     return 1.0 if sign > 0.0 else 0.0
 
 
 def follow(
-    forces: Any,
-    count: int,
-    p: Any,
+    forces: IntArray,
+    p: FloatArray,
+    ends: IntArray,
     laws: Laws,
     gyroscopic: FloatArray,
     shapes: FloatArray,
@@ -270,7 +268,7 @@ def follow(
 
     Parameters
     ----------
-    forces, count, p, laws, gyroscopic : the device.
+    forces, p, ends, laws, gyroscopic : the device.
     shapes : (2 H + 1, T) functions of the phase.
     times_s, omega, u : (N,) [s], (N,) [rad/s], (N, T, D) [V] of the rows.
     x : filled; a row without a solution has that of the linear device's last Newton step.
@@ -293,7 +291,7 @@ def follow(
                         drive[a, d] = u[i - 1, a, d] + share * (u[i, a, d] - u[i - 1, a, d])
                 trial[:] = now
                 sign = _newton(
-                    forces, count, p, laws, gyroscopic, shapes, t, w, drive, trial, NEWTON, residual, jacobian
+                    forces, p, ends, laws, gyroscopic, shapes, t, w, drive, trial, NEWTON, residual, jacobian
                 )
                 moved = _size(trial - now)
                 if sign > 0.0 and moved <= LARGEST_STEP * max(_size(trial), _size(now)):
@@ -309,7 +307,7 @@ def follow(
         if done == 0.0:
             trial[:] = now
             done = _settle(
-                forces, count, p, laws, gyroscopic, shapes, times_s[i], omega[i], u[i], trial, residual, jacobian
+                forces, p, ends, laws, gyroscopic, shapes, times_s[i], omega[i], u[i], trial, residual, jacobian
             )
             if done > 0.0:
                 now[:] = trial

@@ -4,8 +4,8 @@
 compiler then knows the length of the loops over a state, which makes them several times faster, and unlike a closure the
 compiled function can be cached.
 
-A state is (scale q, 0, q', 0) with q and q' padded to H values each, so that both have the unit V.  E is the exact propagator
-over half a substep h/2.  All matrices are transposed.
+A state is (scale q, 0, q', 0) with q and q' padded to H values each (an even number), so that both have the unit V.  E is the
+exact propagator over half a substep h/2.  All matrices are transposed.
 
 Shapes: N samples, M = (N - 1) substeps + 1 grid points, n coordinates (n <= H), D drives, T linear combinations of a state
 (``taps``).  Units: seconds, volts.
@@ -18,55 +18,52 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ...arrays import FloatArray
-from ...device.force_law import Laws
+from ...arrays import FloatArray, IntArray
+from ...device.force_law import Laws, push
 
-#: Places for force effects in a compiled loop; the fewest that suffice are used.  Measured on a record with two forces: 6 ms with
-#: 8 places, 16 ms with 16, and also 11 ms with 4.
-FORCE_PLACES = (8, 16)
-#: Most force effects that can act at once.
-MOST_FORCES = FORCE_PLACES[-1]
+#: Options of functions that only compiled loops call; a wrapper for Python would be compiled in vain.
+_INSIDE: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True}
 
 
-@njit(inline="always")
-def _summed(size: int, transposed: FloatArray, offset: int, rows: int, x: FloatArray, out: FloatArray) -> None:
-    """out = x[:rows] @ transposed[offset : offset + rows]; two sums at a time stay in registers."""
-    for i in range(0, size, 2):
-        s0, s1 = 0.0, 0.0
+@njit(**_INSIDE)
+def _summed(
+    size: int, transposed: FloatArray, offset: int, rows: int, x: FloatArray, row: int, out: FloatArray, to: int
+) -> None:
+    """out[to] = x[row, :rows] @ transposed[offset : offset + rows]; four sums at a time stay in registers.
+
+    Rows are given by number: a view of a row would count references.
+    """
+    for i in range(0, size, 4):
+        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
         for j in range(rows):
-            s0 += transposed[offset + j, i] * x[j]
-            s1 += transposed[offset + j, i + 1] * x[j]
-        out[i], out[i + 1] = s0, s1
+            v = x[row, j]
+            s0 += transposed[offset + j, i] * v
+            s1 += transposed[offset + j, i + 1] * v
+            s2 += transposed[offset + j, i + 2] * v
+            s3 += transposed[offset + j, i + 3] * v
+        out[to, i], out[to, i + 1], out[to, i + 2], out[to, i + 3] = s0, s1, s2, s3
 
 
-@njit(inline="always")
-def _propagate(shape: tuple[int, ...], transposed: FloatArray, x: FloatArray, out: FloatArray) -> None:
-    _summed(2 * len(shape), transposed, 0, 2 * len(shape), x, out)
-
-
-@njit(inline="always")
-def _propagate_velocity(shape: tuple[int, ...], transposed: FloatArray, a: FloatArray, out: FloatArray) -> None:
-    _summed(2 * len(shape), transposed, len(shape), len(shape), a, out)
-
-
-@njit(inline="always")
-def _dot(shape: tuple[int, ...], taps: FloatArray, tap: int, x: FloatArray) -> float:
-    total = 0.0
-    for i in range(2 * len(shape)):
-        total += taps[tap, i] * x[i]
-    return total
+@njit(**_INSIDE)
+def _read(size: int, taps: FloatArray, x: FloatArray, row: int, out: FloatArray, to: int) -> None:
+    """out[to] = taps @ x[row]."""
+    for tap in range(taps.shape[0]):
+        total = 0.0
+        for i in range(size):
+            total += taps[tap, i] * x[row, i]
+        out[to, tap] = total
 
 
 def deviation_from_linear(
     shape: tuple[int, ...],
-    forces: Any,
-    count: int,
-    p: Any,
+    forces: IntArray,
+    p: FloatArray,
+    ends: IntArray,
     laws: Laws,
     half: FloatArray,
     held: FloatArray,
     ramp: FloatArray,
-    scale: float,
+    inverse: float,
     step_s: float,
     substeps: int,
     n: int,
@@ -82,9 +79,9 @@ def deviation_from_linear(
     Parameters
     ----------
     shape : tuple of H zeros.
-    forces, count, p, laws : force functions (``FORCE_PLACES``, the first ``count`` act), their parameters, and what they use.
+    forces, p, ends, laws : of ``force_law.acting_forces``, and what force laws use.
     half, held, ramp : (2H, 2H), (D, 2H), (D, 2H) response over half a substep to a state, a drive and the slope of a drive.
-    scale, step_s, substeps, n : factor of q in a state [rad/s], time between samples [s], substeps, coordinates.
+    inverse, step_s, substeps, n : 1 / scale [s/rad], time between samples [s], substeps, coordinates.
     drive, sloped : (N, D) [V]; whether the drive is linear between samples (first-order hold).
     start : (2H,) state at the first sample [V].
     taps : (T, 2H).
@@ -94,92 +91,79 @@ def deviation_from_linear(
     half_size = len(shape)
     size = 2 * half_size
     drives = held.shape[0]
-    samples = drive.shape[0]
     h = step_s / substeps
-    inverse = 1.0 / scale
-    q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
-    k1, k2, k3 = np.zeros(half_size), np.zeros(half_size), np.zeros(half_size)
-    y, e1, e2, w, trial = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    middle, after, d, driven = np.empty(size), np.empty(size), np.zeros(size), np.empty(size)
+    # A quotient that is a factor in a loop would become a division in it.
+    sixth = h * (1.0 / 6.0)
+    q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.empty(drives)
+    # At the start, middle and end of a substep: linear motion, and the deviation without the forces since its start.
+    motion, free = np.empty((3, size)), np.empty((3, size))
+    # Forces k1 .. k4 at the stages; what k1 and k3 grow to in half a substep; state at a stage; response to the drive.
+    k, grown, trial, driven = np.empty((4, half_size)), np.empty((2, size)), np.empty(size), np.empty(size)
+    for i in range(half_size):
+        for stage in range(4):
+            k[stage, i] = 0.0
     for i in range(size):
-        y[i] = start[i]
+        motion[0, i], free[0, i] = start[i], 0.0
     wants_linear = linear.shape[0] > 0
-    for tap in range(taps.shape[0]):
-        deviation[0, tap] = 0.0
-        if wants_linear:
-            linear[0, tap] = _dot(shape, taps, tap, y)
-    for sample in range(samples - 1):
-        for k in range(drives):
-            slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
+    _read(size, taps, free, 0, deviation, 0)
+    if wants_linear:
+        _read(size, taps, motion, 0, linear, 0)
+    point = 0
+    for sample in range(drive.shape[0] - 1):
+        for d in range(drives):
+            slope[d] = (drive[sample + 1, d] - drive[sample, d]) / step_s if sloped else 0.0
         for sub in range(substeps):
             local = sub * h
             t = laws.elapsed_s + sample * step_s + local
             for i in range(size):
                 driven[i] = 0.0
-            for k in range(drives):
-                u[k] = drive[sample, k] + slope[k] * local
+            for d in range(drives):
+                u[d] = drive[sample, d] + slope[d] * local
                 for i in range(size):
-                    driven[i] += held[k, i] * u[k] + ramp[k, i] * slope[k]
-            _propagate(shape, half, y, middle)
-            for i in range(size):
-                middle[i] += driven[i]
-            _propagate(shape, half, middle, after)
-            for k in range(drives):
+                    driven[i] += held[d, i] * u[d] + ramp[d, i] * slope[d]
+            for node in range(1, 3):
+                _summed(size, half, 0, size, motion, node - 1, motion, node)
                 for i in range(size):
-                    driven[i] += held[k, i] * slope[k] * (0.5 * h)
-            for i in range(size):
-                after[i] += driven[i]
-            if count > 0:
-                for i in range(n):
-                    q[i], qd[i], out[i] = (y[i] + d[i]) * inverse, y[half_size + i] + d[half_size + i], 0.0
-                for k in range(count):
-                    forces[k](t, q, qd, u, p[k], laws, out)
-                for i in range(n):
-                    k1[i] = out[i]
-                _propagate(shape, half, d, e1)
-                _propagate_velocity(shape, half, k1, w)
-                for i in range(size):
-                    trial[i] = middle[i] + e1[i] + 0.5 * h * w[i]
-                for k in range(drives):
-                    u[k] += slope[k] * 0.5 * h
-                for i in range(n):
-                    q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
-                for k in range(count):
-                    forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
-                for i in range(n):
-                    k2[i] = out[i]
-                    q[i] = (middle[i] + e1[i]) * inverse
-                    qd[i] = middle[half_size + i] + e1[half_size + i] + 0.5 * h * k2[i]
-                    out[i] = 0.0
-                for k in range(count):
-                    forces[k](t + 0.5 * h, q, qd, u, p[k], laws, out)
-                for i in range(n):
-                    k3[i] = out[i]
-                _propagate(shape, half, e1, e2)
-                _propagate_velocity(shape, half, k3, trial)
-                for i in range(size):
-                    trial[i] = after[i] + e2[i] + h * trial[i]
-                for k in range(drives):
-                    u[k] += slope[k] * 0.5 * h
-                for i in range(n):
-                    q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
-                for k in range(count):
-                    forces[k](t + h, q, qd, u, p[k], laws, out)
+                    motion[node, i] += driven[i]
+                for d in range(drives):
+                    for i in range(size):
+                        driven[i] += held[d, i] * slope[d] * (0.5 * h)
+            if forces.size > 0:
+                for stage in range(4):
+                    node = (stage + 1) // 2
+                    if stage == 1 or stage == 3:
+                        _summed(size, half, 0, size, free, node - 1, free, node)
+                        _summed(size, half, half_size, half_size, k, stage - 1, grown, node - 1)
+                        for d in range(drives):
+                            u[d] += slope[d] * 0.5 * h
+                        for i in range(size):
+                            trial[i] = motion[node, i] + free[node, i] + 0.5 * node * h * grown[node - 1, i]
+                    else:
+                        for i in range(size):
+                            trial[i] = motion[node, i] + free[node, i]
+                    if stage == 2:
+                        for i in range(n):
+                            trial[half_size + i] += 0.5 * h * k[1, i]
+                    for i in range(n):
+                        q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
+                    for f in range(forces.size):
+                        push(forces[f], t + 0.5 * node * h, q, qd, u, p, ends[f], ends[f + 1], laws, out)
+                    for i in range(n):
+                        k[stage, i] = out[i]
                 # d <- E^2 d + h/6 (E (E k1 + 2 (k2 + k3)) + k4),  E the exponential of half a substep
                 for i in range(n):
-                    w[half_size + i] += 2.0 * (k2[i] + k3[i])
-                _propagate(shape, half, w, trial)
+                    grown[0, half_size + i] += 2.0 * (k[1, i] + k[2, i])
+                _summed(size, half, 0, size, grown, 0, grown, 1)
                 for i in range(size):
-                    d[i] = e2[i] + h / 6.0 * trial[i]
+                    free[0, i] = free[2, i] + sixth * grown[1, i]
                 for i in range(n):
-                    d[half_size + i] += h / 6.0 * out[i]
-            point = sample * substeps + sub + 1
+                    free[0, half_size + i] += sixth * k[3, i]
             for i in range(size):
-                y[i] = after[i]
-            for tap in range(taps.shape[0]):
-                deviation[point, tap] = _dot(shape, taps, tap, d)
-                if wants_linear:
-                    linear[point, tap] = _dot(shape, taps, tap, y)
+                motion[0, i] = motion[2, i]
+            point += 1
+            _read(size, taps, free, 0, deviation, point)
+            if wants_linear:
+                _read(size, taps, motion, 0, linear, point)
 
 
 def linear_states(
@@ -201,7 +185,7 @@ def linear_states(
     size = 2 * len(shape)
     drives = held.shape[0]
     half_s = 0.5 * step_s / substeps
-    driven, slope = np.empty(size), np.zeros(drives)
+    driven, slope = np.empty(size), np.empty(drives)
     for i in range(size):
         out[0, i] = start[i]
     row = 0
@@ -215,7 +199,7 @@ def linear_states(
                 u = drive[sample, k] + slope[k] * (part * half_s)
                 for i in range(size):
                     driven[i] += held[k, i] * u + ramp[k, i] * slope[k]
-            _propagate(shape, half, out[row], out[row + 1])
+            _summed(size, half, 0, size, out, row, out, row + 1)
             row += 1
             for i in range(size):
                 out[row, i] += driven[i]
@@ -223,13 +207,13 @@ def linear_states(
 
 def first_order_deviation(
     shape: tuple[int, ...],
-    forces: Any,
-    count: int,
-    p: Any,
+    forces: IntArray,
+    p: FloatArray,
+    ends: IntArray,
     laws: Laws,
     half: FloatArray,
     whole: FloatArray,
-    scale: float,
+    inverse: float,
     step_s: float,
     substeps: int,
     n: int,
@@ -249,11 +233,15 @@ def first_order_deviation(
     size = 2 * half_size
     drives = drive.shape[1]
     h = step_s / substeps
-    inverse = 1.0 / scale
-    q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.zeros(drives)
-    impulse, d, before, trial = np.zeros(half_size), np.zeros(size), np.empty(size), np.empty(size)
-    for tap in range(taps.shape[0]):
-        deviation[0, tap] = 0.0
+    sixth = h * (1.0 / 6.0)
+    q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.empty(drives)
+    # The deviation, with the force at the start of a substep, and the response to that in its middle.
+    impulse, d, grown = np.empty((1, half_size)), np.empty((2, size)), np.empty((1, size))
+    for i in range(size):
+        d[0, i] = 0.0
+    for i in range(half_size):
+        impulse[0, i] = 0.0
+    _read(size, taps, d, 0, deviation, 0)
     for sample in range(drive.shape[0] - 1):
         for k in range(drives):
             slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
@@ -268,22 +256,19 @@ def first_order_deviation(
                         out[i] = 0.0
                     for k in range(drives):
                         u[k] = drive[sample, k] + slope[k] * (sub + 0.5 * node) * h
-                    for k in range(count):
-                        forces[k](t + 0.5 * node * h, q, qd, u, p[k], laws, out)
+                    for f in range(forces.size):
+                        push(forces[f], t + 0.5 * node * h, q, qd, u, p, ends[f], ends[f + 1], laws, out)
+                if node == 1:
+                    for i in range(n):
+                        impulse[0, i] = 4.0 * sixth * out[i]
+                    _summed(size, half, half_size, half_size, impulse, 0, grown, 0)
+                    for i in range(size):
+                        d[0, i] += grown[0, i]
+                    continue
+                for i in range(n):
+                    d[0, half_size + i] += sixth * out[i]
                 if node == 0:
                     for i in range(size):
-                        before[i] = d[i]
-                    for i in range(n):
-                        before[half_size + i] += h / 6.0 * out[i]
-                    _propagate(shape, whole, before, d)
-                elif node == 1:
-                    for i in range(n):
-                        impulse[i] = h / 1.5 * out[i]
-                    _propagate_velocity(shape, half, impulse, trial)
-                    for i in range(size):
-                        d[i] += trial[i]
-                else:
-                    for i in range(n):
-                        d[half_size + i] += h / 6.0 * out[i]
-            for tap in range(taps.shape[0]):
-                deviation[point + 1, tap] = _dot(shape, taps, tap, d)
+                        d[1, i] = d[0, i]
+                    _summed(size, whole, 0, size, d, 1, d, 0)
+            _read(size, taps, d, 0, deviation, point + 1)

@@ -94,7 +94,7 @@ def _filter(
 
 
 @once
-def _filter_of(lanes: int) -> Any:
+def compiled_filter(lanes: int) -> Any:
     """``_filter`` compiled for that many poles."""
     two, three, four = (types.Array(types.float64, k, "C") for k in (2, 3, 4))
     shape = types.UniTuple(types.int64, lanes)
@@ -147,7 +147,7 @@ def filtered(
 
         padded_residues = np.zeros((lanes, *residues.shape[1:]), dtype=np.complex128)
         padded_residues[: poles.size] = residues
-        _filter_of(lanes)(
+        compiled_filter(lanes)(
             (0,) * lanes,
             substeps,
             real_parts(np.exp(padded * step_s)),

@@ -14,6 +14,8 @@ Shapes: 3 modes, D = 2 drives, M = ORDER + 1 powers, W bins, I terms of the hold
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -25,6 +27,8 @@ from .kept import kept_if_short
 from .likelihood import FEATURES, ORDER
 
 _ORDERS = ORDER + 1
+#: Options of functions that only compiled loops call.
+_INSIDE: dict[str, Any] = {"cache": True, "no_cpython_wrapper": True}
 
 
 def feature_columns(band: Band, expansion: ComplexArray) -> FloatArray:
@@ -103,25 +107,22 @@ def _multiply_filter(gain: ComplexArray, distances: ComplexArray) -> None:
             gain[k, m] = total / m
 
 
-@njit(cache=True)
-def _divided(series: ComplexArray, pole: complex) -> ComplexArray:
-    """Taylor coefficients of series(h) / (pole + h)."""
-    out = np.empty_like(series)
+@njit(**_INSIDE)
+def _divided(series: ComplexArray, pole: complex, out: ComplexArray) -> None:
+    """Fill ``out`` with the Taylor coefficients of series(h) / (pole + h); it may be ``series``."""
     previous = 0j
-    for m in range(series.size):
+    for m in range(_ORDERS):
         previous = (series[m] - previous) / pole
         out[m] = previous
-    return out
 
 
-@njit(cache=True)
-def _product(one: ComplexArray, other: ComplexArray) -> ComplexArray:
-    """Taylor coefficients of a product."""
-    out = np.zeros_like(one)
-    for m in range(one.size):
+@njit(**_INSIDE)
+def _product(one: ComplexArray, other: ComplexArray, out: ComplexArray) -> None:
+    """Fill ``out`` with the Taylor coefficients of a product."""
+    for m in range(_ORDERS):
+        out[m] = 0.0
         for l in range(m + 1):
             out[m] += one[l] * other[m - l]
-    return out
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -176,38 +177,34 @@ def _add_free(
     """
     count = e_iw.size
     u, v = np.empty((2, count)), np.empty((2, count))
-    series = np.empty(_ORDERS, dtype=np.complex128)
-    a = np.zeros(_ORDERS, dtype=np.complex128)
-    b = np.zeros(_ORDERS + 1, dtype=np.complex128)
-    c = np.zeros(_ORDERS, dtype=np.complex128)
-    powers = np.zeros((_ORDERS, _ORDERS), dtype=np.complex128)
+    # One array, filled element by element: numba compiles each kind of allocation anew, and an assignment of an array with the
+    # text of its errors, which takes a second.
+    work = np.empty((10 + _ORDERS, _ORDERS + 1), dtype=np.complex128)
+    series, moved, gain, end, driven, a, b, c = work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7]
+    gains, powers = work[8:10], work[10:]
+    b[_ORDERS] = 0.0
     for k in range(3):
-        z_series = np.empty(_ORDERS, dtype=np.complex128)
         factor = z[k]
         for m in range(_ORDERS):
-            z_series[m] = factor
+            series[m], moved[m] = factor, factor
             factor = factor * step / (m + 1)
-        series[:] = z_series
-        series[0] = minus_one[k]
-        whole = _divided(series, poles[k])
-        gains = np.empty((tops.shape[0], _ORDERS), dtype=np.complex128)
-        gains[0] = whole
+        series[0], moved[0] = minus_one[k], 0.0
+        _divided(series, poles[k], gains[0])
         if tops.shape[0] == 2:
             series[0] = minus_two[k]
             series[1] -= step
-            gains[1] = _divided(_divided(series, poles[k]), poles[k])
+            _divided(series, poles[k], gains[1])
+            _divided(gains[1], poles[k], gains[1])
             for m in range(_ORDERS):
                 gains[1, m] /= step
-                gains[0, m] = whole[m] - gains[1, m]
+                gains[0, m] -= gains[1, m]
         for term in range(tops.shape[0]):
-            gain = _product(gains[term], filter_gain[k])
+            _product(gains[term], filter_gain[k], gain)
             # (z(h) - z)^i
-            powers[:] = 0.0
-            powers[0, 0] = 1.0
-            moved = z_series.copy()
-            moved[0] = 0.0
+            for m in range(_ORDERS):
+                powers[0, m] = 1.0 if m == 0 else 0.0
             for i in range(1, _ORDERS):
-                powers[i] = _product(powers[i - 1], moved)
+                _product(powers[i - 1], moved, powers[i])
             for conjugate in range(2):
                 own = z[k].conjugate() if conjugate else z[k]
                 for w in range(count):
@@ -216,15 +213,17 @@ def _add_free(
                 for d in range(tops.shape[1]):
                     for w in range(count):
                         v[0, w], v[1, w] = tops[term, d, w].real, tops[term, d, w].imag
-                    driven = _product(gain, ends[k, term, :, d].copy())
+                    for m in range(_ORDERS):
+                        end[m] = ends[k, term, m, d]
+                    _product(gain, end, driven)
                     for m in range(_ORDERS):
                         for i in range(_ORDERS):
-                            top, end = 0j, 0j
+                            top, last = 0j, 0j
                             for l in range(m + 1):
                                 top += gain[l] * powers[i, m - l]
-                                end += driven[l] * powers[i, m - l]
+                                last += driven[l] * powers[i, m - l]
                             a[i] = top.conjugate() if conjugate else top
-                            b[i] = end.conjugate() if conjugate else end
+                            b[i] = last.conjugate() if conjugate else last
                         for i in range(_ORDERS):
                             c[i] = -own * b[i] - b[i + 1]
                         _add_polynomial(u, v, a, c, b[0], -1.0 if conjugate else 1.0, out[k, d, m, 0], out[k, d, m, 1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from msgspec import UNSET, UnsetType, structs
 
@@ -32,9 +33,7 @@ from ..answers import (
     RefinementAnswer,
     RungAnswer,
 )
-from ..common import bad_samples_of, diagnosis_answer, refinement_answer
-from ..modal.terms import GAUGES
-from ..next_experiment.separating import Proposal, separating_record
+from ..common import GAUGES, bad_samples_of, diagnosis_answer, refinement_answer
 from ..where.regions import (
     FAMILIES,
     FREQUENCY_KINDS,
@@ -47,6 +46,9 @@ from .hold import hold_hint, hold_look_alikes
 from .problem import CampaignProblem
 from .records_differ import every_candidate, prepared, selected
 from .variation_text import records_differ_answer
+
+if TYPE_CHECKING:
+    from ..next_experiment.separating import Proposal
 
 #: What records without a drive leave open.
 NO_FORCE = "the force: without a drive, modes, initial states and sizes of effects are in units of the sense signal"
@@ -61,7 +63,7 @@ def campaign_answers(
     ----------
     campaign : with at least one record to fit.
     model : plant and effects to start from.
-    threads : signatures computed at the same time; by default one per usable core.
+    threads : records examined, and signatures computed, at the same time; by default one per usable core.
 
     Raises
     ------
@@ -71,8 +73,9 @@ def campaign_answers(
         raise MeasurementError(
             "no record to fit", value=campaign.device_id, next_step='give at least one record role = "fit"'
         )
-    campaign = without_bad_samples(campaign)
-    problem = CampaignProblem(campaign, model, noise_level(campaign), threads or usable_cores())
+    threads = threads or usable_cores()
+    campaign = without_bad_samples(campaign, threads)
+    problem = CampaignProblem(campaign, model, noise_level(campaign), threads)
     return CampaignAnswers(prepared(problem))
 
 
@@ -101,6 +104,9 @@ class CampaignAnswers:
 
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
         """For every class of several effects the record that separates it best; ``terms`` are in the fit."""
+        # Few campaigns have a class.
+        from ..next_experiment.separating import separating_record
+
         found = (separating_record(self.problem, terms, one) for one in classes if len(one.members) > 1)
         return tuple(one for one in found if one is not None)
 

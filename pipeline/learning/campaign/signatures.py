@@ -116,8 +116,7 @@ def _stacked(
 ) -> tuple[tuple[Candidate, ...], tuple[FloatArray, ...]]:
     """Candidates with their cells in common blocks (rows, K), one per record; ``sizes`` are the numbers of rows."""
     candidates: list[Candidate] = []
-    # Each column is contiguous in memory; pages that are never written to take none.
-    buffers = [np.empty((0, size)) for size in sizes]
+    parts: list[list[FloatArray]] = [[np.empty((0, size))] for size in sizes]
     width = 0
     for found in signatures:
         if found is None:
@@ -125,13 +124,12 @@ def _stacked(
         candidate, columns = found
         cells = tuple(slice(c.start + width, c.stop + width) for c in candidate.cells)
         candidates.append(replace(candidate, cells=cells))
-        more = sum(part.shape[0] for part in columns[0])
-        if width + more > buffers[0].shape[0]:
-            buffers = [np.concatenate([old, np.empty((width + more, old.shape[1]))]) for old in buffers]
-        for buffer, own in zip(buffers, columns):
-            np.concatenate(own, out=buffer[width : width + more])
-        width += more
-    return tuple(candidates), tuple(buffer[:width].T for buffer in buffers)
+        width += sum(part.shape[0] for part in columns[0])
+        for known, own in zip(parts, columns):
+            known.extend(own)
+    # Each column is contiguous in memory; the parts of a record are freed before those of the next are copied.
+    parts.reverse()
+    return tuple(candidates), tuple(np.concatenate(parts.pop()).T for _ in sizes)
 
 
 def tangent_of(

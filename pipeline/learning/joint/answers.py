@@ -22,8 +22,7 @@ from ...experiment.tones import ToneCampaign
 from ..answers import ComparisonAnswer, DiagnosisAnswer, JumpRows, Noise, RecordErrors, RecordsDiffer, RefinementAnswer
 from ..campaign.answers import separating_text
 from ..campaign.variation_text import records_differ_answer
-from ..common import RegressionAnswers, diagnosis_answer, misfit, refinement_answer
-from ..modal.terms import GAUGES
+from ..common import GAUGES, RegressionAnswers, diagnosis_answer, misfit, refinement_answer
 from ..next_experiment.separating import Proposal
 from ..where.regions import FAMILIES, FREQUENCY_KINDS, by_kind, explained_by_kind, remaining_shares, significant_places
 from .mixed import joint_problem

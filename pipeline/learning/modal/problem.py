@@ -30,8 +30,9 @@ from ...inference.general.gauss_newton import ITERATIONS
 from ...inference.modal.axes import FourThetas, four_thetas
 from ...inference.modal.model import ResonantModes, modelled_modes, starting_values, systems_of
 from ..campaign.rows import USABLE
+from ..common import GAUGES
 from .rows import POLE_WEIGHT, ModalRows
-from .terms import GAUGES, declared_terms, modal_terms
+from .terms import declared_terms, modal_terms
 
 
 class ModalProblem:

@@ -15,13 +15,6 @@ from ...errors import ConfigError
 from ...inference.modal.model import ResonantModes, conditions, modelled_modes
 from .rows import ModalRows
 
-#: Degeneracies of plant "gyro" that no linear experiment can resolve.
-GAUGES = (
-    "common rotation of the drive and sense electrodes (theta rotates with them)",
-    "up-down tilt about the other axis (absorbed by updown_gain)",
-    "linear part of electrostatic softening (absorbed by the frequencies and theta)",
-)
-
 
 def declared_terms(model: Model, rows: ModalRows) -> tuple[str, ...]:
     """Absent effects that a declared condition of the record fixes."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,11 +31,14 @@ from pipeline.learning.next_experiment.experiments import Experiment
 from pipeline.learning.next_experiment.predicted import NextRecord, next_experiments, next_record
 
 from ...device.measured import Measured
-from ...learning import Answers, ComparisonResult, compare
+from ...learning import ComparisonResult, compare
 from ...learning.device_verdict import with_verdicts
 from ...learning.views import decays_of, records_of, tones_of
 from .chosen import chosen_selection
 from .curves import View
+
+if TYPE_CHECKING:
+    from ...learning.of_kind import Answers
 
 #: A record that may come next, and what two fits say of it.
 Next = Experiment | Repeat

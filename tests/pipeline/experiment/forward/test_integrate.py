@@ -13,11 +13,9 @@ from pipeline.device.effect import Laws
 from pipeline.device.mechanics import Mechanics
 from pipeline.device.model import Model, PlantSpec
 from pipeline.device.readout import plain_readout
-from pipeline.errors import ConfigError
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
 from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, perturbed_motion, trajectory
-from pipeline.experiment.forward.kernels import MOST_FORCES
 from pipeline.experiment.forward.linear import SampleClock, linear_response, upper_poles
 from pipeline.experiment.forward.readout_filter import filtered
 from pipeline.experiment.instrument import AntiAlias
@@ -131,7 +129,22 @@ def test_a_free_motion_decays_from_its_initial_state() -> None:
     assert not np.any(deviation)
 
 
-def test_more_forces_than_the_kernel_holds_are_refused() -> None:
+def test_many_forces_act_as_their_sum() -> None:
+    m, count = PLANT.mechanics(VALUES), 20
+    one = (spring, np.full(1, 1e-4))
+    _, many = trajectory(m, [one] * count, _laws(m), DRIVE[:400], 1e-4, "zoh", None)
+    _, strong = trajectory(m, [(spring, count * one[1])], _laws(m), DRIVE[:400], 1e-4, "zoh", None)
+    assert np.max(np.abs(many - strong)) < 1e-12 * np.max(np.abs(strong))
+
+
+def refusing(
+    t: float, q: FloatArray, qd: FloatArray, u: FloatArray, p: FloatArray, laws: Laws, out: FloatArray
+) -> None:
+    if t > 1e-2:
+        raise ValueError("no law beyond 10 ms")
+
+
+def test_an_error_that_a_force_raises_ends_the_loop() -> None:
     m = PLANT.mechanics(VALUES)
-    with pytest.raises(ConfigError, match="too many forces"):
-        trajectory(m, [(spring, np.zeros(1))] * (MOST_FORCES + 1), _laws(m), DRIVE[:10], 1e-4, "zoh", None)
+    with pytest.raises(ValueError, match="no law beyond 10 ms"):
+        trajectory(m, [(refusing, np.zeros(1))], _laws(m), DRIVE[:400], 1e-4, "zoh", None)
