@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, types
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, RealArray
 from ..errors import ConfigError
 from ..threads import once
 
@@ -95,7 +95,7 @@ def _at_each_point(
         law[0](t[i], q[i], qd[i], u[i], p, laws, out[i])
 
 
-def _rows(values: FloatArray) -> Any:
+def _rows(values: RealArray) -> Any:
     """Rows of values (C, m) as an array (C,) of vectors."""
     out = np.empty(values.shape[0], dtype=object)
     for i, row in enumerate(values):
@@ -105,28 +105,36 @@ def _rows(values: FloatArray) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """m points of a motion: times t (m,) [s], coordinates q (n, m) [V s], velocities qd (n, m) [V], drive u (D, m) [V]."""
+    """m points of a motion: times t (m,) [s], coordinates q (n, m) [V s], velocities qd (n, m) [V], drive u (D, m) [V].
 
-    t: FloatArray
-    q: FloatArray
-    qd: FloatArray
-    u: FloatArray
+    All of one precision, which is that of the force of a law that takes vectors.
+    """
+
+    t: RealArray
+    q: RealArray
+    qd: RealArray
+    u: RealArray
 
     @cached_property
     def elements(self) -> tuple[Any, Any, Any]:
         """q, qd and u as arrays (n,), (n,), (D,) of vectors (m,)."""
         return _rows(self.q), _rows(self.qd), _rows(self.u)
 
-    def plus(self, q: FloatArray, qd: FloatArray) -> Points:
+    @cached_property
+    def single(self) -> Points:
+        """The points in single precision."""
+        return Points(*(np.asarray(each, dtype=np.float32) for each in (self.t, self.q, self.qd, self.u)))
+
+    def plus(self, q: RealArray, qd: RealArray) -> Points:
         """The points with another motion (n, m) added."""
         return Points(self.t, self.q + q, self.qd + qd, self.u)
 
 
-def _with_vectors(force: Callable[..., None], points: Points, p: FloatArray, laws: Laws) -> FloatArray:
+def _with_vectors(force: Callable[..., None], points: Points, p: RealArray, laws: Laws) -> RealArray:
     out = np.empty(points.q.shape[0], dtype=object)
     out[:] = 0.0
     force(points.t, *points.elements, p, laws, out)
-    whole = np.empty(points.q.shape)
+    whole = np.empty_like(points.q)
     for i, row in enumerate(out):
         whole[i] = row
     return whole
@@ -163,8 +171,22 @@ def force_along(force: Callable[..., None], points: Points, p: FloatArray, laws:
     ConfigError : as :func:`compiled_force`.
     """
     if takes_vectors(force, p.size):
-        return _with_vectors(force, points, p, laws)
+        return np.asarray(_with_vectors(force, points, p, laws), dtype=np.float64)
     out = np.zeros(points.q.shape[::-1])
     rows = (np.ascontiguousarray(each.T) for each in (points.q, points.qd, points.u))
     _each_point()((compiled_force(force),), np.ascontiguousarray(points.t), *rows, p, laws, out)
     return out.T
+
+
+def in_single(laws: Laws) -> Laws:
+    """The laws with matrices in single precision, for :func:`single_force_along`."""
+    matrices = (np.asarray(each, dtype=np.float32) for each in (laws.damping, laws.stiffness, laws.drive, laws.motion))
+    return Laws(*matrices, *laws[4:])  # type: ignore[arg-type]
+
+
+def single_force_along(force: Callable[..., None], points: Points, p: FloatArray, laws: Laws) -> RealArray:
+    """:func:`force_along` in single precision, of points and ``laws`` in single precision (:func:`in_single`).
+
+    Only for a law that :func:`takes_vectors`; it takes half the time.
+    """
+    return _with_vectors(force, points, p.astype(np.float32), laws)

@@ -124,7 +124,7 @@ class _Group:
 @lru_cache(maxsize=16)
 def _grouped(of_columns: tuple[str, ...]) -> tuple[tuple[str, ...], _Group, _Group]:
     """The effects of columns: their names, those with one column, and those with several."""
-    effects = tuple(dict.fromkeys(of_columns))
+    effects = tuple(sorted(set(of_columns)))
     columns = [[k for k, name in enumerate(of_columns) if name == effect] for effect in effects]
     groups = []
     for several in (False, True):

@@ -13,7 +13,7 @@ import numpy as np
 from ....arrays import ComplexArray, FloatArray, IntArray
 from ....device.effect import Context
 from ..inband import Band
-from .library import BandSignature, probes_of
+from .library import BandSignature, probes_of, write_real
 from .linear import LinearDevice
 
 #: Products of samples and bins, relative to the samples of the record, up to which a sum takes less time than an FFT.
@@ -64,17 +64,19 @@ def drive_sizes(drives_v: Sequence[FloatArray], with_mismatch: bool) -> dict[str
 
 
 def adc_signatures(
-    device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool
+    device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool, out: FloatArray
 ) -> Iterator[BandSignature]:
-    """Signatures of the ADC stage at ``sizes`` of :func:`adc_sizes`."""
+    """Signatures of the ADC stage at ``sizes`` of :func:`adc_sizes`, written to the first rows of ``out`` (.., S, 2 W)."""
+    rows = iter(out)
     loud, volts = louds
     for probe in probes_of(with_mismatch, "adc"):
         if probe.effect.adc is None or probe.effect.name not in sizes:
             continue
         change = probe.effect.adc(volts, np.array([sizes[probe.effect.name]]), device.context) - volts
         moved = np.flatnonzero(change.any(axis=1))
-        spectrum = transform_of_few(device.band, loud[moved], change[moved])
-        yield BandSignature(probe.effect.name, spectrum, 0.0, np.inf)
+        row = next(rows)
+        write_real(transform_of_few(device.band, loud[moved], change[moved]), row)
+        yield BandSignature(probe.effect.name, row, 0.0, np.inf)
 
 
 def transform_of_few(band: Band, where: IntArray, change: FloatArray) -> ComplexArray:

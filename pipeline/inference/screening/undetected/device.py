@@ -28,10 +28,10 @@ from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
 from .bounds import Candidates, Projection, judged, summary
 from .clipping import Loud, adc_sizes, drive_sizes
-from .library import BandSignature
+from .library import BandSignature, write_real
 from .linear import LinearDevice, Moved, linear_devices
 from .linear_stages import moved_mechanics
-from .rows import hum_of, products_of, record_weight, stationary_variance, white_products, without_hum, write_real
+from .rows import products_of, record_weight, stationary_variance, take_out_hum, white_products
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
@@ -89,7 +89,7 @@ def scored_device(scoring: Scoring) -> Undetected:
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
     linear = _linear(scoring)
-    products = _products(scoring, linear, [_found(scoring, linear, i) for i in range(len(scoring.data))])
+    products = _products(scoring, linear)
     (slopes,) = quantity_slopes(scoring.fit.x[None], scoring.rate, scoring.prior)
     return _judged(scoring, products, slopes)
 
@@ -103,8 +103,7 @@ def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
         # A long record is given up part by part.
         return _each(scored_device, scorings)
     linear = _each(_linear, scorings)
-    found = _each(lambda scoring, own: [_found(scoring, own, i) for i in range(len(scoring.data))], scorings, linear)
-    products = _each(_products, scorings, linear, found)
+    products = _each(_products, scorings, linear)
     return _each(_judged, scorings, products, _slopes_of(scorings))
 
 
@@ -130,34 +129,34 @@ def _linear(scoring: Scoring) -> _Linear:
     )
 
 
-def _found(scoring: Scoring, linear: _Linear, i: int) -> tuple[BandSignature, ...]:
-    """The signatures in record ``i``."""
-    return signatures(linear.devices[i], linear.moved, scoring.louds[i], linear.sizes, scoring.prior is not None)
-
-
-def _products(scoring: Scoring, linear: _Linear, found: Sequence[Sequence[BandSignature]]) -> _Products:
+def _products(scoring: Scoring, linear: _Linear) -> _Products:
     """Products of all rows, summed over the records and the prior of the fit."""
-    fit, data = scoring.fit, scoring.data
+    fit, data, with_mismatch = scoring.fit, scoring.data, scoring.prior is not None
     slopes, count = feature_slopes(fit), fit.x.size
     first = data[0].band.frequency_hz
     products: FloatArray | float = 0.0
     scanned: ScannedProducts | None = None
-    for item, device, own in zip(data, linear.devices, found):
+    candidates: Candidates | None = None
+    for item, device, loud in zip(data, linear.devices, scoring.louds):
         edges = (float(first[0]), float(first[-1]))
-        scans = scans_of(item.band, edges, scoring.line_hz, scoring.prior is not None)
-        rows = np.empty((count + 1 + len(own), 2, 2 * item.band.bins.size))
-        np.matmul(slopes.reshape(2 * count, -1), device.columns.T, out=rows[:count].reshape(2 * count, -1))
-        write_real(item.spectrum - device.sensed, rows[count])
-        for row, one in zip(rows[count + 1 :], own):
-            write_real(one.change, row, one.per_unit)
+        scans = scans_of(item.band, edges, scoring.line_hz, with_mismatch)
+        found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, count + 1)
+        device.rows(slopes, found.rows[:count])
+        write_real(item.spectrum - device.sensed, found.rows[count])
         variance = stationary_variance(item, scoring.noise.sigma_v)
-        more, part = _of_record(rows, count, item, scans, variance)
-        del rows  # as large as a long record
+        more, part = _of_record(found.rows, count, item, scans, variance)
+        candidates = _candidates(found.signatures)
+        del found  # its rows are as large as a long record
         products = products + more
         scanned = part if scanned is None else scanned + part
-    assert scanned is not None
-    low, high = (np.array([getattr(one, end) for one in found[-1]]) for end in ("low", "high"))
-    return _Products(np.array(products), scanned, Candidates(tuple(one.effect for one in found[-1]), low, high))
+    assert scanned is not None and candidates is not None
+    return _Products(np.array(products), scanned, candidates)
+
+
+def _candidates(found: Sequence[BandSignature]) -> Candidates:
+    """The effects of signatures, with the ranges of their strengths in units of the rows."""
+    low, high = (np.array([getattr(one, end) * one.per_unit for one in found]) for end in ("low", "high"))
+    return Candidates(tuple(one.effect for one in found), low, high)
 
 
 def _judged(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> Undetected:
@@ -186,24 +185,20 @@ def _of_record(
 ) -> tuple[FloatArray, ScannedProducts]:
     """Products (P + 1 + K, P + 1 + K) in sigmas of the rows [J, r, Z] of a record, and those of its scans with J and r.
 
-    The hum lines of the residual are taken out in place; P = ``count``.
+    The hum lines are taken out of the rows in place; P = ``count``.
     """
     fit = slice(0, count + 1)
     weight = record_weight(item, variance)
+    take_out_hum(rows, item.nuisance)
     if item.noise is None:
-        rows[count : count + 1] = without_hum(rows[count : count + 1], item.nuisance)
-        hum = hum_of(rows, item.nuisance)
-        hum[count] = 0.0
-        products = white_products(rows, hum, item, variance)
-        return products, scanned_products(scans, rows[fit], hum[fit], weight, products[fit, fit])
+        products = white_products(rows, item, variance)
+        return products, scanned_products(scans, rows[fit], weight, products[fit, fit])
     products = products_of(rows, item, item.noise, variance)
-    left = without_hum(rows[fit], item.nuisance)
     base = products[fit, fit]
     if item.noise.dependent.size:
-        flat = (left * np.tile(weight, 2)).reshape(count + 1, -1)
+        flat = (rows[fit] * np.tile(weight, 2)).reshape(count + 1, -1)
         base = flat @ flat.T
-    none = np.zeros((count + 1, 2, item.nuisance.shape[1]))
-    return products, scanned_products(scans, left, none, weight, base)
+    return products, scanned_products(scans, rows[fit], weight, base)
 
 
 @lru_cache(maxsize=4)

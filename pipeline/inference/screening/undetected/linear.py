@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray, real_parts
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
 from ....device.gyro import PHYSICAL, cartesian_mechanics, to_physical
@@ -31,6 +31,7 @@ from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
 from .narrow_band import Grid, Signals
+from .respond import respond
 
 
 def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
@@ -66,40 +67,50 @@ class LinearDevice:
     antialias: ComplexArray
     drive: ComplexArray
 
-    def read(self, residues: ComplexArray, slopes: ComplexArray | None = None) -> ComplexArray:
-        """sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj, (.., C, W), of R and T (.., 3, C, D)."""
+    def read(self, residues: ComplexArray, slopes: ComplexArray | None = None, out: FloatArray | None = None) -> FloatArray:
+        """sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj as rows (.., C, 2 W), of R and T (.., 3, C, D)."""
         orders = np.arange(ORDER + 1)
         powers = self.shifts[:, None] ** orders
         series = residues[..., None] * powers[:, None, None]
         if slopes is not None:
             series[..., 1:] += slopes[..., None] * (orders[1:] * powers[:, :-1])[:, None, None]
         by_channel = np.ascontiguousarray(np.moveaxis(series[..., self.source, :, :, :], -3, -4))
-        rows = self.rows(by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1))
-        out = np.empty((*rows.shape[:-1], rows.shape[-1] // 2), dtype=np.complex128)
-        out.real, out.imag = rows[..., : out.shape[-1]], rows[..., out.shape[-1] :]
-        return out
+        return self.rows(by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1), out)
 
-    def rows(self, coefficients: FloatArray) -> FloatArray:
+    def rows(self, coefficients: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Spectra (.., 2 W), real parts before imaginary ones, of coefficients (.., J) of the features."""
-        flat = coefficients.reshape(-1, coefficients.shape[-1]) @ self.columns.T
-        return flat.reshape(*coefficients.shape[:-1], -1)
+        whole = np.empty((*coefficients.shape[:-1], self.columns.shape[0])) if out is None else out
+        flat = coefficients.reshape(-1, coefficients.shape[-1])
+        np.matmul(flat, self.columns.T, out=whole.reshape(flat.shape[0], -1))
+        return whole
 
     def signals(self, grid: Grid) -> Signals:
         """Envelopes of the motion and of the drive on a grid."""
-        inverse, drive = _shared_signals(self.band, grid)
-        found = grid.envelopes(self._spectra[:6] * inverse)
-        return Signals(grid, np.arange(grid.points), found[:3], found[3:], drive)
+        inverse, drive = shared_signals(self.band, grid)
+        whole = np.empty((6 + drive.shape[0], grid.points), dtype=np.complex64)
+        whole[:6], whole[6:] = grid.envelopes((self._spectra[:6] * inverse).astype(np.complex64)), drive
+        return Signals(grid, np.arange(grid.points), whole)
 
-    @property
+    @cached_property
     def sensed(self) -> ComplexArray:
         """Pick-off volts behind the filter (S, W)."""
-        return self._spectra[6:]
+        return np.asarray(self.sensed_of_drives.sum(axis=0))
+
+    @property
+    def sensed_of_drives(self) -> ComplexArray:
+        """The part of each drive (D, S, W) of the pick-off volts behind the filter."""
+        return self._spectra[6:].reshape(self.drive.shape[0], -1, self.s.size)
 
     @cached_property
     def _spectra(self) -> ComplexArray:
-        """Coordinates, velocities and pick-off volts behind the filter (3 + 3 + S, W)."""
+        """Coordinates, velocities and pick-off volts of each drive behind the filter (3 + 3 + D S, W)."""
         q = self.parts @ self.mechanics.drive[0]
-        return self.read(np.concatenate([q, q * self.poles[:, None, None], self.pickoff_residues], axis=1))
+        drives = q.shape[2]
+        alone = (np.eye(drives)[:, None, None] * self.pickoff_residues).swapaxes(0, 1).reshape(3, -1, drives)
+        rows = self.read(np.concatenate([q, q * self.poles[:, None, None], alone], axis=1))
+        out = np.empty((rows.shape[0], self.s.size), dtype=np.complex128)
+        out.real, out.imag = rows[:, : self.s.size], rows[:, self.s.size :]
+        return out
 
     @cached_property
     def pickoff_residues(self) -> ComplexArray:
@@ -108,25 +119,29 @@ class LinearDevice:
         read = m.velocity_sense[0] * self.poles[:, None, None] + m.position_sense[0]
         return np.asarray(read @ self.parts @ m.drive[0])
 
-    def forced(self, force: ComplexArray, grid: Grid) -> ComplexArray:
-        """Volts behind the filter (K, S, W) in response to envelopes of K forces (K, 3, n) [V/s]."""
+    def forced(self, force: AnyComplexArray, grid: Grid, out: FloatArray) -> FloatArray:
+        """Volts behind the filter in response to envelopes of K forces (K, 3, n) [V/s], as the first rows of ``out`` (.., S, 2 W)."""
         span = self.band.samples / self.band.sample_rate_hz
         # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
         decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
         left = grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]
         count = force.shape[0]
-        ends = (force.reshape(-1, grid.points) @ left.T).reshape(count, 3, 3) * (0.5 * span / grid.points)
+        ends = (force.reshape(-1, grid.points) @ left.T.astype(force.dtype)).reshape(count, 3, 3) * (0.5 * span / grid.points)
         modal = np.einsum("kij,bjk->kbi", self.parts, ends)
         q_end = 2.0 * modal.real.sum(axis=0)
         v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
-        m, transfer = self.mechanics, self._transfer()
-        boundary = np.concatenate([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=1)
-        ringing = np.concatenate([transfer, transfer * self.s]) * -self.band.sample_rate_hz
-        volts = (boundary @ ringing.reshape(6, -1)).reshape(count, 2, -1)
-        spectrum = grid.spectra(force)
-        for c, own in enumerate(transfer * grid.bin_scale):
-            volts += own * spectrum[:, c, None]
-        return np.asarray(volts)
+        m = self.mechanics
+        ringing = np.stack([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=2)
+        ringing *= self.band.sample_rate_hz / grid.bin_scale
+        transfer = real_parts(self._transfer() * grid.bin_scale).astype(np.float32)
+        respond(
+            grid.transforms(force), grid.below, ringing.astype(np.float32), self._omega, transfer, out[:count]
+        )
+        return out[:count]
+
+    @property
+    def _omega(self) -> RealArray:
+        return self.s.imag.astype(np.float32)
 
     def _transfer(self) -> ComplexArray:
         """G (V s + D)(K + s C + s^2)^-1 (3, S, W) by partial fractions."""
@@ -153,7 +168,7 @@ def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray
 
 
 @kept_if_short(4)
-def _shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
+def shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
     """1 / G (W,), in units of the grid, and the envelopes of the drive (D, n) [V], which all devices of a band share."""
     _, antialias, drive = frequency_axis(band)
     return 1.0 / (grid.bin_scale * antialias), grid.envelopes(drive / grid.bin_scale)

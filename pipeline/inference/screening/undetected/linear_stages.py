@@ -16,14 +16,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from ....arrays import ComplexArray
+from ....arrays import ComplexArray, FloatArray
 from ....device.effect import Context
 from ....device.mechanics import Mechanics
 from ....device.readout import Readout, plain_readout
 from ....experiment.antialias import filter_poles
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import SHAPE, BandSignature, Probe, probes_of
+from .library import SHAPE, BandSignature, Probe, probes_of, write_real
 from .linear import LinearDevice, Moved, frequency_axis
 from .narrow_band import Grid
 
@@ -50,17 +50,19 @@ def moved_mechanics(with_mismatch: bool, mechanics: Mechanics, context: Context)
     return out
 
 
-def mechanics_signatures(device: LinearDevice, moved: Moved, with_mismatch: bool) -> Iterator[BandSignature]:
-    """Signatures of linear mechanics, from the poles and residues with each of :func:`mechanics_moves`."""
+def mechanics_signatures(
+    device: LinearDevice, moved: Moved, with_mismatch: bool, out: FloatArray
+) -> Iterator[BandSignature]:
+    """Signatures of linear mechanics, from :func:`mechanics_moves`, written to the first rows of ``out`` (.., S, 2 W)."""
     moves = mechanics_moves(with_mismatch)[::2]
     if not moves:
         return
     double = 2.0 * np.array([step for _, step in moves])
     poles = (moved.poles[::2] - moved.poles[1::2]) / double[:, None]
     residues = (moved.residues[::2] - moved.residues[1::2]) / double[:, None, None, None]
-    spectra = device.read(residues, device.pickoff_residues * poles[:, :, None, None])
-    for (probe, _), spectrum in zip(moves, spectra):
-        yield probe.signature(spectrum, 1.0, 1)
+    device.read(residues, device.pickoff_residues * poles[:, :, None, None], out=out[: len(moves)])
+    for (probe, _), row in zip(moves, out):
+        yield probe.signature(row, 1.0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +71,14 @@ class _ReadoutChanges:
 
     Parameters
     ----------
-    fed : signatures of drive that is fed through.
+    fed, fed_rows : parameters that feed the drive through, and their signatures (k, S, 2 W) per unit.
     through, filters : parameters that change the filter, and their change of G (k, S, S, W) per unit.
     lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, W) per unit.
     clocks : parameters that change the clock, each with the offset per unit.
     """
 
-    fed: tuple[BandSignature, ...]
+    fed: tuple[Probe, ...]
+    fed_rows: FloatArray
     through: tuple[Probe, ...]
     filters: ComplexArray
     lagged: tuple[Probe, ...]
@@ -98,7 +101,7 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
         return through, np.asarray(np.einsum("wsr,wrd,dw->sw", through, fed, drive))
 
     own = of(plain)
-    fed: list[BandSignature] = []
+    fed: list[tuple[Probe, ComplexArray]] = []
     through: list[tuple[Probe, ComplexArray]] = []
     lags: list[tuple[Probe, ComplexArray]] = []
     clocks: list[tuple[Probe, float]] = []
@@ -115,9 +118,13 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
         elif change.any():
             through.append((probe, np.moveaxis(change, 0, 2) / frequency_axis(band)[1]))
         else:
-            fed.append(probe.signature((moved[1] - own[1]) / step, 1.0, 1))
+            fed.append((probe, (moved[1] - own[1]) / step))
+    fed_rows = np.empty((len(fed), SHAPE.senses, 2 * s.size))
+    for row, (_, spectrum) in zip(fed_rows, fed):
+        write_real(spectrum, row)
     return _ReadoutChanges(
-        tuple(fed),
+        tuple(probe for probe, _ in fed),
+        fed_rows,
         tuple(probe for probe, _ in through),
         np.stack([change for _, change in through]) if through else np.zeros((0, 2, 2, s.size), np.complex128),
         tuple(probe for probe, _ in lags),
@@ -126,18 +133,30 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
     )
 
 
-def readout_signatures(device: LinearDevice, grid: Grid, with_mismatch: bool) -> Iterator[BandSignature]:
-    """Signatures of the read-out; a parameter changes the filter, what is fed through, the lag of a drive, or the clock."""
+def readout_signatures(
+    device: LinearDevice, grid: Grid, with_mismatch: bool, out: FloatArray
+) -> Iterator[BandSignature]:
+    """Signatures of the read-out, written to the first rows of ``out`` (.., S, 2 W).
+
+    A parameter changes the filter, what is fed through, the lag of a drive, or the clock.
+    """
     changes = _readout_changes(device.band, with_mismatch, device.context.bias_v)
-    yield from changes.fed
-    spectra = changes.filters[:, :, 0] * device.sensed[0] + changes.filters[:, :, 1] * device.sensed[1]
-    for probe, spectrum in zip(changes.through, spectra):
-        yield probe.signature(spectrum, 1.0, 1)
-    if changes.lagged:
-        alone = np.eye(SHAPE.drives)[:, None, None] * device.pickoff_residues
-        for probe, spectrum in zip(changes.lagged, np.einsum("kdw,dsw->ksw", changes.lags, device.read(alone))):
-            yield probe.signature(spectrum, 1.0, 1)
+    out[: len(changes.fed)] = changes.fed_rows
+    rows = iter(out)
+    for probe in changes.fed:
+        yield probe.signature(next(rows), 1.0, 1)
+    filtered = changes.filters[:, :, 0] * device.sensed[0]
+    filtered += changes.filters[:, :, 1] * device.sensed[1]
+    lagged = changes.lags[:, :1] * device.sensed_of_drives[0]
+    lagged += changes.lags[:, 1:] * device.sensed_of_drives[1]
+    for probes, spectra in ((changes.through, filtered), (changes.lagged, lagged)):
+        for probe, spectrum in zip(probes, spectra):
+            row = next(rows)
+            write_real(spectrum, row)
+            yield probe.signature(row, 1.0, 1)
     if changes.clocks:
         later = -grid.over_time(device.s * device.sensed)
         for probe, offset in changes.clocks:
-            yield probe.signature(offset * later, 1.0, 1)
+            row = next(rows)
+            write_real(offset * later, row)
+            yield probe.signature(row, 1.0, 1)

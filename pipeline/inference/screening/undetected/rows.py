@@ -15,16 +15,12 @@ import math
 import numpy as np
 from scipy.linalg import cholesky, qr, solve_triangular
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import FloatArray
 from ..compressed import BandData
 from ..whitening import BandNoise, covariance
 
-
-def write_real(spectra: ComplexArray, out: FloatArray, factor: float = 1.0) -> None:
-    """Write ``factor`` times spectra (.., W) as real numbers to ``out`` (.., 2 W): real parts before imaginary ones."""
-    width = spectra.shape[-1]
-    np.multiply(spectra.real, factor, out=out[..., :width])
-    np.multiply(spectra.imag, factor, out=out[..., width:])
+#: Size of a unit vector of a hum line at a bin that counts as none: a line of 1e5 sigmas leaves 1e-6 of them there.
+_LEAKED = 1e-11
 
 
 def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
@@ -38,12 +34,22 @@ def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
 
 def without_hum(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
     """Rows (K, S, 2 W) [V] less their part in a ``nuisance`` basis (2 W, L)."""
+    out = rows.copy()
+    take_out_hum(out, nuisance)
+    return out
+
+
+def take_out_hum(rows: FloatArray, nuisance: FloatArray) -> None:
+    """Take their part in a ``nuisance`` basis (2 W, L) out of rows (K, S, 2 W) [V], in place.
+
+    Lines that fall on bins, as those of a record of whole periods do, leave all other bins as they are.
+    """
     if not nuisance.shape[1]:
-        return rows
-    flat = rows.reshape(-1, rows.shape[2])
-    left = (flat @ nuisance) @ nuisance.T
-    np.subtract(flat, left, out=left)
-    return left.reshape(rows.shape)
+        return
+    touched = np.flatnonzero(np.einsum("wl,wl->w", nuisance, nuisance) > _LEAKED**2)
+    basis = nuisance[touched]
+    own = rows[:, :, touched]
+    rows[:, :, touched] = own - (own @ basis) @ basis.T
 
 
 def record_weight(item: BandData, variance: FloatArray) -> FloatArray:
@@ -51,23 +57,14 @@ def record_weight(item: BandData, variance: FloatArray) -> FloatArray:
     return np.asarray(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance))
 
 
-def hum_of(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
-    """Parts (K, S, L) of rows (K, S, 2 W) in a ``nuisance`` basis (2 W, L)."""
-    return np.asarray(rows.reshape(-1, rows.shape[2]) @ nuisance).reshape(*rows.shape[:2], -1)
+def white_products(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise.
 
-
-def white_products(rows: FloatArray, hum: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise, their parts ``hum`` (K, S, L) left out.
-
-    The projection is that of the products, y'z - (n'y)'(n'z), so the rows are not touched.  The symmetric product of all rows
-    takes less time than the smaller products that are needed of it.
+    The symmetric product of all rows takes less time than the smaller products that are needed of it.
     """
     out = np.zeros((rows.shape[0], rows.shape[0]))
     for a, own_variance in enumerate(variance[:, 0]):
-        own = rows[:, a] @ rows[:, a].T
-        own -= hum[:, a] @ hum[:, a].T
-        own *= 2.0 / item.band.samples / own_variance
-        out += own
+        out += rows[:, a] @ rows[:, a].T * (2.0 / item.band.samples / own_variance)
     return out
 
 

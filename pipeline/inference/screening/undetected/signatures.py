@@ -14,21 +14,31 @@ Shapes: S = 2 senses, W bins, N samples.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from ....arrays import FloatArray
 from .clipping import Loud, adc_signatures
-from .library import BandSignature
+from .library import SHAPE, BandSignature, most_signatures
 from .linear import LinearDevice, Moved
 from .linear_stages import mechanics_signatures, readout_signatures
 from .narrow_band import grid_of
 from .nonlinear import drive_forces, forces_of, sense_signatures
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Signatures in a record, and the array of their rows (head + K, S, 2 W) [V], which begins with ``head`` rows of the fit."""
+
+    signatures: tuple[BandSignature, ...]
+    rows: FloatArray
+
+
 def signatures(
-    device: LinearDevice, moved: Moved, loud: Loud, sizes: Mapping[str, float], with_mismatch: bool
-) -> tuple[BandSignature, ...]:
-    """All signatures of the effects that a fit lacks, by effect.
+    device: LinearDevice, moved: Moved, loud: Loud, sizes: Mapping[str, float], with_mismatch: bool, head: int = 0
+) -> Found:
+    """All signatures of the effects that a fit lacks.
 
     Parameters
     ----------
@@ -36,21 +46,27 @@ def signatures(
     loud : samples of its volts near their peak (``clipping``).
     sizes : of clipping (:func:`adc_sizes`, :func:`drive_sizes`).
     with_mismatch : whether the fit has electrode mismatches.
+    head : rows before those of the signatures, which are left empty for the fit.
     """
     grid = grid_of(device.band)
     signals = device.signals(grid)
+    rows = np.empty((head + most_signatures(with_mismatch), SHAPE.senses, 2 * device.band.bins.size))
     found: list[BandSignature] = []
-    found += adc_signatures(device, loud, sizes, with_mismatch)
-    found += sense_signatures(device, signals, with_mismatch)
-    found += mechanics_signatures(device, moved, with_mismatch)
-    found += readout_signatures(device, grid, with_mismatch)
+
+    def free() -> FloatArray:
+        return rows[head + len(found) :]
+
+    found += adc_signatures(device, loud, sizes, with_mismatch, free())
+    found += sense_signatures(device, signals, with_mismatch, free())
+    found += mechanics_signatures(device, moved, with_mismatch, free())
+    found += readout_signatures(device, grid, with_mismatch, free())
     forces = [*forces_of(device, signals, with_mismatch), *drive_forces(device, signals, sizes, with_mismatch)]
     if forces:
         ends = np.cumsum([0, *(len(one.probes) for one in forces)])
-        envelopes = np.zeros((ends[-1], 3, grid.points), dtype=np.complex128)
+        envelopes = np.zeros((ends[-1], 3, grid.points), dtype=np.complex64)
         for first, last, one in zip(ends, ends[1:], forces):
             envelopes[first:last, :, one.points] = one.envelopes
-        volts = iter(device.forced(envelopes, grid))
+        own = iter(device.forced(envelopes, grid, free()))
         for one in forces:
-            found += [probe.signature(next(volts), value, one.order) for probe, value in zip(one.probes, one.values)]
-    return tuple(sorted(found, key=lambda one: one.effect))
+            found += [probe.signature(next(own), value, one.order) for probe, value in zip(one.probes, one.values)]
+    return Found(tuple(found), rows[: head + len(found)])
