@@ -13,6 +13,7 @@ import numpy as np
 from ....arrays import ComplexArray, FloatArray, IntArray
 from ....device.effect import Context
 from ..inband import Band
+from ..kept import kept_if_short
 from .library import BandSignature, probes_of, write_real
 from .linear import LinearDevice
 
@@ -56,9 +57,14 @@ def adc_sizes(louds: Sequence[Loud], sigma_v: FloatArray, bias_v: float, with_mi
     return found
 
 
-def drive_sizes(drives_v: Sequence[FloatArray], with_mismatch: bool) -> dict[str, float]:
-    """Effect that clips the drive -> 1/level [1/V] of a level at 0.9 of the largest of the drives (N, D) [V]."""
-    peak_v = max(float(np.max(np.abs(v), initial=0.0)) for v in drives_v)
+@kept_if_short(4)
+def _peak_v(band: Band) -> float:
+    return float(np.max(np.abs(band.drive_v), initial=0.0))
+
+
+def drive_sizes(bands: Sequence[Band], with_mismatch: bool) -> dict[str, float]:
+    """Effect that clips the drive -> 1/level [1/V] of a level at 0.9 of the largest drive of the records."""
+    peak_v = max(_peak_v(band) for band in bands)
     clips = {probe.effect.name for probe in probes_of(with_mismatch, "drive") if probe.effect.clips("drive")}
     return dict.fromkeys(clips, 1.0 / (_LOUD * peak_v)) if peak_v > 0.0 else {}
 

@@ -14,8 +14,9 @@ from itertools import groupby
 from typing import Any, TypeVar
 
 import numpy as np
+from numba import njit
 
-from ....arrays import FloatArray
+from ....arrays import ComplexArray, FloatArray
 from ....axial import wrap
 from ....experiment.instrument import Instrument
 from ....experiment.noise.spectrum import NoiseSpectrum
@@ -123,7 +124,7 @@ def _linear(scoring: Scoring) -> _Linear:
     with_mismatch = scoring.prior is not None
     sizes = adc_sizes(scoring.louds, scoring.noise.sigma_v, scoring.instrument.bias_v, with_mismatch)
     bands = [item.band for item in scoring.data]
-    sizes |= drive_sizes([band.drive_v for band in bands], with_mismatch)
+    sizes |= drive_sizes(bands, with_mismatch)
     return _Linear(
         *linear_devices(scoring.fit, bands, scoring.instrument, partial(moved_mechanics, with_mismatch)), sizes
     )
@@ -140,9 +141,8 @@ def _products(scoring: Scoring, linear: _Linear) -> _Products:
     for item, device, loud in zip(data, linear.devices, scoring.louds):
         edges = (float(first[0]), float(first[-1]))
         scans = scans_of(item.band, edges, scoring.line_hz, with_mismatch)
-        found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, count + 1)
-        device.rows(slopes, found.rows[:count])
-        write_real(item.spectrum - device.sensed, found.rows[count])
+        found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, slopes)
+        write_real(item.spectrum - found.sensed, found.rows[count])
         variance = stationary_variance(item, scoring.noise.sigma_v)
         more, part = _of_record(found.rows, count, item, scans, variance)
         candidates = _candidates(found.signatures)
@@ -220,12 +220,23 @@ def _prior_products(prior: MismatchPrior | None, x: FloatArray) -> FloatArray:
 
 def feature_slopes(fit: Fit) -> FloatArray:
     """Slopes (P, S, J), per unit of x, of the coefficients of the model's spectrum in the features of the fit."""
-    steps = STEPS[: fit.x.size]
-    points = np.concatenate([fit.x + np.diag(steps), fit.x - np.diag(steps)])
-    c, shift = np.empty((points.shape[0], 2, FEATURES)), np.empty(3)
-    for point, out in zip(points, c):
-        coefficients(point, fit.likelihood.expansion, out, shift)
-    return np.asarray((c[: steps.size] - c[steps.size :]) / (2.0 * steps[:, None, None]))
+    slopes = np.empty((fit.x.size, 2, FEATURES))
+    _feature_slopes(fit.x, fit.likelihood.expansion, slopes)
+    return slopes
+
+
+@njit(cache=True)
+def _feature_slopes(x: FloatArray, expansion: ComplexArray, out: FloatArray) -> None:
+    ahead, behind, shift = np.empty((2, FEATURES)), np.empty((2, FEATURES)), np.empty(3)
+    for i in range(x.size):
+        moved = x.copy()
+        moved[i] = x[i] + STEPS[i]
+        coefficients(moved, expansion, ahead, shift)
+        moved[i] = x[i] - STEPS[i]
+        coefficients(moved, expansion, behind, shift)
+        for a in range(2):
+            for j in range(FEATURES):
+                out[i, a, j] = (ahead[a, j] - behind[a, j]) / (2.0 * STEPS[i])
 
 
 def quantity_slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> list[QuantitySlopes]:

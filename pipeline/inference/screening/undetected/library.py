@@ -6,7 +6,7 @@ Shapes: S = 2 senses, W bins, k parameters of an effect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -93,10 +93,14 @@ class Probe:
 
     def signature(self, row: FloatArray, value: float, order: int) -> BandSignature:
         """The signature per unit of the parameter, or of its square, from the change as a row (S, 2 W) [V] at ``value``."""
-        m = self.member
-        high = max(abs(m.low), abs(m.high)) ** 2 if order == 2 else m.high
-        low = 0.0 if order == 2 else min(m.low, 0.0)
+        low, high = self._ranges[order - 1]
         return BandSignature(self.effect.name, row, low, high, value**-order)
+
+    @cached_property
+    def _ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ranges of the parameter and of its square."""
+        m = self.member
+        return (min(m.low, 0.0), m.high), (0.0, max(abs(m.low), abs(m.high)) ** 2)
 
 
 @lru_cache(maxsize=32)

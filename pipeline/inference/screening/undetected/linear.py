@@ -13,7 +13,7 @@ Shapes: 3 modes and coordinates, D = 2 drives, S = 2 senses, W bins, n points of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,12 +34,50 @@ from .narrow_band import Grid, Signals
 from .respond import respond
 
 
+@dataclass(frozen=True, eq=False)
+class _Plant(Mapping[str, float]):
+    """Physical parameters of x (P,) by name, which few effects use."""
+
+    x: FloatArray
+
+    @cached_property
+    def _values(self) -> dict[str, float]:
+        return dict(zip(PHYSICAL, to_physical(self.x[None, :12])[0].tolist()))
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(PHYSICAL)
+
+    def __len__(self) -> int:
+        return len(PHYSICAL)
+
+
 def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
     """Mechanics (a batch of one) of parameters x (12,) or (14,), and what the stages of effects may use."""
-    plant = dict(zip(PHYSICAL, to_physical(x[None, :12])[0].tolist()))
-    context = Context(bias_v, bias_v, plant)
+    context = Context(bias_v, bias_v, _Plant(x))
     mechanics = cartesian_mechanics(x[None, :12])
     return (mechanics if x.size == 12 else mismatched(mechanics, x[12:], context)), context
+
+
+@dataclass(frozen=True, eq=False)
+class BandMotion:
+    """Spectra behind the filter.
+
+    Parameters
+    ----------
+    of_drives : the part of each drive (D, S, W) [V] of the pick-off volts.
+    spectra : coordinates and velocities (3 + 3, W) [V s, V].
+    """
+
+    of_drives: ComplexArray
+    spectra: ComplexArray
+
+    @cached_property
+    def sensed(self) -> ComplexArray:
+        """Pick-off volts (S, W) [V]."""
+        return np.asarray(self.of_drives.sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +105,15 @@ class LinearDevice:
     antialias: ComplexArray
     drive: ComplexArray
 
-    def read(self, residues: ComplexArray, slopes: ComplexArray | None = None, out: FloatArray | None = None) -> FloatArray:
-        """sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj as rows (.., C, 2 W), of R and T (.., 3, C, D)."""
+    def coefficients(self, residues: ComplexArray, slopes: ComplexArray | None = None) -> FloatArray:
+        """Those (.., C, J) of sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj in the features, of R and T (.., 3, C, D)."""
         orders = np.arange(ORDER + 1)
         powers = self.shifts[:, None] ** orders
         series = residues[..., None] * powers[:, None, None]
         if slopes is not None:
             series[..., 1:] += slopes[..., None] * (orders[1:] * powers[:, :-1])[:, None, None]
         by_channel = np.ascontiguousarray(np.moveaxis(series[..., self.source, :, :, :], -3, -4))
-        return self.rows(by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1), out)
+        return by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1)
 
     def rows(self, coefficients: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Spectra (.., 2 W), real parts before imaginary ones, of coefficients (.., J) of the features."""
@@ -84,33 +122,26 @@ class LinearDevice:
         np.matmul(flat, self.columns.T, out=whole.reshape(flat.shape[0], -1))
         return whole
 
-    def signals(self, grid: Grid) -> Signals:
-        """Envelopes of the motion and of the drive on a grid."""
-        inverse, drive = shared_signals(self.band, grid)
-        whole = np.empty((6 + drive.shape[0], grid.points), dtype=np.complex64)
-        whole[:6], whole[6:] = grid.envelopes((self._spectra[:6] * inverse).astype(np.complex64)), drive
-        return Signals(grid, np.arange(grid.points), whole)
-
-    @cached_property
-    def sensed(self) -> ComplexArray:
-        """Pick-off volts behind the filter (S, W)."""
-        return np.asarray(self.sensed_of_drives.sum(axis=0))
-
     @property
-    def sensed_of_drives(self) -> ComplexArray:
-        """The part of each drive (D, S, W) of the pick-off volts behind the filter."""
-        return self._spectra[6:].reshape(self.drive.shape[0], -1, self.s.size)
-
-    @cached_property
-    def _spectra(self) -> ComplexArray:
-        """Coordinates, velocities and pick-off volts of each drive behind the filter (3 + 3 + D S, W)."""
+    def motion_coefficients(self) -> FloatArray:
+        """Coefficients (D S + 3 + 3, J) of the pick-off volts of each drive, the coordinates and the velocities."""
         q = self.parts @ self.mechanics.drive[0]
         drives = q.shape[2]
         alone = (np.eye(drives)[:, None, None] * self.pickoff_residues).swapaxes(0, 1).reshape(3, -1, drives)
-        rows = self.read(np.concatenate([q, q * self.poles[:, None, None], alone], axis=1))
+        return self.coefficients(np.concatenate([alone, q, q * self.poles[:, None, None]], axis=1))
+
+    def motion(self, rows: FloatArray) -> BandMotion:
+        """The motion from the rows (D S + 3 + 3, 2 W) of its coefficients."""
         out = np.empty((rows.shape[0], self.s.size), dtype=np.complex128)
         out.real, out.imag = rows[:, : self.s.size], rows[:, self.s.size :]
-        return out
+        return BandMotion(out[:-6].reshape(self.drive.shape[0], -1, self.s.size), out[-6:])
+
+    def signals(self, motion: BandMotion, grid: Grid) -> Signals:
+        """Envelopes of the motion and of the drive on a grid."""
+        inverse, drive = shared_signals(self.band, grid)
+        whole = np.empty((6 + drive.shape[0], grid.points), dtype=np.complex64)
+        whole[:6], whole[6:] = grid.envelopes((motion.spectra * inverse).astype(np.complex64)), drive
+        return Signals(grid, np.arange(grid.points), whole)
 
     @cached_property
     def pickoff_residues(self) -> ComplexArray:

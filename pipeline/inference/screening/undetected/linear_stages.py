@@ -24,7 +24,7 @@ from ....experiment.antialias import filter_poles
 from ..inband import Band
 from ..kept import kept_if_short
 from .library import SHAPE, BandSignature, Probe, probes_of, write_real
-from .linear import LinearDevice, Moved, frequency_axis
+from .linear import BandMotion, LinearDevice, Moved, frequency_axis
 from .narrow_band import Grid
 
 
@@ -50,19 +50,15 @@ def moved_mechanics(with_mismatch: bool, mechanics: Mechanics, context: Context)
     return out
 
 
-def mechanics_signatures(
-    device: LinearDevice, moved: Moved, with_mismatch: bool, out: FloatArray
-) -> Iterator[BandSignature]:
-    """Signatures of linear mechanics, from :func:`mechanics_moves`, written to the first rows of ``out`` (.., S, 2 W)."""
+def mechanics_coefficients(device: LinearDevice, moved: Moved, with_mismatch: bool) -> tuple[list[Probe], FloatArray]:
+    """Parameters of linear mechanics, and their signatures as coefficients (k, S, J) of the features."""
     moves = mechanics_moves(with_mismatch)[::2]
-    if not moves:
-        return
     double = 2.0 * np.array([step for _, step in moves])
     poles = (moved.poles[::2] - moved.poles[1::2]) / double[:, None]
     residues = (moved.residues[::2] - moved.residues[1::2]) / double[:, None, None, None]
-    device.read(residues, device.pickoff_residues * poles[:, :, None, None], out=out[: len(moves)])
-    for (probe, _), row in zip(moves, out):
-        yield probe.signature(row, 1.0, 1)
+    return [probe for probe, _ in moves], device.coefficients(
+        residues, device.pickoff_residues * poles[:, :, None, None]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +130,7 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
 
 
 def readout_signatures(
-    device: LinearDevice, grid: Grid, with_mismatch: bool, out: FloatArray
+    device: LinearDevice, motion: BandMotion, grid: Grid, with_mismatch: bool, out: FloatArray
 ) -> Iterator[BandSignature]:
     """Signatures of the read-out, written to the first rows of ``out`` (.., S, 2 W).
 
@@ -145,17 +141,17 @@ def readout_signatures(
     rows = iter(out)
     for probe in changes.fed:
         yield probe.signature(next(rows), 1.0, 1)
-    filtered = changes.filters[:, :, 0] * device.sensed[0]
-    filtered += changes.filters[:, :, 1] * device.sensed[1]
-    lagged = changes.lags[:, :1] * device.sensed_of_drives[0]
-    lagged += changes.lags[:, 1:] * device.sensed_of_drives[1]
+    filtered = changes.filters[:, :, 0] * motion.sensed[0]
+    filtered += changes.filters[:, :, 1] * motion.sensed[1]
+    lagged = changes.lags[:, :1] * motion.of_drives[0]
+    lagged += changes.lags[:, 1:] * motion.of_drives[1]
     for probes, spectra in ((changes.through, filtered), (changes.lagged, lagged)):
         for probe, spectrum in zip(probes, spectra):
             row = next(rows)
             write_real(spectrum, row)
             yield probe.signature(row, 1.0, 1)
     if changes.clocks:
-        later = -grid.over_time(device.s * device.sensed)
+        later = -grid.over_time(device.s * motion.sensed)
         for probe, offset in changes.clocks:
             row = next(rows)
             write_real(offset * later, row)
