@@ -95,12 +95,12 @@ def _at_each_point(
         law[0](t[i], q[i], qd[i], u[i], p, laws, out[i])
 
 
-def _rows(values: RealArray) -> Any:
-    """Rows of values (C, m) as an array (C,) of vectors."""
-    out = np.empty(values.shape[0], dtype=object)
-    for i, row in enumerate(values):
-        out[i] = row
-    return out
+class _Vectors(list[Any]):
+    """Vectors in place of the numbers of an array: what a law indexes, and asks for its size."""
+
+    @property
+    def size(self) -> int:
+        return len(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +117,8 @@ class Points:
 
     @cached_property
     def elements(self) -> tuple[Any, Any, Any]:
-        """q, qd and u as arrays (n,), (n,), (D,) of vectors (m,)."""
-        return _rows(self.q), _rows(self.qd), _rows(self.u)
+        """q, qd and u as n, n and D vectors (m,)."""
+        return _Vectors(self.q), _Vectors(self.qd), _Vectors(self.u)
 
     @cached_property
     def single(self) -> Points:
@@ -130,14 +130,12 @@ class Points:
         return Points(self.t, self.q + q, self.qd + qd, self.u)
 
 
-def _with_vectors(force: Callable[..., None], points: Points, p: RealArray, laws: Laws) -> RealArray:
-    out = np.empty(points.q.shape[0], dtype=object)
-    out[:] = 0.0
+def _with_vectors(force: Callable[..., None], points: Points, p: RealArray, laws: Laws, whole: RealArray) -> None:
+    """Write the force to ``whole`` (n, m)."""
+    out = _Vectors([0.0] * points.q.shape[0])
     force(points.t, *points.elements, p, laws, out)
-    whole = np.empty_like(points.q)
-    for i, row in enumerate(out):
-        whole[i] = row
-    return whole
+    for own, row in zip(whole, out):
+        own[:] = row
 
 
 @lru_cache(maxsize=256)
@@ -152,7 +150,8 @@ def takes_vectors(force: Callable[..., None], parameters: int) -> bool:
     laws = Laws(matrix, matrix, random.standard_normal((3, 2)), random.standard_normal((2, 3)), 5.0, 5.0, 2)
     one_by_one = np.zeros((3, 4))
     try:
-        together = _with_vectors(force, points, p, laws)
+        together = np.empty((3, 4))
+        _with_vectors(force, points, p, laws, together)
         for i, t in enumerate(points.t):
             force(t, points.q[:, i], points.qd[:, i], points.u[:, i], p, laws, one_by_one[:, i])
     except Exception:
@@ -171,7 +170,9 @@ def force_along(force: Callable[..., None], points: Points, p: FloatArray, laws:
     ConfigError : as :func:`compiled_force`.
     """
     if takes_vectors(force, p.size):
-        return np.asarray(_with_vectors(force, points, p, laws), dtype=np.float64)
+        whole = np.empty(points.q.shape)
+        _with_vectors(force, points, p, laws, whole)
+        return whole
     out = np.zeros(points.q.shape[::-1])
     rows = (np.ascontiguousarray(each.T) for each in (points.q, points.qd, points.u))
     _each_point()((compiled_force(force),), np.ascontiguousarray(points.t), *rows, p, laws, out)
@@ -184,9 +185,9 @@ def in_single(laws: Laws) -> Laws:
     return Laws(*matrices, *laws[4:])  # type: ignore[arg-type]
 
 
-def single_force_along(force: Callable[..., None], points: Points, p: FloatArray, laws: Laws) -> RealArray:
-    """:func:`force_along` in single precision, of points and ``laws`` in single precision (:func:`in_single`).
+def single_force_along(force: Callable[..., None], points: Points, p: FloatArray, laws: Laws, out: RealArray) -> None:
+    """Write :func:`force_along` in single precision to ``out``; points and ``laws`` too are in single precision (:func:`in_single`).
 
     Only for a law that :func:`takes_vectors`; it takes half the time.
     """
-    return _with_vectors(force, points, p.astype(np.float32), laws)
+    _with_vectors(force, points, p.astype(np.float32), laws, out)

@@ -10,13 +10,13 @@ Shapes: S = 2 senses, W bins.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray
 from ....device.effect import Context
 from ....device.mechanics import Mechanics
 from ....device.readout import Readout, plain_readout
@@ -68,17 +68,17 @@ class _ReadoutChanges:
     Parameters
     ----------
     fed, fed_rows : parameters that feed the drive through, and their signatures (k, S, 2 W) per unit.
-    through, filters : parameters that change the filter, and their change of G (k, S, S, W) per unit.
-    lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, W) per unit.
+    through, filters : parameters that change the filter, and their change of G (k, S, S, W) per unit, in single precision.
+    lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, W) per unit, in single precision.
     clocks : parameters that change the clock, each with the offset per unit.
     """
 
     fed: tuple[Probe, ...]
     fed_rows: FloatArray
     through: tuple[Probe, ...]
-    filters: ComplexArray
+    filters: AnyComplexArray
     lagged: tuple[Probe, ...]
-    lags: ComplexArray
+    lags: AnyComplexArray
     clocks: tuple[tuple[Probe, float], ...]
 
 
@@ -122,11 +122,19 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
         tuple(probe for probe, _ in fed),
         fed_rows,
         tuple(probe for probe, _ in through),
-        np.stack([change for _, change in through]) if through else np.zeros((0, 2, 2, s.size), np.complex128),
+        _single([change for _, change in through], (SHAPE.senses, SHAPE.senses, s.size)),
         tuple(probe for probe, _ in lags),
-        np.stack([lag for _, lag in lags]) if lags else np.zeros((0, SHAPE.drives, s.size), np.complex128),
+        _single([lag for _, lag in lags], (SHAPE.drives, s.size)),
         tuple(clocks),
     )
+
+
+def _single(changes: Sequence[ComplexArray], shape: tuple[int, ...]) -> AnyComplexArray:
+    """Changes (k, ..) of a shape in single precision."""
+    out = np.empty((len(changes), *shape), dtype=np.complex64)
+    for own, change in zip(out, changes):
+        own[:] = change
+    return out
 
 
 def readout_signatures(
@@ -141,17 +149,19 @@ def readout_signatures(
     rows = iter(out)
     for probe in changes.fed:
         yield probe.signature(next(rows), 1.0, 1)
-    filtered = changes.filters[:, :, 0] * motion.sensed[0]
-    filtered += changes.filters[:, :, 1] * motion.sensed[1]
-    lagged = changes.lags[:, :1] * motion.of_drives[0]
-    lagged += changes.lags[:, 1:] * motion.of_drives[1]
+    of_drives = motion.of_drives.astype(np.complex64)
+    sensed = of_drives.sum(axis=0)
+    filtered = changes.filters[:, :, 0] * sensed[0]
+    filtered += changes.filters[:, :, 1] * sensed[1]
+    lagged = changes.lags[:, :1] * of_drives[0]
+    lagged += changes.lags[:, 1:] * of_drives[1]
     for probes, spectra in ((changes.through, filtered), (changes.lagged, lagged)):
         for probe, spectrum in zip(probes, spectra):
             row = next(rows)
             write_real(spectrum, row)
             yield probe.signature(row, 1.0, 1)
     if changes.clocks:
-        later = -grid.over_time(device.s * motion.sensed)
+        later = -grid.over_time(device.s.astype(np.complex64) * sensed)
         for probe, offset in changes.clocks:
             row = next(rows)
             write_real(offset * later, row)

@@ -58,22 +58,23 @@ class Grid:
         return np.linspace(0.0, self.band.samples / self.band.sample_rate_hz, self.points, endpoint=False)
 
     @cached_property
-    def _time_kernel(self) -> ComplexArray:
+    def _time_kernel(self) -> AnyComplexArray:
         """Transform (L,) of sum_n t_n e^{-2 pi i m n/N} / N [s] at the differences m of two bins, m < 0 at the end."""
         bins, samples = self.band.bins.size, self.band.samples
         m = np.arange(1, bins)
-        kernel = np.zeros(next_fast_len(2 * bins - 1), dtype=np.complex128)
+        kernel = np.zeros(next_fast_len(2 * bins - 1, real=True), dtype=np.complex128)
         kernel[0] = 0.5 * (samples - 1)
         kernel[m] = 1.0 / np.expm1(-2.0j * np.pi * m / samples)
         kernel[-m] = kernel[m].conj()
-        return np.asarray(fft(kernel / self.band.sample_rate_hz))
+        return np.asarray(fft(kernel / self.band.sample_rate_hz), dtype=np.complex64)
 
-    def over_time(self, spectrum: ComplexArray) -> ComplexArray:
-        """Transforms (.., W) of t y(t) [s] from those of y (.., W).
+    def over_time(self, spectrum: AnyComplexArray) -> AnyComplexArray:
+        """Transforms (.., W) of t y(t) [s] from those of y (.., W), in single precision.
 
         The jump of t from the end of the record to its start needs more points than envelopes have.
         """
-        product = fft(spectrum, self._time_kernel.size, axis=-1) * self._time_kernel
+        product = fft(spectrum.astype(np.complex64), self._time_kernel.size, axis=-1)
+        product *= self._time_kernel
         return np.asarray(ifft(product, axis=-1)[..., : self.band.bins.size])
 
     def powers(self, exponents: ComplexArray) -> ComplexArray:

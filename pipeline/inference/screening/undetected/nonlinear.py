@@ -112,7 +112,10 @@ def _along(probes: Sequence[Probe], motions: Sequence[Points], values: Sequence[
     for own, probe, motion, value in zip(out, probes, motions, values):
         force, p = probe.effect.force, probe.at(value)
         assert force is not None
-        own[:] = single_force_along(force, motion, p, laws.single) if single else force_along(force, motion, p, laws.double)
+        if single:
+            single_force_along(force, motion, p, laws.single, own)
+        else:
+            own[:] = force_along(force, motion, p, laws.double)
     return out
 
 

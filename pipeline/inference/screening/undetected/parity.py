@@ -84,7 +84,8 @@ def kind_of(probe: Probe) -> LawKind:
     single = takes_vectors(force, p.size)
     if single:
         exact = force_along(force, motion, p, laws)
-        rough = single_force_along(force, motion.single, p, in_single(laws))
+        rough = np.empty(motion.q.shape, dtype=np.float32)
+        single_force_along(force, motion.single, p, in_single(laws), rough)
         single = bool(np.linalg.norm(rough - exact) <= _IN_SINGLE * np.linalg.norm(exact))
     kind = _kind(force, p, motion, laws)
     return replace(kind, single=single and kind.order == 1)

@@ -36,7 +36,8 @@ _ZETAS, _STEP = (3e-3, 1e-2), 3.0
 #: Relative step of the frequency outside of the band, where the response is smooth.
 _OUTSIDE = 0.1
 
-
+#: Columns of a tile of products in single precision.
+_TILE = 16
 #: Numbers of a column that are made at once, for records whose scans are not kept: 8 MB.
 _AT_ONCE = 2**20
 
@@ -248,12 +249,15 @@ def scanned_products(
     level = power[:, :1]
     flat_weight = bool(np.all(power == level))
     weighted = rows if flat_weight else rows * np.tile(power, 2)
-    single = weighted.astype(np.float32).reshape(-1, rows.shape[2])
+    # A product of whole tiles takes a seventh less time.
+    count = 2 * rows.shape[0]
+    single = np.zeros((-(-count // _TILE) * _TILE, rows.shape[2]), dtype=np.float32)
+    single[:count] = weighted.reshape(count, -1)
     found: list[ScanPoints] = []
     crosses, squares = [], []
     for scan in scans:
         # This way round takes three quarters of the time.
-        cross = (scan.columns @ single.T).T.astype(np.float64).reshape(rows.shape[0], 2, -1)
+        cross = (scan.columns @ single.T).T[:count].astype(np.float64).reshape(rows.shape[0], 2, -1)
         if flat_weight:
             cross *= level
         crosses.append(cross.reshape(rows.shape[0], 2, -1, 2))
