@@ -83,33 +83,95 @@ class Projection:
         return np.asarray(self.slopes @ overlap)
 
 
-def judged(products: FloatArray, projection: Projection, candidates: Candidates, noise_dof: float) -> Judged:
-    """Scores and bounds from [J, r, Z]' [J, r, Z] (P + 1 + K, P + 1 + K), whitened, with the rows of the prior.
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The effects that one device may have.
 
-    Only the products of Z within an effect are used.
+    Parameters
+    ----------
+    products : [J, r, Z]' [J, r, Z] (P + 1 + K, P + 1 + K), whitened, with the rows of the prior; only those of Z within an effect
+        are used.
+    projection, candidates : of the fit; of the columns Z.
+    noise_dof : degrees of freedom of the noise level.
     """
-    p = projection.whiten.shape[0]
-    scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
-    overlap = projection.overlap(products[:p, p:] / scale)
-    left = products[p:, p:] / (scale[:, None] * scale) - overlap.T @ overlap
-    score, gram = left[0, 1:] * scale[0], left[1:, 1:]
-    bias, scale = projection.bias(overlap[:, 1:]), scale[1:]
-    low, high = candidates.low * scale, candidates.high * scale
-    effects, single, several = _grouped(candidates.effects)
-    p_values, explained = np.ones(len(effects)), np.zeros(len(effects))
-    bounds = np.zeros((len(effects), bias.shape[0]))
+
+    products: FloatArray
+    projection: Projection
+    candidates: Candidates
+    noise_dof: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What the fit leaves of unit columns Z: Z~' r (K,), Z~' Z~ (K, K), biases (Q, K), and the range (K,) of their strengths."""
+
+    score: FloatArray
+    gram: FloatArray
+    bias: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, problem: Problem) -> _Left:
+        products, p = problem.products, problem.projection.whiten.shape[0]
+        scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
+        overlap = problem.projection.overlap(products[:p, p:] / scale)
+        left = products[p:, p:] / (scale[:, None] * scale) - overlap.T @ overlap
+        score, bias, scale = left[0, 1:] * scale[0], problem.projection.bias(overlap[:, 1:]), scale[1:]
+        return cls(score, left[1:, 1:], bias, problem.candidates.low * scale, problem.candidates.high * scale)
+
+
+def judged(problem: Problem) -> Judged:
+    """Scores and bounds of the effects of one device."""
+    return judged_together([problem])[0]
+
+
+def judged_together(problems: Sequence[Problem]) -> list[Judged]:
+    """:func:`judged` of devices with the same effects and quantities.
+
+    Nothing is summed over devices, so that each has the numbers that it has alone, bit for bit.
+    """
+    every = [_Left.of(problem) for problem in problems]
+    score, gram, bias, low, high = (
+        np.stack([getattr(one, name) for one in every]) for name in ("score", "gram", "bias", "low", "high")
+    )
+    dof = np.array([problem.noise_dof for problem in problems])
+    effects, single, several = _grouped(problems[0].candidates.effects)
+    devices, quantities = len(every), bias.shape[1]
+    p_values, explained = np.ones((devices, len(effects))), np.zeros((devices, len(effects)))
+    bounds = np.zeros((devices, len(effects), quantities))
+
+    def write(own: IntArray, found: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+        for out, values in zip((p_values, explained, bounds), found):
+            out[:, own] = values.reshape(devices, own.size, *out.shape[2:])
+
     if single.effects.size:
         k = single.columns[:, 0]
-        found = _single(score[k], gram.diagonal()[k], bias[:, k], low[k], high[k], noise_dof)
-        p_values[single.effects], explained[single.effects], bounds[single.effects] = found
+        of_column = np.swapaxes(bias[:, :, k], 0, 1).reshape(quantities, -1)
+        flat = (each[:, k].ravel() for each in (score, gram.diagonal(axis1=1, axis2=2)))
+        write(
+            single.effects,
+            _single(*flat, of_column, low[:, k].ravel(), high[:, k].ravel(), np.repeat(dof, k.size)),
+        )
     if several.effects.size:
         own, used = several.columns, several.used
-        blocks = gram[own[:, :, None], own[:, None, :]] * (used[:, :, None] * used[:, None, :])
-        reach = np.where(used, np.maximum(np.abs(low), np.abs(high))[own], 0.0)
-        of_bias = np.swapaxes(bias[:, own], 0, 1) * used[:, None]
-        found = _several(score[own] * used, blocks, of_bias, reach, used.sum(axis=1), noise_dof)
-        p_values[several.effects], explained[several.effects], bounds[several.effects] = found
-    return Judged(effects, p_values, explained, bounds)
+        width = own.shape[1]
+        blocks = gram[:, own[:, :, None], own[:, None, :]] * (used[:, :, None] * used[:, None, :])
+        reach = np.where(used, np.maximum(np.abs(low), np.abs(high))[:, own], 0.0)
+        of_bias = np.swapaxes(bias[:, :, own], 1, 2) * used[:, None]
+        count = np.tile(used.sum(axis=1), devices)
+        write(
+            several.effects,
+            _several(
+                (score[:, own] * used).reshape(-1, width),
+                blocks.reshape(-1, width, width),
+                of_bias.reshape(-1, quantities, width),
+                reach.reshape(-1, width),
+                count,
+                np.repeat(dof, own.shape[0]),
+            ),
+        )
+    return [Judged(effects, *each) for each in zip(p_values, explained, bounds)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +224,7 @@ def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:
 
 
 def _single(
-    score: FloatArray, size: FloatArray, bias: FloatArray, low: FloatArray, high: FloatArray, dof: float
+    score: FloatArray, size: FloatArray, bias: FloatArray, low: FloatArray, high: FloatArray, dof: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p-values (K,) and T (K,) of effects with one signature of unit norm, ``size`` of which survives; bounds (K, Q)."""
     seen = size > _ABSORBED
@@ -181,7 +243,7 @@ def _single(
 
 
 def _several(
-    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, count: IntArray, dof: float
+    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, count: IntArray, dof: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p-values and T (E,) of effects with k signatures of unit norm; bounds (E, Q) of biases (E, Q, k).
 

@@ -27,7 +27,7 @@ from ..compressed import BandData
 from ..fit import Fit
 from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
-from .bounds import Candidates, Projection, judged, summary
+from .bounds import Candidates, Judged, Problem, Projection, judged, judged_together, summary
 from .clipping import Loud, adc_sizes, drive_sizes
 from .library import BandSignature, write_real
 from .linear import LinearDevice, Moved, linear_devices
@@ -89,10 +89,9 @@ def scored_device(scoring: Scoring) -> Undetected:
     ------
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
-    linear = _linear(scoring)
-    products = _products(scoring, linear)
     (slopes,) = quantity_slopes(scoring.fit.x[None], scoring.rate, scoring.prior)
-    return _judged(scoring, products, slopes)
+    posed = _posed(scoring, _products(scoring, _linear(scoring)), slopes)
+    return summary((judged(posed.problem), posed.scans), posed.quantities)
 
 
 def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
@@ -105,7 +104,8 @@ def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
         return _each(scored_device, scorings)
     linear = _each(_linear, scorings)
     products = _each(_products, scorings, linear)
-    return _each(_judged, scorings, products, _slopes_of(scorings))
+    posed = _each(_posed, scorings, products, _slopes_of(scorings))
+    return _each(lambda one, own: summary((own, one.scans), one.quantities), posed, _judged_of(posed))
 
 
 def _each(stage: Callable[..., T], *inputs: Sequence[Any]) -> list[T | Exception]:
@@ -159,7 +159,16 @@ def _candidates(found: Sequence[BandSignature]) -> Candidates:
     return Candidates(tuple(one.effect for one in found), low, high)
 
 
-def _judged(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> Undetected:
+@dataclass(frozen=True, eq=False)
+class _Posed:
+    """What is to be judged of a device: its effects; its scans are judged already.  The quantities that are known."""
+
+    problem: Problem
+    scans: Judged
+    quantities: tuple[str, ...]
+
+
+def _posed(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> _Posed:
     fit, data, prior, whole = scoring.fit, scoring.data, scoring.prior, products.whole
     count = fit.x.size
     of_prior = _prior_products(prior, fit.x)
@@ -173,11 +182,28 @@ def _judged(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> Un
     # Scans take noise that depends on the signal at its largest variance, and their fit with it.
     depends = any(item.noise is not None and item.noise.dependent.size for item in data)
     of_scans = Projection.of(base[:count, :count], gradient) if depends else projection
-    parts = (
-        judged(whole, projection, products.candidates, dof),
-        judged_scans(products.scanned, of_scans, base[:count, count], dof),
-    )
-    return summary(parts, names)
+    scans = judged_scans(products.scanned, of_scans, base[:count, count], dof)
+    return _Posed(Problem(whole, projection, products.candidates, dof), scans, names)
+
+
+def _judged_of(posed: Sequence[_Posed | Exception]) -> list[Judged | Exception]:
+    """The effects of each device judged; those that follow each other with the same effects and quantities at once."""
+
+    def alike(one: _Posed | Exception) -> tuple[Any, ...]:
+        return () if isinstance(one, Exception) else (one.problem.candidates.effects, one.quantities)
+
+    out: list[Judged | Exception] = []
+    for key, own in groupby(posed, key=alike):
+        group = list(own)
+        if key and len(group) > 1:
+            try:
+                out += judged_together([one.problem for one in group if isinstance(one, _Posed)])
+                continue
+            except Exception:
+                # One of them fails; the others must not.
+                pass
+        out += _each(lambda one: judged(one.problem), group)
+    return out
 
 
 def _of_record(
