@@ -19,11 +19,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray, real_parts
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
 from ....device.gyro import PHYSICAL, cartesian_mechanics, to_physical
-from ....device.mechanics import Mechanics, modes_of, state_matrix
+from ....device.mechanics import Mechanics
 from ....experiment.antialias import filter_response
 from ....experiment.instrument import Instrument
 from ..fit import Fit, modes_at
@@ -31,7 +31,8 @@ from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
 from .narrow_band import Grid, Signals
-from .respond import respond
+from .position_modes import PositionModes
+from .loops import respond
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,33 +156,33 @@ class LinearDevice:
         span = self.band.samples / self.band.sample_rate_hz
         # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
         decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
-        left = grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]
+        left = (grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]).astype(force.dtype)
         count = force.shape[0]
-        ends = (force.reshape(-1, grid.points) @ left.T.astype(force.dtype)).reshape(count, 3, 3) * (0.5 * span / grid.points)
-        modal = np.einsum("kij,bjk->kbi", self.parts, ends)
+        ends = (left @ force.reshape(-1, grid.points).T).reshape(3, count, 3) * (0.5 * span / grid.points)
+        modal = np.einsum("kij,kbj->kbi", self.parts, ends)
         q_end = 2.0 * modal.real.sum(axis=0)
         v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
         m = self.mechanics
         ringing = np.stack([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=2)
         ringing *= self.band.sample_rate_hz / grid.bin_scale
-        transfer = real_parts(self._transfer() * grid.bin_scale).astype(np.float32)
-        respond(
-            grid.transforms(force), grid.below, ringing.astype(np.float32), self._omega, transfer, out[:count]
-        )
+        spectra, transfer = grid.transforms(force), self._transfer(grid.bin_scale)
+        respond(spectra, grid.below, ringing.astype(np.float32), self._omega, transfer, out[:count])
         return out[:count]
 
     @property
     def _omega(self) -> RealArray:
         return self.s.imag.astype(np.float32)
 
-    def _transfer(self) -> ComplexArray:
-        """G (V s + D)(K + s C + s^2)^-1 (3, S, W) by partial fractions."""
-        m, s = self.mechanics, self.s
+    def _transfer(self, scale: float) -> RealArray:
+        """G (V s + D)(K + s C + s^2)^-1 times ``scale`` (2, 3, S, W), real parts before imaginary ones, by partial fractions."""
+        m = self.mechanics
         poles = np.concatenate([self.poles, self.poles.conj()])
         parts = np.concatenate([self.parts, self.parts.conj()])
-        gain = (m.velocity_sense[0] * poles[:, None, None] + m.position_sense[0]) @ parts
-        resonances = self.antialias / (s - poles[:, None])
-        return np.asarray((gain.T.reshape(-1, poles.size) @ resonances).reshape(3, 2, -1))
+        gain = (scale * m.velocity_sense[0] * poles[:, None, None] + scale * m.position_sense[0]) @ parts
+        # The distance to a pole needs all digits, the quotient does not.
+        resonances = (self.antialias / (self.s - poles[:, None])).astype(np.complex64)
+        found = gain.T.reshape(-1, poles.size).astype(np.complex64) @ resonances
+        return np.stack([found.real, found.imag]).reshape(2, 3, -1, self.s.size)
 
 
 def hold_response(band: Band) -> ComplexArray:
@@ -205,44 +206,40 @@ def shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
     return 1.0 / (grid.bin_scale * antialias), grid.envelopes(drive / grid.bin_scale)
 
 
-def _position_modes(every: Sequence[Mechanics], own: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Poles (B, 3) [rad/s] and residues (B, 3, 3, 3) of (K + s C + s^2)^-1, in the order of the poles ``own`` (3,).
-
-    They are those of ``modes_of`` with unit drive and sense.
-
-    Raises
-    ------
-    ConfigError : as in ``modes_of``.
-    """
-    state = np.concatenate([state_matrix(one) for one in every])
-    roots, right = np.linalg.eig(state)
-    modes = np.argsort(np.where(roots.imag > 0.0, roots.imag, np.inf), axis=1)[:, :3][
-        :, np.argsort(np.argsort(own.imag))
-    ]
-    batch = np.arange(len(every))[:, None]
-    poles = roots[batch, modes]
-    if not np.all(poles.imag > 0.0):
-        # It states which mode does not oscillate.
-        modes_of(every[int(np.argmin(poles.imag.min(axis=1)))])
-    left = np.linalg.inv(right)[batch, modes, 3:]
-    return poles, right[batch, :3, modes][:, :, :, None] * left[:, :, None]
-
-
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Poles (B, 3) and residues (B, 3, S, D) [rad/s] of B other mechanics, in the order of those of the device."""
+    """First-order changes of the poles (k, 3) and residues (k, 3, S, D) [rad/s] between pairs of mechanics."""
 
     poles: ComplexArray
     residues: ComplexArray
+
+
+def _moved(modes: PositionModes, own: Mechanics, pairs: Sequence[tuple[Mechanics, Mechanics]]) -> Moved:
+    """What the differences of ``pairs`` change, linearised at the mechanics ``own``."""
+
+    def change(name: str) -> FloatArray:
+        found = [getattr(ahead, name)[0] - getattr(behind, name)[0] for ahead, behind in pairs]
+        return np.array(found).reshape(len(pairs), *getattr(own, name).shape[1:])
+
+    state = np.zeros((len(pairs), 6, 6))
+    state[:, 3:, :3] = -change("stiffness")
+    state[:, 3:, 3:] = -(change("damping") + change("gyroscopic"))
+    poles, parts = modes.moved(state)
+    read = own.velocity_sense[0] * modes.poles[:, None, None] + own.position_sense[0]
+    more = change("velocity_sense")[:, None] * modes.poles[:, None, None] + change("position_sense")[:, None]
+    more = more + own.velocity_sense[0] * poles[:, :, None, None]
+    drive = own.drive[0]
+    residues = (more @ modes.parts + read @ parts) @ drive + read @ modes.parts @ change("drive")[:, None]
+    return Moved(poles, residues)
 
 
 def linear_devices(
     fit: Fit,
     bands: Sequence[Band],
     instrument: Instrument,
-    others: Callable[[Mechanics, Context], Sequence[Mechanics]],
+    others: Callable[[Mechanics, Context], Sequence[tuple[Mechanics, Mechanics]]],
 ) -> tuple[tuple[LinearDevice, ...], Moved]:
-    """The linear device of a fit in the band of each record, and the modes of ``others``, functions of its mechanics.
+    """The linear device of a fit in the band of each record, and what the pairs of ``others``, functions of its mechanics, change.
 
     Raises
     ------
@@ -250,20 +247,15 @@ def linear_devices(
     """
     x, expansion = fit.x, fit.likelihood.expansion
     mechanics, context = device_mechanics(x, instrument.bias_v)
-    every = [mechanics, *others(mechanics, context)]
-    poles, parts = _position_modes(every, modes_at(x)[0])
-    read, position = (
-        np.concatenate([getattr(one, name) for one in every]) for name in ("velocity_sense", "position_sense")
-    )
-    drive = np.concatenate([one.drive for one in every])
-    residues = (read[:, None] * poles[:, :, None, None] + position[:, None]) @ parts @ drive[:, None]
-    first, second = poles[0, :2]
+    modes = PositionModes.of(mechanics, modes_at(x)[0])
+    poles, parts = modes.poles, modes.parts
+    first, second = poles[:2]
     straight = abs(first - expansion[0]) + abs(second - expansion[1])
     crossed = abs(first - expansion[1]) + abs(second - expansion[0])
     source = (1, 0, 2) if crossed < straight else (0, 1, 2)
-    shifts = poles[0] - expansion[list(source)]
+    shifts = poles - expansion[list(source)]
     devices = tuple(
-        LinearDevice(band, context, mechanics, poles[0], parts[0], columns, shifts, source, *frequency_axis(band))
+        LinearDevice(band, context, mechanics, poles, parts, columns, shifts, source, *frequency_axis(band))
         for band, columns in zip(bands, fit.likelihood.columns)
     )
-    return devices, Moved(poles[1:], residues[1:])
+    return devices, _moved(modes, mechanics, others(mechanics, context))

@@ -30,32 +30,30 @@ from .narrow_band import Grid
 
 @lru_cache(maxsize=4)
 def mechanics_moves(with_mismatch: bool) -> tuple[tuple[Probe, float], ...]:
-    """Effects of linear mechanics that add no coordinate, and the step of a parameter: ahead and behind, one after the other."""
+    """Effects of linear mechanics that add no coordinate, and the step of a parameter."""
     found = probes_of(with_mismatch, "mechanics")
     grids = {probe.effect.name for probe in found if probe.scanned}
-    return tuple(
-        (probe, sign * 1e-4 * probe.member.scale)
-        for probe in found
-        if probe.effect.name not in grids
-        for sign in (1.0, -1.0)
-    )
+    return tuple((probe, 1e-4 * probe.member.scale) for probe in found if probe.effect.name not in grids)
 
 
-def moved_mechanics(with_mismatch: bool, mechanics: Mechanics, context: Context) -> list[Mechanics]:
-    """The mechanics with each of :func:`mechanics_moves`."""
+def moved_mechanics(
+    with_mismatch: bool, mechanics: Mechanics, context: Context
+) -> list[tuple[Mechanics, Mechanics]]:
+    """The mechanics a step ahead and a step behind in each of :func:`mechanics_moves`."""
     out = []
     for probe, step in mechanics_moves(with_mismatch):
-        assert probe.effect.mechanics is not None
-        out.append(probe.effect.mechanics(mechanics, probe.at(step), context))
+        effect = probe.effect.mechanics
+        assert effect is not None
+        ahead, behind = (effect(mechanics, probe.at(sign * step), context) for sign in (1.0, -1.0))
+        out.append((ahead, behind))
     return out
 
 
 def mechanics_coefficients(device: LinearDevice, moved: Moved, with_mismatch: bool) -> tuple[list[Probe], FloatArray]:
     """Parameters of linear mechanics, and their signatures as coefficients (k, S, J) of the features."""
-    moves = mechanics_moves(with_mismatch)[::2]
+    moves = mechanics_moves(with_mismatch)
     double = 2.0 * np.array([step for _, step in moves])
-    poles = (moved.poles[::2] - moved.poles[1::2]) / double[:, None]
-    residues = (moved.residues[::2] - moved.residues[1::2]) / double[:, None, None, None]
+    poles, residues = moved.poles / double[:, None], moved.residues / double[:, None, None, None]
     return [probe for probe, _ in moves], device.coefficients(
         residues, device.pickoff_residues * poles[:, :, None, None]
     )

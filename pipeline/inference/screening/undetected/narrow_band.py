@@ -32,6 +32,7 @@ from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, Real
 from ....device.force_law import Points
 from ..inband import Band
 from ..kept import kept_if_short
+from .loops import first_harmonic
 
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
 _POINTS_PER_BIN = 1.2
@@ -206,6 +207,12 @@ def motion_at_phases(envelope: AnyComplexArray, omega: float, phases: Phases) ->
     shape = (*envelope.shape[:-1], -1)
     ahead = omega * np.stack([sines, -cosines])
     return (np.stack([cosines, sines]).T @ parts).reshape(shape), (ahead.T @ parts).reshape(shape)
+
+
+def write_first_harmonic(values: RealArray, phases: Phases, kept: IntArray, out: AnyComplexArray) -> None:
+    """Write f_1 of values (k, 3, M n'), phase by phase, to the points ``kept`` (n',) of ``out`` (k, 3, n)."""
+    waves = _waves(phases, (1,), _is_single(values)) * (2.0 / phases.count)
+    first_harmonic(values.reshape(*values.shape[:2], phases.count, -1), waves, kept, out)
 
 
 def harmonics(values: RealArray, phases: Phases, *orders: int) -> list[AnyComplexArray]:

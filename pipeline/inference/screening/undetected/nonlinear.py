@@ -23,7 +23,7 @@ from ..inband import Band
 from ..kept import kept_if_short
 from .library import SHAPE, BandSignature, Probe, members_of, probes_of, write_real
 from .linear import LinearDevice, shared_signals
-from .narrow_band import WHOLE_TURN, Grid, Phases, Signals, at_phases, harmonics, motion_at_phases
+from .narrow_band import WHOLE_TURN, Grid, Phases, Signals, at_phases, harmonics, motion_at_phases, write_first_harmonic
 from .parity import LawKind, kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
@@ -59,14 +59,9 @@ class _LawsOf:
 
 @dataclass(frozen=True, eq=False)
 class BandForces:
-    """Forces in the band: of each of k parameters, at its value, the envelope (3, n') [V/s] at ``points`` (n',) of a grid.
-
-    ``order`` is the order of the force in the parameter.
-    """
+    """Parameters whose forces in the band are known, each at its value; ``order`` is that of the force in the parameter."""
 
     probes: Sequence[Probe]
-    points: IntArray
-    envelopes: AnyComplexArray
     values: Sequence[float]
     order: int
 
@@ -84,8 +79,14 @@ def _kinds(with_mismatch: bool) -> tuple[tuple[LawKind, tuple[Probe, ...]], ...]
     return tuple((kind, tuple(probes)) for kind, probes in found.values())
 
 
-def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForces]:
-    """The force of each parameter of the force laws, along the motion of a device."""
+def forces_of(
+    device: LinearDevice, signals: Signals, with_mismatch: bool, out: AnyComplexArray
+) -> Iterator[BandForces]:
+    """The force of each parameter of the force laws, along the motion of a device.
+
+    The envelopes [V/s] are written to the first of ``out`` (.., 3, n), which is zero before.
+    """
+    written = 0
     laws, loud = _LawsOf.of(device), signals.loud
     motions: dict[tuple[bool, int, bool], Points] = {}
     even: list[_EvenLaws] = []
@@ -96,13 +97,15 @@ def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> It
         values = [probe.member.scale for probe in probes]
         f = _along(probes, [motions[key]] * len(probes), values, laws)
         if kind.order == 1:
-            yield BandForces(probes, used.kept, harmonics(f, kind.phases, 1)[0], values, 1)
+            write_first_harmonic(f, kind.phases, used.kept, out[written : written + len(probes)])
+            written += len(probes)
+            yield BandForces(probes, values, 1)
         else:
             steady, double = harmonics(f, kind.phases, 0, 2)
             even.append(_EvenLaws(probes, np.asarray(steady.real, np.float64), np.asarray(double, np.complex128)))
     if even:
         motion = motions.get((True, WHOLE_TURN.count, False)) or loud.at(WHOLE_TURN, False)
-        yield _second_order(_EvenLaws.together(even), device, loud, motion, laws)
+        yield _second_order(_EvenLaws.together(even), device, loud, motion, laws, out[written:])
 
 
 def _along(probes: Sequence[Probe], motions: Sequence[Points], values: Sequence[float], laws: _LawsOf) -> RealArray:
@@ -139,9 +142,9 @@ class _EvenLaws:
 
 
 def _second_order(
-    even: _EvenLaws, device: LinearDevice, signals: Signals, motion: Points, laws: _LawsOf
+    even: _EvenLaws, device: LinearDevice, signals: Signals, motion: Points, laws: _LawsOf, out: AnyComplexArray
 ) -> BandForces:
-    """The forces of laws through what their own harmonics add to the ``motion`` at :data:`WHOLE_TURN`."""
+    """The forces of laws through what their own harmonics add to the ``motion`` at :data:`WHOLE_TURN`, written to ``out``."""
     omega, stiffness = signals.grid.omega, device.mechanics.stiffness[0]
     static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * omega**2 * np.eye(3)]))
     size = np.maximum(_rms_of_each(even.steady), _rms_of_each(even.double))
@@ -156,7 +159,8 @@ def _second_order(
     values = [own * probe.member.scale for own, probe in zip(share.tolist(), even.probes)]
     moved = [Points(motion.t, *each, motion.u) for each in zip(q, qd)]
     f = _along(even.probes, moved, values, laws)
-    return BandForces(even.probes, signals.kept, harmonics(f, WHOLE_TURN, 1)[0], values, 2)
+    write_first_harmonic(f, WHOLE_TURN, signals.kept, out[: len(even.probes)])
+    return BandForces(even.probes, values, 2)
 
 
 def _rms_of_each(z: FloatArray | ComplexArray) -> FloatArray:
@@ -176,17 +180,18 @@ def _returns(probe: Probe) -> bool:
 
 
 def drive_forces(
-    device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool
+    device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool, out: AnyComplexArray
 ) -> Iterator[BandForces]:
-    """The force of each parameter of the drive laws; ``sizes`` are those of clipping."""
+    """The force of each parameter of the drive laws, written to the first of ``out`` (.., 3, n); ``sizes`` are those of clipping."""
+    envelopes = iter(out)
     grid, bias_v = signals.grid, device.context.bias_v
     for probe in probes_of(with_mismatch, "drive"):
         clips = probe.effect.clips("drive")
         if (probe.effect.name not in sizes) if clips else not _returns(probe):
             continue
         value = sizes.get(probe.effect.name, probe.member.scale)
-        force = device.mechanics.drive[0].astype(np.float32) @ _drive_change(grid.band, grid, probe, value, bias_v)
-        yield BandForces((probe,), signals.kept, force[None], (value,), 1)
+        next(envelopes)[:] = device.mechanics.drive[0] @ _drive_change(grid.band, grid, probe, value, bias_v)
+        yield BandForces((probe,), (value,), 1)
 
 
 @kept_if_short(16)

@@ -81,13 +81,11 @@ def signatures(
     found += adc_signatures(device, loud, sizes, with_mismatch, free())
     found += sense_signatures(device, signals, with_mismatch, free())
     found += readout_signatures(device, motion, grid, with_mismatch, free())
-    forces = [*forces_of(device, signals, with_mismatch), *drive_forces(device, signals, sizes, with_mismatch)]
-    if forces:
-        ends = np.cumsum([0, *(len(one.probes) for one in forces)])
-        envelopes = np.zeros((ends[-1], 3, grid.points), dtype=np.complex64)
-        for start, end, one in zip(ends, ends[1:], forces):
-            envelopes[start:end, :, one.points] = one.envelopes
-        own = iter(device.forced(envelopes, grid, free()))
-        for one in forces:
-            found += [probe.signature(next(own), value, one.order) for probe, value in zip(one.probes, one.values)]
+    envelopes = np.zeros((most_signatures(with_mismatch), 3, grid.points), dtype=np.complex64)
+    forces = list(forces_of(device, signals, with_mismatch, envelopes))
+    written = sum(len(one.probes) for one in forces)
+    forces += drive_forces(device, signals, sizes, with_mismatch, envelopes[written:])
+    own = iter(device.forced(envelopes[: sum(len(one.probes) for one in forces)], grid, free()))
+    for one in forces:
+        found += [probe.signature(next(own), value, one.order) for probe, value in zip(one.probes, one.values)]
     return Found(tuple(found), rows[: first + len(found)], motion.sensed)

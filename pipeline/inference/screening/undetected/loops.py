@@ -1,10 +1,11 @@
-"""The response of a device to forces in the band, as a compiled loop: one pass instead of ten over arrays of complex numbers.
+"""Compiled loops over forces: one pass instead of ten over arrays of complex numbers.
 
-    y_a(w) = sum_c T_ca(w) {f_c(w) - a_c - i w b_c}
+    first harmonic   f_1 = (2/M) sum_m f_m e^{-i phi_m}
+    response         y_a(w) = sum_c T_ca(w) {f_c(w) - a_c - i w b_c}
 
 Complex numbers are pairs of real ones inside of the loops: numba writes no vectors for complex numbers.
 
-Shapes: K forces, 3 coordinates, S = 2 senses, W bins, n points of the grid.
+Shapes: K forces, 3 coordinates, M phases, S = 2 senses, W bins, n points of the grid, n' of them used.
 """
 
 from __future__ import annotations
@@ -12,7 +13,26 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ....arrays import AnyComplexArray, FloatArray, RealArray
+from ....arrays import AnyComplexArray, FloatArray, IntArray, RealArray
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def first_harmonic(values: RealArray, waves: RealArray, kept: IntArray, out: AnyComplexArray) -> None:
+    """Write f_1 of values (K, 3, M, n') to the points ``kept`` (n',) of ``out`` (K, 3, n).
+
+    waves (2, M): (2/M) cos phi_m, and -(2/M) sin phi_m.
+    """
+    real, imaginary = np.empty(kept.size, dtype=np.float32), np.empty(kept.size, dtype=np.float32)
+    for k in range(values.shape[0]):
+        for c in range(3):
+            for i in range(kept.size):
+                a, b = waves[0, 0] * 0.0, waves[0, 0] * 0.0
+                for m in range(waves.shape[1]):
+                    a += waves[0, m] * values[k, c, m, i]
+                    b += waves[1, m] * values[k, c, m, i]
+                real[i], imaginary[i] = a, b
+            for i in range(kept.size):
+                out[k, c, kept[i]] = complex(real[i], imaginary[i])
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
