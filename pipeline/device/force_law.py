@@ -181,12 +181,12 @@ def force_along(force: Callable[..., None], points: Points, p: FloatArray, laws:
 
 def in_single(laws: Laws) -> Laws:
     """The laws with matrices in single precision, for :func:`single_force_along`."""
-    matrices = (np.asarray(each, dtype=np.float32) for each in (laws.damping, laws.stiffness, laws.drive, laws.motion))
-    return Laws(*matrices, *laws[4:])  # type: ignore[arg-type]
+    names = ("damping", "stiffness", "drive", "motion")
+    return laws._replace(**{name: getattr(laws, name).astype(np.float32) for name in names})
 
 
 def single_force_along(force: Callable[..., None], points: Points, p: FloatArray, laws: Laws, out: RealArray) -> None:
-    """Write :func:`force_along` in single precision to ``out``; points and ``laws`` too are in single precision (:func:`in_single`).
+    """Write :func:`force_along` to ``out``; all arrays are in single precision, ``laws`` by :func:`in_single`.
 
     Only for a law that :func:`takes_vectors`; it takes half the time.
     """

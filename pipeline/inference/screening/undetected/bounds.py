@@ -84,7 +84,7 @@ class Projection:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class EffectEvidence:
     """The effects that one device may have.
 
     Parameters
@@ -112,7 +112,7 @@ class _Left:
     high: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem) -> _Left:
+    def of(cls, problem: EffectEvidence) -> _Left:
         products, p = problem.products, problem.projection.whiten.shape[0]
         scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
         overlap = problem.projection.overlap(products[:p, p:] / scale)
@@ -121,12 +121,12 @@ class _Left:
         return cls(score, left[1:, 1:], bias, problem.candidates.low * scale, problem.candidates.high * scale)
 
 
-def judged(problem: Problem) -> Judged:
+def judged(problem: EffectEvidence) -> Judged:
     """Scores and bounds of the effects of one device."""
     return judged_together([problem])[0]
 
 
-def judged_together(problems: Sequence[Problem]) -> list[Judged]:
+def judged_together(problems: Sequence[EffectEvidence]) -> list[Judged]:
     """:func:`judged` of devices with the same effects and quantities.
 
     Nothing is summed over devices, so that each has the numbers that it has alone, bit for bit.
@@ -148,11 +148,9 @@ def judged_together(problems: Sequence[Problem]) -> list[Judged]:
     if single.effects.size:
         k = single.columns[:, 0]
         of_column = np.swapaxes(bias[:, :, k], 0, 1).reshape(quantities, -1)
-        flat = (each[:, k].ravel() for each in (score, gram.diagonal(axis1=1, axis2=2)))
-        write(
-            single.effects,
-            _single(*flat, of_column, low[:, k].ravel(), high[:, k].ravel(), np.repeat(dof, k.size)),
-        )
+        size = gram.diagonal(axis1=1, axis2=2)
+        flat = [each[:, k].ravel() for each in (score, size, low, high)]
+        write(single.effects, _single(flat[0], flat[1], of_column, flat[2], flat[3], np.repeat(dof, k.size)))
     if several.effects.size:
         own, used = several.columns, several.used
         width = own.shape[1]
@@ -231,7 +229,7 @@ def _single(
     size = np.where(seen, size, 1.0)
     side = np.where(low == 0.0, 1.0, np.where(high == 0.0, -1.0, 0.0))
     strength = np.where(seen, score**2 / size, 0.0)
-    p = fdtrc(1.0, dof, strength)
+    p = np.asarray(fdtrc(1.0, dof, strength), dtype=np.float64)
     p = np.where(side == 0.0, p, np.where(side * score > 0.0, 0.5 * p, 1.0))
     p = np.where(seen, p, 1.0)
     estimate = score / size
@@ -261,7 +259,7 @@ def _several(
     if np.any(k < count):
         hidden = at_most(bias - visible @ np.swapaxes(vector, 1, 2), reach)
         bound += np.where((k < count)[:, None], hidden, 0.0)
-    p = np.where(k > 0, fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), 1.0)
+    p = np.where(k > 0, np.asarray(fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), dtype=np.float64), 1.0)
     return p, total, np.where(k[:, None] > 0, np.minimum(bound, within), within)
 
 

@@ -27,7 +27,7 @@ from ..compressed import BandData
 from ..fit import Fit
 from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
-from .bounds import Candidates, Judged, Problem, Projection, judged, judged_together, summary
+from .bounds import Candidates, EffectEvidence, Judged, Projection, judged, judged_together, summary
 from .clipping import Loud, adc_sizes, drive_sizes
 from .library import BandSignature, write_real
 from .linear import LinearDevice, Moved, linear_devices
@@ -149,7 +149,8 @@ def _products(scoring: Scoring, linear: _Linear) -> _Products:
         del found  # its rows are as large as a long record
         products = products + more
         scanned = part if scanned is None else scanned + part
-    assert scanned is not None and candidates is not None
+    assert scanned is not None
+    assert candidates is not None
     return _Products(np.array(products), scanned, candidates)
 
 
@@ -163,7 +164,7 @@ def _candidates(found: Sequence[BandSignature]) -> Candidates:
 class _Posed:
     """What is to be judged of a device: its effects; its scans are judged already.  The quantities that are known."""
 
-    problem: Problem
+    problem: EffectEvidence
     scans: Judged
     quantities: tuple[str, ...]
 
@@ -183,7 +184,7 @@ def _posed(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> _Po
     depends = any(item.noise is not None and item.noise.dependent.size for item in data)
     of_scans = Projection.of(base[:count, :count], gradient) if depends else projection
     scans = judged_scans(products.scanned, of_scans, base[:count, count], dof)
-    return _Posed(Problem(whole, projection, products.candidates, dof), scans, names)
+    return _Posed(EffectEvidence(whole, projection, products.candidates, dof), scans, names)
 
 
 def _judged_of(posed: Sequence[_Posed | Exception]) -> list[Judged | Exception]:

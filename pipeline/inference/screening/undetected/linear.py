@@ -13,7 +13,7 @@ Shapes: 3 modes and coordinates, D = 2 drives, S = 2 senses, W bins, n points of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,34 +30,15 @@ from ..fit import Fit, modes_at
 from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
+from .loops import respond
 from .narrow_band import Grid, Signals
 from .position_modes import PositionModes
-from .loops import respond
-
-
-@dataclass(frozen=True, eq=False)
-class _Plant(Mapping[str, float]):
-    """Physical parameters of x (P,) by name, which few effects use."""
-
-    x: FloatArray
-
-    @cached_property
-    def _values(self) -> dict[str, float]:
-        return dict(zip(PHYSICAL, to_physical(self.x[None, :12])[0].tolist()))
-
-    def __getitem__(self, name: str) -> float:
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(PHYSICAL)
-
-    def __len__(self) -> int:
-        return len(PHYSICAL)
 
 
 def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
     """Mechanics (a batch of one) of parameters x (12,) or (14,), and what the stages of effects may use."""
-    context = Context(bias_v, bias_v, _Plant(x))
+    plant = dict(zip(PHYSICAL, to_physical(x[None, :12])[0].tolist()))
+    context = Context(bias_v, bias_v, plant)
     mechanics = cartesian_mechanics(x[None, :12])
     return (mechanics if x.size == 12 else mismatched(mechanics, x[12:], context)), context
 
@@ -152,7 +133,7 @@ class LinearDevice:
         return np.asarray(read @ self.parts @ m.drive[0])
 
     def forced(self, force: AnyComplexArray, grid: Grid, out: FloatArray) -> FloatArray:
-        """Volts behind the filter in response to envelopes of K forces (K, 3, n) [V/s], as the first rows of ``out`` (.., S, 2 W)."""
+        """Volts behind the filter in response to envelopes of forces (K, 3, n) [V/s]: the first rows of ``out`` (.., S, 2 W)."""
         span = self.band.samples / self.band.sample_rate_hz
         # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
         decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
@@ -239,7 +220,7 @@ def linear_devices(
     instrument: Instrument,
     others: Callable[[Mechanics, Context], Sequence[tuple[Mechanics, Mechanics]]],
 ) -> tuple[tuple[LinearDevice, ...], Moved]:
-    """The linear device of a fit in the band of each record, and what the pairs of ``others``, functions of its mechanics, change.
+    """The linear device of a fit in the band of each record, and what pairs of ``others``, functions of its mechanics, change.
 
     Raises
     ------

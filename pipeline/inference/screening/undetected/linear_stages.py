@@ -36,9 +36,7 @@ def mechanics_moves(with_mismatch: bool) -> tuple[tuple[Probe, float], ...]:
     return tuple((probe, 1e-4 * probe.member.scale) for probe in found if probe.effect.name not in grids)
 
 
-def moved_mechanics(
-    with_mismatch: bool, mechanics: Mechanics, context: Context
-) -> list[tuple[Mechanics, Mechanics]]:
+def moved_mechanics(with_mismatch: bool, mechanics: Mechanics, context: Context) -> list[tuple[Mechanics, Mechanics]]:
     """The mechanics a step ahead and a step behind in each of :func:`mechanics_moves`."""
     out = []
     for probe, step in mechanics_moves(with_mismatch):

@@ -120,7 +120,6 @@ def grid_of(band: Band) -> Grid:
     return Grid(band, next_fast_len(int(_POINTS_PER_BIN * band.bins.size) + 2), float(2.0 * np.pi * middle))
 
 
-
 @dataclass(frozen=True)
 class Phases:
     """M = ``count`` phases over a ``turn`` [cycles] of w0: those of whole turns give all harmonics below M."""

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, RealArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray
 from ....device.effect import Context
 from ....device.force_law import Laws, Points, force_along, in_single, single_force_along
 from ....device.gyro import M_D, M_S
@@ -52,8 +52,8 @@ class _LawsOf:
     @classmethod
     def of(cls, device: LinearDevice) -> _LawsOf:
         m, c = device.mechanics, device.context
-        matrices = (np.ascontiguousarray(each[0]) for each in (m.damping, m.stiffness, m.drive))
-        double = Laws(*matrices, _MOTION_D, c.bias_v, c.operating_bias_v, 2)
+        damping, stiffness, drive = (np.ascontiguousarray(each[0]) for each in (m.damping, m.stiffness, m.drive))
+        double = Laws(damping, stiffness, drive, _MOTION_D, c.bias_v, c.operating_bias_v, 2)
         return cls(double, in_single(double))
 
 
@@ -109,7 +109,7 @@ def forces_of(
 
 
 def _along(probes: Sequence[Probe], motions: Sequence[Points], values: Sequence[float], laws: _LawsOf) -> RealArray:
-    """Force (k, 3, M n') [V/s] of each of k parameters, at its value, along a motion of its own, in the precision of the motion."""
+    """Force (k, 3, M n') [V/s] of each of k parameters, at its value, along a motion of its own, in the motion's precision."""
     out = np.empty((len(probes), *motions[0].q.shape), dtype=motions[0].q.dtype)
     single = out.dtype == np.float32
     for own, probe, motion, value in zip(out, probes, motions, values):
@@ -182,7 +182,7 @@ def _returns(probe: Probe) -> bool:
 def drive_forces(
     device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool, out: AnyComplexArray
 ) -> Iterator[BandForces]:
-    """The force of each parameter of the drive laws, written to the first of ``out`` (.., 3, n); ``sizes`` are those of clipping."""
+    """The force of each parameter of the drive laws, written to the first of ``out`` (.., 3, n); ``sizes``: of clipping."""
     envelopes = iter(out)
     grid, bias_v = signals.grid, device.context.bias_v
     for probe in probes_of(with_mismatch, "drive"):

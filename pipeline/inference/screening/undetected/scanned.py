@@ -122,9 +122,7 @@ def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> 
     return points
 
 
-def _mode_scans(
-    effect: Effect, band: Band, edges_hz: tuple[float, float], most: int
-) -> Iterator[BandScan]:
+def _mode_scans(effect: Effect, band: Band, edges_hz: tuple[float, float], most: int) -> Iterator[BandScan]:
     assert effect.resonance is not None
     members = {member.name: member for member in members_of(effect)}
     frequency = members[effect.resonance[0]]

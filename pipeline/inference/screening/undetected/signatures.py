@@ -65,7 +65,9 @@ def signatures(
     of_motion = device.motion_coefficients
     senses, first, last = SHAPE.senses, count + 1, count + 1 + len(mechanics)
     scratch = -(-of_motion.shape[0] // senses)
-    rows = np.empty((max(count + 1 + most_signatures(with_mismatch), last + scratch), senses, 2 * device.band.bins.size))
+    rows = np.empty(
+        (max(count + 1 + most_signatures(with_mismatch), last + scratch), senses, 2 * device.band.bins.size)
+    )
     # One product for all that is linear in the features; the rows of the motion are free again once it is copied.
     parts = (slopes, np.zeros((senses, slopes.shape[2])), of_mechanics, of_motion)
     coefficients = np.concatenate([each.reshape(-1, slopes.shape[2]) for each in parts])
