@@ -41,6 +41,17 @@ class Candidates:
     low: FloatArray
     high: FloatArray
 
+    @property
+    def numbers(self) -> IntArray:
+        """The number of the effect of each column (K,)."""
+        return _numbered(self.effects)
+
+
+@lru_cache(maxsize=16)
+def _numbered(of_columns: tuple[str, ...]) -> IntArray:
+    names = sorted(set(of_columns))
+    return np.array([names.index(name) for name in of_columns], dtype=np.int64)
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numba import njit
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import ComplexArray, FloatArray, IntArray
 from ....axial import wrap
 from ....experiment.instrument import Instrument
 from ....experiment.noise.spectrum import NoiseSpectrum
@@ -144,8 +144,8 @@ def _products(scoring: Scoring, linear: _Linear) -> _Products:
         found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, slopes)
         write_real(item.spectrum - found.sensed, found.rows[count])
         variance = stationary_variance(item, scoring.noise.sigma_v)
-        more, part = _of_record(found.rows, count, item, scans, variance)
         candidates = _candidates(found.signatures)
+        more, part = _of_record(found.rows, candidates.numbers, item, scans, variance)
         del found  # its rows are as large as a long record
         products = products + more
         scanned = part if scanned is None else scanned + part
@@ -208,17 +208,18 @@ def _judged_of(posed: Sequence[_Posed | Exception]) -> list[Judged | Exception]:
 
 
 def _of_record(
-    rows: FloatArray, count: int, item: BandData, scans: Iterable[BandScan], variance: FloatArray
+    rows: FloatArray, effects: IntArray, item: BandData, scans: Iterable[BandScan], variance: FloatArray
 ) -> tuple[FloatArray, ScannedProducts]:
     """Products (P + 1 + K, P + 1 + K) in sigmas of the rows [J, r, Z] of a record, and those of its scans with J and r.
 
-    The hum lines are taken out of the rows in place; P = ``count``.
+    The hum lines are taken out of the rows in place; ``effects`` (K,) are numbers of those of Z.
     """
+    count = rows.shape[0] - effects.size - 1
     fit = slice(0, count + 1)
     weight = record_weight(item, variance)
     take_out_hum(rows, item.nuisance)
     if item.noise is None:
-        products = white_products(rows, item, variance)
+        products = white_products(rows, count + 1, effects, item, variance)
         return products, scanned_products(scans, rows[fit], weight, products[fit, fit])
     products = products_of(rows, item, item.noise, variance)
     base = products[fit, fit]

@@ -1,4 +1,4 @@
-"""Compiled loops over forces: one pass instead of ten over arrays of complex numbers.
+"""Compiled loops over forces and rows: one pass instead of ten over arrays of complex numbers.
 
     first harmonic   f_1 = (2/M) sum_m f_m e^{-i phi_m}
     response         y_a(w) = sum_c T_ca(w) {f_c(w) - a_c - i w b_c}
@@ -75,3 +75,22 @@ def respond(
                     + transfer[0, 2, s, w] * f[1, 2, w]
                     + transfer[1, 2, s, w] * f[0, 2, w]
                 )
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+def products_within(rows: FloatArray, fit: int, effects: IntArray, levels: FloatArray, out: FloatArray) -> None:
+    """Write the products of rows (K, S, R) from number ``fit`` on to ``out`` (K, K), channels times ``levels`` (S,) [1/V^2].
+
+    Only of rows of the same of the ``effects`` (K - fit,).
+    """
+    for k in range(fit, rows.shape[0]):
+        for l in range(fit, k + 1):
+            if effects[k - fit] != effects[l - fit]:
+                continue
+            out[k, l] = 0.0
+            for a in range(levels.size):
+                total = 0.0
+                for w in range(rows.shape[2]):
+                    total += rows[k, a, w] * rows[l, a, w]
+                out[k, l] += total * levels[a]
+            out[l, k] = out[k, l]

@@ -15,10 +15,13 @@ import math
 import numpy as np
 from scipy.linalg import cholesky, qr, solve_triangular
 
-from ....arrays import FloatArray
+from ....arrays import FloatArray, IntArray
 from ..compressed import BandData
 from ..whitening import BandNoise, covariance
+from .loops import products_within
 
+#: Rows of a tile of products.
+_TILE = 8
 #: Size of a unit vector of a hum line at a bin that counts as none: a line of 1e5 sigmas leaves 1e-6 of them there.
 _LEAKED = 1e-11
 
@@ -57,14 +60,19 @@ def record_weight(item: BandData, variance: FloatArray) -> FloatArray:
     return np.asarray(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance))
 
 
-def white_products(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise.
+def white_products(rows: FloatArray, fit: int, effects: IntArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise: with the first ``fit`` rows, and within ``effects``.
 
-    The symmetric product of all rows takes less time than the smaller products that are needed of it.
+    effects (K - fit,): a number for each of the other rows, equal for those of one effect; all other products are zero.
     """
-    out = np.zeros((rows.shape[0], rows.shape[0]))
-    for a, own_variance in enumerate(variance[:, 0]):
-        out += rows[:, a] @ rows[:, a].T * (2.0 / item.band.samples / own_variance)
+    count, levels = rows.shape[0], 2.0 / item.band.samples / variance[:, 0]
+    # Whole tiles of a product take less time than a part of one.
+    tall = min(-(-fit // _TILE) * _TILE, count)
+    out = np.zeros((count, count))
+    for a, level in enumerate(levels):
+        out[:tall] += (rows[:tall, a] @ rows[:, a].T) * level
+    out[tall:, :tall] = out[:tall, tall:].T
+    products_within(rows, fit, effects, levels, out)
     return out
 
 
