@@ -170,11 +170,9 @@ def test_devices_that_are_judged_together_have_the_numbers_of_each_alone(evidenc
 
 
 def test_a_device_that_cannot_be_judged_does_not_change_the_others(evidence):
-    broken = evidence[1].products.copy()
-    broken[6:, 6:] = np.nan
-    every = (evidence[0], replace(evidence[1], products=broken), evidence[2])
+    every = (evidence[0], replace(evidence[1], products=evidence[1].products[:-1, :-1]), evidence[2])
     posed = [_Posed(one, judged(evidence[0]), ("q",)) for one in every]
     first, failed, last = _judged_of(posed)
-    assert isinstance(failed, np.linalg.LinAlgError)
+    assert isinstance(failed, ValueError)
     _assert_equal(first, judged(evidence[0]))
     _assert_equal(last, judged(evidence[2]))
