@@ -113,10 +113,14 @@ def probes_of(with_mismatch: bool, stage: str) -> tuple[Probe, ...]:
     return tuple(probe for effect in effects for probe in _probes(effect))
 
 
-@lru_cache(maxsize=4)
-def most_signatures(with_mismatch: bool) -> int:
-    """The largest number of signatures in a record."""
-    stages = ("drive", "mechanics", "force", "sense", "readout", "adc")
+#: The stages whose effects are forces, and all that have signatures.
+FORCES = ("drive", "force")
+STAGES = (*FORCES, "mechanics", "sense", "readout", "adc")
+
+
+@lru_cache(maxsize=8)
+def most_signatures(with_mismatch: bool, stages: tuple[str, ...]) -> int:
+    """The largest number of signatures of some stages in a record."""
     return sum(len(probes_of(with_mismatch, stage)) for stage in stages)
 
 

@@ -198,19 +198,25 @@ class Moved:
 def _moved(modes: PositionModes, own: Mechanics, pairs: Sequence[tuple[Mechanics, Mechanics]]) -> Moved:
     """What the differences of ``pairs`` change, linearised at the mechanics ``own``."""
 
-    def change(name: str) -> FloatArray:
-        found = [getattr(ahead, name)[0] - getattr(behind, name)[0] for ahead, behind in pairs]
-        return np.array(found).reshape(len(pairs), *getattr(own, name).shape[1:])
+    def change(name: str) -> FloatArray | float:
+        every = [(getattr(ahead, name), getattr(behind, name)) for ahead, behind in pairs]
+        if all(ahead is behind for ahead, behind in every):
+            return 0.0
+        return np.concatenate([ahead - behind for ahead, behind in every])
 
     state = np.zeros((len(pairs), 6, 6))
     state[:, 3:, :3] = -change("stiffness")
     state[:, 3:, 3:] = -(change("damping") + change("gyroscopic"))
     poles, parts = modes.moved(state)
-    read = own.velocity_sense[0] * modes.poles[:, None, None] + own.position_sense[0]
-    more = change("velocity_sense")[:, None] * modes.poles[:, None, None] + change("position_sense")[:, None]
-    more = more + own.velocity_sense[0] * poles[:, :, None, None]
-    drive = own.drive[0]
-    residues = (more @ modes.parts + read @ parts) @ drive + read @ modes.parts @ change("drive")[:, None]
+    of_own, drive = modes.poles[:, None, None], own.drive[0]
+    read = own.velocity_sense[0] * of_own + own.position_sense[0]
+    residues = (own.velocity_sense[0] * poles[:, :, None, None] @ modes.parts + read @ parts) @ drive
+    velocity, position, driven = (change(name) for name in ("velocity_sense", "position_sense", "drive"))
+    if not isinstance(velocity, float) or not isinstance(position, float):
+        none = np.zeros((len(pairs), *own.velocity_sense.shape[1:]))
+        residues += ((none + velocity)[:, None] * of_own + (none + position)[:, None]) @ modes.parts @ drive
+    if not isinstance(driven, float):
+        residues += read @ modes.parts @ driven[:, None]
     return Moved(poles, residues)
 
 

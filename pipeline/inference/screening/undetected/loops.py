@@ -22,15 +22,15 @@ def first_harmonic(values: RealArray, waves: RealArray, kept: IntArray, out: Any
 
     waves (2, M): (2/M) cos phi_m, and -(2/M) sin phi_m.
     """
-    real, imaginary = np.empty(kept.size, dtype=np.float32), np.empty(kept.size, dtype=np.float32)
+    real, imaginary = np.empty(kept.size, dtype=values.dtype), np.empty(kept.size, dtype=values.dtype)
     for k in range(values.shape[0]):
         for c in range(3):
-            for i in range(kept.size):
-                a, b = waves[0, 0] * 0.0, waves[0, 0] * 0.0
-                for m in range(waves.shape[1]):
-                    a += waves[0, m] * values[k, c, m, i]
-                    b += waves[1, m] * values[k, c, m, i]
-                real[i], imaginary[i] = a, b
+            real[:], imaginary[:] = 0.0, 0.0
+            for m in range(waves.shape[1]):
+                cosine, sine = waves[0, m], waves[1, m]
+                for i in range(kept.size):
+                    real[i] += cosine * values[k, c, m, i]
+                    imaginary[i] += sine * values[k, c, m, i]
             for i in range(kept.size):
                 out[k, c, kept[i]] = complex(real[i], imaginary[i])
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from ....arrays import ComplexArray, FloatArray
 from .clipping import Loud, adc_signatures
-from .library import SHAPE, BandSignature, most_signatures
+from .library import FORCES, SHAPE, STAGES, BandSignature, most_signatures
 from .linear import LinearDevice, Moved
 from .linear_stages import mechanics_coefficients, readout_signatures
 from .narrow_band import grid_of
@@ -66,7 +66,7 @@ def signatures(
     senses, first, last = SHAPE.senses, count + 1, count + 1 + len(mechanics)
     scratch = -(-of_motion.shape[0] // senses)
     rows = np.empty(
-        (max(count + 1 + most_signatures(with_mismatch), last + scratch), senses, 2 * device.band.bins.size)
+        (max(count + 1 + most_signatures(with_mismatch, STAGES), last + scratch), senses, 2 * device.band.bins.size)
     )
     # One product for all that is linear in the features; the rows of the motion are free again once it is copied.
     parts = (slopes, np.zeros((senses, slopes.shape[2])), of_mechanics, of_motion)
@@ -83,7 +83,7 @@ def signatures(
     found += adc_signatures(device, loud, sizes, with_mismatch, free())
     found += sense_signatures(device, signals, with_mismatch, free())
     found += readout_signatures(device, motion, grid, with_mismatch, free())
-    envelopes = np.zeros((most_signatures(with_mismatch), 3, grid.points), dtype=np.complex64)
+    envelopes = np.zeros((most_signatures(with_mismatch, FORCES), 3, grid.points), dtype=np.complex64)
     forces = list(forces_of(device, signals, with_mismatch, envelopes))
     written = sum(len(one.probes) for one in forces)
     forces += drive_forces(device, signals, sizes, with_mismatch, envelopes[written:])
