@@ -40,7 +40,7 @@ def adc_sizes(louds: Sequence[Loud], sigma_v: FloatArray, bias_v: float, with_mi
     Less is invisible and more is loud, in the record with the largest peak.
     """
     context = Context(bias_v, bias_v, {})
-    volts = max((v for _, v in louds), key=lambda v: float(np.max(np.abs(v))))
+    volts = louds[0][1] if len(louds) == 1 else max((v for _, v in louds), key=lambda v: float(np.max(np.abs(v))))
     found: dict[str, float] = {}
     for probe in probes_of(with_mismatch, "adc"):
         if probe.effect.adc is None or probe.size != 1:

@@ -229,7 +229,8 @@ def sense_signatures(
         found.append((probe, value, 1 if _rms(first) > 0.01 * _rms(change) else 2))
         changes.append(first)
     if changes:
-        spectra = signals.grid.spectra(np.stack(changes)) * (signals.grid.bin_scale * device.antialias)
+        spectra = signals.grid.spectra(np.stack(changes).astype(np.complex64))
+        spectra *= signals.grid.bin_scale * device.antialias
         write_real(spectra, out[: len(found)])
         for (probe, value, order), row in zip(found, out):
             yield probe.signature(row, value, order)

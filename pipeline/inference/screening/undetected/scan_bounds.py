@@ -133,7 +133,27 @@ def _quantile(values: FloatArray, weight: FloatArray) -> FloatArray:
     """Weighted quantile (Q,) of values (Q, g) at ``_SHARE``; the largest without weights."""
     if not weight.size:
         return np.asarray(values.max(axis=1))
-    order = np.argsort(values, axis=1)
-    below = np.cumsum(weight[order], axis=1)
-    place = np.argmax(below >= _SHARE, axis=1)
-    return np.take_along_axis(values, np.take_along_axis(order, place[:, None], axis=1), axis=1)[:, 0]
+    out = np.empty(values.shape[0])
+    _least_above(values, weight, (1.0 - _SHARE) * float(weight.sum()), out)
+    return out
+
+
+@njit(cache=True)
+def _least_above(values: FloatArray, weight: FloatArray, share: float, out: FloatArray) -> None:
+    """Write the least of the largest values (Q,) of values (Q, g) that have more than the weight ``share`` together.
+
+    The largest are taken one by one: they are few.  It is nan where values are.
+    """
+    for i in range(values.shape[0]):
+        taken = np.zeros(weight.size, dtype=np.bool_)
+        above, out[i] = 0.0, np.nan
+        while above <= share:
+            largest = -1
+            for g in range(weight.size):
+                if not taken[g] and (largest < 0 or values[i, g] > values[i, largest]):
+                    largest = g
+            if largest < 0:
+                break
+            taken[largest] = True
+            above += weight[largest]
+            out[i] = values[i, largest]
