@@ -26,6 +26,7 @@ from pipeline.inference.screening.undetected.narrow_band import WHOLE_TURN, harm
 from pipeline.inference.screening.undetected.parity import kind_of
 from pipeline.inference.screening.undetected.position_modes import PositionModes
 from pipeline.inference.screening.undetected.rows import take_out_hum, white_products
+from pipeline.inference.screening.undetected.scan_bounds import _quantile
 
 RATE = 10_000.0
 
@@ -176,3 +177,15 @@ def test_a_device_that_cannot_be_judged_does_not_change_the_others(evidence):
     assert isinstance(failed, ValueError)
     _assert_equal(first, judged(evidence[0]))
     _assert_equal(last, judged(evidence[2]))
+
+
+def test_the_quantile_of_a_scan_is_the_least_value_with_its_share_below():
+    random = np.random.default_rng(7)
+    values, weight = random.standard_normal((4, 60)), random.random(60)
+    values[0, 3] = np.inf
+    weight /= weight.sum()
+    for own, found in zip(values, _quantile(values, weight)):
+        order = np.argsort(own)
+        assert found == own[order][np.argmax(np.cumsum(weight[order]) >= 0.95)]
+    assert np.isnan(_quantile(np.full((1, 3), np.nan), np.full(3, 1.0 / 3.0))).all()
+    np.testing.assert_array_equal(_quantile(values, np.zeros(0)), values.max(axis=1))
