@@ -3,6 +3,7 @@
     stationary noise:            rows of channel a and bin w:  sqrt(2/N) / s_a(w)
     noise that depends on time:  D^-1/2 (Q_0^T y_0, Q_1^T y_1), Q_a an orthonormal basis of the rows, D = cov (``whitening``)
 
+The hum lines are taken out of the rows before (:func:`take_out_hum`).
 Products of the second kind are those of generalised least squares within the span of the rows.
 
 Shapes: K spectra, W bins, S = 2 senses.
@@ -20,6 +21,9 @@ from ..compressed import BandData
 from ..whitening import BandNoise, covariance
 from .loops import products_within
 
+#: Part of a unit row that counts as rounding, of which single precision leaves 3e-8: it would be a direction of its own, in which
+#: noise that depends on time explains other rows.  Rows of the library have 3e-3 of their own at least.
+_ROUNDING = 1e-6
 #: Rows of a tile of products.
 _TILE = 8
 #: Size of a unit vector of a hum line at a bin that counts as none: a line of 1e5 sigmas leaves 1e-6 of them there.
@@ -33,13 +37,6 @@ def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
     if not item.noise.dependent.size:
         return item.noise.variance
     return np.asarray(item.noise.variance + item.noise.dependent[[0, 2]].max(axis=1)[:, None])
-
-
-def without_hum(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
-    """Rows (K, S, 2 W) [V] less their part in a ``nuisance`` basis (2 W, L)."""
-    out = rows.copy()
-    take_out_hum(out, nuisance)
-    return out
 
 
 def take_out_hum(rows: FloatArray, nuisance: FloatArray) -> None:
@@ -77,7 +74,7 @@ def white_products(rows: FloatArray, fit: int, effects: IntArray, item: BandData
 
 
 def products_of(rows: FloatArray, item: BandData, noise: BandNoise, variance: FloatArray) -> FloatArray:
-    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of noise that is not white, hum lines projected out.
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of noise that is not white.
 
     Raises
     ------
@@ -89,13 +86,13 @@ def products_of(rows: FloatArray, item: BandData, noise: BandNoise, variance: Fl
 
 
 def stationary_rows(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Rows (K, 2 S W) of rows (K, S, 2 W) [V] in units of noise of ``variance`` (S, W) [V^2], hum lines projected out."""
-    weighted = without_hum(rows, item.nuisance) * np.tile(record_weight(item, variance), 2)
+    """Rows (K, 2 S W) of rows (K, S, 2 W) [V] in units of noise of ``variance`` (S, W) [V^2]."""
+    weighted = rows * np.tile(record_weight(item, variance), 2)
     return np.asarray(weighted.reshape(rows.shape[0], -1))
 
 
 def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> FloatArray:
-    """Rows (K, 2 r) of rows (K, S, 2 W) [V] in sigmas of noise that depends on time, hum lines projected out.
+    """Rows (K, 2 r) of rows (K, S, 2 W) [V] in sigmas of noise that depends on time.
 
     Raises
     ------
@@ -105,11 +102,10 @@ def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> F
     parts, bases = [], []
     for channel in (0, 1):
         own = spectra[:, channel].T * scale
-        own -= item.nuisance @ (item.nuisance.T @ own)
         unit = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
         # Without pivots a column that depends on others takes a direction that later ones need: p-values moved by a half.
         basis, triangle, _ = qr(unit, mode="economic", pivoting=True, check_finite=False)
-        seen = np.abs(np.diag(triangle)) > 1e-9
+        seen = np.abs(np.diag(triangle)) > _ROUNDING
         bases.append(basis[:, seen])
         parts.append(basis[:, seen].T @ own)
     first = slice(0, bases[0].shape[1])
