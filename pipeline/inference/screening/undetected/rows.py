@@ -22,7 +22,7 @@ from ..whitening import BandNoise, covariance
 from .loops import products_within
 
 #: Part of a unit row that counts as rounding, of which single precision leaves 3e-8: it would be a direction of its own, in which
-#: noise that depends on time explains other rows.  Rows of the library have 3e-3 of their own at least.
+#: noise that depends on time explains other rows.  Rows of the library have about 3e-3 of their own at least.
 _ROUNDING = 1e-6
 #: Rows of a tile of products.
 _TILE = 8
