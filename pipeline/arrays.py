@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,9 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+#: Real or complex numbers in single or double precision; the document of a function says which.
+RealArray = NDArray[Any]
+AnyComplexArray = NDArray[Any]
 
 #: Eigenvalue of a Gram matrix of unit columns, relative to the largest, below which its direction is rounding: the columns are
 #: right to 3e-5.

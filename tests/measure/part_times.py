@@ -30,7 +30,7 @@ PARTS = {
     "pipeline.inference.screening.sample": "_sufficient_rows _independence_chains _t_draws diagnose",
     "pipeline.inference.screening.batch": "_log_likelihood",
     "pipeline.inference.screening.result": "scored_devices _result",
-    "pipeline.inference.screening.undetected.device": "_linear _found _products _judged",
+    "pipeline.inference.screening.undetected.device": "_linear signatures _of_record _products _posed _judged_of",
     "pipeline.identification.route": "bandpass fit_arx modes_of",
     "pipeline.identification.modes": "refine",
 }

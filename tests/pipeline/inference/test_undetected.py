@@ -18,8 +18,15 @@ from pipeline.inference.screening.compressed import BandData, compress
 from pipeline.inference.screening.fit import Fit, modes_at
 from pipeline.inference.screening.inband import make_band
 from pipeline.inference.screening.mismatch import BROAD, NIGHTLY_MODEL
-from pipeline.inference.screening.undetected.bounds import Candidates, Projection, judged, summary
+from pipeline.inference.screening.undetected.bounds import (
+    Candidates,
+    EffectEvidence,
+    Projection,
+    judged,
+    summary,
+)
 from pipeline.inference.screening.undetected.clipping import adc_sizes, loud_samples
+from pipeline.inference.screening.undetected.device import feature_slopes
 from pipeline.inference.screening.undetected.library import probes_of, scored_effects
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
@@ -46,7 +53,8 @@ def device():
     fit = Fit(x, np.eye(14), 0.0, 1, likelihood, True)
     (linear,), moved = linear_devices(fit, [band], INSTRUMENT, partial(moved_mechanics, True))
     loud = loud_samples(y)
-    found = signatures(linear, moved, loud, adc_sizes([loud], np.full(2, 1e-3), 5.0, True), True)
+    sizes = adc_sizes([loud], np.full(2, 1e-3), 5.0, True)
+    found = signatures(linear, moved, loud, sizes, True, feature_slopes(fit))
 
     def change(effect, parameter, value, **scanned):
         larger = model.with_effect(effect)
@@ -54,14 +62,14 @@ def device():
         return band.transform(forward(larger, moved, record, INSTRUMENT) - y)
 
     by_effect = {}
-    for one in found:
+    for one in found.signatures:
         by_effect.setdefault(one.effect, []).append(one)
-    return linear, data.spectrum, by_effect, change
+    return found.sensed, data.spectrum, by_effect, change
 
 
 def test_the_linear_device_has_the_spectrum_of_its_record(device):
-    linear, spectrum, _, _ = device
-    assert np.linalg.norm(linear.sensed - spectrum) < 1e-10 * np.linalg.norm(spectrum)
+    sensed, spectrum, _, _ = device
+    assert np.linalg.norm(sensed - spectrum) < 1e-10 * np.linalg.norm(spectrum)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +165,7 @@ def _judge(jacobian, z, slopes, data, low, high):
     products = whole.T @ whole
     fit = Projection.of(products[:PARAMETERS, :PARAMETERS], slopes)
     candidates = Candidates(("one", "two", "two"), np.array(low), np.array(high))
-    return judged(products, fit, candidates, 1e9)
+    return judged(EffectEvidence(products, fit, candidates, 1e9))
 
 
 def test_p_values_are_uniform_and_bounds_hold_at_95_percent():

@@ -45,12 +45,12 @@ def _in_sigmas(spectra, data, sigma_v):
     return (real * np.sqrt(2.0 / data.band.samples) / sigma_v[:, None]).reshape(real.shape[0], -1)
 
 
-def _jacobian_and_residual(device, fit, data, sigma_v, prior):
+def _jacobian_and_residual(device, sensed, fit, data, sigma_v, prior):
     """Rows (P + 1, 4 W + 2) in sigmas, those of the prior at the end."""
     real = device.rows(feature_slopes(fit))
     width = data.band.bins.size
     spectra = np.concatenate(
-        [real[..., :width] + 1j * real[..., width:], (data.spectrum - device.sensed)[None]], dtype=np.complex128
+        [real[..., :width] + 1j * real[..., width:], (data.spectrum - sensed)[None]], dtype=np.complex128
     )
     root, offset = prior.rows()
     of_prior = np.zeros((spectra.shape[0], 2))
@@ -79,10 +79,11 @@ def test_scores_are_those_of_plain_least_squares(scored):
     )
     (device,), moved = linear_devices(fit, [data.band], instrument, partial(moved_mechanics, True))
     sizes = adc_sizes([loud], noise.sigma_v, instrument.bias_v, True)
-    fit_rows = _jacobian_and_residual(device, fit, data, noise.sigma_v, scoring.prior)
+    found_rows = signatures(device, moved, loud, sizes, True, feature_slopes(fit))
+    fit_rows = _jacobian_and_residual(device, found_rows.sensed, fit, data, noise.sigma_v, scoring.prior)
     dof = 2.0 / float(np.mean(noise.relative_sd(data.band.frequency_hz) ** 2))
     by_effect = {}
-    for one in signatures(device, moved, loud, sizes, True):
+    for one in found_rows.signatures:
         by_effect.setdefault(one.effect, []).append(one)
     for effect, columns in by_effect.items():
         own = _in_sigmas(np.stack([one.spectrum for one in columns]), data, noise.sigma_v)
@@ -94,7 +95,7 @@ def test_scores_are_those_of_plain_least_squares(scored):
     for scan in scans_of(data.band, (400.0, 700.0), scoring.line_hz, True):
         first = 0
         for one in scan.scans:
-            own = scan.columns[:, 2 * first : 2 * (first + one.points)].T.astype(np.float64)
+            own = scan.columns[2 * first : 2 * (first + one.points)].astype(np.float64)
             own -= (own @ data.nuisance) @ data.nuisance.T
             first += one.points
             totals = []

@@ -41,6 +41,17 @@ class Candidates:
     low: FloatArray
     high: FloatArray
 
+    @property
+    def numbers(self) -> IntArray:
+        """The number of the effect of each column (K,)."""
+        return _numbered(self.effects)
+
+
+@lru_cache(maxsize=16)
+def _numbered(of_columns: tuple[str, ...]) -> IntArray:
+    names = sorted(set(of_columns))
+    return np.array([names.index(name) for name in of_columns], dtype=np.int64)
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -83,33 +94,93 @@ class Projection:
         return np.asarray(self.slopes @ overlap)
 
 
-def judged(products: FloatArray, projection: Projection, candidates: Candidates, noise_dof: float) -> Judged:
-    """Scores and bounds from [J, r, Z]' [J, r, Z] (P + 1 + K, P + 1 + K), whitened, with the rows of the prior.
+@dataclass(frozen=True, eq=False)
+class EffectEvidence:
+    """The effects that one device may have.
 
-    Only the products of Z within an effect are used.
+    Parameters
+    ----------
+    products : [J, r, Z]' [J, r, Z] (P + 1 + K, P + 1 + K), whitened, with the rows of the prior; only those of Z within an effect
+        are used.
+    projection, candidates : of the fit; of the columns Z.
+    noise_dof : degrees of freedom of the noise level.
     """
-    p = projection.whiten.shape[0]
-    scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
-    overlap = projection.overlap(products[:p, p:] / scale)
-    left = products[p:, p:] / (scale[:, None] * scale) - overlap.T @ overlap
-    score, gram = left[0, 1:] * scale[0], left[1:, 1:]
-    bias, scale = projection.bias(overlap[:, 1:]), scale[1:]
-    low, high = candidates.low * scale, candidates.high * scale
-    effects, single, several = _grouped(candidates.effects)
-    p_values, explained = np.ones(len(effects)), np.zeros(len(effects))
-    bounds = np.zeros((len(effects), bias.shape[0]))
+
+    products: FloatArray
+    projection: Projection
+    candidates: Candidates
+    noise_dof: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What the fit leaves of unit columns Z: Z~' r (K,), Z~' Z~ (K, K), biases (Q, K), and the range (K,) of their strengths."""
+
+    score: FloatArray
+    gram: FloatArray
+    bias: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, problem: EffectEvidence) -> _Left:
+        products, p = problem.products, problem.projection.whiten.shape[0]
+        scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
+        overlap = problem.projection.overlap(products[:p, p:] / scale)
+        left = products[p:, p:] / (scale[:, None] * scale) - overlap.T @ overlap
+        score, bias, scale = left[0, 1:] * scale[0], problem.projection.bias(overlap[:, 1:]), scale[1:]
+        return cls(score, left[1:, 1:], bias, problem.candidates.low * scale, problem.candidates.high * scale)
+
+
+def judged(problem: EffectEvidence) -> Judged:
+    """Scores and bounds of the effects of one device."""
+    return judged_together([problem])[0]
+
+
+def judged_together(problems: Sequence[EffectEvidence]) -> list[Judged]:
+    """:func:`judged` of devices with the same effects and quantities.
+
+    Nothing is summed over devices, so that each has the numbers that it has alone, bit for bit.
+    """
+    every = [_Left.of(problem) for problem in problems]
+    score, gram, bias, low, high = (
+        np.stack([getattr(one, name) for one in every]) for name in ("score", "gram", "bias", "low", "high")
+    )
+    dof = np.array([problem.noise_dof for problem in problems])
+    effects, single, several = _grouped(problems[0].candidates.effects)
+    devices, quantities = len(every), bias.shape[1]
+    p_values, explained = np.ones((devices, len(effects))), np.zeros((devices, len(effects)))
+    bounds = np.zeros((devices, len(effects), quantities))
+
+    def write(own: IntArray, found: tuple[FloatArray, FloatArray, FloatArray]) -> None:
+        for out, values in zip((p_values, explained, bounds), found):
+            out[:, own] = values.reshape(devices, own.size, *out.shape[2:])
+
     if single.effects.size:
         k = single.columns[:, 0]
-        found = _single(score[k], gram.diagonal()[k], bias[:, k], low[k], high[k], noise_dof)
-        p_values[single.effects], explained[single.effects], bounds[single.effects] = found
+        of_column = np.swapaxes(bias[:, :, k], 0, 1).reshape(quantities, -1)
+        size = gram.diagonal(axis1=1, axis2=2)
+        flat = [each[:, k].ravel() for each in (score, size, low, high)]
+        write(single.effects, _single(flat[0], flat[1], of_column, flat[2], flat[3], np.repeat(dof, k.size)))
     if several.effects.size:
         own, used = several.columns, several.used
-        blocks = gram[own[:, :, None], own[:, None, :]] * (used[:, :, None] * used[:, None, :])
-        reach = np.where(used, np.maximum(np.abs(low), np.abs(high))[own], 0.0)
-        of_bias = np.swapaxes(bias[:, own], 0, 1) * used[:, None]
-        found = _several(score[own] * used, blocks, of_bias, reach, used.sum(axis=1), noise_dof)
-        p_values[several.effects], explained[several.effects], bounds[several.effects] = found
-    return Judged(effects, p_values, explained, bounds)
+        width = own.shape[1]
+        blocks = gram[:, own[:, :, None], own[:, None, :]] * (used[:, :, None] * used[:, None, :])
+        reach = np.where(used, np.maximum(np.abs(low), np.abs(high))[:, own], 0.0)
+        of_bias = np.swapaxes(bias[:, :, own], 1, 2) * used[:, None]
+        count = np.tile(used.sum(axis=1), devices)
+        write(
+            several.effects,
+            _several(
+                (score[:, own] * used).reshape(-1, width),
+                blocks.reshape(-1, width, width),
+                of_bias.reshape(-1, quantities, width),
+                reach.reshape(-1, width),
+                count,
+                np.repeat(dof, own.shape[0]),
+            ),
+        )
+    return [Judged(effects, *each) for each in zip(p_values, explained, bounds)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +195,7 @@ class _Group:
 @lru_cache(maxsize=16)
 def _grouped(of_columns: tuple[str, ...]) -> tuple[tuple[str, ...], _Group, _Group]:
     """The effects of columns: their names, those with one column, and those with several."""
-    effects = tuple(dict.fromkeys(of_columns))
+    effects = tuple(sorted(set(of_columns)))
     columns = [[k for k, name in enumerate(of_columns) if name == effect] for effect in effects]
     groups = []
     for several in (False, True):
@@ -162,14 +233,14 @@ def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:
 
 
 def _single(
-    score: FloatArray, size: FloatArray, bias: FloatArray, low: FloatArray, high: FloatArray, dof: float
+    score: FloatArray, size: FloatArray, bias: FloatArray, low: FloatArray, high: FloatArray, dof: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p-values (K,) and T (K,) of effects with one signature of unit norm, ``size`` of which survives; bounds (K, Q)."""
     seen = size > _ABSORBED
     size = np.where(seen, size, 1.0)
     side = np.where(low == 0.0, 1.0, np.where(high == 0.0, -1.0, 0.0))
     strength = np.where(seen, score**2 / size, 0.0)
-    p = fdtrc(1.0, dof, strength)
+    p = np.asarray(fdtrc(1.0, dof, strength), dtype=np.float64)
     p = np.where(side == 0.0, p, np.where(side * score > 0.0, 0.5 * p, 1.0))
     p = np.where(seen, p, 1.0)
     estimate = score / size
@@ -181,7 +252,7 @@ def _single(
 
 
 def _several(
-    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, count: IntArray, dof: float
+    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, count: IntArray, dof: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """p-values and T (E,) of effects with k signatures of unit norm; bounds (E, Q) of biases (E, Q, k).
 
@@ -199,7 +270,7 @@ def _several(
     if np.any(k < count):
         hidden = at_most(bias - visible @ np.swapaxes(vector, 1, 2), reach)
         bound += np.where((k < count)[:, None], hidden, 0.0)
-    p = np.where(k > 0, fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), 1.0)
+    p = np.where(k > 0, np.asarray(fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), dtype=np.float64), 1.0)
     return p, total, np.where(k[:, None] > 0, np.minimum(bound, within), within)
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from ....arrays import ComplexArray, FloatArray, IntArray
 from ....device.effect import Context
 from ..inband import Band
-from .library import BandSignature, probes_of
+from ..kept import kept_if_short
+from .library import BandSignature, probes_of, write_real
 from .linear import LinearDevice
 
 #: Products of samples and bins, relative to the samples of the record, up to which a sum takes less time than an FFT.
@@ -39,7 +40,7 @@ def adc_sizes(louds: Sequence[Loud], sigma_v: FloatArray, bias_v: float, with_mi
     Less is invisible and more is loud, in the record with the largest peak.
     """
     context = Context(bias_v, bias_v, {})
-    volts = max((v for _, v in louds), key=lambda v: float(np.max(np.abs(v))))
+    volts = louds[0][1] if len(louds) == 1 else max((v for _, v in louds), key=lambda v: float(np.max(np.abs(v))))
     found: dict[str, float] = {}
     for probe in probes_of(with_mismatch, "adc"):
         if probe.effect.adc is None or probe.size != 1:
@@ -56,25 +57,32 @@ def adc_sizes(louds: Sequence[Loud], sigma_v: FloatArray, bias_v: float, with_mi
     return found
 
 
-def drive_sizes(drives_v: Sequence[FloatArray], with_mismatch: bool) -> dict[str, float]:
-    """Effect that clips the drive -> 1/level [1/V] of a level at 0.9 of the largest of the drives (N, D) [V]."""
-    peak_v = max(float(np.max(np.abs(v), initial=0.0)) for v in drives_v)
+@kept_if_short(4)
+def _peak_v(band: Band) -> float:
+    return float(np.max(np.abs(band.drive_v), initial=0.0))
+
+
+def drive_sizes(bands: Sequence[Band], with_mismatch: bool) -> dict[str, float]:
+    """Effect that clips the drive -> 1/level [1/V] of a level at 0.9 of the largest drive of the records."""
+    peak_v = max(_peak_v(band) for band in bands)
     clips = {probe.effect.name for probe in probes_of(with_mismatch, "drive") if probe.effect.clips("drive")}
     return dict.fromkeys(clips, 1.0 / (_LOUD * peak_v)) if peak_v > 0.0 else {}
 
 
 def adc_signatures(
-    device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool
+    device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool, out: FloatArray
 ) -> Iterator[BandSignature]:
-    """Signatures of the ADC stage at ``sizes`` of :func:`adc_sizes`."""
+    """Signatures of the ADC stage at ``sizes`` of :func:`adc_sizes`, written to the first rows of ``out`` (.., S, 2 W)."""
+    rows = iter(out)
     loud, volts = louds
     for probe in probes_of(with_mismatch, "adc"):
         if probe.effect.adc is None or probe.effect.name not in sizes:
             continue
         change = probe.effect.adc(volts, np.array([sizes[probe.effect.name]]), device.context) - volts
         moved = np.flatnonzero(change.any(axis=1))
-        spectrum = transform_of_few(device.band, loud[moved], change[moved])
-        yield BandSignature(probe.effect.name, spectrum, 0.0, np.inf)
+        row = next(rows)
+        write_real(transform_of_few(device.band, loud[moved], change[moved]), row)
+        yield BandSignature(probe.effect.name, row, 0.0, np.inf)
 
 
 def transform_of_few(band: Band, where: IntArray, change: FloatArray) -> ComplexArray:

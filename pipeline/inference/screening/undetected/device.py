@@ -14,8 +14,9 @@ from itertools import groupby
 from typing import Any, TypeVar
 
 import numpy as np
+from numba import njit
 
-from ....arrays import FloatArray
+from ....arrays import ComplexArray, FloatArray, IntArray
 from ....axial import wrap
 from ....experiment.instrument import Instrument
 from ....experiment.noise.spectrum import NoiseSpectrum
@@ -26,12 +27,12 @@ from ..compressed import BandData
 from ..fit import Fit
 from ..likelihood import FEATURES, STEPS, coefficients
 from ..mismatch import MismatchPrior, mean_plant
-from .bounds import Candidates, Projection, judged, summary
+from .bounds import Candidates, EffectEvidence, Judged, Projection, judged, judged_together, summary
 from .clipping import Loud, adc_sizes, drive_sizes
-from .library import BandSignature
+from .library import BandSignature, write_real
 from .linear import LinearDevice, Moved, linear_devices
 from .linear_stages import moved_mechanics
-from .rows import hum_of, products_of, record_weight, stationary_variance, white_products, without_hum, write_real
+from .rows import products_of, record_weight, stationary_variance, take_out_hum, white_products
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
 from .signatures import signatures
@@ -88,10 +89,9 @@ def scored_device(scoring: Scoring) -> Undetected:
     ------
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
-    linear = _linear(scoring)
-    products = _products(scoring, linear, [_found(scoring, linear, i) for i in range(len(scoring.data))])
     (slopes,) = quantity_slopes(scoring.fit.x[None], scoring.rate, scoring.prior)
-    return _judged(scoring, products, slopes)
+    posed = _posed(scoring, _products(scoring, _linear(scoring)), slopes)
+    return summary((judged(posed.problem), posed.scans), posed.quantities)
 
 
 def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
@@ -103,9 +103,9 @@ def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
         # A long record is given up part by part.
         return _each(scored_device, scorings)
     linear = _each(_linear, scorings)
-    found = _each(lambda scoring, own: [_found(scoring, own, i) for i in range(len(scoring.data))], scorings, linear)
-    products = _each(_products, scorings, linear, found)
-    return _each(_judged, scorings, products, _slopes_of(scorings))
+    products = _each(_products, scorings, linear)
+    posed = _each(_posed, scorings, products, _slopes_of(scorings))
+    return _each(lambda one, own: summary((own, one.scans), one.quantities), posed, _judged_of(posed))
 
 
 def _each(stage: Callable[..., T], *inputs: Sequence[Any]) -> list[T | Exception]:
@@ -124,43 +124,52 @@ def _linear(scoring: Scoring) -> _Linear:
     with_mismatch = scoring.prior is not None
     sizes = adc_sizes(scoring.louds, scoring.noise.sigma_v, scoring.instrument.bias_v, with_mismatch)
     bands = [item.band for item in scoring.data]
-    sizes |= drive_sizes([band.drive_v for band in bands], with_mismatch)
+    sizes |= drive_sizes(bands, with_mismatch)
     return _Linear(
         *linear_devices(scoring.fit, bands, scoring.instrument, partial(moved_mechanics, with_mismatch)), sizes
     )
 
 
-def _found(scoring: Scoring, linear: _Linear, i: int) -> tuple[BandSignature, ...]:
-    """The signatures in record ``i``."""
-    return signatures(linear.devices[i], linear.moved, scoring.louds[i], linear.sizes, scoring.prior is not None)
-
-
-def _products(scoring: Scoring, linear: _Linear, found: Sequence[Sequence[BandSignature]]) -> _Products:
+def _products(scoring: Scoring, linear: _Linear) -> _Products:
     """Products of all rows, summed over the records and the prior of the fit."""
-    fit, data = scoring.fit, scoring.data
+    fit, data, with_mismatch = scoring.fit, scoring.data, scoring.prior is not None
     slopes, count = feature_slopes(fit), fit.x.size
     first = data[0].band.frequency_hz
     products: FloatArray | float = 0.0
     scanned: ScannedProducts | None = None
-    for item, device, own in zip(data, linear.devices, found):
+    candidates: Candidates | None = None
+    for item, device, loud in zip(data, linear.devices, scoring.louds):
         edges = (float(first[0]), float(first[-1]))
-        scans = scans_of(item.band, edges, scoring.line_hz, scoring.prior is not None)
-        rows = np.empty((count + 1 + len(own), 2, 2 * item.band.bins.size))
-        np.matmul(slopes.reshape(2 * count, -1), device.columns.T, out=rows[:count].reshape(2 * count, -1))
-        write_real(item.spectrum - device.sensed, rows[count])
-        for row, one in zip(rows[count + 1 :], own):
-            write_real(one.change, row, one.per_unit)
+        scans = scans_of(item.band, edges, scoring.line_hz, with_mismatch)
+        found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, slopes)
+        write_real(item.spectrum - found.sensed, found.rows[count])
         variance = stationary_variance(item, scoring.noise.sigma_v)
-        more, part = _of_record(rows, count, item, scans, variance)
-        del rows  # as large as a long record
+        candidates = _candidates(found.signatures)
+        more, part = _of_record(found.rows, candidates.numbers, item, scans, variance)
+        del found  # its rows are as large as a long record
         products = products + more
         scanned = part if scanned is None else scanned + part
     assert scanned is not None
-    low, high = (np.array([getattr(one, end) for one in found[-1]]) for end in ("low", "high"))
-    return _Products(np.array(products), scanned, Candidates(tuple(one.effect for one in found[-1]), low, high))
+    assert candidates is not None
+    return _Products(np.array(products), scanned, candidates)
 
 
-def _judged(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> Undetected:
+def _candidates(found: Sequence[BandSignature]) -> Candidates:
+    """The effects of signatures, with the ranges of their strengths in units of the rows."""
+    low, high = (np.array([getattr(one, end) * one.per_unit for one in found]) for end in ("low", "high"))
+    return Candidates(tuple(one.effect for one in found), low, high)
+
+
+@dataclass(frozen=True, eq=False)
+class _Posed:
+    """What is to be judged of a device: its effects; its scans are judged already.  The quantities that are known."""
+
+    problem: EffectEvidence
+    scans: Judged
+    quantities: tuple[str, ...]
+
+
+def _posed(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> _Posed:
     fit, data, prior, whole = scoring.fit, scoring.data, scoring.prior, products.whole
     count = fit.x.size
     of_prior = _prior_products(prior, fit.x)
@@ -174,36 +183,50 @@ def _judged(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> Un
     # Scans take noise that depends on the signal at its largest variance, and their fit with it.
     depends = any(item.noise is not None and item.noise.dependent.size for item in data)
     of_scans = Projection.of(base[:count, :count], gradient) if depends else projection
-    parts = (
-        judged(whole, projection, products.candidates, dof),
-        judged_scans(products.scanned, of_scans, base[:count, count], dof),
-    )
-    return summary(parts, names)
+    scans = judged_scans(products.scanned, of_scans, base[:count, count], dof)
+    return _Posed(EffectEvidence(whole, projection, products.candidates, dof), scans, names)
+
+
+def _judged_of(posed: Sequence[_Posed | Exception]) -> list[Judged | Exception]:
+    """The effects of each device judged; those that follow each other with the same effects and quantities at once."""
+
+    def alike(one: _Posed | Exception) -> tuple[Any, ...]:
+        return () if isinstance(one, Exception) else (one.problem.candidates.effects, one.quantities)
+
+    out: list[Judged | Exception] = []
+    for key, own in groupby(posed, key=alike):
+        group = list(own)
+        if key and len(group) > 1:
+            try:
+                out += judged_together([one.problem for one in group if isinstance(one, _Posed)])
+                continue
+            except Exception:
+                # One of them fails; the others must not.
+                pass
+        out += _each(lambda one: judged(one.problem), group)
+    return out
 
 
 def _of_record(
-    rows: FloatArray, count: int, item: BandData, scans: Iterable[BandScan], variance: FloatArray
+    rows: FloatArray, effects: IntArray, item: BandData, scans: Iterable[BandScan], variance: FloatArray
 ) -> tuple[FloatArray, ScannedProducts]:
     """Products (P + 1 + K, P + 1 + K) in sigmas of the rows [J, r, Z] of a record, and those of its scans with J and r.
 
-    The hum lines of the residual are taken out in place; P = ``count``.
+    The hum lines are taken out of the rows in place; ``effects`` (K,) are numbers of those of Z.
     """
+    count = rows.shape[0] - effects.size - 1
     fit = slice(0, count + 1)
     weight = record_weight(item, variance)
+    take_out_hum(rows, item.nuisance)
     if item.noise is None:
-        rows[count : count + 1] = without_hum(rows[count : count + 1], item.nuisance)
-        hum = hum_of(rows, item.nuisance)
-        hum[count] = 0.0
-        products = white_products(rows, hum, item, variance)
-        return products, scanned_products(scans, rows[fit], hum[fit], weight, products[fit, fit])
+        products = white_products(rows, count + 1, effects, item, variance)
+        return products, scanned_products(scans, rows[fit], weight, products[fit, fit])
     products = products_of(rows, item, item.noise, variance)
-    left = without_hum(rows[fit], item.nuisance)
     base = products[fit, fit]
     if item.noise.dependent.size:
-        flat = (left * np.tile(weight, 2)).reshape(count + 1, -1)
+        flat = (rows[fit] * np.tile(weight, 2)).reshape(count + 1, -1)
         base = flat @ flat.T
-    none = np.zeros((count + 1, 2, item.nuisance.shape[1]))
-    return products, scanned_products(scans, left, none, weight, base)
+    return products, scanned_products(scans, rows[fit], weight, base)
 
 
 @lru_cache(maxsize=4)
@@ -225,12 +248,23 @@ def _prior_products(prior: MismatchPrior | None, x: FloatArray) -> FloatArray:
 
 def feature_slopes(fit: Fit) -> FloatArray:
     """Slopes (P, S, J), per unit of x, of the coefficients of the model's spectrum in the features of the fit."""
-    steps = STEPS[: fit.x.size]
-    points = np.concatenate([fit.x + np.diag(steps), fit.x - np.diag(steps)])
-    c, shift = np.empty((points.shape[0], 2, FEATURES)), np.empty(3)
-    for point, out in zip(points, c):
-        coefficients(point, fit.likelihood.expansion, out, shift)
-    return np.asarray((c[: steps.size] - c[steps.size :]) / (2.0 * steps[:, None, None]))
+    slopes = np.empty((fit.x.size, 2, FEATURES))
+    _feature_slopes(fit.x, fit.likelihood.expansion, slopes)
+    return slopes
+
+
+@njit(cache=True)
+def _feature_slopes(x: FloatArray, expansion: ComplexArray, out: FloatArray) -> None:
+    ahead, behind, shift = np.empty((2, FEATURES)), np.empty((2, FEATURES)), np.empty(3)
+    for i in range(x.size):
+        moved = x.copy()
+        moved[i] = x[i] + STEPS[i]
+        coefficients(moved, expansion, ahead, shift)
+        moved[i] = x[i] - STEPS[i]
+        coefficients(moved, expansion, behind, shift)
+        for a in range(2):
+            for j in range(FEATURES):
+                out[i, a, j] = (ahead[a, j] - behind[a, j]) / (2.0 * STEPS[i])
 
 
 def quantity_slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> list[QuantitySlopes]:

@@ -6,12 +6,12 @@ Shapes: S = 2 senses, W bins, k parameters of an effect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray
 from ....device.effect import Effect, LookAlike
 from ....device.model import Model
 from ....device.parameters import Parameter, Shape
@@ -22,14 +22,14 @@ SHAPE: Shape = NIGHTLY_MODEL.built.shape
 
 @dataclass(frozen=True, eq=False)
 class BandSignature:
-    """Change of the spectrum (S, W) [V] of a record, and the range (low, high) of its strength.
+    """Change of the spectrum of a record as a row of real numbers, and the range (low, high) of its strength.
 
-    The strength is a parameter in its unit, its square for a law of second order, or the share of a probe of an ADC; ``per_unit``
-    is what turns the change into that at unit strength.
+    The row (S, 2 W) [V] has real parts before imaginary ones.  The strength is a parameter in its unit, its square for a law of
+    second order, or the share of a probe of an ADC; ``per_unit`` is what turns the row into that at unit strength.
     """
 
     effect: str
-    change: ComplexArray
+    row: FloatArray
     low: float
     high: float
     per_unit: float = 1.0
@@ -37,7 +37,8 @@ class BandSignature:
     @property
     def spectrum(self) -> ComplexArray:
         """The change (S, W) [V] at unit strength."""
-        return self.change * self.per_unit
+        real, imaginary = np.split(self.row * self.per_unit, 2, axis=1)
+        return np.asarray(real + 1j * imaginary)
 
 
 @lru_cache(maxsize=4)
@@ -90,12 +91,16 @@ class Probe:
             p[i] = fixed
         return p
 
-    def signature(self, change: ComplexArray, value: float, order: int) -> BandSignature:
-        """The signature per unit of the parameter, or of its square, from the change (S, W) [V] at ``value``."""
+    def signature(self, row: FloatArray, value: float, order: int) -> BandSignature:
+        """The signature per unit of the parameter, or of its square, from the change as a row (S, 2 W) [V] at ``value``."""
+        low, high = self._ranges[order - 1]
+        return BandSignature(self.effect.name, row, low, high, value**-order)
+
+    @cached_property
+    def _ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ranges of the parameter and of its square."""
         m = self.member
-        high = max(abs(m.low), abs(m.high)) ** 2 if order == 2 else m.high
-        low = 0.0 if order == 2 else min(m.low, 0.0)
-        return BandSignature(self.effect.name, change, low, high, value**-order)
+        return (min(m.low, 0.0), m.high), (0.0, max(abs(m.low), abs(m.high)) ** 2)
 
 
 @lru_cache(maxsize=32)
@@ -106,6 +111,23 @@ def probes_of(with_mismatch: bool, stage: str) -> tuple[Probe, ...]:
     """
     effects = [e for e in scored_effects(with_mismatch) if getattr(e, stage) is not None and not e.has_coordinates]
     return tuple(probe for effect in effects for probe in _probes(effect))
+
+
+#: The stages whose effects are forces, and all that have signatures.
+FORCES = ("drive", "force")
+STAGES = (*FORCES, "mechanics", "sense", "readout", "adc")
+
+
+@lru_cache(maxsize=8)
+def most_signatures(with_mismatch: bool, stages: tuple[str, ...]) -> int:
+    """The largest number of signatures of some stages in a record."""
+    return sum(len(probes_of(with_mismatch, stage)) for stage in stages)
+
+
+def write_real(spectra: AnyComplexArray, out: FloatArray) -> None:
+    """Write spectra (.., W) as real numbers to ``out`` (.., 2 W): real parts before imaginary ones."""
+    width = spectra.shape[-1]
+    out[..., :width], out[..., width:] = spectra.real, spectra.imag
 
 
 def _probes(effect: Effect) -> tuple[Probe, ...]:

@@ -19,18 +19,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
 from ....device.gyro import PHYSICAL, cartesian_mechanics, to_physical
-from ....device.mechanics import Mechanics, modes_of, state_matrix
+from ....device.mechanics import Mechanics
 from ....experiment.antialias import filter_response
 from ....experiment.instrument import Instrument
 from ..fit import Fit, modes_at
 from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
+from .loops import respond
 from .narrow_band import Grid, Signals
+from .position_modes import PositionModes
 
 
 def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
@@ -39,6 +41,25 @@ def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
     context = Context(bias_v, bias_v, plant)
     mechanics = cartesian_mechanics(x[None, :12])
     return (mechanics if x.size == 12 else mismatched(mechanics, x[12:], context)), context
+
+
+@dataclass(frozen=True, eq=False)
+class BandMotion:
+    """Spectra behind the filter.
+
+    Parameters
+    ----------
+    of_drives : the part of each drive (D, S, W) [V] of the pick-off volts.
+    spectra : coordinates and velocities (3 + 3, W) [V s, V].
+    """
+
+    of_drives: ComplexArray
+    spectra: ComplexArray
+
+    @cached_property
+    def sensed(self) -> ComplexArray:
+        """Pick-off volts (S, W) [V]."""
+        return np.asarray(self.of_drives.sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,40 +87,43 @@ class LinearDevice:
     antialias: ComplexArray
     drive: ComplexArray
 
-    def read(self, residues: ComplexArray, slopes: ComplexArray | None = None) -> ComplexArray:
-        """sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj, (.., C, W), of R and T (.., 3, C, D)."""
+    def coefficients(self, residues: ComplexArray, slopes: ComplexArray | None = None) -> FloatArray:
+        """Those (.., C, J) of sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj in the features, of R and T (.., 3, C, D)."""
         orders = np.arange(ORDER + 1)
         powers = self.shifts[:, None] ** orders
         series = residues[..., None] * powers[:, None, None]
         if slopes is not None:
             series[..., 1:] += slopes[..., None] * (orders[1:] * powers[:, :-1])[:, None, None]
         by_channel = np.ascontiguousarray(np.moveaxis(series[..., self.source, :, :, :], -3, -4))
-        rows = self.rows(by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1))
-        out = np.empty((*rows.shape[:-1], rows.shape[-1] // 2), dtype=np.complex128)
-        out.real, out.imag = rows[..., : out.shape[-1]], rows[..., out.shape[-1] :]
-        return out
+        return by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1)
 
-    def rows(self, coefficients: FloatArray) -> FloatArray:
+    def rows(self, coefficients: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Spectra (.., 2 W), real parts before imaginary ones, of coefficients (.., J) of the features."""
-        flat = coefficients.reshape(-1, coefficients.shape[-1]) @ self.columns.T
-        return flat.reshape(*coefficients.shape[:-1], -1)
-
-    def signals(self, grid: Grid) -> Signals:
-        """Envelopes of the motion and of the drive on a grid."""
-        inverse, drive = _shared_signals(self.band, grid)
-        found = grid.envelopes(self._spectra[:6] * inverse)
-        return Signals(grid, np.arange(grid.points), found[:3], found[3:], drive)
+        whole = np.empty((*coefficients.shape[:-1], self.columns.shape[0])) if out is None else out
+        flat = coefficients.reshape(-1, coefficients.shape[-1])
+        np.matmul(flat, self.columns.T, out=whole.reshape(flat.shape[0], -1))
+        return whole
 
     @property
-    def sensed(self) -> ComplexArray:
-        """Pick-off volts behind the filter (S, W)."""
-        return self._spectra[6:]
-
-    @cached_property
-    def _spectra(self) -> ComplexArray:
-        """Coordinates, velocities and pick-off volts behind the filter (3 + 3 + S, W)."""
+    def motion_coefficients(self) -> FloatArray:
+        """Coefficients (D S + 3 + 3, J) of the pick-off volts of each drive, the coordinates and the velocities."""
         q = self.parts @ self.mechanics.drive[0]
-        return self.read(np.concatenate([q, q * self.poles[:, None, None], self.pickoff_residues], axis=1))
+        drives = q.shape[2]
+        alone = (np.eye(drives)[:, None, None] * self.pickoff_residues).swapaxes(0, 1).reshape(3, -1, drives)
+        return self.coefficients(np.concatenate([alone, q, q * self.poles[:, None, None]], axis=1))
+
+    def motion(self, rows: FloatArray) -> BandMotion:
+        """The motion from the rows (D S + 3 + 3, 2 W) of its coefficients."""
+        out = np.empty((rows.shape[0], self.s.size), dtype=np.complex128)
+        out.real, out.imag = rows[:, : self.s.size], rows[:, self.s.size :]
+        return BandMotion(out[:-6].reshape(self.drive.shape[0], -1, self.s.size), out[-6:])
+
+    def signals(self, motion: BandMotion, grid: Grid) -> Signals:
+        """Envelopes of the motion and of the drive on a grid."""
+        inverse, drive = shared_signals(self.band, grid)
+        whole = np.empty((6 + drive.shape[0], grid.points), dtype=np.complex64)
+        whole[:6], whole[6:] = grid.envelopes((motion.spectra * inverse).astype(np.complex64)), drive
+        return Signals(grid, np.arange(grid.points), whole)
 
     @cached_property
     def pickoff_residues(self) -> ComplexArray:
@@ -108,34 +132,38 @@ class LinearDevice:
         read = m.velocity_sense[0] * self.poles[:, None, None] + m.position_sense[0]
         return np.asarray(read @ self.parts @ m.drive[0])
 
-    def forced(self, force: ComplexArray, grid: Grid) -> ComplexArray:
-        """Volts behind the filter (K, S, W) in response to envelopes of K forces (K, 3, n) [V/s]."""
+    def forced(self, force: AnyComplexArray, grid: Grid, out: FloatArray) -> FloatArray:
+        """Volts behind the filter in response to envelopes of forces (K, 3, n) [V/s]: the first rows of ``out`` (.., S, 2 W)."""
         span = self.band.samples / self.band.sample_rate_hz
         # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
         decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
-        left = grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]
+        left = (grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]).astype(force.dtype)
         count = force.shape[0]
-        ends = (force.reshape(-1, grid.points) @ left.T).reshape(count, 3, 3) * (0.5 * span / grid.points)
-        modal = np.einsum("kij,bjk->kbi", self.parts, ends)
+        ends = (left @ force.reshape(-1, grid.points).T).reshape(3, count, 3) * (0.5 * span / grid.points)
+        modal = np.einsum("kij,kbj->kbi", self.parts, ends)
         q_end = 2.0 * modal.real.sum(axis=0)
         v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
-        m, transfer = self.mechanics, self._transfer()
-        boundary = np.concatenate([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=1)
-        ringing = np.concatenate([transfer, transfer * self.s]) * -self.band.sample_rate_hz
-        volts = (boundary @ ringing.reshape(6, -1)).reshape(count, 2, -1)
-        spectrum = grid.spectra(force)
-        for c, own in enumerate(transfer * grid.bin_scale):
-            volts += own * spectrum[:, c, None]
-        return np.asarray(volts)
+        m = self.mechanics
+        ringing = np.stack([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=2)
+        ringing *= self.band.sample_rate_hz / grid.bin_scale
+        spectra, transfer = grid.transforms(force), self._transfer(grid.bin_scale)
+        respond(spectra, grid.below, ringing.astype(np.float32), self._omega, transfer, out[:count])
+        return out[:count]
 
-    def _transfer(self) -> ComplexArray:
-        """G (V s + D)(K + s C + s^2)^-1 (3, S, W) by partial fractions."""
-        m, s = self.mechanics, self.s
+    @property
+    def _omega(self) -> RealArray:
+        return self.s.imag.astype(np.float32)
+
+    def _transfer(self, scale: float) -> RealArray:
+        """G (V s + D)(K + s C + s^2)^-1 times ``scale`` (2, 3, S, W), real parts before imaginary ones, by partial fractions."""
+        m = self.mechanics
         poles = np.concatenate([self.poles, self.poles.conj()])
         parts = np.concatenate([self.parts, self.parts.conj()])
-        gain = (m.velocity_sense[0] * poles[:, None, None] + m.position_sense[0]) @ parts
-        resonances = self.antialias / (s - poles[:, None])
-        return np.asarray((gain.T.reshape(-1, poles.size) @ resonances).reshape(3, 2, -1))
+        gain = (scale * m.velocity_sense[0] * poles[:, None, None] + scale * m.position_sense[0]) @ parts
+        # The distance to a pole needs all digits, the quotient does not.
+        resonances = (self.antialias / (self.s - poles[:, None])).astype(np.complex64)
+        found = gain.T.reshape(-1, poles.size).astype(np.complex64) @ resonances
+        return np.stack([found.real, found.imag]).reshape(2, 3, -1, self.s.size)
 
 
 def hold_response(band: Band) -> ComplexArray:
@@ -153,50 +181,52 @@ def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray
 
 
 @kept_if_short(4)
-def _shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
+def shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
     """1 / G (W,), in units of the grid, and the envelopes of the drive (D, n) [V], which all devices of a band share."""
     _, antialias, drive = frequency_axis(band)
     return 1.0 / (grid.bin_scale * antialias), grid.envelopes(drive / grid.bin_scale)
 
 
-def _position_modes(every: Sequence[Mechanics], own: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Poles (B, 3) [rad/s] and residues (B, 3, 3, 3) of (K + s C + s^2)^-1, in the order of the poles ``own`` (3,).
-
-    They are those of ``modes_of`` with unit drive and sense.
-
-    Raises
-    ------
-    ConfigError : as in ``modes_of``.
-    """
-    state = np.concatenate([state_matrix(one) for one in every])
-    roots, right = np.linalg.eig(state)
-    modes = np.argsort(np.where(roots.imag > 0.0, roots.imag, np.inf), axis=1)[:, :3][
-        :, np.argsort(np.argsort(own.imag))
-    ]
-    batch = np.arange(len(every))[:, None]
-    poles = roots[batch, modes]
-    if not np.all(poles.imag > 0.0):
-        # It states which mode does not oscillate.
-        modes_of(every[int(np.argmin(poles.imag.min(axis=1)))])
-    left = np.linalg.inv(right)[batch, modes, 3:]
-    return poles, right[batch, :3, modes][:, :, :, None] * left[:, :, None]
-
-
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Poles (B, 3) and residues (B, 3, S, D) [rad/s] of B other mechanics, in the order of those of the device."""
+    """First-order changes of the poles (k, 3) and residues (k, 3, S, D) [rad/s] between pairs of mechanics."""
 
     poles: ComplexArray
     residues: ComplexArray
+
+
+def _moved(modes: PositionModes, own: Mechanics, pairs: Sequence[tuple[Mechanics, Mechanics]]) -> Moved:
+    """What the differences of ``pairs`` change, linearised at the mechanics ``own``."""
+
+    def change(name: str) -> FloatArray | float:
+        every = [(getattr(ahead, name), getattr(behind, name)) for ahead, behind in pairs]
+        if all(ahead is behind for ahead, behind in every):
+            return 0.0
+        return np.concatenate([ahead - behind for ahead, behind in every])
+
+    state = np.zeros((len(pairs), 6, 6))
+    state[:, 3:, :3] = -change("stiffness")
+    state[:, 3:, 3:] = -(change("damping") + change("gyroscopic"))
+    poles, parts = modes.moved(state)
+    of_own, drive = modes.poles[:, None, None], own.drive[0]
+    read = own.velocity_sense[0] * of_own + own.position_sense[0]
+    residues = (own.velocity_sense[0] * poles[:, :, None, None] @ modes.parts + read @ parts) @ drive
+    velocity, position, driven = (change(name) for name in ("velocity_sense", "position_sense", "drive"))
+    if not isinstance(velocity, float) or not isinstance(position, float):
+        none = np.zeros((len(pairs), *own.velocity_sense.shape[1:]))
+        residues += ((none + velocity)[:, None] * of_own + (none + position)[:, None]) @ modes.parts @ drive
+    if not isinstance(driven, float):
+        residues += read @ modes.parts @ driven[:, None]
+    return Moved(poles, residues)
 
 
 def linear_devices(
     fit: Fit,
     bands: Sequence[Band],
     instrument: Instrument,
-    others: Callable[[Mechanics, Context], Sequence[Mechanics]],
+    others: Callable[[Mechanics, Context], Sequence[tuple[Mechanics, Mechanics]]],
 ) -> tuple[tuple[LinearDevice, ...], Moved]:
-    """The linear device of a fit in the band of each record, and the modes of ``others``, functions of its mechanics.
+    """The linear device of a fit in the band of each record, and what pairs of ``others``, functions of its mechanics, change.
 
     Raises
     ------
@@ -204,20 +234,15 @@ def linear_devices(
     """
     x, expansion = fit.x, fit.likelihood.expansion
     mechanics, context = device_mechanics(x, instrument.bias_v)
-    every = [mechanics, *others(mechanics, context)]
-    poles, parts = _position_modes(every, modes_at(x)[0])
-    read, position = (
-        np.concatenate([getattr(one, name) for one in every]) for name in ("velocity_sense", "position_sense")
-    )
-    drive = np.concatenate([one.drive for one in every])
-    residues = (read[:, None] * poles[:, :, None, None] + position[:, None]) @ parts @ drive[:, None]
-    first, second = poles[0, :2]
+    modes = PositionModes.of(mechanics, modes_at(x)[0])
+    poles, parts = modes.poles, modes.parts
+    first, second = poles[:2]
     straight = abs(first - expansion[0]) + abs(second - expansion[1])
     crossed = abs(first - expansion[1]) + abs(second - expansion[0])
     source = (1, 0, 2) if crossed < straight else (0, 1, 2)
-    shifts = poles[0] - expansion[list(source)]
+    shifts = poles - expansion[list(source)]
     devices = tuple(
-        LinearDevice(band, context, mechanics, poles[0], parts[0], columns, shifts, source, *frequency_axis(band))
+        LinearDevice(band, context, mechanics, poles, parts, columns, shifts, source, *frequency_axis(band))
         for band, columns in zip(bands, fit.likelihood.columns)
     )
-    return devices, Moved(poles[1:], residues[1:])
+    return devices, _moved(modes, mechanics, others(mechanics, context))

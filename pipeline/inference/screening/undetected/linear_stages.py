@@ -10,57 +10,51 @@ Shapes: S = 2 senses, W bins.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from ....arrays import ComplexArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray
 from ....device.effect import Context
 from ....device.mechanics import Mechanics
 from ....device.readout import Readout, plain_readout
 from ....experiment.antialias import filter_poles
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import SHAPE, BandSignature, Probe, probes_of
-from .linear import LinearDevice, Moved, frequency_axis
+from .library import SHAPE, BandSignature, Probe, probes_of, write_real
+from .linear import BandMotion, LinearDevice, Moved, frequency_axis
 from .narrow_band import Grid
 
 
 @lru_cache(maxsize=4)
 def mechanics_moves(with_mismatch: bool) -> tuple[tuple[Probe, float], ...]:
-    """Effects of linear mechanics that add no coordinate, and the step of a parameter: ahead and behind, one after the other."""
+    """Effects of linear mechanics that add no coordinate, and the step of a parameter."""
     found = probes_of(with_mismatch, "mechanics")
     grids = {probe.effect.name for probe in found if probe.scanned}
-    return tuple(
-        (probe, sign * 1e-4 * probe.member.scale)
-        for probe in found
-        if probe.effect.name not in grids
-        for sign in (1.0, -1.0)
-    )
+    return tuple((probe, 1e-4 * probe.member.scale) for probe in found if probe.effect.name not in grids)
 
 
-def moved_mechanics(with_mismatch: bool, mechanics: Mechanics, context: Context) -> list[Mechanics]:
-    """The mechanics with each of :func:`mechanics_moves`."""
+def moved_mechanics(with_mismatch: bool, mechanics: Mechanics, context: Context) -> list[tuple[Mechanics, Mechanics]]:
+    """The mechanics a step ahead and a step behind in each of :func:`mechanics_moves`."""
     out = []
     for probe, step in mechanics_moves(with_mismatch):
-        assert probe.effect.mechanics is not None
-        out.append(probe.effect.mechanics(mechanics, probe.at(step), context))
+        effect = probe.effect.mechanics
+        assert effect is not None
+        ahead, behind = (effect(mechanics, probe.at(sign * step), context) for sign in (1.0, -1.0))
+        out.append((ahead, behind))
     return out
 
 
-def mechanics_signatures(device: LinearDevice, moved: Moved, with_mismatch: bool) -> Iterator[BandSignature]:
-    """Signatures of linear mechanics, from the poles and residues with each of :func:`mechanics_moves`."""
-    moves = mechanics_moves(with_mismatch)[::2]
-    if not moves:
-        return
+def mechanics_coefficients(device: LinearDevice, moved: Moved, with_mismatch: bool) -> tuple[list[Probe], FloatArray]:
+    """Parameters of linear mechanics, and their signatures as coefficients (k, S, J) of the features."""
+    moves = mechanics_moves(with_mismatch)
     double = 2.0 * np.array([step for _, step in moves])
-    poles = (moved.poles[::2] - moved.poles[1::2]) / double[:, None]
-    residues = (moved.residues[::2] - moved.residues[1::2]) / double[:, None, None, None]
-    spectra = device.read(residues, device.pickoff_residues * poles[:, :, None, None])
-    for (probe, _), spectrum in zip(moves, spectra):
-        yield probe.signature(spectrum, 1.0, 1)
+    poles, residues = moved.poles / double[:, None], moved.residues / double[:, None, None, None]
+    return [probe for probe, _ in moves], device.coefficients(
+        residues, device.pickoff_residues * poles[:, :, None, None]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,17 +63,18 @@ class _ReadoutChanges:
 
     Parameters
     ----------
-    fed : signatures of drive that is fed through.
-    through, filters : parameters that change the filter, and their change of G (k, S, S, W) per unit.
-    lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, W) per unit.
+    fed, fed_rows : parameters that feed the drive through, and their signatures (k, S, 2 W) per unit.
+    through, filters : parameters that change the filter, and their change of G (k, S, S, W) per unit, in single precision.
+    lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, W) per unit, in single precision.
     clocks : parameters that change the clock, each with the offset per unit.
     """
 
-    fed: tuple[BandSignature, ...]
+    fed: tuple[Probe, ...]
+    fed_rows: FloatArray
     through: tuple[Probe, ...]
-    filters: ComplexArray
+    filters: AnyComplexArray
     lagged: tuple[Probe, ...]
-    lags: ComplexArray
+    lags: AnyComplexArray
     clocks: tuple[tuple[Probe, float], ...]
 
 
@@ -98,7 +93,7 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
         return through, np.asarray(np.einsum("wsr,wrd,dw->sw", through, fed, drive))
 
     own = of(plain)
-    fed: list[BandSignature] = []
+    fed: list[tuple[Probe, ComplexArray]] = []
     through: list[tuple[Probe, ComplexArray]] = []
     lags: list[tuple[Probe, ComplexArray]] = []
     clocks: list[tuple[Probe, float]] = []
@@ -115,29 +110,55 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
         elif change.any():
             through.append((probe, np.moveaxis(change, 0, 2) / frequency_axis(band)[1]))
         else:
-            fed.append(probe.signature((moved[1] - own[1]) / step, 1.0, 1))
+            fed.append((probe, (moved[1] - own[1]) / step))
+    fed_rows = np.empty((len(fed), SHAPE.senses, 2 * s.size))
+    for row, (_, spectrum) in zip(fed_rows, fed):
+        write_real(spectrum, row)
     return _ReadoutChanges(
-        tuple(fed),
+        tuple(probe for probe, _ in fed),
+        fed_rows,
         tuple(probe for probe, _ in through),
-        np.stack([change for _, change in through]) if through else np.zeros((0, 2, 2, s.size), np.complex128),
+        _single([change for _, change in through], (SHAPE.senses, SHAPE.senses, s.size)),
         tuple(probe for probe, _ in lags),
-        np.stack([lag for _, lag in lags]) if lags else np.zeros((0, SHAPE.drives, s.size), np.complex128),
+        _single([lag for _, lag in lags], (SHAPE.drives, s.size)),
         tuple(clocks),
     )
 
 
-def readout_signatures(device: LinearDevice, grid: Grid, with_mismatch: bool) -> Iterator[BandSignature]:
-    """Signatures of the read-out; a parameter changes the filter, what is fed through, the lag of a drive, or the clock."""
+def _single(changes: Sequence[ComplexArray], shape: tuple[int, ...]) -> AnyComplexArray:
+    """Changes (k, ..) of a shape in single precision."""
+    out = np.empty((len(changes), *shape), dtype=np.complex64)
+    for own, change in zip(out, changes):
+        own[:] = change
+    return out
+
+
+def readout_signatures(
+    device: LinearDevice, motion: BandMotion, grid: Grid, with_mismatch: bool, out: FloatArray
+) -> Iterator[BandSignature]:
+    """Signatures of the read-out, written to the first rows of ``out`` (.., S, 2 W).
+
+    A parameter changes the filter, what is fed through, the lag of a drive, or the clock.
+    """
     changes = _readout_changes(device.band, with_mismatch, device.context.bias_v)
-    yield from changes.fed
-    spectra = changes.filters[:, :, 0] * device.sensed[0] + changes.filters[:, :, 1] * device.sensed[1]
-    for probe, spectrum in zip(changes.through, spectra):
-        yield probe.signature(spectrum, 1.0, 1)
-    if changes.lagged:
-        alone = np.eye(SHAPE.drives)[:, None, None] * device.pickoff_residues
-        for probe, spectrum in zip(changes.lagged, np.einsum("kdw,dsw->ksw", changes.lags, device.read(alone))):
-            yield probe.signature(spectrum, 1.0, 1)
+    out[: len(changes.fed)] = changes.fed_rows
+    rows = iter(out)
+    for probe in changes.fed:
+        yield probe.signature(next(rows), 1.0, 1)
+    of_drives = motion.of_drives.astype(np.complex64)
+    sensed = of_drives.sum(axis=0)
+    filtered = changes.filters[:, :, 0] * sensed[0]
+    filtered += changes.filters[:, :, 1] * sensed[1]
+    lagged = changes.lags[:, :1] * of_drives[0]
+    lagged += changes.lags[:, 1:] * of_drives[1]
+    for probes, spectra in ((changes.through, filtered), (changes.lagged, lagged)):
+        for probe, spectrum in zip(probes, spectra):
+            row = next(rows)
+            write_real(spectrum, row)
+            yield probe.signature(row, 1.0, 1)
     if changes.clocks:
-        later = -grid.over_time(device.s * device.sensed)
+        later = -grid.over_time(device.s.astype(np.complex64) * sensed)
         for probe, offset in changes.clocks:
-            yield probe.signature(offset * later, 1.0, 1)
+            row = next(rows)
+            write_real(offset * later, row)
+            yield probe.signature(row, 1.0, 1)

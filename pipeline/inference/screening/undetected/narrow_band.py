@@ -14,6 +14,9 @@ and that motion mixes with the signal back into the band:
 
 Nonlinear laws count as zero where the device has not reached its resonances yet.
 
+Forces of first order are taken in single precision: its rounding, 6e-8, is far below the share of 1e-2 of the norm of a
+signature that survives a fit.
+
 Shapes: n points over the record, n' of them used, 3 coordinates, D drives, S senses, M phases, W bins.  Coordinates in V s.
 """
 
@@ -25,10 +28,11 @@ from functools import cache, cached_property
 import numpy as np
 from scipy.fft import fft, ifft, next_fast_len
 
-from ....arrays import ComplexArray, FloatArray, IntArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, RealArray
 from ....device.force_law import Points
 from ..inband import Band
 from ..kept import kept_if_short
+from .loops import first_harmonic
 
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
 _POINTS_PER_BIN = 1.2
@@ -55,22 +59,23 @@ class Grid:
         return np.linspace(0.0, self.band.samples / self.band.sample_rate_hz, self.points, endpoint=False)
 
     @cached_property
-    def _time_kernel(self) -> ComplexArray:
+    def _time_kernel(self) -> AnyComplexArray:
         """Transform (L,) of sum_n t_n e^{-2 pi i m n/N} / N [s] at the differences m of two bins, m < 0 at the end."""
         bins, samples = self.band.bins.size, self.band.samples
         m = np.arange(1, bins)
-        kernel = np.zeros(next_fast_len(2 * bins - 1), dtype=np.complex128)
+        kernel = np.zeros(next_fast_len(2 * bins - 1, real=True), dtype=np.complex128)
         kernel[0] = 0.5 * (samples - 1)
         kernel[m] = 1.0 / np.expm1(-2.0j * np.pi * m / samples)
         kernel[-m] = kernel[m].conj()
-        return np.asarray(fft(kernel / self.band.sample_rate_hz))
+        return np.asarray(fft(kernel / self.band.sample_rate_hz), dtype=np.complex64)
 
-    def over_time(self, spectrum: ComplexArray) -> ComplexArray:
-        """Transforms (.., W) of t y(t) [s] from those of y (.., W).
+    def over_time(self, spectrum: AnyComplexArray) -> AnyComplexArray:
+        """Transforms (.., W) of t y(t) [s] from those of y (.., W), in single precision.
 
         The jump of t from the end of the record to its start needs more points than envelopes have.
         """
-        product = fft(spectrum, self._time_kernel.size, axis=-1) * self._time_kernel
+        product = fft(spectrum.astype(np.complex64), self._time_kernel.size, axis=-1)
+        product *= self._time_kernel
         return np.asarray(ifft(product, axis=-1)[..., : self.band.bins.size])
 
     def powers(self, exponents: ComplexArray) -> ComplexArray:
@@ -81,19 +86,26 @@ class Grid:
         coarse = np.exp(exponents[:, None] * step * size * np.arange(size))
         return np.asarray((coarse[:, :, None] * fine[:, None, :]).reshape(exponents.size, -1)[:, : self.points])
 
-    def envelopes(self, spectrum: ComplexArray) -> ComplexArray:
-        """a (.., n) of transforms (.., W), both in units of :attr:`bin_scale`."""
-        padded = np.zeros((*spectrum.shape[:-1], self.points), dtype=np.complex128)
-        below = self.middle - int(self.band.bins[0])
-        padded[..., self.points - below :] = spectrum[..., :below]
-        padded[..., : spectrum.shape[-1] - below] = spectrum[..., below:]
+    def envelopes(self, spectrum: AnyComplexArray) -> AnyComplexArray:
+        """a (.., n) of transforms (.., W), both in units of :attr:`bin_scale` and of one precision."""
+        padded = np.zeros((*spectrum.shape[:-1], self.points), dtype=spectrum.dtype)
+        padded[..., self.points - self.below :] = spectrum[..., : self.below]
+        padded[..., : spectrum.shape[-1] - self.below] = spectrum[..., self.below :]
         return np.asarray(ifft(padded, axis=-1, overwrite_x=True))
 
-    def spectra(self, envelope: ComplexArray) -> ComplexArray:
-        """Transforms (.., W) of envelopes (.., n), in units of :attr:`bin_scale`."""
-        whole, below = fft(envelope, axis=-1), self.middle - int(self.band.bins[0])
-        above = self.band.bins.size - below
-        return np.concatenate([whole[..., self.points - below :], whole[..., :above]], axis=-1)
+    @property
+    def below(self) -> int:
+        """Bins of the band below w0."""
+        return self.middle - int(self.band.bins[0])
+
+    def transforms(self, envelope: AnyComplexArray) -> AnyComplexArray:
+        """Transforms (.., n) of envelopes (.., n), the bin of w0 first, those below it at the end."""
+        return np.asarray(fft(envelope, axis=-1))
+
+    def spectra(self, envelope: AnyComplexArray) -> AnyComplexArray:
+        """Transforms (.., W) of envelopes (.., n), in units of :attr:`bin_scale` and of their precision."""
+        whole, above = self.transforms(envelope), self.band.bins.size - self.below
+        return np.concatenate([whole[..., self.points - self.below :], whole[..., :above]], axis=-1)
 
     @property
     def bin_scale(self) -> float:
@@ -126,10 +138,11 @@ WHOLE_TURN = Phases(5, 1.0)
 
 
 @cache
-def _waves(phases: Phases, orders: tuple[int, ...]) -> FloatArray:
+def _waves(phases: Phases, orders: tuple[int, ...], single: bool) -> RealArray:
     """cos(h phi_m), then -sin(h phi_m), of each of the orders h, (2 len(orders), M)."""
     angles = np.array(orders)[:, None] * np.linspace(0.0, 2.0 * np.pi * phases.turn, phases.count, endpoint=False)
-    return np.asarray(np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(-1, phases.count))
+    waves = np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(-1, phases.count)
+    return np.asarray(waves, dtype=np.float32 if single else np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,54 +152,75 @@ class Signals:
     Parameters
     ----------
     grid, kept : its points, and the indices (n',) of those that the envelopes have.
-    coordinates, velocities, drives : (3, n') [V s], (3, n') [V], (D, n') [V], complex.
+    envelopes : of coordinates, velocities and drives (3 + 3 + D, n') [V s, V, V], in single precision.
     """
 
     grid: Grid
     kept: IntArray
-    coordinates: ComplexArray
-    velocities: ComplexArray
-    drives: ComplexArray
+    envelopes: AnyComplexArray
+
+    @property
+    def coordinates(self) -> AnyComplexArray:
+        """(3, n') [V s]."""
+        return self.envelopes[:3]
+
+    @property
+    def velocities(self) -> AnyComplexArray:
+        """(3, n') [V]."""
+        return self.envelopes[3:6]
 
     @property
     def loud(self) -> Signals:
         """Those of all points at which nonlinear forces count."""
         size = np.abs(self.velocities).sum(axis=0)
         kept = np.flatnonzero(size > QUIET * float(size.max()))
-        own = (each[:, kept] for each in (self.coordinates, self.velocities, self.drives))
-        return Signals(self.grid, self.kept[kept], *own)
+        return Signals(self.grid, self.kept[kept], self.envelopes[:, kept])
 
-    def at(self, phases: Phases) -> Points:
-        """The motion at M phases of each of the n' points, phase by phase."""
-        every = at_phases(np.concatenate([self.coordinates, self.velocities, self.drives]), phases)
-        return Points(np.tile(self.grid.time_s[self.kept], phases.count), every[:3], every[3:6], every[6:])
-
-
-def _parts(envelope: ComplexArray) -> FloatArray:
-    """Real and imaginary parts (.., 2, n') of envelopes (.., n')."""
-    parts = np.empty((*envelope.shape[:-1], 2, envelope.shape[-1]))
-    parts[..., 0, :], parts[..., 1, :] = envelope.real, envelope.imag
-    return parts
+    def at(self, phases: Phases, single: bool) -> Points:
+        """The motion at M phases of each of the n' points, phase by phase, in ``single`` or double precision."""
+        every = at_phases(self.envelopes if single else self.envelopes.astype(np.complex128), phases)
+        time_s = np.tile(self.grid.time_s[self.kept].astype(every.dtype), phases.count)
+        return Points(time_s, every[:3], every[3:6], every[6:])
 
 
-def at_phases(envelope: ComplexArray, phases: Phases) -> FloatArray:
-    """Re{a e^{i phi_m}} (.., M n') of envelopes a (.., n'), phase by phase."""
-    return np.asarray(_waves(phases, (1,)).T @ _parts(envelope)).reshape(*envelope.shape[:-1], -1)
+def _is_single(values: RealArray | AnyComplexArray) -> bool:
+    return values.dtype in (np.float32, np.complex64)
 
 
-def motion_at_phases(envelope: ComplexArray, omega: float, phases: Phases) -> tuple[FloatArray, FloatArray]:
+def _parts(envelope: AnyComplexArray) -> RealArray:
+    """Real and imaginary parts (.., 2, n') of envelopes (.., n'), as a view."""
+    whole = np.ascontiguousarray(envelope)
+    pairs = whole.view(np.float32 if _is_single(whole) else np.float64)
+    return np.swapaxes(pairs.reshape(*whole.shape, 2), -1, -2)
+
+
+def at_phases(envelope: AnyComplexArray, phases: Phases) -> RealArray:
+    """Re{a e^{i phi_m}} (.., M n') of envelopes a (.., n'), phase by phase, in their precision."""
+    waves = _waves(phases, (1,), _is_single(envelope))
+    return np.asarray(waves.T @ _parts(envelope)).reshape(*envelope.shape[:-1], -1)
+
+
+def motion_at_phases(envelope: AnyComplexArray, omega: float, phases: Phases) -> tuple[RealArray, RealArray]:
     """Re{a e^{i phi_m}} (.., M n') of envelopes a (.., n') of coordinates, and Re{i omega a e^{i phi_m}} of their velocities."""
-    parts, (cosines, sines) = _parts(envelope), _waves(phases, (1,))
+    parts, (cosines, sines) = _parts(envelope), _waves(phases, (1,), _is_single(envelope))
     shape = (*envelope.shape[:-1], -1)
-    ahead = omega * np.stack([sines, -cosines], axis=1)
-    return (_waves(phases, (1,)).T @ parts).reshape(shape), (ahead @ parts).reshape(shape)
+    ahead = omega * np.stack([sines, -cosines])
+    return (np.stack([cosines, sines]).T @ parts).reshape(shape), (ahead.T @ parts).reshape(shape)
 
 
-def harmonics(values: FloatArray, phases: Phases, *orders: int) -> list[ComplexArray]:
-    """f_h (.., n') of values (.., M n'), phase by phase, for each of the ``orders`` h."""
-    waves = _waves(phases, orders) * (2.0 / phases.count)
+def write_first_harmonic(values: RealArray, phases: Phases, kept: IntArray, out: AnyComplexArray) -> None:
+    """Write f_1 of values (k, 3, M n'), phase by phase, to the points ``kept`` (n',) of ``out`` (k, 3, n)."""
+    waves = _waves(phases, (1,), _is_single(values)) * (2.0 / phases.count)
+    first_harmonic(values.reshape(*values.shape[:2], phases.count, -1), waves, kept, out)
+
+
+def harmonics(values: RealArray, phases: Phases, *orders: int) -> list[AnyComplexArray]:
+    """f_h (.., n') of values (.., M n'), phase by phase, for each of the ``orders`` h, in their precision."""
+    single = _is_single(values)
+    waves = _waves(phases, orders, single) * (2.0 / phases.count)
     parts = waves @ values.reshape(*values.shape[:-1], phases.count, -1)
-    out = np.empty((len(orders), *values.shape[:-1], parts.shape[-1]), dtype=np.complex128)
+    shape = (len(orders), *values.shape[:-1], parts.shape[-1])
+    out = np.empty(shape, dtype=np.complex64 if single else np.complex128)
     for i, own in enumerate(out):
         own.real, own.imag = parts[..., 2 * i, :], parts[..., 2 * i + 1, :]
     return list(out)

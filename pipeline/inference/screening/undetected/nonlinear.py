@@ -15,13 +15,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray, IntArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray
 from ....device.effect import Context
-from ....device.force_law import Laws, Points, force_along
+from ....device.force_law import Laws, Points, force_along, in_single, single_force_along
 from ....device.gyro import M_D, M_S
-from .library import SHAPE, BandSignature, Probe, members_of, probes_of
-from .linear import LinearDevice
-from .narrow_band import WHOLE_TURN, Phases, Signals, at_phases, harmonics, motion_at_phases
+from ..inband import Band
+from ..kept import kept_if_short
+from .library import SHAPE, BandSignature, Probe, members_of, probes_of, write_real
+from .linear import LinearDevice, shared_signals
+from .narrow_band import WHOLE_TURN, Grid, Phases, Signals, at_phases, harmonics, motion_at_phases, write_first_harmonic
 from .parity import LawKind, kind_of
 
 #: Relative change of the motion by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
@@ -36,33 +38,30 @@ _MOTION_S: FloatArray = np.concatenate([M_S, np.ones((2, 1))], axis=1)
 _MOTION_D: FloatArray = np.ascontiguousarray(np.concatenate([M_D.T, np.ones((2, 1))], axis=1))
 
 
-def _rms(z: FloatArray | ComplexArray) -> float:
+def _rms(z: RealArray | AnyComplexArray) -> float:
     return math.sqrt(np.vdot(z, z).real / z.size)
 
 
-def _laws(device: LinearDevice) -> Laws:
-    m, c = device.mechanics, device.context
-    return Laws(
-        np.ascontiguousarray(m.damping[0]),
-        np.ascontiguousarray(m.stiffness[0]),
-        np.ascontiguousarray(m.drive[0]),
-        _MOTION_D,
-        c.bias_v,
-        c.operating_bias_v,
-        2,
-    )
+@dataclass(frozen=True, eq=False)
+class _LawsOf:
+    """Linear mechanics of a device as force laws see them, in both precisions."""
+
+    double: Laws
+    single: Laws
+
+    @classmethod
+    def of(cls, device: LinearDevice) -> _LawsOf:
+        m, c = device.mechanics, device.context
+        damping, stiffness, drive = (np.ascontiguousarray(each[0]) for each in (m.damping, m.stiffness, m.drive))
+        double = Laws(damping, stiffness, drive, _MOTION_D, c.bias_v, c.operating_bias_v, 2)
+        return cls(double, in_single(double))
 
 
 @dataclass(frozen=True, eq=False)
 class BandForces:
-    """Forces in the band: of each of k parameters, at its value, the envelope (3, n') [V/s] at ``points`` (n',) of a grid.
-
-    ``order`` is the order of the force in the parameter.
-    """
+    """Parameters whose forces in the band are known, each at its value; ``order`` is that of the force in the parameter."""
 
     probes: Sequence[Probe]
-    points: IntArray
-    envelopes: ComplexArray
     values: Sequence[float]
     order: int
 
@@ -70,40 +69,57 @@ class BandForces:
 @lru_cache(maxsize=4)
 def _kinds(with_mismatch: bool) -> tuple[tuple[LawKind, tuple[Probe, ...]], ...]:
     """The parameters of the force laws, those that are taken at the same phases together."""
-    found: dict[tuple[bool, int, int], tuple[LawKind, list[Probe]]] = {}
+    found: dict[tuple[bool, int, int, bool], tuple[LawKind, list[Probe]]] = {}
     for probe in probes_of(with_mismatch, "force"):
         kind = kind_of(probe)
         if kind.still:
             # What the drive alone makes at other harmonics does not mix with the motion.
             continue
-        found.setdefault((kind.fades, kind.phases.count, kind.order), (kind, []))[1].append(probe)
+        found.setdefault((kind.fades, kind.phases.count, kind.order, kind.single), (kind, []))[1].append(probe)
     return tuple((kind, tuple(probes)) for kind, probes in found.values())
 
 
-def forces_of(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandForces]:
-    """The force of each parameter of the force laws, along the motion of a device."""
-    laws, loud = _laws(device), signals.loud
-    motions: dict[tuple[bool, int], Points] = {}
+def forces_of(
+    device: LinearDevice, signals: Signals, with_mismatch: bool, out: AnyComplexArray
+) -> Iterator[BandForces]:
+    """The force of each parameter of the force laws, along the motion of a device.
+
+    The envelopes [V/s] are written to the first of ``out`` (.., 3, n), which is zero before.
+    """
+    written = 0
+    laws, loud = _LawsOf.of(device), signals.loud
+    motions: dict[tuple[bool, int, bool], Points] = {}
     even: list[_EvenLaws] = []
     for kind, probes in _kinds(with_mismatch):
-        used, key = loud if kind.fades else signals, (kind.fades, kind.phases.count)
+        used, key = loud if kind.fades else signals, (kind.fades, kind.phases.count, kind.single)
         if key not in motions:
-            motions[key] = used.at(kind.phases)
+            motions[key] = used.at(kind.phases, kind.single)
         values = [probe.member.scale for probe in probes]
-        f = np.stack([_along(probe, motions[key], value, laws) for probe, value in zip(probes, values)])
+        f = _along(probes, [motions[key]] * len(probes), values, laws)
         if kind.order == 1:
-            yield BandForces(probes, used.kept, harmonics(f, kind.phases, 1)[0], values, 1)
+            write_first_harmonic(f, kind.phases, used.kept, out[written : written + len(probes)])
+            written += len(probes)
+            yield BandForces(probes, values, 1)
         else:
             steady, double = harmonics(f, kind.phases, 0, 2)
-            even.append(_EvenLaws(probes, steady.real, double))
+            even.append(_EvenLaws(probes, np.asarray(steady.real, np.float64), np.asarray(double, np.complex128)))
     if even:
-        motion = motions.get((True, WHOLE_TURN.count)) or loud.at(WHOLE_TURN)
-        yield _second_order(_EvenLaws.together(even), device, loud, motion, laws)
+        motion = motions.get((True, WHOLE_TURN.count, False)) or loud.at(WHOLE_TURN, False)
+        yield _second_order(_EvenLaws.together(even), device, loud, motion, laws, out[written:])
 
 
-def _along(probe: Probe, motion: Points, value: float, laws: Laws) -> FloatArray:
-    assert probe.effect.force is not None
-    return force_along(probe.effect.force, motion, probe.at(value), laws)
+def _along(probes: Sequence[Probe], motions: Sequence[Points], values: Sequence[float], laws: _LawsOf) -> RealArray:
+    """Force (k, 3, M n') [V/s] of each of k parameters, at its value, along a motion of its own, in the motion's precision."""
+    out = np.empty((len(probes), *motions[0].q.shape), dtype=motions[0].q.dtype)
+    single = out.dtype == np.float32
+    for own, probe, motion, value in zip(out, probes, motions, values):
+        force, p = probe.effect.force, probe.at(value)
+        assert force is not None
+        if single:
+            single_force_along(force, motion, p, laws.single, own)
+        else:
+            own[:] = force_along(force, motion, p, laws.double)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,30 +141,32 @@ class _EvenLaws:
         return cls(probes, steady, double)
 
 
-def _second_order(even: _EvenLaws, device: LinearDevice, signals: Signals, motion: Points, laws: Laws) -> BandForces:
-    """The forces of laws through what their own harmonics add to the ``motion`` at :data:`WHOLE_TURN`."""
+def _second_order(
+    even: _EvenLaws, device: LinearDevice, signals: Signals, motion: Points, laws: _LawsOf, out: AnyComplexArray
+) -> BandForces:
+    """The forces of laws through what their own harmonics add to the ``motion`` at :data:`WHOLE_TURN`, written to ``out``."""
     omega, stiffness = signals.grid.omega, device.mechanics.stiffness[0]
     static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * omega**2 * np.eye(3)]))
     size = np.maximum(_rms_of_each(even.steady), _rms_of_each(even.double))
     # To first order in the parameter, the deviation is proportional to it.
-    share = (_SHARE * omega**2 * _rms(signals.coordinates) / size)[:, None, None]
-    q, qd = motion_at_phases(fast @ (share * even.double), 2.0 * omega, WHOLE_TURN.doubled)
+    share = _SHARE * omega**2 * _rms(signals.coordinates) / size
+    by_law = share[:, None, None]
+    q, qd = motion_at_phases((fast * by_law) @ even.double, 2.0 * omega, WHOLE_TURN.doubled)
     by_phase = q.reshape(*even.steady.shape[:2], WHOLE_TURN.count, -1)
-    by_phase += (static @ (0.5 * share * even.steady))[:, :, None]
+    by_phase += ((static * (0.5 * by_law)) @ even.steady)[:, :, None]
     q += motion.q
     qd += motion.qd
-    values = [own * probe.member.scale for own, probe in zip(share[:, 0, 0].tolist(), even.probes)]
-    f = [
-        _along(probe, Points(motion.t, *moved, motion.u), value, laws)
-        for probe, value, moved in zip(even.probes, values, zip(q, qd))
-    ]
-    return BandForces(even.probes, signals.kept, harmonics(np.stack(f), WHOLE_TURN, 1)[0], values, 2)
+    values = [own * probe.member.scale for own, probe in zip(share.tolist(), even.probes)]
+    moved = [Points(motion.t, *each, motion.u) for each in zip(q, qd)]
+    f = _along(even.probes, moved, values, laws)
+    write_first_harmonic(f, WHOLE_TURN, signals.kept, out[: len(even.probes)])
+    return BandForces(even.probes, values, 2)
 
 
 def _rms_of_each(z: FloatArray | ComplexArray) -> FloatArray:
     """Rms (k,) of arrays (k, ..)."""
     flat = np.ascontiguousarray(z).reshape(z.shape[0], -1).view(np.float64)
-    return np.asarray(np.sqrt(np.einsum("ki,ki->k", flat, flat) / (z.size // z.shape[0])))
+    return np.array([math.sqrt(np.vdot(own, own)) for own in flat]) / math.sqrt(z.size // z.shape[0])
 
 
 @lru_cache(maxsize=64)
@@ -162,23 +180,34 @@ def _returns(probe: Probe) -> bool:
 
 
 def drive_forces(
-    device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool
+    device: LinearDevice, signals: Signals, sizes: Mapping[str, float], with_mismatch: bool, out: AnyComplexArray
 ) -> Iterator[BandForces]:
-    """The force of each parameter of the drive laws; ``sizes`` are those of clipping."""
+    """The force of each parameter of the drive laws, written to the first of ``out`` (.., 3, n); ``sizes``: of clipping."""
+    envelopes = iter(out)
+    grid, bias_v = signals.grid, device.context.bias_v
     for probe in probes_of(with_mismatch, "drive"):
         clips = probe.effect.clips("drive")
         if (probe.effect.name not in sizes) if clips else not _returns(probe):
             continue
-        assert probe.effect.drive is not None
-        value, phases = sizes.get(probe.effect.name, probe.member.scale), _CLIP_PHASES if clips else WHOLE_TURN
-        v = at_phases(signals.drives, phases).T
-        (change,) = harmonics((probe.effect.drive(v, probe.at(value), device.context) - v).T, phases, 1)
-        force = device.mechanics.drive[0] @ change
-        yield BandForces((probe,), signals.kept, force[None], (value,), 1)
+        value = sizes.get(probe.effect.name, probe.member.scale)
+        next(envelopes)[:] = device.mechanics.drive[0] @ _drive_change(grid.band, grid, probe, value, bias_v)
+        yield BandForces((probe,), (value,), 1)
 
 
-def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Iterator[BandSignature]:
-    """Signatures of the sense laws."""
+@kept_if_short(16)
+def _drive_change(band: Band, grid: Grid, probe: Probe, value: float, bias_v: float) -> AnyComplexArray:
+    """Change of the envelopes of the drive (D, n) [V] by a drive law at a value, which all devices of a band share."""
+    assert probe.effect.drive is not None
+    phases = _CLIP_PHASES if probe.effect.clips("drive") else WHOLE_TURN
+    v = at_phases(shared_signals(band, grid)[1], phases).T
+    change = probe.effect.drive(v, probe.at(value), Context(bias_v, bias_v, {})) - v
+    return np.asarray(harmonics(change.T, phases, 1)[0], dtype=np.complex64)
+
+
+def sense_signatures(
+    device: LinearDevice, signals: Signals, with_mismatch: bool, out: FloatArray
+) -> Iterator[BandSignature]:
+    """Signatures of the sense laws, written to the first rows of ``out`` (.., S, 2 W)."""
     m, q, qd = device.mechanics, signals.coordinates, signals.velocities
     sensed = m.velocity_sense[0] @ qd + m.position_sense[0] @ q
     values = at_phases(np.concatenate([_MOTION_S @ q, _MOTION_S @ qd, sensed]), WHOLE_TURN)
@@ -200,6 +229,8 @@ def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool
         found.append((probe, value, 1 if _rms(first) > 0.01 * _rms(change) else 2))
         changes.append(first)
     if changes:
-        spectra = signals.grid.spectra(np.stack(changes)) * (signals.grid.bin_scale * device.antialias)
-        for (probe, value, order), spectrum in zip(found, spectra):
-            yield probe.signature(spectrum, value, order)
+        spectra = signals.grid.spectra(np.stack(changes).astype(np.complex64))
+        spectra *= signals.grid.bin_scale * device.antialias
+        write_real(spectra, out[: len(found)])
+        for (probe, value, order), row in zip(found, out):
+            yield probe.signature(row, value, order)

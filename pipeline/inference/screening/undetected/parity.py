@@ -13,18 +13,20 @@ Shapes: 3 coordinates, 2 drives, k parameters.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from ....arrays import FloatArray
-from ....device.force_law import Laws, Points, force_along
+from ....device.force_law import Laws, Points, force_along, in_single, single_force_along, takes_vectors
 from .library import Probe
 from .narrow_band import QUIET, WHOLE_TURN, Phases, at_phases, harmonics
 
 #: Relative size of a part of a law that counts as rounding.
 _ROUNDING = 1e-9
+#: Relative error of a force in single precision that is accepted: a hundred times its rounding.
+_IN_SINGLE = 6e-6
 #: Typical motion [V s], velocity [V] and drive [V] of the points.
 _MOTION, _VELOCITY, _DRIVE, _POINTS = 1e-4, 0.3, 1.0, 8
 #: Phases of half a turn that are tried, those that count as exact, and the error of the first harmonic that is accepted.
@@ -42,6 +44,8 @@ class LawKind:
     order : of what returns into the band in the parameter, 1 or 2.
     still : whether it does not depend on the motion.
     fades : whether it is negligible in quiet parts of a record, because it grows as the square of the motion at least.
+    single : whether it is right in single precision: it takes vectors, no difference in it cancels its digits, and what returns
+        into the band is no small change of it, as for laws of second order.
     """
 
     phases: Phases
@@ -50,6 +54,7 @@ class LawKind:
     order: int
     still: bool = False
     fades: bool = True
+    single: bool = True
 
 
 def _half_turn(force: Callable[..., None], p: FloatArray, laws: Laws, q: FloatArray, qd: FloatArray) -> Phases:
@@ -73,14 +78,32 @@ def _half_turn(force: Callable[..., None], p: FloatArray, laws: Laws, q: FloatAr
 @lru_cache(maxsize=256)
 def kind_of(probe: Probe) -> LawKind:
     """Kind of the force of an effect in one of its parameters."""
-    random = np.random.default_rng(0)
-    assert probe.effect.force is not None
     force, p = probe.effect.force, probe.at(probe.member.scale)
+    assert force is not None
+    motion, laws = _points()
+    single = takes_vectors(force, p.size)
+    if single:
+        exact = force_along(force, motion, p, laws)
+        rough = np.empty(motion.q.shape, dtype=np.float32)
+        single_force_along(force, motion.single, p, in_single(laws), rough)
+        single = bool(np.linalg.norm(rough - exact) <= _IN_SINGLE * np.linalg.norm(exact))
+    kind = _kind(force, p, motion, laws)
+    return replace(kind, single=single and kind.order == 1)
+
+
+def _points() -> tuple[Points, Laws]:
+    """Fixed points of a motion, and fixed mechanics."""
+    random = np.random.default_rng(0)
     q, qd, u = (
         scale * random.standard_normal((size, _POINTS)) for scale, size in ((_MOTION, 3), (_VELOCITY, 3), (_DRIVE, 2))
     )
     matrix = random.standard_normal((3, 3))
     laws = Laws(matrix, matrix, random.standard_normal((3, 2)), random.standard_normal((2, 3)), 5.0, 5.0, 2)
+    return Points(np.ones(_POINTS), q, qd, u), laws
+
+
+def _kind(force: Callable[..., None], p: FloatArray, motion: Points, laws: Laws) -> LawKind:
+    q, qd, u = motion.q, motion.qd, motion.u
 
     def at(factor: float, strength: float = 1.0) -> FloatArray:
         return force_along(force, Points(np.ones(_POINTS), factor * q, factor * qd, factor * u), strength * p, laws)

@@ -3,6 +3,7 @@
     stationary noise:            rows of channel a and bin w:  sqrt(2/N) / s_a(w)
     noise that depends on time:  D^-1/2 (Q_0^T y_0, Q_1^T y_1), Q_a an orthonormal basis of the rows, D = cov (``whitening``)
 
+The hum lines are taken out of the rows before (:func:`take_out_hum`).
 Products of the second kind are those of generalised least squares within the span of the rows.
 
 Shapes: K spectra, W bins, S = 2 senses.
@@ -15,16 +16,18 @@ import math
 import numpy as np
 from scipy.linalg import cholesky, qr, solve_triangular
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import FloatArray, IntArray
 from ..compressed import BandData
 from ..whitening import BandNoise, covariance
+from .loops import products_within
 
-
-def write_real(spectra: ComplexArray, out: FloatArray, factor: float = 1.0) -> None:
-    """Write ``factor`` times spectra (.., W) as real numbers to ``out`` (.., 2 W): real parts before imaginary ones."""
-    width = spectra.shape[-1]
-    np.multiply(spectra.real, factor, out=out[..., :width])
-    np.multiply(spectra.imag, factor, out=out[..., width:])
+#: Part of a unit row that counts as rounding, of which single precision leaves 3e-8: it would be a direction of its own, in which
+#: noise that depends on time explains other rows.  Rows of the library have about 3e-3 of their own at least.
+_ROUNDING = 1e-6
+#: Rows of a tile of products.
+_TILE = 8
+#: Size of a unit vector of a hum line at a bin that counts as none: a line of 1e5 sigmas leaves 1e-6 of them there.
+_LEAKED = 1e-11
 
 
 def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
@@ -36,14 +39,17 @@ def stationary_variance(item: BandData, sigma_v: FloatArray) -> FloatArray:
     return np.asarray(item.noise.variance + item.noise.dependent[[0, 2]].max(axis=1)[:, None])
 
 
-def without_hum(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
-    """Rows (K, S, 2 W) [V] less their part in a ``nuisance`` basis (2 W, L)."""
+def take_out_hum(rows: FloatArray, nuisance: FloatArray) -> None:
+    """Take their part in a ``nuisance`` basis (2 W, L) out of rows (K, S, 2 W) [V], in place.
+
+    Lines that fall on bins, as those of a record of whole periods do, leave all other bins as they are.
+    """
     if not nuisance.shape[1]:
-        return rows
-    flat = rows.reshape(-1, rows.shape[2])
-    left = (flat @ nuisance) @ nuisance.T
-    np.subtract(flat, left, out=left)
-    return left.reshape(rows.shape)
+        return
+    touched = np.flatnonzero(np.einsum("wl,wl->w", nuisance, nuisance) > _LEAKED**2)
+    basis = nuisance[touched]
+    own = rows[:, :, touched]
+    rows[:, :, touched] = own - (own @ basis) @ basis.T
 
 
 def record_weight(item: BandData, variance: FloatArray) -> FloatArray:
@@ -51,28 +57,24 @@ def record_weight(item: BandData, variance: FloatArray) -> FloatArray:
     return np.asarray(math.sqrt(2.0 / item.band.samples) / np.sqrt(variance))
 
 
-def hum_of(rows: FloatArray, nuisance: FloatArray) -> FloatArray:
-    """Parts (K, S, L) of rows (K, S, 2 W) in a ``nuisance`` basis (2 W, L)."""
-    return np.asarray(rows.reshape(-1, rows.shape[2]) @ nuisance).reshape(*rows.shape[:2], -1)
+def white_products(rows: FloatArray, fit: int, effects: IntArray, item: BandData, variance: FloatArray) -> FloatArray:
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise: with the first ``fit`` rows, and within ``effects``.
 
-
-def white_products(rows: FloatArray, hum: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of white noise, their parts ``hum`` (K, S, L) left out.
-
-    The projection is that of the products, y'z - (n'y)'(n'z), so the rows are not touched.  The symmetric product of all rows
-    takes less time than the smaller products that are needed of it.
+    effects (K - fit,): a number for each of the other rows, equal for those of one effect; all other products are zero.
     """
-    out = np.zeros((rows.shape[0], rows.shape[0]))
-    for a, own_variance in enumerate(variance[:, 0]):
-        own = rows[:, a] @ rows[:, a].T
-        own -= hum[:, a] @ hum[:, a].T
-        own *= 2.0 / item.band.samples / own_variance
-        out += own
+    count, levels = rows.shape[0], 2.0 / item.band.samples / variance[:, 0]
+    # Whole tiles of a product take less time than a part of one.
+    tall = min(-(-fit // _TILE) * _TILE, count)
+    out = np.zeros((count, count))
+    for a, level in enumerate(levels):
+        out[:tall] += (rows[:tall, a] @ rows[:, a].T) * level
+    out[tall:, :tall] = out[:tall, tall:].T
+    products_within(rows, fit, effects, levels, out)
     return out
 
 
 def products_of(rows: FloatArray, item: BandData, noise: BandNoise, variance: FloatArray) -> FloatArray:
-    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of noise that is not white, hum lines projected out.
+    """Products (K, K) of rows (K, S, 2 W) [V] in sigmas of noise that is not white.
 
     Raises
     ------
@@ -84,13 +86,13 @@ def products_of(rows: FloatArray, item: BandData, noise: BandNoise, variance: Fl
 
 
 def stationary_rows(rows: FloatArray, item: BandData, variance: FloatArray) -> FloatArray:
-    """Rows (K, 2 S W) of rows (K, S, 2 W) [V] in units of noise of ``variance`` (S, W) [V^2], hum lines projected out."""
-    weighted = without_hum(rows, item.nuisance) * np.tile(record_weight(item, variance), 2)
+    """Rows (K, 2 S W) of rows (K, S, 2 W) [V] in units of noise of ``variance`` (S, W) [V^2]."""
+    weighted = rows * np.tile(record_weight(item, variance), 2)
     return np.asarray(weighted.reshape(rows.shape[0], -1))
 
 
 def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> FloatArray:
-    """Rows (K, 2 r) of rows (K, S, 2 W) [V] in sigmas of noise that depends on time, hum lines projected out.
+    """Rows (K, 2 r) of rows (K, S, 2 W) [V] in sigmas of noise that depends on time.
 
     Raises
     ------
@@ -100,11 +102,10 @@ def generalised_rows(spectra: FloatArray, item: BandData, noise: BandNoise) -> F
     parts, bases = [], []
     for channel in (0, 1):
         own = spectra[:, channel].T * scale
-        own -= item.nuisance @ (item.nuisance.T @ own)
         unit = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
         # Without pivots a column that depends on others takes a direction that later ones need: p-values moved by a half.
         basis, triangle, _ = qr(unit, mode="economic", pivoting=True, check_finite=False)
-        seen = np.abs(np.diag(triangle)) > 1e-9
+        seen = np.abs(np.diag(triangle)) > _ROUNDING
         bases.append(basis[:, seen])
         parts.append(basis[:, seen].T @ own)
     first = slice(0, bases[0].shape[1])

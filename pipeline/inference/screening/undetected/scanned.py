@@ -17,7 +17,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from hashlib import sha256
 from itertools import groupby
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ....arrays import FloatArray
 from ....device.effect import Effect
-from ..compressed import line_columns, lines_between, nuisance_basis
+from ..compressed import line_columns, lines_between
 from ..inband import SHORT, Band, features
 from .library import members_of, scored_effects
 
@@ -36,7 +36,8 @@ _ZETAS, _STEP = (3e-3, 1e-2), 3.0
 #: Relative step of the frequency outside of the band, where the response is smooth.
 _OUTSIDE = 0.1
 
-
+#: Columns of a tile of products in single precision.
+_TILE = 16
 #: Numbers of a column that are made at once, for records whose scans are not kept: 8 MB.
 _AT_ONCE = 2**20
 
@@ -66,38 +67,30 @@ class BandScan:
     Parameters
     ----------
     scans : the points of each scan, g in all.
-    columns : (2 W, 2 g) real, two for each point; in single precision, as products with them are scores of at most 1e7 sigmas.
+    columns : (2 g, 2 W) real, two for each point; in single precision, as products with them are scores of at most 1e7 sigmas.
     squares, sums : (2 W, 3 g) products of the two columns of a point: 11, 12, 22; and their sums (3 g,) over the bins.
-    nuisance : orthonormal basis (2 W, L) of the hum lines.
     """
 
     scans: tuple[ScanPoints, ...]
     columns: NDArray[np.float32]
     squares: FloatArray
     sums: FloatArray
-    nuisance: FloatArray
-
-    @cached_property
-    def hum(self) -> FloatArray:
-        """Parts (L, 2 g) of the columns in the hum lines."""
-        return np.asarray(self.nuisance.T @ self.columns)
 
 
-def _band_scan(scan: ScanPoints, columns: FloatArray, nuisance: FloatArray) -> BandScan:
+def _band_scan(scan: ScanPoints, columns: FloatArray) -> BandScan:
     first, second = columns[:, ::2], columns[:, 1::2]
     squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
-    single = np.ascontiguousarray(columns, dtype=np.float32)
-    return BandScan((scan,), single, squares, squares.sum(axis=0), nuisance)
+    single = np.ascontiguousarray(columns.T, dtype=np.float32)
+    return BandScan((scan,), single, squares, squares.sum(axis=0))
 
 
 def _together(parts: Sequence[BandScan]) -> BandScan:
     """All parts as one, so that products with a device are one product."""
     return BandScan(
         _joined([scan for part in parts for scan in part.scans]),
-        np.concatenate([part.columns for part in parts], axis=1),
+        np.concatenate([part.columns for part in parts]),
         np.concatenate([part.squares for part in parts], axis=1),
         np.concatenate([part.sums for part in parts]),
-        parts[0].nuisance,
     )
 
 
@@ -129,9 +122,7 @@ def _mode_points(inside: tuple[float, float], low_hz: float, high_hz: float) -> 
     return points
 
 
-def _mode_scans(
-    effect: Effect, band: Band, edges_hz: tuple[float, float], nuisance: FloatArray, most: int
-) -> Iterator[BandScan]:
+def _mode_scans(effect: Effect, band: Band, edges_hz: tuple[float, float], most: int) -> Iterator[BandScan]:
     assert effect.resonance is not None
     members = {member.name: member for member in members_of(effect)}
     frequency = members[effect.resonance[0]]
@@ -147,7 +138,7 @@ def _mode_scans(
             y = gain * features(band, pole) + np.conj(gain) * features(band, pole.conjugate())
             columns.append(np.concatenate([y.real, y.imag], axis=1))
         weight = np.array([share for *_, share in points[first : first + most]])
-        yield _band_scan(ScanPoints(effect.name, weight.size, weight, reach), np.concatenate(columns).T, nuisance)
+        yield _band_scan(ScanPoints(effect.name, weight.size, weight, reach), np.concatenate(columns).T)
 
 
 def _line_scans(
@@ -155,7 +146,6 @@ def _line_scans(
     band: Band,
     edges_hz: tuple[float, float],
     line_hz: float | None,
-    nuisance: FloatArray,
     most: int,
 ) -> Iterator[BandScan]:
     frequency = next(member for member in members_of(effect) if member.name == effect.mains_frequency)
@@ -164,7 +154,7 @@ def _line_scans(
         columns = line_columns(band, lines[first : first + most])
         pairs = np.stack(np.split(columns, 2, axis=1), axis=2).reshape(columns.shape)
         count = lines[first : first + most].size
-        yield _band_scan(ScanPoints(effect.name, count, np.zeros(0), np.inf), pairs, nuisance)
+        yield _band_scan(ScanPoints(effect.name, count, np.zeros(0), np.inf), pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,12 +201,11 @@ def _scans(
     band: Band, edges_hz: tuple[float, float], line_hz: float | None, with_mismatch: bool, most: int
 ) -> Iterator[BandScan]:
     """The scans in parts of at most ``most`` points."""
-    nuisance = nuisance_basis(band, line_hz)
     for effect in scored_effects(with_mismatch):
         if effect.resonance is not None:
-            yield from _mode_scans(effect, band, edges_hz, nuisance, most)
+            yield from _mode_scans(effect, band, edges_hz, most)
         elif effect.mains_frequency:
-            yield from _line_scans(effect, band, edges_hz, line_hz, nuisance, most)
+            yield from _line_scans(effect, band, edges_hz, line_hz, most)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,15 +232,14 @@ class ScannedProducts:
 
 
 def scanned_products(
-    scans: Iterable[BandScan], rows: FloatArray, hum: FloatArray, weight: FloatArray, base: FloatArray
+    scans: Iterable[BandScan], rows: FloatArray, weight: FloatArray, base: FloatArray
 ) -> ScannedProducts:
-    """Products of the scans with the ``rows`` (P + 1, S, 2 W) [V] of the Jacobian and of the residual.
+    """Products of the scans with the ``rows`` (P + 1, S, 2 W) [V] of the Jacobian and of the residual, hum lines taken out.
 
     Parameters
     ----------
     scans : of the record.
-    rows, hum : the rows, and their parts (P + 1, S, L) in the hum lines, which are left out of the products; that of the residual
-        may be much larger than what is left, so it is zero.
+    rows : the rows.
     weight : (S, W), turns volts into sigmas.
     base : products (P + 1, P + 1) of the rows in sigmas.
     """
@@ -259,13 +247,16 @@ def scanned_products(
     level = power[:, :1]
     flat_weight = bool(np.all(power == level))
     weighted = rows if flat_weight else rows * np.tile(power, 2)
-    single = weighted.astype(np.float32).reshape(-1, rows.shape[2])
+    # A product of whole tiles takes a seventh less time.
+    count = 2 * rows.shape[0]
+    single = np.zeros((-(-count // _TILE) * _TILE, rows.shape[2]), dtype=np.float32)
+    single[:count] = weighted.reshape(count, -1)
     found: list[ScanPoints] = []
     crosses, squares = [], []
     for scan in scans:
-        cross = (single @ scan.columns).astype(np.float64).reshape(rows.shape[0], 2, -1)
+        # This way round takes three quarters of the time.
+        cross = (scan.columns @ single.T).T[:count].astype(np.float64).reshape(rows.shape[0], 2, -1)
         if flat_weight:
-            cross -= hum @ scan.hum
             cross *= level
         crosses.append(cross.reshape(rows.shape[0], 2, -1, 2))
         sums = level * scan.sums if flat_weight else np.tile(power, 2) @ scan.squares

@@ -1,0 +1,191 @@
+"""Compiled loops and single precision of the scores of effects, against plain arithmetic in double precision."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.device.effects import cubic_stiffness
+from pipeline.device.force_law import Laws, Points, force_along, in_single, single_force_along
+from pipeline.device.mechanics import Mechanics, modes_of
+from pipeline.experiment.excitation import Chirp, drive_samples
+from pipeline.experiment.instrument import AntiAlias, Instrument
+from pipeline.inference.screening.compressed import BandData, nuisance_basis
+from pipeline.inference.screening.inband import make_band
+from pipeline.inference.screening.undetected.bounds import (
+    Candidates,
+    EffectEvidence,
+    Projection,
+    judged,
+    judged_together,
+)
+from pipeline.inference.screening.undetected.device import _judged_of, _Posed
+from pipeline.inference.screening.undetected.library import Probe, members_of, probes_of
+from pipeline.inference.screening.undetected.loops import respond
+from pipeline.inference.screening.undetected.narrow_band import WHOLE_TURN, harmonics, write_first_harmonic
+from pipeline.inference.screening.undetected.parity import kind_of
+from pipeline.inference.screening.undetected.position_modes import PositionModes
+from pipeline.inference.screening.undetected.rows import take_out_hum, white_products
+from pipeline.inference.screening.undetected.scan_bounds import _quantile
+
+RATE = 10_000.0
+
+
+@pytest.mark.parametrize(("kind", "rtol"), [(np.float32, 2e-6), (np.float64, 1e-6)])
+def test_a_written_first_harmonic_is_that_of_the_values(kind, rtol):
+    random = np.random.default_rng(0)
+    values, kept = random.standard_normal((2, 3, 5 * 7)).astype(kind), np.array([0, 2, 3, 5, 8, 9, 11])
+    out = np.zeros((2, 3, 12), dtype=np.complex64)
+    write_first_harmonic(values, WHOLE_TURN, kept, out)
+    (plain,) = harmonics(values.astype(np.float64), WHOLE_TURN, 1)
+    np.testing.assert_allclose(out[:, :, kept], plain, rtol=rtol, atol=rtol)
+    assert not np.delete(out, kept, axis=2).any()
+
+
+def test_the_response_is_the_transfer_times_the_force_less_the_motion_at_the_end():
+    random = np.random.default_rng(1)
+    bins, points, below = 9, 16, 4
+
+    def drawn(*shape):
+        return random.standard_normal(shape) + 1j * random.standard_normal(shape)
+
+    force, transfer, ringing = drawn(2, 3, points), drawn(3, 2, bins), random.standard_normal((2, 3, 2))
+    omega = np.linspace(3.0, 4.0, bins)
+    out = np.empty((2, 2, 2 * bins))
+    parts = np.stack([transfer.real, transfer.imag])
+    respond(*(each.astype(np.complex64) for each in (force,)), below, *_single(ringing, omega, parts), out)
+    ordered = np.concatenate([force[..., points - below :], force[..., : bins - below]], axis=-1)
+    left = ordered - ringing[..., :1] - 1j * omega * ringing[..., 1:]
+    plain = np.einsum("caw,kcw->kaw", transfer, left)
+    np.testing.assert_allclose(out, np.concatenate([plain.real, plain.imag], axis=-1), rtol=1e-5, atol=1e-5)
+
+
+def _single(*arrays):
+    return [each.astype(np.float32) for each in arrays]
+
+
+@pytest.mark.parametrize("samples", [30_000, 2999])
+def test_hum_lines_are_taken_out_whether_or_not_they_fall_on_bins(samples):
+    instrument = Instrument(antialias=AntiAlias())
+    band = make_band(drive_samples(Chirp(), RATE)[:samples], instrument, 400.0, 700.0)
+    nuisance = nuisance_basis(band, 60.0)
+    assert nuisance.shape[1] >= 8
+    rows = np.random.default_rng(2).standard_normal((3, 2, nuisance.shape[0]))
+    plain = rows - (rows @ nuisance) @ nuisance.T
+    take_out_hum(rows, nuisance)
+    np.testing.assert_allclose(rows, plain, atol=1e-9)
+
+
+def test_white_products_are_those_with_the_fit_and_within_an_effect():
+    random = np.random.default_rng(3)
+    band = make_band(drive_samples(Chirp(), RATE)[:3000], Instrument(), 500.0, 560.0)
+    item = BandData(band, np.zeros((2, band.bins.size), complex), np.zeros((2 * band.bins.size, 0)))
+    rows, fit, effects = (
+        random.standard_normal((20, 2, 2 * band.bins.size)),
+        5,
+        np.array([0, 0, 2, 1, 1, 1, 2, *[3] * 8]),
+    )
+    variance = np.repeat([[4.0], [9.0]], band.bins.size, axis=1)
+    flat = (rows * np.sqrt(2.0 / band.samples / variance[:, :1])).reshape(20, -1)
+    found, plain = white_products(rows, fit, effects, item, variance), flat @ flat.T
+    same = effects[:, None] == effects
+    np.testing.assert_allclose(found[:fit], plain[:fit], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found[:, :fit], plain[:, :fit], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found[fit:, fit:][same], plain[fit:, fit:][same], rtol=1e-12, atol=1e-12)
+
+
+def test_small_changes_move_the_modes_as_their_derivatives_say():
+    random = np.random.default_rng(4)
+    stiffness = np.diag([1.0e7, 1.1e7, 1.4e7]) + 1e5 * np.ones((3, 3))
+    damping, change = np.diag([2.0, 1.0, 8.0]) + 0.3, random.standard_normal((3, 3))
+    eye, none = np.eye(3)[None], np.zeros((1, 3, 3))
+
+    def mechanics(step):
+        return Mechanics(damping[None], step * (change - change.T)[None], stiffness[None] + step * 1e3, eye, none, eye)
+
+    own = mechanics(0.0)
+    near = modes_of(own).poles[0]
+    modes = PositionModes.of(own, near)
+    state = np.zeros((1, 6, 6))
+    state[0, 3:, :3], state[0, 3:, 3:] = -1e3, change.T - change
+    poles, parts = modes.moved(state)
+    step = 1e-3
+    ahead, behind = (PositionModes.of(mechanics(sign * step), near) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(poles[0], (ahead.poles - behind.poles) / (2.0 * step), rtol=1e-6)
+    plain = (ahead.parts - behind.parts) / (2.0 * step)
+    np.testing.assert_allclose(parts[0], plain, atol=1e-5 * np.abs(plain).max())
+
+
+def test_laws_of_first_order_are_right_in_single_precision():
+    random = np.random.default_rng(5)
+    q, qd, u = 1e-4 * random.standard_normal((3, 50)), 0.3 * random.standard_normal((3, 50)), np.zeros((2, 50))
+    matrix = random.standard_normal((3, 3))
+    laws = Laws(matrix, matrix, random.standard_normal((3, 2)), random.standard_normal((2, 3)), 5.0, 5.0, 2)
+    motion = Points(np.linspace(0.0, 3.0, 50), q, qd, u)
+    found = [probe for probe in probes_of(True, "force") if kind_of(probe).single]
+    assert {kind_of(probe).order for probe in found} == {1}
+    assert len(found) >= 8
+    for probe in found:
+        p = probe.at(probe.member.scale)
+        exact, rough = force_along(probe.effect.force, motion, p, laws), np.empty((3, 50), dtype=np.float32)
+        single_force_along(probe.effect.force, motion.single, p, in_single(laws), rough)
+        assert np.linalg.norm(rough - exact) < 1e-5 * np.linalg.norm(exact), probe.effect.name
+
+
+def _cancels(t, q, qd, u, p, laws, out):
+    """A cubic stiffness as a difference of two large numbers."""
+    out[0] -= 1e4 * ((1.0 + 1e-4 * p[0] * q[0] * q[0] * q[0]) - 1.0)
+
+
+def test_a_law_that_cancels_its_digits_stays_in_double_precision():
+    effect = cubic_stiffness.EFFECT
+    (member,) = members_of(effect)
+    assert kind_of(Probe(effect, member, 0, 1)).single
+    kind = kind_of(Probe(replace(effect, force=_cancels, potential=None), member, 0, 1))
+    assert kind.order == 1
+    assert not kind.single
+
+
+@pytest.fixture
+def evidence():
+    """Three devices with two effects, one of one and one of two columns."""
+    random = np.random.default_rng(6)
+    columns = random.standard_normal((3, 40, 9))
+    products = np.swapaxes(columns, 1, 2) @ columns
+    candidates = Candidates(("b", "a", "a"), np.full(3, -2.0), np.full(3, 3.0))
+    return [
+        EffectEvidence(own, Projection.of(own[:5, :5], random.standard_normal((4, 5))), candidates, dof)
+        for own, dof in zip(products, (50.0, 70.0, 90.0))
+    ]
+
+
+def _assert_equal(one, other):
+    assert one.effects == other.effects == ("a", "b")
+    for name in ("p_values", "explained", "bounds"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_devices_that_are_judged_together_have_the_numbers_of_each_alone(evidence):
+    for together, own in zip(judged_together(evidence), evidence):
+        _assert_equal(together, judged(own))
+
+
+def test_a_device_that_cannot_be_judged_does_not_change_the_others(evidence):
+    every = (evidence[0], replace(evidence[1], products=evidence[1].products[:-1, :-1]), evidence[2])
+    posed = [_Posed(one, judged(evidence[0]), ("q",)) for one in every]
+    first, failed, last = _judged_of(posed)
+    assert isinstance(failed, ValueError)
+    _assert_equal(first, judged(evidence[0]))
+    _assert_equal(last, judged(evidence[2]))
+
+
+def test_the_quantile_of_a_scan_is_the_least_value_with_its_share_below():
+    random = np.random.default_rng(7)
+    values, weight = random.standard_normal((4, 60)), random.random(60)
+    values[0, 3] = np.inf
+    weight /= weight.sum()
+    for own, found in zip(values, _quantile(values, weight)):
+        order = np.argsort(own)
+        assert found == own[order][np.argmax(np.cumsum(weight[order]) >= 0.95)]
+    assert np.isnan(_quantile(np.full((1, 3), np.nan), np.full(3, 1.0 / 3.0))).all()
+    np.testing.assert_array_equal(_quantile(values, np.zeros(0)), values.max(axis=1))
