@@ -26,14 +26,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import qr
-from scipy.linalg.blas import dgemm
-from scipy.linalg.lapack import dtpqrt
 
 from ...arrays import ComplexArray, FloatArray
 from ...experiment.noise.lines import MOST_HARMONICS
 from .columns import feature_columns
 from .inband import Band
 from .mismatch import MismatchPrior
+from .triangle import Part, triangle_of
 from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
 
 #: Samples of waves that are transformed at once: 32 lines of the paper's record; all lines of a long one took 18 times its size.
@@ -120,27 +119,9 @@ def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
     return np.ascontiguousarray(left[:, size > 1e-6 * np.sqrt(band.samples)])
 
 
-def _without_lines(columns: FloatArray, record: BandData) -> FloatArray:
-    """Columns (2 W, J) [V] and the data in two more, over the sd of the noise of a bin at unit sigma, less their hum lines."""
-    nuisance, scale = record.nuisance, math.sqrt(2.0 / record.band.samples)
-    both = np.empty((columns.shape[1] + 2, columns.shape[0]))
-    np.multiply(columns.T, scale, out=both[:-2])
-    np.multiply(record.spectrum.real, scale, out=both[-2:, : record.spectrum.shape[1]])
-    np.multiply(record.spectrum.imag, scale, out=both[-2:, record.spectrum.shape[1] :])
-    if not nuisance.shape[1]:
-        return both.T
-    # In place: the columns do not fit into the cache twice.
-    return np.asarray(dgemm(-1.0, nuisance, both @ nuisance, 1.0, both.T, trans_b=True, overwrite_c=True))
-
-
-def _with_rows(triangle: FloatArray, rows: FloatArray) -> FloatArray:
-    """Triangle T' (n, n) of the QR decomposition of a ``triangle`` T (n, n) above ``rows`` (m, n), which are overwritten.
-
-    Blocks of ten columns stay in the cache; LAPACK's own choice of 32 takes 1.5 times as long.
-    """
-    found, _, _, fault = dtpqrt(0, min(10, triangle.shape[1]), triangle, rows, overwrite_b=True)
-    assert fault == 0  # of an argument, never of the numbers
-    return np.asarray(found)
+def _part(columns: FloatArray, record: BandData, sigma_v: FloatArray) -> Part:
+    """A record with its features (2 W, J) [V], in units of the noise where that is white; sigma (S,) [V]."""
+    return Part(columns, _stacked(record.spectrum) / sigma_v, record.nuisance, math.sqrt(2.0 / record.band.samples))
 
 
 def compress(
@@ -160,16 +141,14 @@ def compress(
     numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
     columns = tuple(feature_columns(record.band, expansion) for record in records)
-    size = columns[0].shape[1]
     rows = sum(a.shape[0] - record.nuisance.shape[1] for a, record in zip(columns, records))
     root, offset = (np.zeros((0, 2)), np.zeros(0)) if prior is None else prior.rows()
     real = 2 * rows + offset.size
     if all(record.noise is None for record in records):
-        # [A, y] = Q [[T, Q^T y], [0, r]] with |r|^2 = rest: Q itself would take twice the time.
-        corner = np.zeros((size + 2, size + 2), order="F")
-        for record, own in zip(records, columns):
-            corner = _with_rows(corner, _without_lines(own, record))
-        triangle, data, left = corner[:size, :size], corner[:size, size:] / sigma_v, corner[size:, size:] / sigma_v
+        # [A, y] = Q [[T, Q^T y], [0, r]] with |r|^2 = rest.
+        corner = triangle_of([_part(own, record, sigma_v) for own, record in zip(columns, records)])
+        size = columns[0].shape[1]
+        triangle, data, left = corner[:size, :size], corner[:size, size:], corner[size:, size:]
         rest = np.sum(left**2, axis=0)
         scaled = np.ascontiguousarray(triangle / sigma_v[:, None, None])
         none = np.zeros((0, triangle.shape[1]))
@@ -177,15 +156,12 @@ def compress(
             expansion, scaled, none, np.ascontiguousarray(data.T), rest, real, None, root, offset, columns
         )
     noises = [record.noise or white_noise(sigma_v, record.band) for record in records]
-    blocks = [_without_lines(own, record) for own, record in zip(columns, records)]
-    y = np.concatenate([block[:, size:] for block in blocks])
+    blocks = [_part(own, record, np.ones(2)).without_lines() for own, record in zip(columns, records)]
+    y = np.concatenate([block[:, -2:] for block in blocks])
     q, triangle = (
         np.asarray(part, dtype=np.float64)
         for part in qr(
-            np.concatenate([block[:, :size] for block in blocks]),
-            mode="economic",
-            overwrite_a=True,
-            check_finite=False,
+            np.concatenate([block[:, :-2] for block in blocks]), mode="economic", overwrite_a=True, check_finite=False
         )
     )
     data = q.T @ y

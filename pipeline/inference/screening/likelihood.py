@@ -50,7 +50,7 @@ def coefficients(x: FloatArray, expansion: ComplexArray, out: FloatArray, shift:
                     c = c * h
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _triangle_times(triangle: FloatArray, c: FloatArray, out: FloatArray) -> None:
     rows, columns = triangle.shape
     for i in range(rows):
