@@ -68,10 +68,12 @@ def _by_gram(parts: Sequence[Part]) -> FloatArray | None:
     for part in parts:
         # The data may consist of lines, the columns do not: what their lines take away is no difference of large numbers.
         y = part.scale * (part.data - part.nuisance @ (part.nuisance.T @ part.data))
-        own, along = part.columns.T @ part.columns, part.columns.T @ part.nuisance
+        own = part.columns.T @ part.columns
+        both = part.columns.T @ np.concatenate([part.nuisance, y], axis=1)
+        along, product = both[:, : part.nuisance.shape[1]], both[:, part.nuisance.shape[1] :]
         square[:features] += part.scale**2 * own.diagonal()
         gram[:features, :features] += part.scale**2 * (own - along @ along.T)
-        gram[:features, features:] += part.scale * (part.columns.T @ y)
+        gram[:features, features:] += part.scale * product
         gram[features:, features:] += y.T @ y
     square[features:] = gram[features:, features:].diagonal()
     if not (np.all(square > 0.0) and np.all(square[features:] < _LOUDEST)):
