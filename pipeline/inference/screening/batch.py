@@ -24,7 +24,7 @@ from ...arrays import ComplexArray, FloatArray
 from ...device.gyro_batch import batch_modes
 from .compressed import Compressed
 from .fit import modes_at
-from .likelihood import FEATURES, ORDER, allowed, jacobian_rows, residual_rows
+from .likelihood import FEATURES, ORDER, jacobian_rows, residual_rows
 
 _ORDERS = ORDER + 1
 #: C(m, l) in row m and column l.
@@ -141,6 +141,27 @@ def _features(poles: FloatArray, residues: FloatArray, expansion: ComplexArray, 
 
 
 @njit(cache=True)
+def _outside(x: FloatArray, chi2: FloatArray) -> None:
+    """Set ``chi2`` (n,) to infinity where points x (P, n) are not ``likelihood.allowed``."""
+    with_mismatch = x.shape[0] == 14
+    for n in range(x.shape[1]):
+        s, d = x[10, n], x[11, n]
+        inside = (
+            (x[3, n] > 0.0)
+            & (x[4, n] * x[4, n] + x[5, n] * x[5, n] <= x[3, n] * x[3, n])
+            & (x[7, n] > 0.0)
+            & (4.0 * x[6, n] * x[6, n] > x[7, n] * x[7, n])
+            & (abs(s) < 1.0)
+            & (abs(d) < 1.0)
+            & (x[0, n] * x[0, n] > x[1, n] * x[1, n] + x[2, n] * x[2, n])
+            & (x[6, n] > 0.0)
+        )
+        if with_mismatch:
+            inside = inside & (abs(s + x[13, n]) < 1.0) & (abs(d + x[12, n]) < 1.0)
+        chi2[n] = chi2[n] if inside else np.inf
+
+
+@njit(cache=True)
 def _log_likelihood(
     x: FloatArray,
     gains: FloatArray,
@@ -170,6 +191,7 @@ def _log_likelihood(
             for n in range(last - first):
                 r = prior_offset[i] - prior_root[i, 0] * own[12, n] - prior_root[i, 1] * own[13, n]
                 total[n] += r * r
+        _outside(own, total)
         for n in range(last - first):
-            out[first + n] = -0.5 * total[n] if allowed(own[:, n]) else -np.inf
+            out[first + n] = -0.5 * total[n]
     return out

@@ -31,7 +31,7 @@ from ..open_loop import TAU, OpenLoop
 _STEPS = 2
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _response(omega0: float, d: float, c2: float, nu: float) -> float:
     """|G(nu) / G(0)|^2 [1] at a rate that varies with nu [rad/s].
 
@@ -45,7 +45,8 @@ def _response(omega0: float, d: float, c2: float, nu: float) -> float:
     return (along * along + c2 * across * across) / (4.0 * (a * a + c2) * (b * b + c2))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+# Without contraction: a device of a batch has the value that it has alone.
+@njit(cache=True, error_model="numpy")
 def _bandwidth(omega0: FloatArray, detuning: FloatArray, damping: FloatArray, out: FloatArray) -> None:
     """Fill ``out`` (n,) with nu [rad/s], of (n,) each [rad/s]."""
     for n in range(out.size):
