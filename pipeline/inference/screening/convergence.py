@@ -43,11 +43,10 @@ def mean_ess(chains: FloatArray) -> FloatArray:
     """ESS (P,) [draws] of the mean, of chains (P, C, n)."""
     count, n = chains.shape[1:]
     means, _ = moments(chains)
-    between = means.var(axis=1, ddof=1)
-    out = np.full(chains.shape[0], float(count * n))
-    for i in np.flatnonzero(~(np.ptp(chains, axis=(1, 2)) < np.finfo(float).resolution)):
-        out[i] = count * n / max(_autocorrelation_time(chains[i], means[i], between[i]), 1.0 / np.log10(count * n))
-    return out
+    times = np.empty(chains.shape[0])
+    _autocorrelation_times(chains, means, means.var(axis=1, ddof=1), times)
+    found = count * n / np.maximum(times, 1.0 / np.log10(count * n))
+    return np.where(np.ptp(chains, axis=(1, 2)) < np.finfo(float).resolution, float(count * n), found)
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
@@ -61,7 +60,7 @@ def _covariance(chains: FloatArray, means: FloatArray, lag: int) -> float:
     return total / (count * n)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _autocorrelation_time(chains: FloatArray, means: FloatArray, between: float) -> float:
     """-1 + 2 sum rho_t over Geyer's sequences, of chains (C, n); the last odd term counts once where it is even.
 
@@ -88,3 +87,10 @@ def _autocorrelation_time(chains: FloatArray, means: FloatArray, between: float)
         if kept[t + 1] + kept[t + 2] > kept[t - 1] + kept[t]:
             kept[t + 1] = kept[t + 2] = 0.5 * (kept[t - 1] + kept[t])
     return float(-1.0 + 2.0 * kept[: last + 1].sum() + kept[last + 1 : last + 2].sum())
+
+
+@njit(cache=True, error_model="numpy")
+def _autocorrelation_times(chains: FloatArray, means: FloatArray, between: FloatArray, out: FloatArray) -> None:
+    """Fill ``out`` (P,) with the autocorrelation times of chains (P, C, n) with means (P, C) of variance ``between`` (P,)."""
+    for i in range(out.size):
+        out[i] = _autocorrelation_time(chains[i], means[i], between[i])

@@ -18,8 +18,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from .batch import Rows, local_rows, whole_rows
 from .convergence import mean_ess, split_chains, split_rhat
 from .fit import Fit
@@ -113,19 +114,30 @@ def _independence_chains(
     random = _generator(seed)
     proposed = _t_draws(steps * together, size, random)
     chance = np.log(random.random((steps, together)))
-    log_weight = (log_density(proposed) - _log_t(proposed)).reshape(steps, together)
     first = start.reshape(together, size)
-    # Which of its proposals a walker is at; 0 is its start.
-    at, own = np.zeros((steps + 1, together), dtype=np.int64), density.ravel() - _log_t(first)
-    accepted = np.zeros(count)
-    for step in range(steps):
-        better = chance[step] < log_weight[step] - own
-        own = np.where(better, log_weight[step], own)
-        at[step + 1] = np.where(better, step + 1, at[step])
-        accepted += np.count_nonzero(better.reshape(count, walkers), axis=1)
-    place = (at[1:][kept] * together + np.arange(together)).T
-    points = np.concatenate([first.T, proposed.T], axis=1).take(place.ravel(), axis=1)
-    return np.moveaxis(points.reshape(size, count, walkers, -1), 0, -1), accepted / (steps * walkers)
+    at = np.empty((steps, together), dtype=np.int64)
+    moved = np.empty(together, dtype=np.int64)
+    log_weight = (log_density(proposed) - _log_t(proposed)).reshape(steps, together)
+    _walk(density.ravel() - _log_t(first), log_weight, chance, at, moved)
+    points = np.concatenate([first.T, proposed.T], axis=1).take(at[kept].T.ravel(), axis=1)
+    accepted = moved.reshape(count, walkers).sum(axis=1) / (steps * walkers)
+    return np.moveaxis(points.reshape(size, count, walkers, -1), 0, -1), accepted
+
+
+@njit(cache=True)
+def _walk(start: FloatArray, weight: FloatArray, chance: FloatArray, at: IntArray, moved: IntArray) -> None:
+    """Fill ``at`` (L, n) with the points, start (n,) and proposals (L, n) in a row, that walkers are at; ``moved`` (n,) counts.
+
+    start, weight : logarithms of the weights of the points; chance : those of uniform numbers.
+    """
+    steps, count = weight.shape
+    for i in range(count):
+        own, place, moves = start[i], i, 0
+        for step in range(steps):
+            if chance[step, i] < weight[step, i] - own:
+                own, place, moves = weight[step, i], (step + 1) * count + i, moves + 1
+            at[step, i] = place
+        moved[i] = moves
 
 
 def _ensemble_chains(
@@ -173,7 +185,9 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
 
     def points_of(unit: FloatArray) -> FloatArray:
         # Walkers move in whitened coordinates, because the scales of the parameters span twelve decades.
-        return np.asarray((factor @ unit.T + fit.x[:, None]).T)
+        points = factor @ unit.T
+        points += fit.x[:, None]
+        return np.asarray(points.T)
 
     walkers = settings.ensembles * settings.walkers
     probe = _t_draws(max(walkers, _PROBE), size, _generator(seed.spawn(1)[0]))
