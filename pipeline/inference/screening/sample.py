@@ -79,11 +79,6 @@ def _log_t(unit: FloatArray) -> FloatArray:
     return -0.5 * (_FREEDOM + size) * np.log1p(np.einsum("ij,ij->i", unit, unit) / _FREEDOM)
 
 
-def _generator(seed: np.random.SeedSequence) -> np.random.Generator:
-    # The bits of SFC64 take half of the time of those of the default generator.
-    return np.random.Generator(np.random.SFC64(seed))
-
-
 def _t_draws(count: int, size: int, random: np.random.Generator) -> FloatArray:
     normal = standard_normals((size, count), random)
     normal *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, size=count))
@@ -112,7 +107,7 @@ def _independence_chains(
     """
     count, walkers, size = start.shape
     together = count * walkers
-    random = _generator(seed)
+    random = np.random.default_rng(seed)
     proposed = _t_draws(steps * together, size, random)
     chance = np.log(random.random((steps, together)))
     first = start.reshape(together, size)
@@ -191,7 +186,7 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
         return np.asarray(points.T)
 
     walkers = settings.ensembles * settings.walkers
-    probe = _t_draws(max(walkers, _PROBE), size, _generator(seed.spawn(1)[0]))
+    probe = _t_draws(max(walkers, _PROBE), size, np.random.default_rng(seed.spawn(1)[0]))
     rows = _sufficient_rows(fit, points_of(probe[:_COMPARED]))
 
     def log_posterior(unit: FloatArray) -> FloatArray:

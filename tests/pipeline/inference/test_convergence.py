@@ -10,7 +10,7 @@ from emcee.model import Model
 from scipy.signal import lfilter
 
 from pipeline.inference.screening.convergence import mean_ess, split_chains, split_rhat
-from pipeline.inference.screening.sample import _generator, _independence_chains, _log_t, _t_draws
+from pipeline.inference.screening.sample import _independence_chains, _log_t, _t_draws
 
 
 def autoregressive(a, shape, random):
@@ -65,7 +65,7 @@ def test_independence_chains_are_those_of_emcee():
     density = log_density(start.reshape(-1, size)).reshape(ensembles, walkers)
     seed = np.random.SeedSequence(8)
     points, accepted = _independence_chains(log_density, start, density, steps, slice(None), seed)
-    random = _generator(np.random.SeedSequence(8))
+    random = np.random.default_rng(np.random.SeedSequence(8))
     proposals = _t_draws(steps * ensembles * walkers, size, random).reshape(steps, ensembles, walkers, size)
     chances = random.random((steps, ensembles, walkers))
     for e in range(ensembles):
