@@ -24,7 +24,6 @@ import numpy as np
 from numba import njit
 
 from ..arrays import ComplexArray, FloatArray
-from ..axial import double_angle
 from .mechanics import Mechanics, Modes, modes_of
 
 PHYSICAL: tuple[str, ...] = (
@@ -106,10 +105,10 @@ def to_physical(cartesian: FloatArray) -> FloatArray:
     theta_deg = np.where(theta_deg <= -90.0, theta_deg + 180.0, theta_deg)
     omega1 = np.sqrt(omega0**2 - omega0 * eps)
     omega2 = np.sqrt(omega0**2 + omega0 * eps)
-    if np.all(eps > 0.0):
-        cos, sin = -eps_c / eps, -eps_s / eps
-    else:
-        cos, sin = double_angle(theta_deg)
+    # At eps = 0 theta is 0 or 90 deg, by the sign of the zero.
+    equal = eps == 0.0
+    size = np.where(equal, 1.0, eps)
+    cos, sin = np.where(equal, np.copysign(1.0, -eps_c), -eps_c / size), -eps_s / size
     delta = d_c * cos + d_s * sin
     c12 = d_s * cos - d_c * sin
     physical = np.stack(

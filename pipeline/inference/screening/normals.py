@@ -6,8 +6,9 @@ f(x_i) and f(x_{i+1}).  A point in a layer chosen at random is kept where it lie
     |x| < x_{i+1} : below, 98.8 % of the points          else, i > 0 : f(x_i) + U (f(x_{i+1}) - f(x_i)) < f(|x|)
                                                                i = 0 : |x| is drawn from the tail, -ndtri(U Phi(-r))
 
-and drawn anew where it does not.  Source: Marsaglia, Tsang, The ziggurat method for generating random variables, J. Stat. Softw. 5
-(2000) 8.
+and drawn anew where it does not.
+
+Source: Marsaglia, Tsang, The ziggurat method for generating random variables, J. Stat. Softw. 5 (2000) 8.
 """
 
 from __future__ import annotations
