@@ -1,4 +1,4 @@
-"""The triangle of features and data by their Gram matrix is that of the QR decomposition, and reflections stand in where it is not."""
+"""The triangle of features and data by their Gram matrix is that of QR, and reflections stand in where it is not."""
 
 from __future__ import annotations
 
