@@ -118,6 +118,13 @@ def _multiply_filter(gain: ComplexArray, distances: ComplexArray) -> None:
 
 
 @njit(cache=True)
+def _copy(source: ComplexArray, target: ComplexArray) -> None:
+    """Written out: the assignment of a slice takes numba longer to compile than the loops around it."""
+    for m in range(source.size):
+        target[m] = source[m]
+
+
+@njit(cache=True)
 def _divided(series: ComplexArray, pole: complex) -> ComplexArray:
     """Taylor coefficients of series(h) / (pole + h)."""
     out = np.empty_like(series)
@@ -201,27 +208,27 @@ def _add_free(
         for m in range(_ORDERS):
             z_series[m] = factor
             factor = factor * step / (m + 1)
-        series[:] = z_series
+        _copy(z_series, series)
         series[0] = minus_one[k]
         whole = _divided(series, poles[k])
         gains = np.empty((tops.shape[0], _ORDERS), dtype=np.complex128)
-        gains[0] = whole
+        _copy(whole, gains[0])
         if tops.shape[0] == 2:
             series[0] = minus_two[k]
             series[1] -= step
-            gains[1] = _divided(_divided(series, poles[k]), poles[k])
+            _copy(_divided(_divided(series, poles[k]), poles[k]), gains[1])
             for m in range(_ORDERS):
                 gains[1, m] /= step
                 gains[0, m] = whole[m] - gains[1, m]
         for term in range(tops.shape[0]):
             gain = _product(gains[term], filter_gain[k])
             # (z(h) - z)^i
-            powers[:] = 0.0
+            # Their other elements are always 0 or written again.
             powers[0, 0] = 1.0
             moved = z_series.copy()
             moved[0] = 0.0
             for i in range(1, _ORDERS):
-                powers[i] = _product(powers[i - 1], moved)
+                _copy(_product(powers[i - 1], moved), powers[i])
             for conjugate in range(2):
                 own = z[k].conjugate() if conjugate else z[k]
                 for w in range(count):

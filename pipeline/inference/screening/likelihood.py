@@ -140,9 +140,15 @@ def jacobian_rows(
             for j in range(FEATURES):
                 slope[a, j, i] = (c_plus[a, j] - c_minus[a, j]) / (2.0 * STEPS[i])
     for a in range(2):
-        out[a * rows : (a + 1) * rows] = np.dot(triangle[a], slope[a])
+        model = np.dot(triangle[a], slope[a])
+        for j in range(rows):
+            for i in range(size):
+                out[a * rows + j, i] = model[j, i]
     if cross.shape[0] > 0:
-        out[: cross.shape[0]] += np.dot(cross, slope[1])
+        model = np.dot(cross, slope[1])
+        for j in range(cross.shape[0]):
+            for i in range(size):
+                out[j, i] += model[j, i]
     for i in range(prior_offset.size):
         for j in range(2):
             out[2 * rows + i, 12 + j] = prior_root[i, j]

@@ -31,7 +31,7 @@ from ..open_loop import TAU, OpenLoop
 _STEPS = 2
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy")
 def _response(omega0: float, d: float, c2: float, nu: float) -> float:
     """|G(nu) / G(0)|^2 [1] at a rate that varies with nu [rad/s].
 
