@@ -95,19 +95,23 @@ def to_cartesian(physical: FloatArray) -> FloatArray:
 def to_physical(cartesian: FloatArray) -> FloatArray:
     """Physical parameters (..., 12) from cartesian parameters (..., 12), units at the head of the module; theta in (-90, 90].
 
-    f1 and zeta1 are nan where no device has the parameters (eps > omega0).
+    f1 and zeta1 are nan where no device has the parameters (eps > omega0).  The values of one parameter are neighbours in memory:
+    all that follows takes parameter by parameter.
     """
     omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = np.moveaxis(cartesian, -1, 0)
-    eps = np.hypot(eps_c, eps_s)
+    eps = np.sqrt(eps_c * eps_c + eps_s * eps_s)
     # The lower axis has the eigenvalue -eps, so 2 theta is the angle of -(eps_c, eps_s).
-    double = np.arctan2(-eps_s, -eps_c)
-    theta_deg = np.rad2deg(double) / 2.0
+    theta_deg = np.rad2deg(np.arctan2(-eps_s, -eps_c)) / 2.0
     theta_deg = np.where(theta_deg <= -90.0, theta_deg + 180.0, theta_deg)
     omega1 = np.sqrt(omega0**2 - omega0 * eps)
     omega2 = np.sqrt(omega0**2 + omega0 * eps)
-    delta = d_c * np.cos(double) + d_s * np.sin(double)
-    c12 = d_s * np.cos(double) - d_c * np.sin(double)
-    return np.stack(
+    # At eps = 0 theta is 0 or 90 deg, by the sign of the zero.
+    equal = eps == 0.0
+    size = np.where(equal, 1.0, eps)
+    cos, sin = np.where(equal, np.copysign(1.0, -eps_c), -eps_c / size), -eps_s / size
+    delta = d_c * cos + d_s * sin
+    c12 = d_s * cos - d_c * sin
+    physical = np.stack(
         [
             omega1 / TAU,
             omega2 / TAU,
@@ -121,14 +125,15 @@ def to_physical(cartesian: FloatArray) -> FloatArray:
             np.exp(ln_z),
             s,
             d,
-        ],
-        axis=-1,
+        ]
     )
+    return np.moveaxis(physical, 0, -1)
 
 
 def split_hz(cartesian: FloatArray) -> FloatArray:
     """(omega2 - omega1)/2pi = 2 omega0 eps / (omega1 + omega2) / 2pi (...) [Hz], free of cancellation; x (..., 12)."""
-    omega0, eps = cartesian[..., 0], np.hypot(cartesian[..., 1], cartesian[..., 2])
+    omega0, eps_c, eps_s = np.moveaxis(cartesian[..., :3], -1, 0)
+    eps = np.sqrt(eps_c * eps_c + eps_s * eps_s)
     omega1 = np.sqrt(omega0**2 - omega0 * eps)
     omega2 = np.sqrt(omega0**2 + omega0 * eps)
     return 2.0 * omega0 * eps / (omega1 + omega2) / TAU

@@ -29,7 +29,7 @@ _LAST = 1e-7
 _APART = 1e-6
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _newton(
     pr: float,
     pi: float,

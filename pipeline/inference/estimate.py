@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from ..arrays import FloatArray
-from ..axial import wrap
+from ..axial import PERIOD_DEG, double_angle, wrap
 from ..device.gyro import PHYSICAL, to_physical
 from ..device.gyro import split_hz as cartesian_split_hz
 from ..device.operation.bias import rate_biases_dps
@@ -30,6 +30,7 @@ from ..performance.figure import figure_values
 from ..performance.operating_point import UNDECLARED, DeclaredOperation, OperatingPoint
 from ..quantities import AXES
 from .gate import Gate, GoodnessOfFit, Status, Undetected, status_of
+from .moments import moments
 
 _BIASES = ("quadrature_rate_dps", "quadrature_bias_dps", "inphase_bias_dps", "rate_bias_dps")
 
@@ -117,20 +118,34 @@ def cartesian_quantities(x: FloatArray, rate: RateSettings) -> dict[str, FloatAr
 
 def intervals(draws: Mapping[str, FloatArray]) -> dict[str, float]:
     """<q>, <q>_sd, <q>_q05, <q>_q95 [unit of q] of every quantity (n,); those that are nan in all draws are left out."""
-    known = {name: values for name, values in draws.items() if not np.all(np.isnan(values))}
+    known = {name: values for name, values in draws.items() if not (np.isnan(values[0]) and np.all(np.isnan(values)))}
     lines = np.stack(list(known.values()))
     centre = np.zeros(len(known))
     for i, name in enumerate(known):
         if name in AXES:
-            centre[i] = np.rad2deg(np.angle(np.mean(np.exp(2j * np.deg2rad(lines[i]))))) / 2.0
-            lines[i] = wrap(lines[i] - centre[i])
+            centre[i], lines[i] = _unwrapped(lines[i])
     found = _quantiles(lines) + centre
-    sd = np.std(lines, axis=1)
+    _, variance = moments(lines)
+    sd = np.sqrt(variance)
     out: dict[str, float] = {}
     for i, name in enumerate(known):
         q05, q50, q95 = wrap(found[:, i]) if name in AXES else found[:, i]
         out |= {name: float(q50), f"{name}_sd": float(sd[i]), f"{name}_q05": float(q05), f"{name}_q95": float(q95)}
     return out
+
+
+def _unwrapped(axis_deg: FloatArray) -> tuple[float, FloatArray]:
+    """The axial mean of an axis (n,) and the deviations from it, all [deg].
+
+    Where no draw is farther than 45 deg from the first, that one is the centre: quantiles and sd then do not depend on it.
+    """
+    away = axis_deg - axis_deg[0]
+    away -= PERIOD_DEG * np.rint(away / PERIOD_DEG)
+    if np.max(np.abs(away)) < 45.0:
+        return float(axis_deg[0]), away
+    cos, sin = double_angle(axis_deg)
+    centre = float(np.rad2deg(np.arctan2(np.mean(sin), np.mean(cos)))) / 2.0
+    return centre, wrap(axis_deg - centre)
 
 
 def _quantiles(lines: FloatArray) -> FloatArray:

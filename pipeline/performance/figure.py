@@ -66,6 +66,10 @@ class Figure:
         # The noise of the pick-offs is the only input that records can show.
         return f"; null without {needed}".replace("pickoff_noise_v", "pickoff_noise_v or silence") if self.needs else ""
 
+    def known(self, point: OperatingPoint) -> bool:
+        """Whether all that it needs is declared."""
+        return all(point.declared(key) for key in self.needs)
+
     def missing(self, point: OperatingPoint) -> tuple[str, ...]:
         """The keys that would have to be declared, with their tables: "[operation] gap_um"."""
         return tuple(_place(key) for key in self.needs if not point.declared(key))
@@ -85,7 +89,7 @@ def figure_values(q: Mapping[str, FloatArray], point: OperatingPoint) -> dict[st
     unknown = np.full(np.shape(q["f1_hz"]), np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         return {
-            name: unknown if figure.missing(point) else np.asarray(figure.value(gyro))
+            name: np.asarray(figure.value(gyro)) if figure.known(point) else unknown
             for name, figure in find_figures().items()
         }
 

@@ -106,6 +106,8 @@ def _number_array(values: Values, kind: pa.DataType) -> pa.Array:
     if raw.ndim != 1 or (raw.size and raw.dtype.kind not in "fiub"):
         raise TypeError(f"{raw.dtype} of shape {raw.shape}")
     known = ~np.isnan(raw.astype(np.float64))
+    if known.all() and raw.dtype == kind.to_pandas_dtype():
+        return pa.Array.from_buffers(kind, raw.size, [None, pa.py_buffer(raw.copy())])
     with np.errstate(invalid="ignore"):
         numbers = np.where(known, raw, 0).astype(kind.to_pandas_dtype())
     if np.any(numbers != np.where(known, raw, 0)):

@@ -41,7 +41,7 @@ def irregularities_schema() -> pa.Schema:
 
 def irregularities_table(values: Mapping[str, Sequence[Any] | np.ndarray[Any, Any]]) -> pa.Table:
     """Build an ``irregularities`` table from column name -> (n,) values; raises as :func:`.schema.build_table`."""
-    return build_table(values, IRREGULARITIES)
+    return build_table(values, IRREGULARITIES, irregularities_schema())
 
 
 def schema_of(kind: Kind) -> pa.Schema:

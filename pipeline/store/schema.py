@@ -225,16 +225,16 @@ def posterior_schema() -> pa.Schema:
 
 def devices_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
     """Build a ``devices`` table from column name -> (n,) values, one row a device; raises as :func:`build_table`."""
-    return build_table(columns, DEVICES)
+    return build_table(columns, DEVICES, devices_schema())
 
 
 def posterior_table(columns: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None]) -> pa.Table:
     """Build a ``posterior`` table from column name -> (n,) values, one row a draw; raises as :func:`build_table`."""
-    return build_table(columns, POSTERIOR)
+    return build_table(columns, POSTERIOR, posterior_schema())
 
 
 def build_table(
-    values: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None], columns: Sequence[Column]
+    values: Mapping[str, Sequence[Any] | np.ndarray[Any, Any] | None], columns: Sequence[Column], schema: pa.Schema
 ) -> pa.Table:
     """Build a table in the registered schema.
 
@@ -242,7 +242,7 @@ def build_table(
     ----------
     values : column name -> (n,) values in the unit of the column; an absent column, or ``None``, is null throughout.
         NaN becomes null.
-    columns : registered columns.
+    columns, schema : registered columns, and their :func:`arrow_schema`.
 
     Raises
     ------
@@ -261,7 +261,6 @@ def build_table(
     if ids is None or any(name is None for name in ids):
         raise UsageError("every row needs a device_id", next_step="give the column device_id, without gaps")
     rows = len(ids)
-    schema = arrow_schema(columns)
     return pa.table(
         [column_array(values.get(name), field.type, rows, name) for name, field in zip(schema.names, schema)],
         schema=schema,

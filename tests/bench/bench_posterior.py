@@ -1,11 +1,10 @@
-"""Posterior of a device: E ensembles of n walkers, L + B steps, P = 14 parameters, J = 48 features of a sense, r = 16 rows."""
+"""Posterior of a device: E ensembles of n walkers, L + B steps, P = 14 parameters, J = 36 features of a sense, r = 16 rows."""
 
 import numpy as np
 from bench.device import device
 from bench.naive import log_posterior
 
 from pipeline.inference.screening.batch import local_rows, whole_rows
-from pipeline.inference.screening.likelihood import FEATURES
 from pipeline.inference.screening.sample import sample
 from workflows.screening.settings import POSTERIOR_STREAM, device_seed
 
@@ -27,13 +26,13 @@ def test_part_posterior(timed):
     fit, size = scoring.fit, scoring.fit.x.size
     points = sampler.ensembles * sampler.walkers
     moves = points * (sampler.steps + sampler.burn)
-    calls = moves + 2 * points + 256
-    rows = local_rows(fit.likelihood, fit.x).target.size
+    calls = moves + points
+    rows, features = local_rows(fit.likelihood, fit.x).design.shape
     found = timed.part(
         PART,
         lambda: sample(fit, sampler, device_seed(d.config, POSTERIOR_STREAM, 0)),
-        {"normal": size * (moves + points + 256), "flop": calls * 2 * rows * 2 * FEATURES},
-        "(E n (L + B + 1) + 256) P normals; (E n (L + B + 2) + 256) calls of 4 r J flops",
+        {"normal": size * calls, "flop": calls * 2 * rows * features},
+        "E n (L + B + 1) calls of P normals and 4 r J flops",
     )
     assert found.move == "laplace"
     assert found.ess > 1000.0

@@ -26,7 +26,7 @@ PARTS = {
     "workflows.screening.virtual_device": "virtual_records virtual_volts measured noise_spectrum fit_device",
     "pipeline.inference.screening.device": "identify_record best_fit model_volts full_band_quality sample",
     "pipeline.inference.screening.fit": "compress",
-    "pipeline.inference.screening.compressed": "feature_columns qr",
+    "pipeline.inference.screening.compressed": "feature_columns triangle_of",
     "pipeline.inference.screening.sample": "_sufficient_rows _independence_chains _t_draws diagnose",
     "pipeline.inference.screening.batch": "_log_likelihood",
     "pipeline.inference.screening.result": "scored_devices _result",

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from ...arrays import FloatArray
+from ...axial import double_angle
 from ...errors import ConfigError
 
 
@@ -48,10 +49,10 @@ def rate_biases_dps(
     f1, f2, _, zeta1, zeta2, _, theta_deg, c12 = np.moveaxis(physical, -1, 0)[:8]
     omega1, omega2 = 2.0 * np.pi * f1, 2.0 * np.pi * f2
     omega0 = omega1 if drive == "f1" else omega2
-    double = np.deg2rad(2.0 * theta_deg)
-    quadrature = (omega1 - omega2) * (omega1 + omega2) * np.sin(double) / (4.0 * angular_gain * omega0)
+    cos, sin = double_angle(theta_deg)
+    quadrature = (omega1 - omega2) * (omega1 + omega2) * sin / (4.0 * angular_gain * omega0)
     delta = zeta1 * omega1 - zeta2 * omega2
-    inphase = -(delta * np.sin(double) + c12 * np.cos(double)) / (2.0 * angular_gain)
+    inphase = -(delta * sin + c12 * cos) / (2.0 * angular_gain)
     leaked = quadrature * np.tan(np.deg2rad(phase_error_deg))
     return {
         "quadrature_rate_dps": np.rad2deg(quadrature),

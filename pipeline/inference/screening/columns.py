@@ -35,18 +35,16 @@ def feature_columns(band: Band, expansion: ComplexArray) -> FloatArray:
     """Features A (2 W, J) [V per unit of c] around the poles ``expansion`` (3,) [rad/s], in columns of memory."""
     step = 1.0 / band.sample_rate_hz
     argument = expansion * step
-    out = np.zeros((3, 2, _ORDERS, 2, 2, band.bins.size))
     gain = np.zeros((3, _ORDERS), dtype=np.complex128)
     gain[:, 0] = 1.0
-    if band.antialias is not None:
+    if band.antialias is None:
+        out = np.zeros((3, 2, _ORDERS, 2, 2, band.bins.size))
+    else:
         gain[:, 0] = filter_response(band.antialias, expansion)
-        weights = np.stack([1.0 / (band.q - p)[:, None] ** np.arange(1, _ORDERS + 1) for p in expansion])
-        other = np.stack([1.0 / (band.q - p.conjugate())[:, None] ** np.arange(1, _ORDERS + 1) for p in expansion])
         _multiply_filter(gain, band.q - expansion[:, None])
-        both = np.stack([weights + other, 1j * (weights - other)], axis=3)
-        part = np.moveaxis(both, 1, 3).reshape(-1, band.q.size) @ band.filter_part.reshape(band.q.size, -1)
-        shared = part.reshape(3, _ORDERS, 2, 2, -1).transpose(0, 3, 1, 2, 4)
-        out[..., 0, :], out[..., 1, :] = shared.real, shared.imag
+        # Straight into the rows of the features: the part of the filter is as large as they are.
+        part = _filter_weights(band.q, expansion)[:, None] @ _filter_rows(band)
+        out = part.reshape(3, 2, _ORDERS, 2, 2, -1)
     ends = _end_states(band, expansion)
     tops = np.stack([band.now, band.following]) if band.first_order_hold else band.now[None]
     _add_free(
@@ -62,6 +60,22 @@ def feature_columns(band: Band, expansion: ComplexArray) -> FloatArray:
         out,
     )
     return out.reshape(FEATURES, -1).T
+
+
+@kept_if_short(4)
+def _filter_rows(band: Band) -> FloatArray:
+    """Real and imaginary parts (D, 2 order, W) of the poles of the filter, which all devices of a band share."""
+    return np.ascontiguousarray(np.concatenate([band.filter_part.real, band.filter_part.imag]).transpose(1, 0, 2))
+
+
+def _filter_weights(q: ComplexArray, poles: ComplexArray) -> FloatArray:
+    """What ``_filter_rows`` adds to the features (M, re/im of c, re/im) of each pole (3,), (3, 4 M, 2 order)."""
+    inverse = 1.0 / (q - np.stack([poles, poles.conj()])[:, :, None])
+    own, other = np.cumprod(np.repeat(inverse[:, :, None], _ORDERS, axis=2), axis=2)
+    both = np.stack([own + other, 1j * (own - other)], axis=2)
+    real = np.concatenate([both.real, -both.imag], axis=3)
+    imag = np.concatenate([both.imag, both.real], axis=3)
+    return np.stack([real, imag], axis=3).reshape(poles.size, 4 * _ORDERS, -1)
 
 
 @kept_if_short(4)

@@ -32,6 +32,7 @@ from ...experiment.noise.lines import MOST_HARMONICS
 from .columns import feature_columns
 from .inband import Band
 from .mismatch import MismatchPrior
+from .triangle import FeatureRows, triangle_of
 from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
 
 #: Samples of waves that are transformed at once: 32 lines of the paper's record; all lines of a long one took 18 times its size.
@@ -118,10 +119,11 @@ def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
     return np.ascontiguousarray(left[:, size > 1e-6 * np.sqrt(band.samples)])
 
 
-def _scaled(columns: FloatArray, nuisance: FloatArray, samples: int) -> FloatArray:
-    """Columns (2 W, ..) [V] over the sd of the noise of a bin at unit sigma, less their part in a ``nuisance`` basis (2 W, L)."""
-    scaled = columns * math.sqrt(2.0 / samples)
-    return scaled - nuisance @ (nuisance.T @ scaled) if nuisance.shape[1] else scaled
+def _part(columns: FloatArray, record: BandData, sigma_v: FloatArray) -> FeatureRows:
+    """A record with its features (2 W, J) [V], in units of the noise where that is white; sigma (S,) [V]."""
+    return FeatureRows(
+        columns, _stacked(record.spectrum) / sigma_v, record.nuisance, math.sqrt(2.0 / record.band.samples)
+    )
 
 
 def compress(
@@ -141,19 +143,13 @@ def compress(
     numpy.linalg.LinAlgError : the covariance of the noise is not positive definite.
     """
     columns = tuple(feature_columns(record.band, expansion) for record in records)
-    blocks = [_scaled(own, record.nuisance, record.band.samples) for own, record in zip(columns, records)]
-    targets = [_scaled(_stacked(record.spectrum), record.nuisance, record.band.samples) for record in records]
-    rows = sum(a.shape[0] - record.nuisance.shape[1] for a, record in zip(blocks, records))
+    rows = sum(a.shape[0] - record.nuisance.shape[1] for a, record in zip(columns, records))
     root, offset = (np.zeros((0, 2)), np.zeros(0)) if prior is None else prior.rows()
     real = 2 * rows + offset.size
     if all(record.noise is None for record in records):
+        # [A, y] = Q [[T, Q^T y], [0, r]] with |r|^2 = rest.
+        corner = triangle_of([_part(own, record, sigma_v) for own, record in zip(columns, records)])
         size = columns[0].shape[1]
-        both = np.empty((size + 2, sum(a.shape[0] for a in blocks)))
-        np.concatenate([a.T for a in blocks], axis=1, out=both[:size])
-        np.concatenate([y.T for y in targets], axis=1, out=both[size:])
-        both[size:] /= sigma_v[:, None]
-        # [A, y] = Q [[T, Q^T y], [0, r]] with |r|^2 = rest: Q itself would take twice the time.
-        _, corner = qr(both.T, mode="raw", overwrite_a=True, check_finite=False)
         triangle, data, left = corner[:size, :size], corner[:size, size:], corner[size:, size:]
         rest = np.sum(left**2, axis=0)
         scaled = np.ascontiguousarray(triangle / sigma_v[:, None, None])
@@ -162,10 +158,13 @@ def compress(
             expansion, scaled, none, np.ascontiguousarray(data.T), rest, real, None, root, offset, columns
         )
     noises = [record.noise or white_noise(sigma_v, record.band) for record in records]
-    y = np.concatenate(targets)
+    blocks = [_part(own, record, np.ones(2)).without_lines() for own, record in zip(columns, records)]
+    y = np.concatenate([block[:, -2:] for block in blocks])
     q, triangle = (
         np.asarray(part, dtype=np.float64)
-        for part in qr(np.concatenate(blocks), mode="economic", overwrite_a=True, check_finite=False)
+        for part in qr(
+            np.concatenate([block[:, :-2] for block in blocks]), mode="economic", overwrite_a=True, check_finite=False
+        )
     )
     data = q.T @ y
     left = y - q @ data

@@ -18,20 +18,23 @@ import numpy as np
 from numba import njit
 
 from ...arrays import FloatArray
+from ..moments import moments
 
 
 def split_chains(draws: FloatArray) -> FloatArray:
-    """Halves (P, 2 E, n // 2) of the ensembles of draws (E, n, P)."""
-    half = draws.shape[1] // 2
-    chains = np.concatenate([draws[:, :half], draws[:, -half:]])
-    return np.ascontiguousarray(np.moveaxis(chains, -1, 0))
+    """Halves (P, 2 E, n // 2) of the ensembles of draws (E, n, P), neighbours in memory along the last axis."""
+    rows, n = np.moveaxis(draws, -1, 0), draws.shape[1]
+    half = n // 2
+    whole = rows if n % 2 == 0 else np.concatenate([rows[:, :, :half], rows[:, :, -half:]], axis=2)
+    return np.ascontiguousarray(whole).reshape(rows.shape[0], 2 * rows.shape[1], half)
 
 
 def split_rhat(chains: FloatArray) -> FloatArray:
     """R-hat (P,) [1] of chains (P, C, n); nan where all draws are equal."""
     n = chains.shape[2]
-    between = n * chains.mean(axis=2).var(axis=1, ddof=1)
-    within = chains.var(axis=2, ddof=1).mean(axis=1)
+    means, variances = moments(chains)
+    between = n * means.var(axis=1, ddof=1)
+    within = variances.mean(axis=1) * (n / (n - 1.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.sqrt((between / within + n - 1.0) / n))
 
@@ -39,42 +42,41 @@ def split_rhat(chains: FloatArray) -> FloatArray:
 def mean_ess(chains: FloatArray) -> FloatArray:
     """ESS (P,) [draws] of the mean, of chains (P, C, n)."""
     count, n = chains.shape[1:]
-    means = chains.mean(axis=2)
-    between = means.var(axis=1, ddof=1)
-    centred = chains - means[:, :, None]
-    out = np.full(chains.shape[0], float(count * n))
-    for i in np.flatnonzero(~(np.ptp(chains, axis=(1, 2)) < np.finfo(float).resolution)):
-        out[i] = count * n / max(_autocorrelation_time(centred[i], between[i]), 1.0 / np.log10(count * n))
-    return out
+    means, _ = moments(chains)
+    times = np.empty(chains.shape[0])
+    _autocorrelation_times(chains, means, means.var(axis=1, ddof=1), times)
+    found = count * n / np.maximum(times, 1.0 / np.log10(count * n))
+    return np.where(np.ptp(chains, axis=(1, 2)) < np.finfo(float).resolution, float(count * n), found)
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
-def _covariance(centred: FloatArray, lag: int) -> float:
-    """a_t: autocovariance at a lag, mean over chains (C, n) without their means."""
-    count, n = centred.shape
+def _covariance(chains: FloatArray, means: FloatArray, lag: int) -> float:
+    """a_t: autocovariance at a lag, mean over chains (C, n) with the means (C,)."""
+    count, n = chains.shape
     total = 0.0
     for c in range(count):
         for i in range(n - lag):
-            total += centred[c, i] * centred[c, i + lag]
+            total += (chains[c, i] - means[c]) * (chains[c, i + lag] - means[c])
     return total / (count * n)
 
 
-@njit(cache=True)
-def _autocorrelation_time(centred: FloatArray, between: float) -> float:
+@njit(cache=True, error_model="numpy")
+def _autocorrelation_time(chains: FloatArray, means: FloatArray, between: float) -> float:
     """-1 + 2 sum rho_t over Geyer's sequences, of chains (C, n); the last odd term counts once where it is even.
 
-    ``between`` is the variance B/n of the means.  The lags after the end of the sequence are not computed.
+    ``means`` (C,) are those of the chains, ``between`` is their variance B/n.  The lags after the end of the sequence are not
+    computed.
     """
-    n = centred.shape[1]
-    within = _covariance(centred, 0) * n / (n - 1.0)
+    n = chains.shape[1]
+    within = _covariance(chains, means, 0) * n / (n - 1.0)
     whole = within * (n - 1.0) / n + between
     kept = np.zeros(n)
     kept[0] = 1.0
-    kept[1] = 1.0 - (within - _covariance(centred, 1)) / whole
+    kept[1] = 1.0 - (within - _covariance(chains, means, 1)) / whole
     even, odd, t = kept[0], kept[1], 1
     while t < n - 3 and even + odd > 0.0:
-        even = 1.0 - (within - _covariance(centred, t + 1)) / whole
-        odd = 1.0 - (within - _covariance(centred, t + 2)) / whole
+        even = 1.0 - (within - _covariance(chains, means, t + 1)) / whole
+        odd = 1.0 - (within - _covariance(chains, means, t + 2)) / whole
         if even + odd >= 0.0:
             kept[t + 1], kept[t + 2] = even, odd
         t += 2
@@ -85,3 +87,10 @@ def _autocorrelation_time(centred: FloatArray, between: float) -> float:
         if kept[t + 1] + kept[t + 2] > kept[t - 1] + kept[t]:
             kept[t + 1] = kept[t + 2] = 0.5 * (kept[t - 1] + kept[t])
     return float(-1.0 + 2.0 * kept[: last + 1].sum() + kept[last + 1 : last + 2].sum())
+
+
+@njit(cache=True, error_model="numpy")
+def _autocorrelation_times(chains: FloatArray, means: FloatArray, between: FloatArray, out: FloatArray) -> None:
+    """Fill ``out`` (P,) with the autocorrelation times of chains (P, C, n) with means (P, C) of variance ``between`` (P,)."""
+    for i in range(out.size):
+        out[i] = _autocorrelation_time(chains[i], means[i], between[i])

@@ -9,14 +9,16 @@ Shapes: N samples, D drives, K poles, M orders, n blocks of B samples.
 
 from __future__ import annotations
 
-from math import comb
+from functools import lru_cache
+from math import factorial
 
 import numpy as np
 
 from ...arrays import ComplexArray, FloatArray
 
 #: Samples B of a block.
-_BLOCK = 256
+_ROOT = 16
+_BLOCK = _ROOT**2
 #: log |z^n| from which on the samples of a long record do not count.
 _FADED = -60.0
 
@@ -32,19 +34,27 @@ def reversed_blocks(drive: FloatArray) -> FloatArray:
 def block_sums(blocks: FloatArray, log_z: ComplexArray, orders: int, first: int = 0) -> ComplexArray:
     """The sums (K, M, D) over ``blocks`` (D, n, B), which end ``first`` samples before the end of the record, for log z (K,)."""
     drives, count = blocks.shape[:2]
-    power, k = np.arange(orders), np.arange(_BLOCK)
-    table = np.exp(k[:, None] * log_z)[:, :, None] * (k[:, None] ** power)[:, None]
+    powers, mixture = _tables(orders)
+    # z^k from z^{16 a} z^b, k = 16 a + b: an eighth of the exponentials.
+    coarse, fine = np.exp(np.arange(_ROOT)[:, None] * (np.array([[[_ROOT]], [[1]]]) * log_z))
+    table = (coarse[:, None] * fine).reshape(_BLOCK, -1, 1) * powers[:, None]
     inner = blocks.reshape(-1, _BLOCK) @ table.reshape(_BLOCK, -1).view(np.float64)
     inner_sums = inner.view(np.complex128).reshape(drives, count, log_z.size, orders)
     shift = float(first) + _BLOCK * np.arange(count)
     # (K, M, n) of the powers of the shift; (K, D, n, M) of the sums in the blocks.
-    weights = np.exp(log_z[:, None] * shift)[:, None] * shift ** power[:, None]
+    weights = np.exp(log_z[:, None] * shift)[:, None] * np.vander(shift, orders, increasing=True).T
     found = weights[:, None] @ inner_sums.transpose(2, 0, 1, 3)
-    sums = np.zeros((log_z.size, orders, drives), dtype=np.complex128)
+    return np.asarray((found.reshape(log_z.size, drives, -1) @ mixture).transpose(0, 2, 1))
+
+
+@lru_cache(maxsize=4)
+def _tables(orders: int) -> tuple[FloatArray, FloatArray]:
+    """k^m (B, M), and C(m, l) / m! from the power m - l of the shift and the power l of k to m, (M M, M)."""
+    mixture = np.zeros((orders, orders, orders))
     for m in range(orders):
         for l in range(m + 1):
-            sums[:, m] += comb(m, l) * found[:, :, m - l, l]
-    return np.asarray(sums / np.cumprod(np.maximum(power, 1))[:, None])
+            mixture[m - l, l, m] = 1.0 / (factorial(l) * factorial(m - l))
+    return np.vander(np.arange(float(_BLOCK)), orders, increasing=True), mixture.reshape(-1, orders)
 
 
 def end_sums(drive: FloatArray, log_z: ComplexArray, orders: int, at_once: int) -> ComplexArray:

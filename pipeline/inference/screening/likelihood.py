@@ -50,7 +50,7 @@ def coefficients(x: FloatArray, expansion: ComplexArray, out: FloatArray, shift:
                     c = c * h
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
 def _triangle_times(triangle: FloatArray, c: FloatArray, out: FloatArray) -> None:
     rows, columns = triangle.shape
     for i in range(rows):
@@ -127,10 +127,9 @@ def jacobian_rows(
     size = x.size
     c_plus = np.empty((2, FEATURES))
     c_minus = np.empty((2, FEATURES))
-    slope = np.empty((2, FEATURES))
+    slope = np.empty((2, FEATURES, size))
     shift = np.empty(3)
     out = np.zeros((2 * rows + prior_offset.size, size))
-    column = np.empty(2 * rows)
     for i in range(size):
         moved = x.copy()
         moved[i] = x[i] + STEPS[i]
@@ -139,10 +138,17 @@ def jacobian_rows(
         coefficients(moved, expansion, c_minus, shift)
         for a in range(2):
             for j in range(FEATURES):
-                slope[a, j] = (c_plus[a, j] - c_minus[a, j]) / (2.0 * STEPS[i])
-        _model_rows(slope, triangle, cross, column)
-        for j in range(2 * rows):
-            out[j, i] = column[j]
+                slope[a, j, i] = (c_plus[a, j] - c_minus[a, j]) / (2.0 * STEPS[i])
+    for a in range(2):
+        model = np.dot(triangle[a], slope[a])
+        for j in range(rows):
+            for i in range(size):
+                out[a * rows + j, i] = model[j, i]
+    if cross.shape[0] > 0:
+        model = np.dot(cross, slope[1])
+        for j in range(cross.shape[0]):
+            for i in range(size):
+                out[j, i] += model[j, i]
     for i in range(prior_offset.size):
         for j in range(2):
             out[2 * rows + i, 12 + j] = prior_root[i, j]

@@ -90,7 +90,7 @@ def _tilt(draws: FloatArray, prior: MismatchPrior) -> FloatArray:
 
 def _plant(draws: FloatArray, t: FloatArray) -> FloatArray:
     """Cartesian parameters (n, 12) of the plant with tilts (n,) from ``draws`` (n, 14) of the fit."""
-    plant = draws[:, :12].copy()
+    plant = draws[:, :12].copy(order="K")
     for i in (_S, _D):
         plant[:, i] = (draws[:, i] + t) / (1.0 + draws[:, i] * t)
         plant[:, _GAIN] -= np.log1p(-plant[:, i] * t)

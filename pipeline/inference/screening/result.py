@@ -18,6 +18,7 @@ from ...arrays import FloatArray
 from ...device.gyro import to_physical
 from ..estimate import Estimate, estimate_from
 from ..gate import Gate, GoodnessOfFit, Undetected
+from ..moments import moments
 from ..pickoff_noise import with_measured_noise
 from ..systematic import Identified
 from .fit import Fit
@@ -105,9 +106,12 @@ def _plant_draws(
     """Cartesian draws (n, 12) of the plant from those of the fit (n, P), and the columns of the mismatches."""
     if prior is None:
         return draws, {}
+    mismatches = np.ascontiguousarray(draws[:, 12:].T)
+    ordered, half = np.sort(mismatches, axis=1), mismatches.shape[1] // 2
+    middle, (_, variance) = 0.5 * (ordered[:, half] + ordered[:, -half - 1]), moments(mismatches)
     columns: dict[str, Value] = {}
-    for i, name in ((12, "drive_mismatch"), (13, "sense_mismatch")):
-        columns |= {name: float(np.median(draws[:, i])), f"{name}_sd": float(np.std(draws[:, i]))}
+    for i, name in enumerate(("drive_mismatch", "sense_mismatch")):
+        columns |= {name: float(middle[i]), f"{name}_sd": float(np.sqrt(variance[i]))}
     return without_tilt(draws, prior, np.random.default_rng(seed.spawn(1)[0])), columns
 
 

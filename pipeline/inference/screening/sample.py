@@ -8,7 +8,8 @@ independence Metropolis-Hastings with a multivariate t proposal.  Elsewhere (bou
 and differential-evolution moves of emcee runs until it converges or reaches the
 largest number of steps.
 
-Shapes: E ensembles, n walkers, L kept steps, 12 parameters.
+Shapes: E ensembles, n walkers, L kept steps, P = 12 or 14 parameters.  In points (n, P) neighbouring points lie side by side in
+memory, because all loops run along the points.
 """
 
 from __future__ import annotations
@@ -17,22 +18,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from .batch import Rows, local_rows, whole_rows
 from .convergence import mean_ess, split_chains, split_rhat
 from .fit import Fit
+from .normals import standard_normals
 
 #: Degrees of freedom of the t proposal: bounded weights where the posterior has the tails of a normal.  In 100 default devices,
 #: 200 degrees accept 0.98 of the proposals and 20 accept 0.83; the least ESS is 2222 and 1635.
 _FREEDOM = 200.0
+#: Least number of Laplace draws that are judged; as many as there are walkers, which start there, if those are more.
 _PROBE = 256
 #: Probes by which the few rows are compared with all rows, and the largest difference of the log likelihoods.
 _COMPARED, _DIFFERENCE = 64, 1e-3
 _MAX_STEPS = 6000
 _LogDensity = Callable[[FloatArray], FloatArray]
-#: (log density, start (E, n, P), steps L, random stream) -> points (E, n, L, P), accepted shares (E,)
-_Chains = Callable[[_LogDensity, FloatArray, int, np.random.SeedSequence], tuple[FloatArray, FloatArray]]
+#: (log density, start (E, n, P), its log densities (E, n), steps, those kept, random stream)
+#: -> points (E, n, L, P), accepted shares (E,)
+_Chains = Callable[
+    [_LogDensity, FloatArray, FloatArray, int, slice, np.random.SeedSequence], tuple[FloatArray, FloatArray]
+]
 
 
 @dataclass(frozen=True)
@@ -67,20 +74,15 @@ class Posterior:
 
 
 def _log_t(unit: FloatArray) -> FloatArray:
-    """Log density, up to a constant, of the multivariate t at whitened points (n, 12)."""
+    """Log density, up to a constant, of the multivariate t at whitened points (n, P)."""
     size = unit.shape[1]
-    return -0.5 * (_FREEDOM + size) * np.log1p(np.sum(unit**2, axis=1) / _FREEDOM)
-
-
-def _generator(seed: np.random.SeedSequence) -> np.random.Generator:
-    # Normals of SFC64 take 0.8 of the time of those of the default generator.
-    return np.random.Generator(np.random.SFC64(seed))
+    return -0.5 * (_FREEDOM + size) * np.log1p(np.einsum("ij,ij->i", unit, unit) / _FREEDOM)
 
 
 def _t_draws(count: int, size: int, random: np.random.Generator) -> FloatArray:
-    normal = random.standard_normal((count, size))
-    normal *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, size=(count, 1)))
-    return normal
+    normal = standard_normals((size, count), random)
+    normal *= np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, size=count))
+    return normal.T
 
 
 def diagnose(draws: FloatArray) -> tuple[float, float]:
@@ -90,7 +92,12 @@ def diagnose(draws: FloatArray) -> tuple[float, float]:
 
 
 def _independence_chains(
-    log_density: _LogDensity, start: FloatArray, steps: int, seed: np.random.SeedSequence
+    log_density: _LogDensity,
+    start: FloatArray,
+    density: FloatArray,
+    steps: int,
+    kept: slice,
+    seed: np.random.SeedSequence,
 ) -> tuple[FloatArray, FloatArray]:
     """Independence Metropolis-Hastings with the t proposal from start (E, n, P); points (E, n, L, P) and accepted shares (E,).
 
@@ -100,39 +107,57 @@ def _independence_chains(
     """
     count, walkers, size = start.shape
     together = count * walkers
-    random = _generator(seed)
-    every = np.concatenate([start.reshape(together, size), _t_draws(steps * together, size, random)])
+    random = np.random.default_rng(seed)
+    proposed = _t_draws(steps * together, size, random)
     chance = np.log(random.random((steps, together)))
-    log_weight = (log_density(every) - _log_t(every)).reshape(steps + 1, together)
-    # Which of its proposals a walker is at; 0 is its start.
-    at, own = np.zeros((steps + 1, together), dtype=np.int64), log_weight[0]
-    accepted = np.zeros(count)
-    for step in range(1, steps + 1):
-        better = chance[step - 1] < log_weight[step] - own
-        own = np.where(better, log_weight[step], own)
-        at[step] = np.where(better, step, at[step - 1])
-        accepted += np.count_nonzero(better.reshape(count, walkers), axis=1)
-    points = every[at[1:].T * together + np.arange(together)[:, None]]
-    return points.reshape(count, walkers, steps, size), accepted / (steps * walkers)
+    first = start.reshape(together, size)
+    at = np.empty((steps, together), dtype=np.int64)
+    moved = np.empty(together, dtype=np.int64)
+    log_weight = (log_density(proposed) - _log_t(proposed)).reshape(steps, together)
+    _walk(density.ravel() - _log_t(first), log_weight, chance, at, moved)
+    points = np.concatenate([first.T, proposed.T], axis=1).take(at[kept].T.ravel(), axis=1)
+    accepted = moved.reshape(count, walkers).sum(axis=1) / (steps * walkers)
+    return np.moveaxis(points.reshape(size, count, walkers, -1), 0, -1), accepted
+
+
+@njit(cache=True)
+def _walk(start: FloatArray, weight: FloatArray, chance: FloatArray, at: IntArray, moved: IntArray) -> None:
+    """Fill ``at`` (L, n) with the points, start (n,) and proposals (L, n) in a row, that walkers are at; ``moved`` (n,) counts.
+
+    start, weight : logarithms of the weights of the points; chance : those of uniform numbers.
+    """
+    steps, count = weight.shape
+    for i in range(count):
+        own, place, moves = start[i], i, 0
+        for step in range(steps):
+            if chance[step, i] < weight[step, i] - own:
+                own, place, moves = weight[step, i], (step + 1) * count + i, moves + 1
+            at[step, i] = place
+        moved[i] = moves
 
 
 def _ensemble_chains(
-    log_density: _LogDensity, start: FloatArray, steps: int, seed: np.random.SeedSequence
+    log_density: _LogDensity,
+    start: FloatArray,
+    density: FloatArray,
+    steps: int,
+    kept: slice,
+    seed: np.random.SeedSequence,
 ) -> tuple[FloatArray, FloatArray]:
     """Stretch and differential-evolution moves from start (E, n, P); points (E, n, L, P) and accepted shares (E,)."""
     # emcee imports scipy.stats and h5py, one second of processor time, and most devices do without it.
     import emcee
 
     points, shares = [], []
-    for own, child in zip(start, seed.spawn(start.shape[0])):
+    for own, known, child in zip(start, density, seed.spawn(start.shape[0])):
         moves = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5), (emcee.moves.DESnookerMove(), 0.1)]
         sampler = emcee.EnsembleSampler(*own.shape, log_density, moves=moves, vectorize=True)
         sampler.log_prob_fn = log_density  # emcee's wrapper prints a traceback of whatever the function raises
         sampler.random_state = np.random.RandomState(np.random.MT19937(child)).get_state()
         # Two points outside of the support cannot be compared: the fit is then no maximum.
         with np.errstate(invalid="raise"):
-            sampler.run_mcmc(own, steps, skip_initial_state_check=True)
-        points.append(sampler.get_chain().swapaxes(0, 1))
+            sampler.run_mcmc(emcee.State(own, log_prob=known), steps, skip_initial_state_check=True)
+        points.append(sampler.get_chain()[kept].swapaxes(0, 1))
         shares.append(float(np.mean(sampler.acceptance_fraction)))
     return np.stack(points), np.array(shares)
 
@@ -156,29 +181,41 @@ def sample(fit: Fit, settings: SamplerSettings, seed: np.random.SeedSequence) ->
 
     def points_of(unit: FloatArray) -> FloatArray:
         # Walkers move in whitened coordinates, because the scales of the parameters span twelve decades.
-        return np.asarray(fit.x + unit @ factor.T)
+        points = factor @ unit.T
+        points += fit.x[:, None]
+        return np.asarray(points.T)
 
-    def run(name: str, chains: _Chains, steps: int, thin: int) -> Posterior:
-        burn = settings.burn if thin == 1 else steps
-        start = _t_draws(settings.ensembles * settings.walkers, size, random)
-        start[~np.isfinite(log_posterior(start))] *= 1e-3
-        together = start.reshape(settings.ensembles, settings.walkers, size)
-        points, accepted = chains(log_posterior, together, burn + steps, seed.spawn(1)[0])
-        # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
-        unit = points[:, :, burn + thin - 1 :: thin].reshape(settings.ensembles, -1, size)
-        rhat, ess = diagnose(unit)
-        return Posterior(points_of(unit), rhat, ess, float(np.mean(accepted)), importance, name)
-
-    random = _generator(seed.spawn(1)[0])
-    probe = _t_draws(_PROBE, size, random)
+    walkers = settings.ensembles * settings.walkers
+    probe = _t_draws(max(walkers, _PROBE), size, np.random.default_rng(seed.spawn(1)[0]))
     rows = _sufficient_rows(fit, points_of(probe[:_COMPARED]))
 
     def log_posterior(unit: FloatArray) -> FloatArray:
         return rows.log_likelihood(points_of(unit))
 
-    log_weight = log_posterior(probe) - _log_t(probe)
+    density = log_posterior(probe)
+    log_weight = density - _log_t(probe)
     weight = np.exp(log_weight - np.max(log_weight))
-    importance = float(weight.sum() ** 2 / np.sum(weight**2) / _PROBE)
+    importance = float(weight.sum() ** 2 / np.sum(weight**2) / weight.size)
+    outside = ~np.isfinite(density)
+    if outside.any():
+        probe[outside] *= 1e-3
+        density[outside] = log_posterior(probe[outside])
+
+    def run(name: str, chains: _Chains, steps: int, thin: int) -> Posterior:
+        burn = settings.burn if thin == 1 else steps
+        points, accepted = chains(
+            log_posterior,
+            probe[:walkers].reshape(settings.ensembles, settings.walkers, size),
+            density[:walkers].reshape(settings.ensembles, settings.walkers),
+            burn + steps,
+            slice(burn + thin - 1, None, thin),
+            seed.spawn(1)[0],
+        )
+        # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
+        unit = points.reshape(settings.ensembles, -1, size)
+        rhat, ess = diagnose(unit)
+        draws = points_of(unit.reshape(-1, size)).reshape(unit.shape)
+        return Posterior(draws, rhat, ess, float(np.mean(accepted)), importance, name)
 
     if importance > 0.5:
         return run("laplace", _independence_chains, settings.steps, 1)

@@ -10,7 +10,7 @@ from emcee.model import Model
 from scipy.signal import lfilter
 
 from pipeline.inference.screening.convergence import mean_ess, split_chains, split_rhat
-from pipeline.inference.screening.sample import _generator, _independence_chains, _log_t, _t_draws
+from pipeline.inference.screening.sample import _independence_chains, _log_t, _t_draws
 
 
 def autoregressive(a, shape, random):
@@ -62,8 +62,10 @@ def test_independence_chains_are_those_of_emcee():
 
     ensembles, walkers, size, steps = 3, 40, 5, 30
     start = np.random.default_rng(7).normal(size=(ensembles, walkers, size))
-    points, accepted = _independence_chains(log_density, start, steps, np.random.SeedSequence(8))
-    random = _generator(np.random.SeedSequence(8))
+    density = log_density(start.reshape(-1, size)).reshape(ensembles, walkers)
+    seed = np.random.SeedSequence(8)
+    points, accepted = _independence_chains(log_density, start, density, steps, slice(None), seed)
+    random = np.random.default_rng(np.random.SeedSequence(8))
     proposals = _t_draws(steps * ensembles * walkers, size, random).reshape(steps, ensembles, walkers, size)
     chances = random.random((steps, ensembles, walkers))
     for e in range(ensembles):

@@ -11,6 +11,6 @@ def test_a_likelihood_that_raises_prints_no_traceback(capfd):
         raise FloatingPointError("a defect")
 
     with pytest.raises(FloatingPointError, match="a defect"):
-        _ensemble_chains(density, np.eye(8, 2)[None], 3, np.random.SeedSequence(1))
+        _ensemble_chains(density, np.eye(8, 2)[None], np.zeros((1, 8)), 3, slice(None), np.random.SeedSequence(1))
     captured = capfd.readouterr()
     assert captured.out + captured.err == ""
