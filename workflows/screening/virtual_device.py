@@ -6,6 +6,7 @@ Shapes: N samples, two drives and two senses, B devices of a draw.  Volts unless
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from zlib import crc32
 
@@ -25,7 +26,8 @@ from pipeline.experiment.forward.record import forward
 from pipeline.experiment.noise.measure import measured
 from pipeline.experiment.noise.spectrum import noise_spectrum
 from pipeline.experiment.record import Record
-from pipeline.identification.bandpass import window_slice
+from pipeline.identification.bandpass import bandpass, window_slice
+from pipeline.identification.failure import IdentificationError
 from pipeline.inference.screening.device import FitRecord, fit_device, prepare
 from pipeline.inference.screening.result import DeviceResult, Fitted, results_of
 from populations.draw import Draw, draw
@@ -54,7 +56,13 @@ def _shared(config_key: bytes) -> FitRecord:
     instrument = config.instrument.instrument()
     drive = drive_samples(config.experiment.excitation(), instrument.sample_rate_hz)
     record = Record("chirp", instrument.sample_rate_hz, drive, np.zeros_like(drive), role="fit")
-    return prepare(record, instrument, settings_of(config))
+    prepared, band_hz = prepare(record, instrument, settings_of(config)), config.identification
+    try:
+        filtered = bandpass(drive, instrument.sample_rate_hz, band_hz.low_hz, band_hz.high_hz)
+    except IdentificationError:
+        # The route of each device reports it.
+        return prepared
+    return replace(prepared, filtered_drive_v=filtered)
 
 
 def shared_record(config: RunConfig) -> FitRecord:
@@ -175,7 +183,7 @@ def fit_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> 
     noise = noise_spectrum(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
     record = Record("chirp", instrument.sample_rate_hz, shared.record.drive_v, fit, role="fit")
     return fit_device(
-        [FitRecord(record, shared.band, shared.nuisance)],
+        [replace(shared, record=record)],
         noise,
         instrument,
         settings_of(config),

@@ -55,11 +55,15 @@ class IdentificationSettings:
 
 @dataclass(frozen=True, eq=False)
 class FitRecord:
-    """A fit record with its band and nuisance basis (2 W, L) [1], shared by all devices with the same drive."""
+    """A fit record with its band and nuisance basis (2 W, L) [1], shared by all devices with the same drive.
+
+    ``filtered_drive_v`` is its drive behind the bandpass of the paper's route (N, 2) [V], where that is known already.
+    """
 
     record: Record
     band: Band
     nuisance: FloatArray
+    filtered_drive_v: FloatArray | None = None
 
 
 def prepare(record: Record, instrument: Instrument, settings: IdentificationSettings) -> FitRecord:
@@ -188,7 +192,12 @@ def fit_device(
         try:
             found.append(
                 identify_record(
-                    item.record, instrument, settings.order, (settings.low_hz, settings.high_hz), settings.window_s
+                    item.record,
+                    instrument,
+                    settings.order,
+                    (settings.low_hz, settings.high_hz),
+                    settings.window_s,
+                    filtered_drive_v=item.filtered_drive_v,
                 )
             )
         except IdentificationError as error:
