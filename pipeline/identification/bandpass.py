@@ -94,14 +94,13 @@ def bandpass(signal: FloatArray, sample_rate_hz: float, low_hz: float = 400.0, h
     IdentificationError : the band does not lie between 0 and f_s / 2.
     """
     z, fractions, gain = _partial_fractions(sample_rate_hz, low_hz, high_hz)
-    channels = signal.shape[1]
-    out = np.empty(signal.shape)
-    for c in range(0, channels, 2):
-        own = in_lanes(signal[:, c : c + 2])
-        alone = np.eye(min(2, channels - c))
-        start = np.zeros((z.size, alone.shape[0]), dtype=np.complex128)
-        out[:, c : c + 2] = recursive(own, z, start, alone[:, None, :] * fractions[:, None], gain * alone)
-    return out
+    found = []
+    for c in range(0, signal.shape[1], 2):
+        pair = signal[:, c : c + 2]
+        alone = np.eye(pair.shape[1])
+        start = np.zeros((z.size, pair.shape[1]), dtype=np.complex128)
+        found.append(recursive(in_lanes(pair), z, start, alone[:, None, :] * fractions[:, None], gain * alone))
+    return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
 
 def window_slice(sense: FloatArray, sample_rate_hz: float, duration_s: float = 2.0) -> slice:

@@ -23,6 +23,7 @@ from pipeline.experiment.antialias import behind_filter
 from pipeline.experiment.excitation import drive_samples
 from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.forward.record import forward
+from pipeline.experiment.forward.recursion import in_lanes
 from pipeline.experiment.noise.measure import measured
 from pipeline.experiment.noise.spectrum import noise_spectrum
 from pipeline.experiment.record import Record
@@ -57,6 +58,7 @@ def _shared(config_key: bytes) -> FitRecord:
     drive = drive_samples(config.experiment.excitation(), instrument.sample_rate_hz)
     record = Record("chirp", instrument.sample_rate_hz, drive, np.zeros_like(drive), role="fit")
     prepared, band_hz = prepare(record, instrument, settings_of(config)), config.identification
+    prepared = replace(prepared, drive_lanes=in_lanes(drive))
     try:
         filtered = bandpass(drive, instrument.sample_rate_hz, band_hz.low_hz, band_hz.high_hz)
     except IdentificationError:
@@ -138,7 +140,7 @@ def effect_sizes(config: RunConfig, model: Model, n: int, device_id: str, lot: s
 def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
     """Pick-off volts (N, 2) of device ``i`` of a draw, before hum, noise and ADC; raises as :func:`virtual_model`."""
     instrument = config.instrument.instrument()
-    shared = shared_record(config).record
+    shared = shared_record(config)
     physical = physical_of(drawn.true)[i : i + 1]
     model = virtual_model(config)
     values = dict(zip(PHYSICAL, physical[0].tolist()))
@@ -154,9 +156,9 @@ def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
                 own = [values[effect.full_name(member)] for member in effect.members(model.built.shape)]
                 mechanics = effect.mechanics(mechanics, np.array(own), context)
         bank = behind_filter(modes_of(mechanics), instrument.antialias)
-        return respond(bank, shared.drive_v, instrument.sample_rate_hz, instrument.hold)[0]
+        return respond(bank, shared.record.drive_v, instrument.sample_rate_hz, instrument.hold, shared.drive_lanes)[0]
     values |= effect_sizes(config, model, int(drawn.index[i]), drawn.device_id[i], drawn.lot[i])
-    return forward(model, values, shared, instrument)
+    return forward(model, values, shared.record, instrument)
 
 
 def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray, FloatArray, float]:

@@ -20,7 +20,7 @@ import numpy as np
 from ...arrays import ComplexArray, FloatArray
 from ..antialias import Bank
 from ..instrument import Hold
-from .recursion import in_lanes, recursive
+from .recursion import Lanes, in_lanes, recursive
 
 _OVERSAMPLING = 16
 #: Half-length of the interpolating filter, in drive samples: its ripple stays below 1e-6.
@@ -49,7 +49,9 @@ def _interpolator() -> FloatArray:
     return np.asarray(firwin(taps, 1.0 / _OVERSAMPLING, window=("kaiser", 14.0)))
 
 
-def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) -> FloatArray:
+def respond(
+    bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold, lanes: Lanes | None = None
+) -> FloatArray:
     """Pick-off volts (B, N, S) of a batch of devices from rest, exact at the sample times.
 
     Parameters
@@ -58,6 +60,7 @@ def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) 
     drive_v : (N, D) drive samples [V].
     sample_rate_hz : f_s [Hz].
     hold : how drive samples become volts.
+    lanes : the drive samples as parts, where they are known already; unused with a bandlimited hold.
     """
     step_s = 1.0 / sample_rate_hz
     drive = np.ascontiguousarray(drive_v)
@@ -67,9 +70,10 @@ def respond(bank: Bank, drive_v: FloatArray, sample_rate_hz: float, hold: Hold) 
         window: Any = _interpolator()
         drive = np.ascontiguousarray(resample_poly(drive, _OVERSAMPLING, 1, axis=0, window=window))
         step_s /= _OVERSAMPLING
+        lanes = None
     z, g0, g1 = hold_gains(bank.poles, step_s, hold)
     # x[n] - g1 v[n] needs v[n] alone: x[n+1] - g1 v[n+1] = z (x[n] - g1 v[n]) + (g0 + z g1) v[n].
-    gain, parts = g0 + z * g1, in_lanes(drive)
+    gain, parts = g0 + z * g1, in_lanes(drive) if lanes is None else lanes
     weights = np.moveaxis(2.0 * bank.residues, 1, 2)
     at_once = np.einsum("bspd,bp->bsd", weights, g1).real
     out = [

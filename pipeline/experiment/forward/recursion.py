@@ -17,27 +17,44 @@ from numba import njit
 
 from ...arrays import ComplexArray, FloatArray
 
-#: Parts of a record: 16 of 30,000 samples take three times as long, 48 take 1.2 times, and 256 as long.
-_LANES = 128
+#: Parts L of a record, a constant for the compiler: 16 take three times as long, 64 and 96 take 1.3 times, 112 as long.
+_LANES = 80
 #: Samples of each part that pass all states while they are in the cache of the processor.
 _AT_ONCE = 8
+#: Bytes of a line of the cache: vectors that cross one take 1.3 times as long.
+_LINE = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """A signal (N, D) of ``samples`` N as its parts (M, D', L), D' even: sample l M + n is [n, :, l]; zeros are appended."""
+    """A signal (N, D) of ``samples`` N as its parts (M, D/2, 2 L): sample l M + n of a pair of inputs is [n, :, l] and [n, :, L + l].
+
+    Zeros are appended to the samples, and to the inputs where D is odd.
+    """
 
     samples: int
     parts: FloatArray
 
 
+def _aligned(shape: tuple[int, ...]) -> FloatArray:
+    """An array whose values are not set, and which begins at a line of the cache."""
+    size = int(np.prod(shape))
+    whole = np.empty(size + _LINE // 8)
+    first = -whole.ctypes.data % _LINE // 8
+    return whole[first : first + size].reshape(shape)
+
+
 def in_lanes(signal: FloatArray) -> Lanes:
     """``signal`` (N, D) as the parts that :func:`recursive` takes."""
     samples, inputs = signal.shape
-    length = -(-samples // _LANES)
-    padded = np.zeros((_LANES * length, inputs + inputs % 2))
+    length, even = -(-samples // _LANES), inputs + inputs % 2
+    padded = np.empty((_LANES * length, even))
     padded[:samples, :inputs] = signal
-    return Lanes(samples, np.ascontiguousarray(padded.reshape(_LANES, length, -1).transpose(1, 2, 0)))
+    padded[samples:] = 0.0
+    padded[:, inputs:] = 0.0
+    parts = _aligned((length, even, _LANES))
+    parts[:] = padded.reshape(_LANES, length, even).transpose(1, 2, 0)
+    return Lanes(samples, parts.reshape(length, even // 2, 2 * _LANES))
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
@@ -47,61 +64,66 @@ def _run_lanes(
     weight: ComplexArray,
     direct: FloatArray,
     drive: FloatArray,
+    states: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (M, 2, L) with direct v + Re sum w x, x[n+1] = z x[n] + v[n]; sample l M + n of the signals is [n, :, l].
+    """Fill ``out`` (M, 2 L), a pair of outputs, from the parts ``drive`` of D inputs, D even; ``states`` (P, D/2, 4 L) are scratch.
 
-    z (P,), start x[0] (P, D), weight w (2, P, D), direct (2, D), drive v (M, D, L), D even.  The L parts of a record are
-    computed side by side, as vectors.  A first pass finds what each adds to the states at its end, so that the second one
-    starts each part with its states.
+    z (P,), start x[0] (P, D), weight w (2, P, D), direct (2, D).  A first pass finds what each part adds to the states at its
+    end, so that the second one starts each part with its states.  The states of a pair of inputs, real and imaginary, are one
+    row, and so are both outputs: the compiler then sees that they do not overlap.
     """
-    length, drives, lanes = drive.shape
-    re, im = np.zeros((z.size, drives, lanes)), np.zeros((z.size, drives, lanes))
+    length, pairs, _ = drive.shape
+    states[:] = 0.0
     for p in range(z.size):
         a, b = z[p].real, z[p].imag
         size = abs(z[p])
         # Samples whose effect has died out at the end of their part are not needed: exp(-42) is below the rounding.
         first = max(0, length - 1 - int(-42.0 / np.log(size))) if 0.0 < size < 1.0 else 0
-        for d in range(drives):
-            r, i = re[p, d], im[p, d]
+        for d in range(pairs):
+            x = states[p, d]
             for n in range(first, length):
                 v = drive[n, d]
-                for k in range(lanes):
-                    x, y = r[k], i[k]
-                    r[k] = a * x - b * y + v[k]
-                    i[k] = a * y + b * x
-            whole, state = z[p] ** length, start[p, d]
-            for k in range(lanes):
-                end = complex(r[k], i[k])
-                r[k], i[k] = state.real, state.imag
-                state = whole * state + end
+                for k in range(_LANES):
+                    r, i, rr, ii = x[k], x[_LANES + k], x[2 * _LANES + k], x[3 * _LANES + k]
+                    x[k] = a * r - b * i + v[k]
+                    x[_LANES + k] = a * i + b * r
+                    x[2 * _LANES + k] = a * rr - b * ii + v[_LANES + k]
+                    x[3 * _LANES + k] = a * ii + b * rr
+            whole = z[p] ** length
+            for h in range(2):
+                state = start[p, 2 * d + h]
+                for k in range(2 * h * _LANES, (2 * h + 1) * _LANES):
+                    end = complex(x[k], x[_LANES + k])
+                    x[k], x[_LANES + k] = state.real, state.imag
+                    state = whole * state + end
     for begin in range(0, length, _AT_ONCE):
         stop = min(begin + _AT_ONCE, length)
         for n in range(begin, stop):
-            for s in range(2):
-                o = out[n, s]
-                o[:] = 0.0
-                for d in range(drives):
-                    g, v = direct[s, d], drive[n, d]
-                    for k in range(lanes):
-                        o[k] += g * v[k]
+            o = out[n]
+            o[:] = 0.0
+            for d in range(pairs):
+                v = drive[n, d]
+                c, cc, f, ff = direct[0, 2 * d], direct[0, 2 * d + 1], direct[1, 2 * d], direct[1, 2 * d + 1]
+                for k in range(_LANES):
+                    o[k] += c * v[k] + cc * v[_LANES + k]
+                    o[_LANES + k] += f * v[k] + ff * v[_LANES + k]
         for p in range(z.size):
             a, b = z[p].real, z[p].imag
-            for d in range(0, drives, 2):
-                r, i, rr, ii = re[p, d], im[p, d], re[p, d + 1], im[p, d + 1]
-                w, ww, u, uu = weight[0, p, d], weight[0, p, d + 1], weight[1, p, d], weight[1, p, d + 1]
+            for d in range(pairs):
+                x = states[p, d]
+                w, ww, u, uu = weight[0, p, 2 * d], weight[0, p, 2 * d + 1], weight[1, p, 2 * d], weight[1, p, 2 * d + 1]
                 c, e, cc, ee, f, g, ff, gg = w.real, -w.imag, ww.real, -ww.imag, u.real, -u.imag, uu.real, -uu.imag
                 for n in range(begin, stop):
-                    v, vv, one, two = drive[n, d], drive[n, d + 1], out[n, 0], out[n, 1]
-                    # Both drives and both senses in one loop: each state is loaded and stored once.
-                    for k in range(lanes):
-                        x, y, xx, yy = r[k], i[k], rr[k], ii[k]
-                        one[k] += c * x + e * y + cc * xx + ee * yy
-                        two[k] += f * x + g * y + ff * xx + gg * yy
-                        r[k] = a * x - b * y + v[k]
-                        i[k] = a * y + b * x
-                        rr[k] = a * xx - b * yy + vv[k]
-                        ii[k] = a * yy + b * xx
+                    v, o = drive[n, d], out[n]
+                    for k in range(_LANES):
+                        r, i, rr, ii = x[k], x[_LANES + k], x[2 * _LANES + k], x[3 * _LANES + k]
+                        o[k] += c * r + e * i + cc * rr + ee * ii
+                        o[_LANES + k] += f * r + g * i + ff * rr + gg * ii
+                        x[k] = a * r - b * i + v[k]
+                        x[_LANES + k] = a * i + b * r
+                        x[2 * _LANES + k] = a * rr - b * ii + v[_LANES + k]
+                        x[3 * _LANES + k] = a * ii + b * rr
 
 
 def recursive(
@@ -117,14 +139,14 @@ def recursive(
     weight, direct : w (S, P, D), and (S, D).
     """
     outputs, poles, inputs = weight.shape
-    length, even, lanes = signal.parts.shape
+    length, even = signal.parts.shape[0], 2 * signal.parts.shape[1]
     width = outputs + outputs % 2
     first, w, g = np.zeros((poles, even), complex), np.zeros((width, poles, even), complex), np.zeros((width, even))
     first[:, :inputs], w[:outputs, :, :inputs], g[:outputs, :inputs] = start, weight, direct
-    out = np.empty((lanes, length, outputs))
-    two = np.empty((length, 2, lanes))
+    out = np.empty((_LANES, length, outputs))
+    pair, states = _aligned((length, 2 * _LANES)), _aligned((poles, even // 2, 4 * _LANES))
     for s in range(0, outputs, 2):
-        _run_lanes(z, first, w[s : s + 2], g[s : s + 2], signal.parts, two)
+        _run_lanes(z, first, w[s : s + 2], g[s : s + 2], signal.parts, states, pair)
         own = out[:, :, s : s + 2]
-        own[:] = two[:, : own.shape[2]].transpose(2, 0, 1)
-    return out.reshape(lanes * length, outputs)[: signal.samples]
+        own[:] = pair.reshape(length, 2, _LANES)[:, : own.shape[2]].transpose(2, 0, 1)
+    return out.reshape(_LANES * length, outputs)[: signal.samples]
