@@ -27,9 +27,10 @@ _LINE = 64
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """A signal (N, D) of ``samples`` N as its parts (M, D/2, 2 L): sample l M + n of a pair of inputs is [n, :, l] and [n, :, L + l].
+    """A signal (N, D) of ``samples`` N as its parts (M, D/2, 2 L).
 
-    Zeros are appended to the samples, and to the inputs where D is odd.
+    Sample l M + n of a pair of inputs is [n, :, l] and [n, :, L + l].  Zeros are appended to the samples, and to the inputs
+    where D is odd.
     """
 
     samples: int
@@ -67,11 +68,13 @@ def _run_lanes(
     states: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (M, 2 L), a pair of outputs, from the parts ``drive`` of D inputs, D even; ``states`` (P, D/2, 4 L) are scratch.
+    """Fill ``out`` (M, 2 L), a pair of outputs, from the parts ``drive`` of D inputs, D even.
 
-    z (P,), start x[0] (P, D), weight w (2, P, D), direct (2, D).  A first pass finds what each part adds to the states at its
-    end, so that the second one starts each part with its states.  The states of a pair of inputs, real and imaginary, are one
-    row, and so are both outputs: the compiler then sees that they do not overlap.
+    ``states`` (P, D/2, 4 L) is where the states are kept, z (P,), start x[0] (P, D), weight w (2, P, D), direct (2, D).
+
+    A first pass finds what each part adds to the states at its end, so that the second one starts each part with its states.
+    The states of a pair of inputs, real and imaginary, are one row, and so are both outputs: the compiler then sees that they
+    do not overlap.
     """
     length, pairs, _ = drive.shape
     states[:] = 0.0
@@ -112,7 +115,12 @@ def _run_lanes(
             a, b = z[p].real, z[p].imag
             for d in range(pairs):
                 x = states[p, d]
-                w, ww, u, uu = weight[0, p, 2 * d], weight[0, p, 2 * d + 1], weight[1, p, 2 * d], weight[1, p, 2 * d + 1]
+                w, ww, u, uu = (
+                    weight[0, p, 2 * d],
+                    weight[0, p, 2 * d + 1],
+                    weight[1, p, 2 * d],
+                    weight[1, p, 2 * d + 1],
+                )
                 c, e, cc, ee, f, g, ff, gg = w.real, -w.imag, ww.real, -ww.imag, u.real, -u.imag, uu.real, -uu.imag
                 for n in range(begin, stop):
                     v, o = drive[n, d], out[n]

@@ -83,14 +83,14 @@ def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -
 def squares_without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> FloatArray:
     """Sums (S,) [V^2] of the squares of :func:`without_lines`, in a fraction of its time where lines fall on bins.
 
-    The squares of y less those of its lines, by Parseval.  X at all multiples of c bins is the transform of y folded to N/gcd(N, c)
-    samples.
+    The squares of y less those of its lines, by Parseval.  X at all multiples of c bins is the transform of y that is
+    folded to N/gcd(N, c) samples.
     """
     samples = y.shape[0]
     cycles = None if line_hz is None else samples * line_hz / sample_rate_hz
     if cycles is None or abs(cycles - round(cycles)) >= 1e-9:
         rest = without_lines(y, sample_rate_hz, line_hz)
-        return np.asarray(np.vecdot(rest, rest, axis=0))
+        return np.asarray(np.vecdot(rest.T, rest.T))
     common = math.gcd(samples, round(cycles))
     period, step = samples // common, round(cycles) // common
     lines = rfft(y.reshape(common, period, -1).sum(axis=0), axis=0)[: MOST_HARMONICS * step + 1 : step]
@@ -98,7 +98,7 @@ def squares_without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float |
     # The bins at 0 and at f_s / 2 have no conjugate.
     single = power[0] + (power[-1] if 2 * step * (lines.shape[0] - 1) == period else 0.0)
     removed = (2.0 * power.sum(axis=0) - single) / samples
-    return np.asarray(np.maximum(np.vecdot(y, y, axis=0) - removed, 0.0))
+    return np.asarray(np.maximum(np.vecdot(y.T, y.T) - removed, 0.0))
 
 
 def with_quantisation(variance: FloatArray, adc: Adc | None) -> FloatArray:
@@ -113,7 +113,7 @@ def silent_residual(y: FloatArray, sample_rate_hz: float, line_hz: float | None)
     """A silent record y (N, S) [V] without offset, trend and lines, (N, S), and its variance (S,) [V^2]."""
     samples = y.shape[0]
     residual = without_lines(y - fitted_lines(y, sample_rate_hz, None, True), sample_rate_hz, line_hz)
-    return residual, np.vecdot(residual, residual, axis=0) / silent_dof(samples, sample_rate_hz, line_hz)
+    return residual, np.vecdot(residual.T, residual.T) / silent_dof(samples, sample_rate_hz, line_hz)
 
 
 def silent_dof(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:

@@ -126,7 +126,7 @@ def with_dependent_noise(
             own = item.noise or white_noise(noise.sigma_v, item.band)
             item = replace(item, noise=replace(own, dependent=on_grid(v, item.band)))
             found.append(dependent)
-        squares.append(_mean_square(rest, np.vecdot(rest, rest, axis=0), noise, line_hz, own_v2))
+        squares.append(_mean_square(rest, np.vecdot(rest.T, rest.T), noise, line_hz, own_v2))
         out.append(item)
     weight = [record.sense_v.shape[0] for record in records]
     error = math.sqrt(float(np.average(squares, weights=weight)))

@@ -21,7 +21,7 @@ from pipeline.experiment.noise.lines import squares_without_lines, without_lines
 def test_squares_by_folding_are_those_of_what_is_left(samples, rate_hz, line_hz):
     random = np.random.default_rng(samples)
     t = np.arange(samples) / rate_hz
-    y = random.standard_normal((samples, 2)) + [1.0, -3.0]
+    y = random.standard_normal((samples, 2)) + np.array([1.0, -3.0])
     if line_hz is not None:
         y += sum(np.cos(2.0 * np.pi * h * line_hz * t + h)[:, None] for h in (1, 2, 5, 120))
     expected = np.sum(without_lines(y, rate_hz, line_hz) ** 2, axis=0)
