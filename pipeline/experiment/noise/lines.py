@@ -73,32 +73,16 @@ def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -
     samples = y.shape[0]
     cycles = None if line_hz is None else samples * line_hz / sample_rate_hz
     if cycles is not None and abs(cycles - round(cycles)) < 1e-9:
-        # Lines that fall on bins are orthogonal, so zeroing their bins is the least-squares solution.
-        spectrum = rfft(y, axis=0)
-        spectrum[: MOST_HARMONICS * round(cycles) + 1 : round(cycles)] = 0.0
-        return np.asarray(irfft(spectrum, n=samples, axis=0))
+        # Lines that fall on bins are orthogonal, so their bins are the least-squares solution.  They are those of the mean of
+        # the parts of a record within which all lines have whole periods.
+        parts = math.gcd(samples, round(cycles))
+        folded = y.reshape(parts, samples // parts, -1)
+        spectrum = rfft(folded.mean(axis=0), axis=0)
+        bins = slice(0, MOST_HARMONICS * round(cycles) // parts + 1, round(cycles) // parts)
+        lines = np.zeros_like(spectrum)
+        lines[bins] = spectrum[bins]
+        return np.asarray((folded - irfft(lines, n=samples // parts, axis=0)).reshape(y.shape))
     return y - fitted_lines(y, sample_rate_hz, line_hz, False)
-
-
-def squares_without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -> FloatArray:
-    """Sums (S,) [V^2] of the squares of :func:`without_lines`, in a fraction of its time where lines fall on bins.
-
-    The squares of y less those of its lines, by Parseval.  X at all multiples of c bins is the transform of y that is
-    folded to N/gcd(N, c) samples.
-    """
-    samples = y.shape[0]
-    cycles = None if line_hz is None else samples * line_hz / sample_rate_hz
-    if cycles is None or abs(cycles - round(cycles)) >= 1e-9:
-        rest = without_lines(y, sample_rate_hz, line_hz)
-        return np.asarray(np.vecdot(rest.T, rest.T))
-    common = math.gcd(samples, round(cycles))
-    period, step = samples // common, round(cycles) // common
-    lines = rfft(y.reshape(common, period, -1).sum(axis=0), axis=0)[: MOST_HARMONICS * step + 1 : step]
-    power = lines.real**2 + lines.imag**2
-    # The bins at 0 and at f_s / 2 have no conjugate.
-    single = power[0] + (power[-1] if 2 * step * (lines.shape[0] - 1) == period else 0.0)
-    removed = (2.0 * power.sum(axis=0) - single) / samples
-    return np.asarray(np.maximum(np.vecdot(y.T, y.T) - removed, 0.0))
 
 
 def with_quantisation(variance: FloatArray, adc: Adc | None) -> FloatArray:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.fft import rfft
 
 from ...arrays import FloatArray
-from ...experiment.noise.lines import lines_removed, squares_without_lines, without_lines
+from ...experiment.noise.lines import lines_removed, without_lines
 from ...experiment.noise.spectrum import NoiseSpectrum
 from ...experiment.record import Record
 from .compressed import BandData
@@ -61,19 +61,19 @@ class FullBandQuality:
         }
 
 
-def _mean_square(
-    residual: FloatArray, squares: FloatArray, noise: NoiseSpectrum, line_hz: float | None, dependent: FloatArray
-) -> float:
-    """Mean square (1) of a residual (N, S), its lines removed, in units of the noise and ``dependent`` (S,) [V^2].
+def _squares(y: FloatArray) -> FloatArray:
+    """Sums (S,) [V^2] of the squares of y (N, S)."""
+    return np.asarray(np.vecdot(y.T, y.T))
 
-    ``squares`` (S,) [V^2] are the sums of its squares without lines.
-    """
-    samples, senses = residual.shape
+
+def _mean_square(rest: FloatArray, noise: NoiseSpectrum, line_hz: float | None, dependent: FloatArray) -> float:
+    """Mean square (1) of a residual without lines (N, S) in units of the noise and ``dependent`` (S,) [V^2]."""
+    samples, senses = rest.shape
     rate = noise.sample_rate_hz
     removed = lines_removed(samples, rate, line_hz)
     if noise.white:
-        return float(np.sum(squares / (noise.sigma_v**2 + dependent))) / (senses * (samples - removed))
-    rest = without_lines(residual, rate, line_hz)
+        whole = np.sum(_squares(rest) / (noise.sigma_v**2 + dependent))
+        return float(whole) / (senses * (samples - removed))
     frequency = np.arange(samples // 2 + 1) * rate / samples
     kept = frequency >= max(noise.low_hz, rate / samples)
     power = 2.0 / (samples * rate) * np.abs(rfft(rest, axis=0)[kept]) ** 2
@@ -85,14 +85,12 @@ def full_band_quality(
     records: Sequence[Record], models_v: Sequence[FloatArray], noise: NoiseSpectrum, line_hz: float | None
 ) -> FullBandQuality:
     """Quality of models (N, S) [V] of ``records``, with the noise of the silence and lines at ``line_hz`` [Hz]."""
-    residuals = [r.sense_v - m for r, m in zip(records, models_v)]
-    sums = [squares_without_lines(own, r.sample_rate_hz, line_hz) for own, r in zip(residuals, records)]
-    weight = np.array([own.shape[0] for own in residuals], dtype=float)
-    nothing = np.zeros(noise.sigma_v.size)
-    squares = [_mean_square(own, whole, noise, line_hz, nothing) for own, whole in zip(residuals, sums)]
+    rests = [without_lines(r.sense_v - m, r.sample_rate_hz, line_hz) for r, m in zip(records, models_v)]
+    weight = np.array([rest.shape[0] for rest in rests], dtype=float)
+    squares = [_mean_square(rest, noise, line_hz, np.zeros(rest.shape[1])) for rest in rests]
     relative = [
-        math.sqrt(float(whole.sum()) / max(float(np.vdot(r.sense_v, r.sense_v)), 1e-300))
-        for whole, r in zip(sums, records)
+        math.sqrt(float(np.vdot(rest, rest)) / max(float(np.vdot(r.sense_v, r.sense_v)), 1e-300))
+        for rest, r in zip(rests, records)
     ]
     square = float(np.average(squares, weights=weight))
     senses = noise.sigma_v.size
@@ -126,7 +124,7 @@ def with_dependent_noise(
             own = item.noise or white_noise(noise.sigma_v, item.band)
             item = replace(item, noise=replace(own, dependent=on_grid(v, item.band)))
             found.append(dependent)
-        squares.append(_mean_square(rest, np.vecdot(rest.T, rest.T), noise, line_hz, own_v2))
+        squares.append(_mean_square(rest, noise, line_hz, own_v2))
         out.append(item)
     weight = [record.sense_v.shape[0] for record in records]
     error = math.sqrt(float(np.average(squares, weights=weight)))
