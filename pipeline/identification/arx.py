@@ -55,36 +55,46 @@ class ArxModel:
 def _lagged_sums(w: FloatArray, order: int, first_row: FloatArray) -> None:
     """first_row[j, a, b] = sum_{t=n}^{N-1} w_a(t) w_b(t-j); w (C, N), in chunks that stay in the cache."""
     channels, samples = w.shape
+    last = channels - 1
+    sums = np.empty((4, 4))
     for start in range(order, samples, _CHUNK):
         stop = min(start + _CHUNK, samples)
-        for a in range(channels):
-            x = w[a, start:stop]
+        for a in range(0, channels, 4):
+            x0, x1 = w[a, start:stop], w[min(a + 1, last), start:stop]
+            x2, x3 = w[min(a + 2, last), start:stop], w[min(a + 3, last), start:stop]
             for b in range(channels):
-                j = 0
-                # Four lags at once share the loads of x.
-                while j + 3 <= order:
-                    y0 = w[b, start - j : stop - j]
-                    y1 = w[b, start - j - 1 : stop - j - 1]
-                    y2 = w[b, start - j - 2 : stop - j - 2]
-                    y3 = w[b, start - j - 3 : stop - j - 3]
-                    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-                    for t in range(x.size):
-                        s0 += x[t] * y0[t]
-                        s1 += x[t] * y1[t]
-                        s2 += x[t] * y2[t]
-                        s3 += x[t] * y3[t]
-                    first_row[j, a, b] += s0
-                    first_row[j + 1, a, b] += s1
-                    first_row[j + 2, a, b] += s2
-                    first_row[j + 3, a, b] += s3
-                    j += 4
-                while j <= order:
-                    y0 = w[b, start - j : stop - j]
-                    s0 = 0.0
-                    for t in range(x.size):
-                        s0 += x[t] * y0[t]
-                    first_row[j, a, b] += s0
-                    j += 1
+                for j in range(0, order + 1, 4):
+                    k1, k2, k3 = min(j + 1, order), min(j + 2, order), min(j + 3, order)
+                    y0, y1 = w[b, start - j : stop - j], w[b, start - k1 : stop - k1]
+                    y2, y3 = w[b, start - k2 : stop - k2], w[b, start - k3 : stop - k3]
+                    s00, s01, s02, s03, s10, s11, s12, s13 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    s20, s21, s22, s23, s30, s31, s32, s33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    # Four channels at four lags are sixteen sums of eight loads.
+                    for t in range(x0.size):
+                        c0, c1, c2, c3 = y0[t], y1[t], y2[t], y3[t]
+                        s00 += x0[t] * c0
+                        s01 += x0[t] * c1
+                        s02 += x0[t] * c2
+                        s03 += x0[t] * c3
+                        s10 += x1[t] * c0
+                        s11 += x1[t] * c1
+                        s12 += x1[t] * c2
+                        s13 += x1[t] * c3
+                        s20 += x2[t] * c0
+                        s21 += x2[t] * c1
+                        s22 += x2[t] * c2
+                        s23 += x2[t] * c3
+                        s30 += x3[t] * c0
+                        s31 += x3[t] * c1
+                        s32 += x3[t] * c2
+                        s33 += x3[t] * c3
+                    sums[0, 0], sums[0, 1], sums[0, 2], sums[0, 3] = s00, s01, s02, s03
+                    sums[1, 0], sums[1, 1], sums[1, 2], sums[1, 3] = s10, s11, s12, s13
+                    sums[2, 0], sums[2, 1], sums[2, 2], sums[2, 3] = s20, s21, s22, s23
+                    sums[3, 0], sums[3, 1], sums[3, 2], sums[3, 3] = s30, s31, s32, s33
+                    for i in range(min(4, channels - a)):
+                        for k in range(min(4, order + 1 - j)):
+                            first_row[j + k, a + i, b] += sums[i, k]
 
 
 @njit(cache=True)
@@ -144,7 +154,8 @@ def solve_gram(
     channels = senses + drives
     order = gram.shape[0] // channels - 1
     first = senses if direct else channels
-    penalised = np.array(gram[first:, first:], order="F")
+    # Symmetric, so its transpose is it in the order of LAPACK.
+    penalised = np.array(gram[first:, first:], order="C").T
     diagonal = np.einsum("ii->i", penalised)
     diagonal *= 1.0 + ridge
     _, theta, info = dposv(penalised, gram[first:, :senses], lower=0, overwrite_a=1)

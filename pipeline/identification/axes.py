@@ -9,6 +9,7 @@ Units: degrees; the M_i in 1/s.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,11 @@ import numpy as np
 from ..arrays import FloatArray
 from ..axial import mean_axis, wrap
 from ..device.gyro import M_D, M_S
+
+_M_S_INVERSE, _M_D_INVERSE = np.linalg.inv(M_S), np.linalg.inv(M_D)
+_EIGHTH = math.pi / 4.0
+#: u_2 = (-sin, cos) theta is (cos, sin) of theta + 90 deg.
+_TURN_DEG = np.array([0.0, 0.0, 90.0, 90.0])
 
 
 @dataclass(frozen=True)
@@ -68,36 +74,33 @@ class Axes:
         return mean_axis(self.theta_deg)
 
 
+def _principal(m: FloatArray) -> tuple[float, float, float, float]:
+    """Singular values of m (2, 2) and the angles [rad] of its first left and right singular vectors, (cos, sin).
+
+    m = Rot(phi) diag(a + b, a - b) Rot(phi'),   a exp(i (phi + phi')) = (m00 + m11 + i (m10 - m01)) / 2,
+    b exp(i (phi - phi')) = (m00 - m11 + i (m10 + m01)) / 2;   Blinn, IEEE Comput. Graph. Appl. 16-2 (1996) 82.
+    """
+    (m00, m01), (m10, m11) = m.tolist()
+    a, b = math.hypot(m00 + m11, m10 - m01) / 2.0, math.hypot(m00 - m11, m10 + m01) / 2.0
+    whole, difference = math.atan2(m10 - m01, m00 + m11), math.atan2(m10 + m01, m00 - m11)
+    return a + b, abs(a - b), (whole + difference) / 2.0, (difference - whole) / 2.0
+
+
 def gains_from_updown(M3: FloatArray) -> Gains:
     """Gains from the rank-one part of M_3 (2, 2) [1/s], eq. (18)."""
-    u, size, vt = np.linalg.svd(M3)
-    sense, drive = u[:, 0], vt[0]
+    first, second, left, right = _principal(M3)
+    # (sin a - cos a) / (sin a + cos a) and the mean of (cos a, sin a).
+    mean = math.cos(left - _EIGHTH) * math.cos(right - _EIGHTH) / 2.0
     return Gains(
-        sense_imbalance=float((sense[1] - sense[0]) / (sense[1] + sense[0])),
-        drive_imbalance=float((drive[1] - drive[0]) / (drive[1] + drive[0])),
-        updown_gain=float(size[0] * sense.mean() * drive.mean()),
-        condition=float(size[0] / max(size[1], 1e-300)),
+        sense_imbalance=math.tan(left - _EIGHTH),
+        drive_imbalance=math.tan(right - _EIGHTH),
+        updown_gain=first * mean,
+        condition=first / max(second, 1e-300),
     )
 
 
 def axes(M1: FloatArray, M2: FloatArray, gains: Gains) -> Axes:
     """The four thetas from the rocking modes M_1 (lower), M_2 (upper), both (2, 2) [1/s]; Section 4.2 of the paper."""
-    left = np.linalg.inv(gains.sense[:, None] * M_S)
-    right = np.linalg.inv(M_D * gains.drive)
-    u, size, vt = np.linalg.svd(left @ np.stack([M1, M2]) @ right)
-    angles = np.rad2deg(
-        [
-            np.arctan2(u[0, 1, 0], u[0, 0, 0]),
-            np.arctan2(vt[0, 0, 1], vt[0, 0, 0]),
-            np.arctan2(-u[1, 0, 0], u[1, 1, 0]),
-            np.arctan2(-vt[1, 0, 0], vt[1, 0, 1]),
-        ]
-    )
-    u1, v1, u2, v2 = (float(wrap(angle)) for angle in angles)
-    return Axes(
-        u1,
-        v1,
-        u2,
-        v2,
-        singular_values=((float(size[0, 0]), float(size[0, 1])), (float(size[1, 0]), float(size[1, 1]))),
-    )
+    lower, upper = (_principal(_M_S_INVERSE / gains.sense @ (M / gains.drive) @ _M_D_INVERSE) for M in (M1, M2))
+    u1, v1, u2, v2 = wrap(np.rad2deg([*lower[2:], *upper[2:]]) - _TURN_DEG).tolist()
+    return Axes(u1, v1, u2, v2, singular_values=(lower[:2], upper[:2]))

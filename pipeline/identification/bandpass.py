@@ -11,9 +11,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
-from ..arrays import FloatArray
+from ..arrays import ComplexArray, FloatArray
+from ..experiment.forward.recursion import in_lanes, recursive
 from .failure import IdentificationError
 
 #: Four pole pairs; the paper names the order, not the ripple.
@@ -61,27 +61,19 @@ def bandpass_sections(sample_rate_hz: float, low_hz: float, high_hz: float) -> F
     return sections
 
 
-@njit(cache=True, fastmath={"contract", "nsz"})
-def _run_sections(sections: FloatArray, signal: FloatArray, out: FloatArray) -> None:
-    """Cascade of biquads, direct form II transposed: sections (L, 6), signal and out (N, C)."""
-    samples, channels = signal.shape
-    count = sections.shape[0]
-    s1 = np.zeros((count, channels))
-    s2 = np.zeros((count, channels))
-    x = np.empty(channels)
-    for n in range(samples):
-        for c in range(channels):
-            x[c] = signal[n, c]
-        for k in range(count):
-            b0, b1, b2 = sections[k, 0], sections[k, 1], sections[k, 2]
-            a1, a2 = sections[k, 4], sections[k, 5]
-            for c in range(channels):
-                y = b0 * x[c] + s1[k, c]
-                s1[k, c] = b1 * x[c] - a1 * y + s2[k, c]
-                s2[k, c] = b2 * x[c] - a2 * y
-                x[c] = y
-        for c in range(channels):
-            out[n, c] = x[c]
+@lru_cache(maxsize=32)
+def _partial_fractions(
+    sample_rate_hz: float, low_hz: float, high_hz: float
+) -> tuple[ComplexArray, ComplexArray, float]:
+    """z_k (4,), 2 R_k (4,) and d of G_bp(z) = d + sum_k R_k / (z - z_k) + conj, which is zero at z = 1 and z = -1."""
+    sections = bandpass_sections(sample_rate_hz, low_hz, high_hz)
+    half = -0.5 * sections[:, 4]
+    z = half + 1j * np.sqrt(sections[:, 5] - half**2)
+    apart = z[:, None] - z
+    np.fill_diagonal(apart, 1.0)
+    gain = float(np.prod(sections[:, 0]))
+    numerator = gain * (z**2 - 1.0) ** _POLE_PAIRS
+    return z, 2.0 * numerator / np.prod(apart, axis=1) / np.prod(z[:, None] - z.conj(), axis=1), gain
 
 
 def bandpass(signal: FloatArray, sample_rate_hz: float, low_hz: float = 400.0, high_hz: float = 700.0) -> FloatArray:
@@ -101,10 +93,14 @@ def bandpass(signal: FloatArray, sample_rate_hz: float, low_hz: float = 400.0, h
     ------
     IdentificationError : the band does not lie between 0 and f_s / 2.
     """
-    sections = bandpass_sections(sample_rate_hz, low_hz, high_hz)
-    out = np.empty(signal.shape)
-    _run_sections(sections, np.ascontiguousarray(signal), out)
-    return out
+    z, fractions, gain = _partial_fractions(sample_rate_hz, low_hz, high_hz)
+    found = []
+    for c in range(0, signal.shape[1], 2):
+        pair = signal[:, c : c + 2]
+        alone = np.eye(pair.shape[1])
+        start = np.zeros((z.size, pair.shape[1]), dtype=np.complex128)
+        found.append(recursive(in_lanes(pair), z, start, alone[:, None, :] * fractions[:, None], gain * alone))
+    return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
 
 
 def window_slice(sense: FloatArray, sample_rate_hz: float, duration_s: float = 2.0) -> slice:
@@ -123,7 +119,8 @@ def window_slice(sense: FloatArray, sample_rate_hz: float, duration_s: float = 2
     length = min(round(duration_s * sample_rate_hz), samples)
     piece = max(1, min(round(_PIECE_S * sample_rate_hz), samples))
     pieces = samples // piece
-    power = np.einsum("pnc,pnc->p", *(sense[: pieces * piece].reshape(pieces, piece, -1),) * 2)
+    in_pieces = sense[: pieces * piece].reshape(pieces, -1)
+    power = np.einsum("pn,pn->p", in_pieces, in_pieces)
     centre = int(np.argmax(power)) * piece + piece // 2
     start = min(max(centre - length // 2, 0), samples - length)
     return slice(start, start + length)

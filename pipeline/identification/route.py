@@ -151,6 +151,7 @@ def identify_record(
     band_hz: tuple[float, float] = (400.0, 700.0),
     window_s: float = 2.0,
     ridge: float = 1e-12,
+    filtered_drive_v: FloatArray | None = None,
 ) -> RouteResult:
     """The whole route on one record.
 
@@ -162,6 +163,7 @@ def identify_record(
     band_hz : corners of the bandpass, and where modes are looked for [Hz].
     window_s : length of the window around the largest signal [s].
     ridge : relative ridge of the ARX fit.
+    filtered_drive_v : the drive behind the bandpass (N, 2) [V], where it is known already.
 
     Raises
     ------
@@ -176,11 +178,12 @@ def identify_record(
             next_step='use plant = { kind = "modal" } for other devices',
         )
     rate = record.sample_rate_hz
-    filtered = bandpass(np.concatenate([record.sense_v, record.drive_v], axis=1), rate, *band_hz)
-    window = filtered[window_slice(filtered[:, :senses], rate, window_s)]
+    sense = bandpass(record.sense_v, rate, *band_hz)
+    drive = bandpass(record.drive_v, rate, *band_hz) if filtered_drive_v is None else filtered_drive_v
+    window = window_slice(sense, rate, window_s)
     # With a first-order or band-limited hold a drive sample acts before and at its own time.
     direct = instrument.hold != "zoh"
-    model = fit_arx(window[:, :senses], window[:, senses:], order, ridge, direct)
+    model = fit_arx(sense[window], drive[window], order, ridge, direct)
     modes = to_continuous(modes_of(model, rate, band_hz), rate, instrument.hold)
     return route_from_modes(modes, instrument.antialias)
 

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.arrays import FloatArray
 from pipeline.errors import GyroscreenError
+from pipeline.experiment.antialias import Bank
 from pipeline.inference.estimate import quantities
 from pipeline.inference.screening.result import DeviceResult, Fitted, failed_result, lost_result, results_of
 from pipeline.inference.systematic import Identified, common_nodes
@@ -30,7 +31,7 @@ from .drawn_table import drawn_table
 from .guard import Begin, unguarded
 from .settings import TRIM_STREAM, device_seed, population, rate_of, with_true_noise
 from .trimming import trimmed_columns
-from .virtual_device import fit_virtual, physical_of
+from .virtual_device import fit_virtual, physical_of, virtual_banks
 
 #: Posterior draws at each common error: P(conform) in steps of 1/200, a tenth of the rule's 0.05.
 DRAWS_GIVEN_COMMON = 200
@@ -71,10 +72,18 @@ def blocks_of(config: RunConfig, devices: int) -> tuple[DeviceBlock, ...]:
     return tuple(DeviceBlock(i, i * size, min(size, devices - i * size)) for i in range(-(-devices // size)))
 
 
-def _fitted(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> Fitted | DeviceResult:
+def _banks(config: RunConfig, drawn: Draw, devices: range) -> Sequence[Bank | None]:
+    # Where one of the devices fails, each is tried alone, so that the others are not affected.
+    try:
+        return virtual_banks(config, drawn, devices) or [None] * len(devices)
+    except _FAILURES:
+        return [None] * len(devices)
+
+
+def _fitted(config: RunConfig, drawn: Draw, i: int, angular_gain: float, bank: Bank | None) -> Fitted | DeviceResult:
     # One device that fails must not stop the run; its row states the reason.
     try:
-        return fit_virtual(config, drawn, i, angular_gain)
+        return fit_virtual(config, drawn, i, angular_gain, bank)
     except _FAILURES as error:
         return _failed(error)
 
@@ -101,10 +110,13 @@ def _results(
         return [lost_result(block.lost)] * block.count
     results: list[DeviceResult] = []
     for first in range(0, block.count, _TOGETHER):
-        fitted = []
-        for i in range(first, min(first + _TOGETHER, block.count)):
+        devices = range(first, min(first + _TOGETHER, block.count))
+        fitted: list[Fitted | DeviceResult] = []
+        banks: Sequence[Bank | None] = ()
+        for i in devices:
             begin(block.first + i)
-            fitted.append(_fitted(config, drawn, i, angular_gain))
+            banks = banks or _banks(config, drawn, devices)
+            fitted.append(_fitted(config, drawn, i, angular_gain, banks[i - first]))
         results += _finished(fitted)
     return results
 

@@ -6,6 +6,7 @@ Shapes: N samples, two drives and two senses, B devices of a draw.  Volts unless
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, replace
 from functools import lru_cache
 from zlib import crc32
 
@@ -15,17 +16,19 @@ import numpy as np
 from pipeline.arrays import FloatArray
 from pipeline.device.effect import Context
 from pipeline.device.gyro import PHYSICAL, gyro_mechanics
-from pipeline.device.mechanics import modes_of
+from pipeline.device.mechanics import Mechanics, modes_of
 from pipeline.device.model import SCREENING_MODEL, Model
 from pipeline.errors import ConfigError
-from pipeline.experiment.antialias import behind_filter
+from pipeline.experiment.antialias import Bank, behind_filter
 from pipeline.experiment.excitation import drive_samples
 from pipeline.experiment.forward.modal_bank import respond
 from pipeline.experiment.forward.record import forward
+from pipeline.experiment.forward.recursion import in_lanes
 from pipeline.experiment.noise.measure import measured
 from pipeline.experiment.noise.spectrum import noise_spectrum
 from pipeline.experiment.record import Record
-from pipeline.identification.bandpass import window_slice
+from pipeline.identification.bandpass import bandpass, window_slice
+from pipeline.identification.failure import IdentificationError
 from pipeline.inference.screening.device import FitRecord, fit_device, prepare
 from pipeline.inference.screening.result import DeviceResult, Fitted, results_of
 from populations.draw import Draw, draw
@@ -42,6 +45,8 @@ from .settings import (
     settings_of,
 )
 
+_PARTS = tuple(field.name for field in fields(Mechanics))
+
 
 def physical_of(values: Mapping[str, FloatArray]) -> FloatArray:
     """Physical parameters (B, 12), in the order of ``PHYSICAL``, from arrays (B,) by quantity name."""
@@ -54,7 +59,14 @@ def _shared(config_key: bytes) -> FitRecord:
     instrument = config.instrument.instrument()
     drive = drive_samples(config.experiment.excitation(), instrument.sample_rate_hz)
     record = Record("chirp", instrument.sample_rate_hz, drive, np.zeros_like(drive), role="fit")
-    return prepare(record, instrument, settings_of(config))
+    prepared, band_hz = prepare(record, instrument, settings_of(config)), config.identification
+    prepared = replace(prepared, drive_lanes=in_lanes(drive))
+    try:
+        filtered = bandpass(drive, instrument.sample_rate_hz, band_hz.low_hz, band_hz.high_hz)
+    except IdentificationError:
+        # The route of each device reports it.
+        return prepared
+    return replace(prepared, filtered_drive_v=filtered)
 
 
 def shared_record(config: RunConfig) -> FitRecord:
@@ -127,34 +139,74 @@ def effect_sizes(config: RunConfig, model: Model, n: int, device_id: str, lot: s
     return out
 
 
-def virtual_volts(config: RunConfig, drawn: Draw, i: int) -> FloatArray:
-    """Pick-off volts (N, 2) of device ``i`` of a draw, before hum, noise and ADC; raises as :func:`virtual_model`."""
-    instrument = config.instrument.instrument()
-    shared = shared_record(config).record
-    physical = physical_of(drawn.true)[i : i + 1]
+def virtual_banks(config: RunConfig, drawn: Draw, devices: range) -> list[Bank] | None:
+    """Modes behind the filter of some ``devices`` of a draw, each a batch of one; ``None`` with other effects than linear ones.
+
+    Together, since each step takes hardly longer for all than for one.  The bank of a device does not depend on the others.
+
+    Raises
+    ------
+    ConfigError : as :func:`virtual_model`; a mode of a device does not oscillate.
+    """
     model = virtual_model(config)
-    values = dict(zip(PHYSICAL, physical[0].tolist()))
+    named = config.experiment.effects
+    if config.effects or any(model.effect(name).stages != ("mechanics",) for name in named):
+        return None
+    instrument = config.instrument.instrument()
+    physical = physical_of(drawn.true)[devices.start : devices.stop]
+    plant = gyro_mechanics(physical)
+    acting = [effect for effect in model.ordered_effects() if effect.name in named]
+    members = {effect.name: effect.members(model.built.shape) for effect in acting}
+    whole = []
+    for n, i in enumerate(devices):
+        mechanics = Mechanics(*(getattr(plant, name)[n : n + 1] for name in _PARTS))
+        values = _values(config, drawn, i, physical[n])
+        context = Context(instrument.bias_v, instrument.bias_v, values)
+        for effect in acting:
+            if effect.mechanics is not None:
+                own = [values[effect.full_name(member)] for member in members[effect.name]]
+                mechanics = effect.mechanics(mechanics, np.array(own), context)
+        whole.append(mechanics)
+    joined = Mechanics(*(np.concatenate([getattr(one, name) for one in whole]) for name in _PARTS))
+    bank = behind_filter(modes_of(joined), instrument.antialias)
+    return [Bank(bank.poles[n : n + 1], bank.residues[n : n + 1]) for n in range(len(devices))]
+
+
+def _values(config: RunConfig, drawn: Draw, i: int, physical: FloatArray) -> dict[str, float]:
+    """Parameters of the plant, from ``physical`` (12,), and of the effects in [experiment], of device ``i`` of a draw."""
+    values = dict(zip(PHYSICAL, physical.tolist()))
     for name, parameters in drawn.effects.items():
         if name in config.experiment.effects:
             values |= {f"{name}.{parameter}": float(value[i]) for parameter, value in parameters.items()}
-    if not config.effects and all(model.effect(name).stages == ("mechanics",) for name in config.experiment.effects):
-        # Linear mechanics: the modal bank is ten times as fast as the general forward model, with the same result.
-        mechanics = gyro_mechanics(physical)
-        context = Context(instrument.bias_v, instrument.bias_v, values)
-        for effect in model.ordered_effects():
-            if effect.name in config.experiment.effects and effect.mechanics is not None:
-                own = [values[effect.full_name(member)] for member in effect.members(model.built.shape)]
-                mechanics = effect.mechanics(mechanics, np.array(own), context)
-        bank = behind_filter(modes_of(mechanics), instrument.antialias)
-        return respond(bank, shared.drive_v, instrument.sample_rate_hz, instrument.hold)[0]
-    values |= effect_sizes(config, model, int(drawn.index[i]), drawn.device_id[i], drawn.lot[i])
-    return forward(model, values, shared, instrument)
+    return values
 
 
-def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray, FloatArray, float]:
-    """Silent and fit record, (N, 2) [V], of device ``i`` of a draw, and sigma [V]; raises as :func:`virtual_model`."""
+def virtual_volts(config: RunConfig, drawn: Draw, i: int, bank: Bank | None = None) -> FloatArray:
+    """Pick-off volts (N, 2) of device ``i`` of a draw, before hum, noise and ADC; raises as :func:`virtual_banks`.
+
+    ``bank`` is that of :func:`virtual_banks`, where it is known already.
+    """
     instrument = config.instrument.instrument()
-    volts = virtual_volts(config, drawn, i)
+    shared = shared_record(config)
+    if bank is None:
+        banks = virtual_banks(config, drawn, range(i, i + 1))
+        bank = None if banks is None else banks[0]
+    if bank is not None:
+        # Linear mechanics: the modal bank is ten times as fast as the general forward model, with the same result.
+        rate, hold = instrument.sample_rate_hz, instrument.hold
+        return respond(bank, shared.record.drive_v, rate, hold, shared.drive_lanes)[0]
+    model = virtual_model(config)
+    values = _values(config, drawn, i, physical_of(drawn.true)[i])
+    values |= effect_sizes(config, model, int(drawn.index[i]), drawn.device_id[i], drawn.lot[i])
+    return forward(model, values, shared.record, instrument)
+
+
+def virtual_records(
+    config: RunConfig, drawn: Draw, i: int, bank: Bank | None = None
+) -> tuple[FloatArray, FloatArray, float]:
+    """Silent and fit record, (N, 2) [V], of device ``i`` of a draw, and sigma [V]; as :func:`virtual_volts`."""
+    instrument = config.instrument.instrument()
+    volts = virtual_volts(config, drawn, i, bank)
     sigma = config.noise.sigma_v or DEFAULT_SIGMA_V
     if config.noise.snr_db is not None:
         window = window_slice(volts, instrument.sample_rate_hz, config.identification.window_s)
@@ -167,15 +219,20 @@ def virtual_records(config: RunConfig, drawn: Draw, i: int) -> tuple[FloatArray,
     return silent, measured(volts, rate, sigma, hum, instrument.adc, random, kind), sigma
 
 
-def fit_virtual(config: RunConfig, drawn: Draw, i: int, angular_gain: float) -> Fitted | DeviceResult:
-    """Simulate the records of device ``i`` of a draw, measure the noise on the silent one, fit the device and sample it."""
+def fit_virtual(
+    config: RunConfig, drawn: Draw, i: int, angular_gain: float, bank: Bank | None = None
+) -> Fitted | DeviceResult:
+    """Simulate the records of device ``i`` of a draw, measure the noise on the silent one, fit the device and sample it.
+
+    ``bank`` as for :func:`virtual_volts`.
+    """
     instrument = config.instrument.instrument()
     shared = shared_record(config)
-    silent, fit, _ = virtual_records(config, drawn, i)
+    silent, fit, _ = virtual_records(config, drawn, i, bank)
     noise = noise_spectrum(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
     record = Record("chirp", instrument.sample_rate_hz, shared.record.drive_v, fit, role="fit")
     return fit_device(
-        [FitRecord(record, shared.band, shared.nuisance)],
+        [replace(shared, record=record)],
         noise,
         instrument,
         settings_of(config),

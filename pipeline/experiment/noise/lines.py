@@ -73,10 +73,15 @@ def without_lines(y: FloatArray, sample_rate_hz: float, line_hz: float | None) -
     samples = y.shape[0]
     cycles = None if line_hz is None else samples * line_hz / sample_rate_hz
     if cycles is not None and abs(cycles - round(cycles)) < 1e-9:
-        # Lines that fall on bins are orthogonal, so zeroing their bins is the least-squares solution.
-        spectrum = rfft(y, axis=0)
-        spectrum[: MOST_HARMONICS * round(cycles) + 1 : round(cycles)] = 0.0
-        return np.asarray(irfft(spectrum, n=samples, axis=0))
+        # Lines that fall on bins are orthogonal, so their bins are the least-squares solution.  They are those of the mean of
+        # the parts of a record within which all lines have whole periods.
+        parts = math.gcd(samples, round(cycles))
+        folded = y.reshape(parts, samples // parts, -1)
+        spectrum = rfft(folded.mean(axis=0), axis=0)
+        bins = slice(0, MOST_HARMONICS * round(cycles) // parts + 1, round(cycles) // parts)
+        lines = np.zeros_like(spectrum)
+        lines[bins] = spectrum[bins]
+        return np.asarray((folded - irfft(lines, n=samples // parts, axis=0)).reshape(y.shape))
     return y - fitted_lines(y, sample_rate_hz, line_hz, False)
 
 
@@ -92,7 +97,7 @@ def silent_residual(y: FloatArray, sample_rate_hz: float, line_hz: float | None)
     """A silent record y (N, S) [V] without offset, trend and lines, (N, S), and its variance (S,) [V^2]."""
     samples = y.shape[0]
     residual = without_lines(y - fitted_lines(y, sample_rate_hz, None, True), sample_rate_hz, line_hz)
-    return residual, np.sum(residual**2, axis=0) / silent_dof(samples, sample_rate_hz, line_hz)
+    return residual, np.vecdot(residual.T, residual.T) / silent_dof(samples, sample_rate_hz, line_hz)
 
 
 def silent_dof(samples: int, sample_rate_hz: float, line_hz: float | None) -> int:

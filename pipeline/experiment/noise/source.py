@@ -80,9 +80,10 @@ def noise_volts(
         gain = np.sqrt(1.0 + kind.corner_hz / np.maximum(frequency, frequency[1]))
         spectrum = rfft(random.standard_normal((whole, senses)), axis=0) * gain[:, None]
         return np.asarray(sigma_v * irfft(spectrum, n=whole, axis=0))[:samples]
-    white = sigma_v * random.standard_normal(volts.shape)
+    white = random.standard_normal(volts.shape)
+    white *= sigma_v
     if kind.kind == "white":
-        return np.asarray(white)
+        return white
     common = random.standard_normal((samples, 1))
     if kind.kind == "gain":
         return np.asarray(white + kind.gain_noise * volts * common)

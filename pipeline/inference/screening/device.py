@@ -17,6 +17,7 @@ from ...arrays import FloatArray
 from ...device.mechanics import Modes
 from ...experiment.antialias import behind_filter
 from ...experiment.forward.modal_bank import respond
+from ...experiment.forward.recursion import Lanes
 from ...experiment.instrument import Instrument
 from ...experiment.noise.spectrum import NoiseSpectrum
 from ...experiment.record import Record
@@ -55,11 +56,17 @@ class IdentificationSettings:
 
 @dataclass(frozen=True, eq=False)
 class FitRecord:
-    """A fit record with its band and nuisance basis (2 W, L) [1], shared by all devices with the same drive."""
+    """A fit record with its band and nuisance basis (2 W, L) [1], shared by all devices with the same drive.
+
+    ``filtered_drive_v`` is its drive behind the bandpass of the paper's route (N, 2) [V], and ``drive_lanes`` its drive as the
+    modal bank takes it, where they are known already.
+    """
 
     record: Record
     band: Band
     nuisance: FloatArray
+    filtered_drive_v: FloatArray | None = None
+    drive_lanes: Lanes | None = None
 
 
 def prepare(record: Record, instrument: Instrument, settings: IdentificationSettings) -> FitRecord:
@@ -131,11 +138,16 @@ def best_fit(
     return best
 
 
-def model_volts(x: FloatArray, drive_v: FloatArray, instrument: Instrument) -> FloatArray:
-    """Pick-off volts (N, 2) [V] after the anti-alias filter, of parameters x (12,) or (14,) under a drive (N, 2) [V]."""
+def model_volts(
+    x: FloatArray, drive_v: FloatArray, instrument: Instrument, drive_lanes: Lanes | None = None
+) -> FloatArray:
+    """Pick-off volts (N, 2) [V] after the anti-alias filter, of parameters x (12,) or (14,) under a drive (N, 2) [V].
+
+    ``drive_lanes`` is the drive as the modal bank takes it, where that is known already.
+    """
     poles, residues = modes_at(x)
     bank = behind_filter(Modes(poles[None], residues[None]), instrument.antialias)
-    return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold)[0]
+    return respond(bank, drive_v, instrument.sample_rate_hz, instrument.hold, drive_lanes)[0]
 
 
 def identify_device(
@@ -188,7 +200,12 @@ def fit_device(
         try:
             found.append(
                 identify_record(
-                    item.record, instrument, settings.order, (settings.low_hz, settings.high_hz), settings.window_s
+                    item.record,
+                    instrument,
+                    settings.order,
+                    (settings.low_hz, settings.high_hz),
+                    settings.window_s,
+                    filtered_drive_v=item.filtered_drive_v,
                 )
             )
         except IdentificationError as error:
@@ -213,7 +230,7 @@ def fit_device(
         fit, records, data = refilled_fit(
             fit, records, data, sigma_v, lambda x, v: model_volts(x, v, instrument), prior
         )
-    models = [model_volts(fit.x, record.drive_v, instrument) for record in records]
+    models = [model_volts(fit.x, i.record.drive_v, instrument, i.drive_lanes) for i in fit_records]
     quality = full_band_quality(records, models, noise, settings.line_hz)
     if quality.louder:
         quality, data = with_dependent_noise(quality, data, records, models, noise, settings.line_hz)

@@ -63,7 +63,7 @@ class FullBandQuality:
 
 def _squares(y: FloatArray) -> FloatArray:
     """Sums (S,) [V^2] of the squares of y (N, S)."""
-    return np.array([column @ column for column in y.T])
+    return np.asarray(np.vecdot(y.T, y.T))
 
 
 def _mean_square(rest: FloatArray, noise: NoiseSpectrum, line_hz: float | None, dependent: FloatArray) -> float:
@@ -89,7 +89,7 @@ def full_band_quality(
     weight = np.array([rest.shape[0] for rest in rests], dtype=float)
     squares = [_mean_square(rest, noise, line_hz, np.zeros(rest.shape[1])) for rest in rests]
     relative = [
-        math.sqrt(float(_squares(rest).sum()) / max(float(_squares(r.sense_v).sum()), 1e-300))
+        math.sqrt(float(np.vdot(rest, rest)) / max(float(np.vdot(r.sense_v, r.sense_v)), 1e-300))
         for rest, r in zip(rests, records)
     ]
     square = float(np.average(squares, weights=weight))
