@@ -37,7 +37,8 @@ class Rules:
     ----------
     alpha : family-wise probability of naming a term where none is present.
     alpha_left : probability of calling noise structured ("unknown").
-    rungs : largest number of terms that may be added; the candidates are its only limit unless one is given.
+    rungs : largest number of terms that may be added where the noise is known, so that structure that is left shows that the
+        library lacks something; elsewhere the candidates are the only limit.
     least_share : smallest share of the misfit that a term must explain; less means that something else is missing.
     least_expected : smallest share of the misfit that a score must expect for a refit to be worth its time.
     same_promise : promises that differ by less than this share are equal: a refused term is not refitted again while its own has
@@ -48,7 +49,7 @@ class Rules:
 
     alpha: float = ALPHA
     alpha_left: float = ALPHA
-    rungs: float = np.inf
+    rungs: int = 4
     least_share: float = 0.15
     least_expected: float = 0.05
     same_promise: float = 0.2

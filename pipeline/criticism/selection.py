@@ -70,7 +70,7 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
     refused: dict[str, str] = {}
     unfinished: dict[str, str] = {}
     refusals: dict[str, Refusal] = {}
-    while len(steps) < rules.rungs:
+    while len(steps) < rules.rungs or not tests[-1].fit.noise_known:
         found = _next(cache, tests[-1], refusals, frozenset(refused), rules)
         refusals |= found.refusals
         refused |= {**found.refused, **found.failed}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from .effect import Effect, numbered
 
-#: Most modes that one effect may add to a model: a ladder has at most as many rungs (``criticism.fit_tests.Rules``).
+#: Most modes that one effect may add to a model, each by a rung of its own.
 MOST_MODES = 6
 
 

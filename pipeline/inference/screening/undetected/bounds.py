@@ -212,6 +212,10 @@ def _grouped(of_columns: tuple[str, ...]) -> tuple[tuple[str, ...], _Group, _Gro
     return effects, groups[0], groups[1]
 
 
+#: Relative precision of what an effect explains: two versions of the scores, in double and in single precision, agree to 4e-5.
+_ROUNDING = 1e-4
+
+
 def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:
     """The most significant effect of all, and the largest bound of each of the ``quantities`` (Q,)."""
     effects = [name for one in found for name in one.effects]
@@ -220,8 +224,7 @@ def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:
     p_values = np.concatenate([one.p_values for one in found])
     explained = np.concatenate([one.explained for one in found])
     bounds = np.concatenate([one.bounds for one in found])
-    # Probabilities of loud effects are 0; the one that explains most is then the closest.
-    best = int(np.lexsort((-explained, p_values))[0])
+    best = _closest(p_values, explained)
     family = float(-np.expm1(len(effects) * np.log1p(-min(p_values[best], 1.0 - 1e-16))))
     return Undetected(
         effects[best],
@@ -230,6 +233,18 @@ def summary(found: Sequence[Judged], quantities: Sequence[str]) -> Undetected:
         {name: effects[i] for name, i in zip(quantities, bounds.argmax(axis=0))},
         dict(zip(effects, p_values.tolist())),
     )
+
+
+def _closest(p_values: FloatArray, explained: FloatArray) -> int:
+    """The most significant effect; the first of those whose scores are equal to rounding.
+
+    A short delay and a fast pole have one signature: without this, rounding named one or the other in 8 of 400 devices.
+    """
+    # Probabilities of loud effects are 0; the one that explains most is then the closest.
+    best = int(np.lexsort((-explained, p_values))[0])
+    margin = _ROUNDING * explained[best]
+    equal = (explained >= explained[best] - margin) & (p_values <= p_values[best] * np.exp(min(margin, 700.0)))
+    return int(np.flatnonzero(equal)[0])
 
 
 def _single(
