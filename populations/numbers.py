@@ -11,7 +11,6 @@ on its batch.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
@@ -22,7 +21,6 @@ from pipeline.arrays import FloatArray, IntArray
 
 from .layout import die_centres
 from .nominal import Wafer
-from .seeding import generators
 
 
 @lru_cache(maxsize=32)
@@ -58,32 +56,32 @@ class SeededNumbers:
 
     seed: int
 
-    def _generators(self, stream: str, keys: Sequence[int]) -> Iterator[np.random.Generator]:
-        return generators(self.seed, zlib.crc32(stream.encode()), keys)
+    def _generator(self, stream: str, key: int) -> np.random.Generator:
+        spawn_key = (zlib.crc32(stream.encode()), key)
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=spawn_key)))
 
     def normal(self, stream: str, keys: IntArray, size: int) -> FloatArray:
         """Standard normals (size, B) [1]; equal keys share them."""
         own, back = np.unique(keys, return_inverse=True)
         drawn = np.empty((size, len(own)))
-        for column, random in enumerate(self._generators(stream, own.tolist())):
-            drawn[:, column] = random.standard_normal(size)
+        for column, key in enumerate(own.tolist()):
+            drawn[:, column] = self._generator(stream, key).standard_normal(size)
         return np.take(drawn, back, axis=1)
 
     def uniform(self, stream: str, keys: IntArray) -> FloatArray:
         """Uniform numbers (B,) [1] in [0, 1); equal keys share them."""
         own, back = np.unique(keys, return_inverse=True)
-        drawn = np.array([random.random() for random in self._generators(f"{stream}/uniform", own.tolist())])
+        drawn = np.array([self._generator(f"{stream}/uniform", key).random() for key in own.tolist()])
         return np.take(drawn, back)
 
     def fixed(self, stream: str, size: int) -> FloatArray:
         """Standard normals (size,) [1], the same for all devices."""
-        (random,) = self._generators(stream, [0])
-        return random.standard_normal(size)
+        return self._generator(stream, 0).standard_normal(size)
 
     def field(self, stream: str, keys: IntArray, die: IntArray, wafer: Wafer, length_mm: float) -> FloatArray:
         """Gaussian process (B,) [1] on each wafer."""
         factor = field_factor(wafer, length_mm)
         own, back = np.unique(keys, return_inverse=True)
         # One product per wafer: the rounding of BLAS depends on the shape of the matrices.
-        maps = [factor @ random.standard_normal(len(factor)) for random in self._generators(stream, own.tolist())]
+        maps = [factor @ self._generator(stream, key).standard_normal(len(factor)) for key in own.tolist()]
         return np.ascontiguousarray(np.stack(maps)[back, die])

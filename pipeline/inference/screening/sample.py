@@ -8,8 +8,8 @@ independence Metropolis-Hastings with a multivariate t proposal.  Elsewhere (bou
 and differential-evolution moves of emcee runs until it converges or reaches the
 largest number of steps.
 
-Shapes: E ensembles, n walkers, L kept steps, P = 12 or 14 parameters.  In points (n, P) neighbouring points lie side by side in
-memory, because all loops run along the points.
+Shapes: E ensembles, n walkers, L kept steps, P = 12 or 14 parameters.  Points (n, P) are held with neighbouring points side by side
+in memory, because all loops over them run along the points.
 """
 
 from __future__ import annotations
