@@ -32,7 +32,7 @@ from ...experiment.noise.lines import MOST_HARMONICS
 from .columns import feature_columns
 from .inband import Band
 from .mismatch import MismatchPrior
-from .triangle import Part, triangle_of
+from .triangle import FeatureRows, triangle_of
 from .whitening import BandNoise, covariance, rest_chi2, white_noise, whiten
 
 #: Samples of waves that are transformed at once: 32 lines of the paper's record; all lines of a long one took 18 times its size.
@@ -119,9 +119,11 @@ def nuisance_basis(band: Band, line_hz: float | None) -> FloatArray:
     return np.ascontiguousarray(left[:, size > 1e-6 * np.sqrt(band.samples)])
 
 
-def _part(columns: FloatArray, record: BandData, sigma_v: FloatArray) -> Part:
+def _part(columns: FloatArray, record: BandData, sigma_v: FloatArray) -> FeatureRows:
     """A record with its features (2 W, J) [V], in units of the noise where that is white; sigma (S,) [V]."""
-    return Part(columns, _stacked(record.spectrum) / sigma_v, record.nuisance, math.sqrt(2.0 / record.band.samples))
+    return FeatureRows(
+        columns, _stacked(record.spectrum) / sigma_v, record.nuisance, math.sqrt(2.0 / record.band.samples)
+    )
 
 
 def compress(

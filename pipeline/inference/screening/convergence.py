@@ -64,7 +64,8 @@ def _covariance(chains: FloatArray, means: FloatArray, lag: int) -> float:
 def _autocorrelation_time(chains: FloatArray, means: FloatArray, between: float) -> float:
     """-1 + 2 sum rho_t over Geyer's sequences, of chains (C, n); the last odd term counts once where it is even.
 
-    ``means`` (C,) are those of the chains, ``between`` is their variance B/n.  The lags after the end of the sequence are not computed.
+    ``means`` (C,) are those of the chains, ``between`` is their variance B/n.  The lags after the end of the sequence are not
+    computed.
     """
     n = chains.shape[1]
     within = _covariance(chains, means, 0) * n / (n - 1.0)

@@ -161,7 +161,7 @@ def _descend(start: FloatArray, likelihood: Compressed, reach: float) -> tuple[F
 def _covariance(j: FloatArray) -> FloatArray:
     """(J^T J)^-1 (P, P) of J (n, P), by QR in units of each column's norm: the eigenvalues span twelve decades."""
     scale = np.linalg.norm(j, axis=0)
-    triangle = np.linalg.qr(j / scale, mode="r")
+    triangle = np.asarray(np.linalg.qr(j / scale, mode="r"))
     size = np.abs(triangle.diagonal())
     if size.min() > _SINGULAR * size.max():
         inverse, _ = dtrtri(triangle)

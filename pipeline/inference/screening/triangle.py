@@ -31,7 +31,7 @@ _AT_ONCE = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class FeatureRows:
     """One record: ``columns`` A (2 W, J), ``data`` y (2 W, S) and an orthonormal ``nuisance`` basis n (2 W, L) [1].
 
     ``scale`` times A and y are in units of the sd of the noise.
@@ -55,13 +55,13 @@ class Part:
         return np.asarray(dgemm(-1.0, self.nuisance, along, 1.0, both.T, trans_b=True, overwrite_c=True))
 
 
-def triangle_of(parts: Sequence[Part]) -> FloatArray:
+def triangle_of(parts: Sequence[FeatureRows]) -> FloatArray:
     """T (n, n), upper triangular, of all records of a device together."""
     found = _by_gram(parts)
     return _by_reflections(parts) if found is None else found
 
 
-def _by_gram(parts: Sequence[Part]) -> FloatArray | None:
+def _by_gram(parts: Sequence[FeatureRows]) -> FloatArray | None:
     """T by the Gram matrix; ``None`` where rounding would show."""
     features, count = parts[0].columns.shape[1], parts[0].columns.shape[1] + parts[0].data.shape[1]
     gram, square = np.zeros((count, count)), np.zeros(count)
@@ -85,7 +85,7 @@ def _by_gram(parts: Sequence[Part]) -> FloatArray | None:
     return np.asarray(found * size)
 
 
-def _by_reflections(parts: Sequence[Part]) -> FloatArray:
+def _by_reflections(parts: Sequence[FeatureRows]) -> FloatArray:
     """T by Householder reflections, record after record."""
     count = parts[0].columns.shape[1] + parts[0].data.shape[1]
     found = np.zeros((count, count), order="F")

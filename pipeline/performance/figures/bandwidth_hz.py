@@ -62,8 +62,10 @@ def _bandwidth(omega0: FloatArray, detuning: FloatArray, damping: FloatArray, ou
         nu = math.sqrt(x)
         # d ln |G/G(0)|^2 / d ln nu of the approximation at its root.
         away = whole - x
-        slope = 2.0 * x * (
-            gamma2 / (whole * whole + gamma2 * x) + (2.0 * away - 4.0 * gamma2) / (away * away + 4.0 * gamma2 * x)
+        slope = (
+            2.0
+            * x
+            * (gamma2 / (whole * whole + gamma2 * x) + (2.0 * away - 4.0 * gamma2) / (away * away + 4.0 * gamma2 * x))
         )
         for _ in range(_STEPS):
             step = (1.0 - _response(omega0[n], d, c2, nu) / level) / slope
