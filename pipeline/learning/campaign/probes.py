@@ -19,7 +19,7 @@ from ...experiment.record import Record
 from ...inference.general.fit import CampaignFit
 from ...inference.general.residuals import CampaignResiduals
 from .generic_shapes import drive_families, force_families, volt_families
-from .rows import FourierRows
+from .rows import FourierRows, white_rows
 
 
 def probe_signatures(
@@ -41,9 +41,13 @@ def probe_signatures(
             found = _predicted_shapes(known[record.name].predicted_v, record.sample_rate_hz)
             found |= _shapes(system, group, k, starts)
             families = {name: columns.shape[0] for name, columns in found.items()}
+            rows = np.empty((sum(families.values()), 2 * spectra[place].bins.size * record.sense_v.shape[1]))
             # One family at a time: whitening and transform need a copy of what they take.
-            rows = [spectra[place](problem.whiten(columns, tasks.each[place])) for columns in found.values()]
-            blocks[place] = np.concatenate([one.reshape(one.shape[0], -1) for one in rows]).T
+            first = 0
+            for columns in found.values():
+                rows[first : first + columns.shape[0]] = white_rows(problem, tasks.each[place], spectra[place], columns)
+                first += columns.shape[0]
+            blocks[place] = rows.T
     edges = np.cumsum([0, *families.values()]).tolist()
     return Signatures(
         tuple(

@@ -23,6 +23,7 @@ from ...inference.general.fit import CampaignFit
 from ...inference.general.goodness import structured_misfit
 from ...inference.general.linear_step import Sensitivity
 from ...inference.general.record_fit import RecordFit
+from ...inference.general.residuals import CampaignResiduals, Task
 from ...inference.general.resonances import resonances_of
 
 #: Two modes overlap if their frequencies differ by less than this many half-widths.
@@ -70,6 +71,13 @@ def spectra_of(record: Record, top_hz: float) -> FourierRows:
     frequency = bins * rate / n
     kept = frequency <= top_hz
     return FourierRows(n, bins[kept], frequency[kept], top_hz)
+
+
+def white_rows(problem: CampaignResiduals, task: Task, spectrum: FourierRows, y: FloatArray) -> FloatArray:
+    """Rows (k, 2 F S) [sigma] of changes y (k, N, S) [V] of the record of ``task``."""
+    # A free offset is the bin at zero, which is not among the rows.
+    plain = task.basis.shape[1] == 1 and task.masked is None and task.whitening.is_white
+    return spectrum(y / problem.sigma_v if plain else problem.whiten(y, task)).reshape(y.shape[0], -1)
 
 
 def strata_of(spectra: FourierRows, senses: int) -> IntArray:

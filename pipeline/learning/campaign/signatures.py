@@ -29,7 +29,7 @@ from ...inference.general.fit import CampaignFit
 from ...inference.general.free_disturbances import free_shapes
 from ...inference.general.linear_step import relative_change
 from ...inference.general.residuals import CampaignResiduals, Tasks
-from .rows import FourierRows
+from .rows import FourierRows, white_rows
 
 #: A direction enters as (cos a, sin a), so the signatures at two angles span those at all.
 _AXES_DEG = (0.0, 90.0)
@@ -98,11 +98,7 @@ def known_signatures(
     tasks = problem.tasks(records, fitted.values)
 
     def rows(index: int, y: FloatArray) -> FloatArray:
-        # A free offset is the bin at zero, which is not among the rows.
-        task = tasks.each[index]
-        plain = task.basis.shape[1] == 1 and task.whitening.is_white
-        white = y / problem.sigma_v if plain else problem.whiten(y, task)
-        return spectra[index](white).reshape(y.shape[0], -1)
+        return white_rows(problem, tasks.each[index], spectra[index], y)
 
     tangent = tangent_of(fitted, tasks, problem.instrument, records, rows)
     sizes = [2 * s.bins.size * record.sense_v.shape[1] for s, record in zip(spectra, records)]
