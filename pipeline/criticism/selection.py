@@ -36,6 +36,7 @@ class ForwardSelection:
     failed : why the first fit, or every fit with a term that was wanted first, failed.
     unfinished : term -> why its fit failed, although its score promises as much as the misfit that is left at the end (within
         ``same_promise``), and more than any term whose refit was judged.
+    not_tried : terms that are significant at the end, but were never refitted because ``Rules.rungs`` terms were added.
     fits : every fit made, by its terms; the first entry is the first fit.
     """
 
@@ -44,6 +45,7 @@ class ForwardSelection:
     refused: Mapping[str, str] = field(default_factory=dict)
     failed: str = ""
     unfinished: Mapping[str, str] = field(default_factory=dict)
+    not_tried: tuple[str, ...] = ()
     fits: Fits = field(default_factory=dict)
 
     @property
@@ -80,10 +82,10 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
                 failed = f"no fit with {', '.join(found.failed)} succeeded ({next(iter(found.failed.values()))})"
             promised = {score.name: score.delta_chi2 for score in tests[-1].scores}
             # chi2 of the noise scatters by sqrt(2 dof), and a score that expects the whole misfit by as much.
-            left = tests[-1].fit.chi2 - tests[-1].fit.dof - 2.0 * np.sqrt(2.0 * tests[-1].fit.dof)
+            excess = tests[-1].fit.chi2 - tests[-1].fit.dof - 2.0 * np.sqrt(2.0 * tests[-1].fit.dof)
             # A term that promises less than one whose refit was judged would not have explained more than that one.
             judged = max((promised.get(name, 0.0) for name in found.refused), default=0.0)
-            enough = max((1.0 - rules.same_promise) * left, judged)
+            enough = max((1.0 - rules.same_promise) * excess, judged)
             unfinished = {name: why for name, why in found.failed.items() if promised[name] > enough}
             break
         current, dropped = _prune(cache, found.steps[-1].fit, rules)
@@ -93,7 +95,10 @@ def forward_selection(problem: Problem, terms: tuple[str, ...] = (), rules: Rule
         tests.append(cache.tests(current, rules))
         if _to_be_corrected(tests[0], found.steps):
             break
-    return ForwardSelection(tuple(tests), tuple(steps), refused, failed, unfinished, cache.fits)
+    complete = len(steps) >= rules.rungs and tests[-1].fit.noise_known
+    left = tests[-1].significant(rules.alpha) if complete else ()
+    not_tried = tuple(score.name for score in left if score.name not in refused)
+    return ForwardSelection(tuple(tests), tuple(steps), refused, failed, unfinished, not_tried, cache.fits)
 
 
 def _to_be_corrected(first: FitTests, steps: Sequence[SelectionStep]) -> bool:

@@ -328,6 +328,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     ----------
     refused : effect -> why it was not added although its score was significant.
     not_refitted : those of them that were never refitted, because their score expects too little of the misfit.
+    not_tried : effects whose score is significant at the end, but the ladder has the largest number of rungs.
     noise_louder : as in ``DiagnosisAnswer``, for the last model.
     limits : by which the rungs are judged: "own", "shipped", or "none" for a gyro outside the band that the shipped ones are for.
     regions, regions_by_kind : where the first model failed, with what the last one leaves there.
@@ -345,6 +346,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     left: str
     why: str
     not_refitted: tuple[str, ...] = ()
+    not_tried: tuple[str, ...] = ()
     limits: str | UnsetType = UNSET
     noise_louder: float | UnsetType = UNSET
     hints: tuple[str, ...] | UnsetType = UNSET

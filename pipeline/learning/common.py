@@ -103,6 +103,7 @@ def refinement_answer(ladder: Ladder) -> RefinementAnswer:
         not_refitted=tuple(
             name for name in ladder.refused if not any(name in terms for terms in ladder.selection.fits)
         ),
+        not_tried=ladder.selection.not_tried,
     )
     if not ladder.rungs:
         return answer

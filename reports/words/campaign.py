@@ -195,6 +195,16 @@ def partial_sentence(names: Sequence[str], held_out: bool) -> str:
     return f"Partial: {effects_listed(names)} {are} significant on the fitted records, but {but}."
 
 
+def not_tried_sentence(rungs: int, names: Sequence[str]) -> str:
+    """Why a ladder with this number of added effects went no further, which effects it did not try, and how to go on."""
+    were = "s were" if len(names) > 1 else " was"
+    return (
+        f"The ladder ends after {rungs} effects, because more would only imitate something that the library lacks. "
+        f"The following significant effect{were} not tried: {effects_listed(names)}. To go on, add the effects that were found "
+        "to a model file (gyroscreen model add EFFECT MODEL.toml) and refine that model (gyroscreen refine --model MODEL.toml)."
+    )
+
+
 def modal_partial_sentence(noise_known: bool) -> str:
     """Why no effect of a modal record is confirmed."""
     noise = "" if noise_known else " The misfit that remains serves as the noise level."
@@ -232,6 +242,8 @@ def notes(answer: DiagnosisAnswer | RefinementAnswer) -> list[str]:
         found.append(partial_sentence(partial, any(rung.error_validate is not None for rung in ladder)))
     if answer.verdict == "unknown" and answer.left:
         found.append(f"Remaining structure: {remaining_words(answer.left)}.")
+    if isinstance(answer, RefinementAnswer) and answer.not_tried:
+        found.append(not_tried_sentence(len(ladder) - 1, answer.not_tried))
     return [*found, *record_sentences(answer), *(answer.hints or ())]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -179,3 +180,13 @@ def test_nothing_is_refitted_beside_a_term_that_leaves_nothing_and_its_class_is_
     # Both promise the same, and neither can exceed the other.
     assert len(selection.fits) == 2
     assert set(as_ladder(problem, selection, RULES).classes[0].members) == {"cube", "cube_like"}
+
+
+def test_a_ladder_that_ends_after_the_most_effects_says_which_significant_one_it_did_not_try(toy: Any) -> None:
+    hidden = {"square": 20.0, "cube": 20.0, "bump": 20.0}
+    problem = toy.problem(1, hidden)
+    whole, short = forward_selection(problem, rules=RULES), forward_selection(problem, rules=replace(RULES, rungs=2))
+    assert set(whole.added) == set(hidden)
+    assert whole.not_tried == ()
+    assert set(hidden) - set(short.added) <= set(short.not_tried)
+    assert not set(short.added) & set(short.not_tried)

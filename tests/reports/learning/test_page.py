@@ -16,6 +16,7 @@ from pipeline.device.effect import find_effects
 from pipeline.learning.answers import PairAnswer, Place, TermTest
 from reports.learning.page import render_learning_page
 from reports.learning.record_view import RecordView
+from reports.words.campaign import notes
 
 Build = Callable[..., Any]
 NONE = "–"
@@ -313,3 +314,10 @@ def test_effects_that_were_never_refitted_are_not_shown_as_refused(comparison: B
     assert "not refitted, because too little of the misfit was expected of it: pick-off pole" in text
     assert "held out: 1.3 sd, 2 would confirm it" in text
     assert page.count(">refused<") == 1
+
+
+def test_a_ladder_that_ends_with_significant_effects_names_them_and_says_how_to_go_on(refinement: Build) -> None:
+    note = notes(refinement(verdict="unknown", not_tried=("gain_drift", "pickoff_pole")))[-1]
+    assert "effects were not tried: gain drift and pick-off pole" in note
+    assert "gyroscreen refine --model" in note
+    assert "not tried" not in " ".join(notes(refinement(verdict="unknown")))
