@@ -73,6 +73,7 @@ class Ladder:
     regions : where the first model fails, each with the share of its excess that the last rung explains.
     p_left, left : p-value of the structure that is left, and "test: where".
     why : the reason of "fit_failed".
+    imitating : terms for which the verdict is "unknown" although they leave no misfit (``Judgement``).
     """
 
     selection: ForwardSelection
@@ -86,6 +87,7 @@ class Ladder:
     p_left: float = 1.0
     left: str = ""
     why: str = ""
+    imitating: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +108,7 @@ class Diagnosis:
     fit, fit_after : the given model, and the last one of the selection.
     wrong_form : term -> the partition between whose parts its fitted size differs.
     why : the reason of "fit_failed".
+    imitating : as of :class:`Ladder`.
     """
 
     verdict: Verdict
@@ -121,6 +124,7 @@ class Diagnosis:
     fit_after: FitResult | None
     wrong_form: Mapping[str, Agreement]
     why: str = ""
+    imitating: tuple[str, ...] = ()
 
 
 def refine(problem: Problem, terms: tuple[str, ...] = (), rules: Rules | None = None) -> Ladder:
@@ -154,6 +158,7 @@ def as_ladder(problem: Problem, selection: ForwardSelection, rules: Rules | None
         last.goodness.p_value,
         _left(last.goodness),
         why_failed(selection, judgement.verdict),
+        judgement.imitating,
     )
 
 
@@ -212,6 +217,7 @@ def as_diagnosis(problem: Problem, selection: ForwardSelection, rules: Rules | N
         last.fit,
         judgement.wrong_form,
         why_failed(selection, judgement.verdict),
+        judgement.imitating,
     )
 
 

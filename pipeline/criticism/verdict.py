@@ -92,6 +92,11 @@ class Judgement:
     wrong_form: Mapping[str, Agreement] = field(default_factory=dict)
     fits: Fits = field(default_factory=dict)
 
+    @property
+    def imitating(self) -> tuple[str, ...]:
+        """Added terms that leave no misfit together although one of them is not supported by itself; () for other verdicts."""
+        return tuple(item.term for item in self.classes) if self.verdict == "unknown" else ()
+
 
 def judge(problem: Problem, selection: ForwardSelection, rules: Rules) -> Judgement:
     """Verdict, classes and disagreeing sizes; rivals are refitted only where the model leaves no misfit."""

@@ -239,6 +239,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     p_left, left : p-value of the structure that is left once the named effects are in, and where it is.
     wrong_form : effects whose fitted size differs between records.
     why : the reason of "fit_failed".
+    imitating : effects that leave no misfit together; the verdict is "unknown" because one of them is not supported by itself.
     noise_louder : error where nothing is missing although the gate of ``identify`` refuses it: the noise of the driven records
         is this many times as loud as measured.
     hints : doubts about the campaign rather than the model.
@@ -256,6 +257,7 @@ class DiagnosisAnswer(Answer, frozen=True, eq=False):
     wrong_form: Mapping[str, SizeDisagreement]
     why: str
     separating_record: str | None = None
+    imitating: tuple[str, ...] = ()
     device_verdict: str | UnsetType = UNSET
     device_verdict_reason: str | UnsetType = UNSET
     noise_louder: float | UnsetType = UNSET
@@ -329,7 +331,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     refused : effect -> why it was not added although its score was significant.
     not_refitted : those of them that were never refitted, because their score expects too little of the misfit.
     not_tried : effects whose score is significant at the end, but the ladder has the largest number of rungs.
-    noise_louder : as in ``DiagnosisAnswer``, for the last model.
+    imitating, noise_louder : as in ``DiagnosisAnswer``, for the last model.
     limits : by which the rungs are judged: "own", "shipped", or "none" for a gyro outside the band that the shipped ones are for.
     regions, regions_by_kind : where the first model failed, with what the last one leaves there.
     relative_error, where, candidates_left, invisible, declared : of a modal record.
@@ -347,6 +349,7 @@ class RefinementAnswer(Answer, frozen=True, eq=False):
     why: str
     not_refitted: tuple[str, ...] = ()
     not_tried: tuple[str, ...] = ()
+    imitating: tuple[str, ...] = ()
     limits: str | UnsetType = UNSET
     noise_louder: float | UnsetType = UNSET
     hints: tuple[str, ...] | UnsetType = UNSET

@@ -84,6 +84,7 @@ def diagnosis_answer(found: Diagnosis) -> DiagnosisAnswer:
         left=found.left,
         wrong_form=_disagreements(found.wrong_form),
         why=found.why,
+        imitating=found.imitating,
     )
 
 
@@ -104,6 +105,7 @@ def refinement_answer(ladder: Ladder) -> RefinementAnswer:
             name for name in ladder.refused if not any(name in terms for terms in ladder.selection.fits)
         ),
         not_tried=ladder.selection.not_tried,
+        imitating=ladder.imitating,
     )
     if not ladder.rungs:
         return answer

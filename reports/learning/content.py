@@ -154,6 +154,7 @@ def learning_content(
         classes,
         added=refinement is not None,
         tried=tried,
+        imitating=last.imitating if last else (),
         noise_known=comparison.error.get("fit") is not None,
         louder=last.noise_louder or None if last else None,
         data="residues" if comparison.dof else "records",

@@ -92,6 +92,7 @@ def missing_sentence(
     *,
     added: bool,
     tried: Sequence[str] = (),
+    imitating: Sequence[str] = (),
     noise_known: bool = True,
     louder: float | None = None,
     data: str = "records",
@@ -104,6 +105,7 @@ def missing_sentence(
     effects, classes : the named effects, and the sets of effects that the data cannot distinguish.
     added : whether the effects are in the last model.
     tried : effects of the ladder, named where a misfit remains.
+    imitating : effects that remove the misfit together, though one of them is not supported by itself.
     noise_known : false where only relative errors are known.
     louder : how many times as loud as measured the noise of the driven records is, where that is so.
     data : "records" or "residues".
@@ -114,6 +116,11 @@ def missing_sentence(
         return "A misfit remains, and the fit of an effect that may explain it did not succeed."
     if verdict == "fit_failed":
         return "The model could not be fitted, so nothing can be said about missing effects."
+    if verdict == "unknown" and imitating:
+        return (
+            f"The missing effect could not be named: {effects_listed(imitating)} remove the misfit together, but at least one "
+            "of them has no support of its own. Together they may imitate an effect that the library lacks."
+        )
     if verdict == "unknown":
         names = list(effects or tried)
         but = f" {sentence(effects_listed(names))} {'do' if len(names) > 1 else 'does'} not remove it." if names else ""
@@ -240,7 +247,7 @@ def notes(answer: DiagnosisAnswer | RefinementAnswer) -> list[str]:
         found.append(modal_partial_sentence(ladder[0].error_fit is not None))
     elif partial and answer.verdict != "unknown":
         found.append(partial_sentence(partial, any(rung.error_validate is not None for rung in ladder)))
-    if answer.verdict == "unknown" and answer.left:
+    if answer.verdict == "unknown" and answer.left and not answer.imitating:
         found.append(f"Remaining structure: {remaining_words(answer.left)}.")
     if isinstance(answer, RefinementAnswer) and answer.not_tried:
         found.append(not_tried_sentence(len(ladder) - 1, answer.not_tried))

@@ -167,6 +167,7 @@ def _verdict(answer: DiagnosisAnswer | RefinementAnswer, noise_known: bool) -> s
         answer.classes,
         added=ladder is not None,
         tried=tuple(rung.effect for rung in ladder or () if rung.effect),
+        imitating=answer.imitating,
         noise_known=noise_known,
         louder=answer.noise_louder or None,
         data="residues" if answer.declared is not UNSET else "records",

@@ -111,7 +111,9 @@ def _require_positive(answer: ComparisonAnswer | DiagnosisAnswer | RefinementAns
         )
     if isinstance(answer, RefinementAnswer) and answer.verdict == "unknown":
         raise NegativeError(
-            "a misfit remains that no effect of the library explains",
+            "the missing effect could not be named"
+            if answer.imitating
+            else "a misfit remains that no effect of the library explains",
             value=answer.verdict,
             allowed="adequate or class",
             next_step="see where it lies with --out FOLDER; try effects of your own with --effects FOLDER",

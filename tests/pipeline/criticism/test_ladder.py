@@ -83,7 +83,7 @@ def test_a_term_outside_the_library_gives_unknown_and_no_confirmed_rung(toy: Any
         problem = toy.problem(seed, {"outside": 25.0})
         assert diagnose(problem, rules=RULES).verdict == "unknown"
         ladder = refine(problem, rules=RULES)
-        assert ladder.verdict == "unknown"
+        assert (ladder.verdict, ladder.imitating) == ("unknown", ())
         assert all(rung.status != "confirmed" for rung in ladder.rungs)
 
 
@@ -106,9 +106,10 @@ def test_terms_that_imitate_a_third_one_together_are_not_named(toy: Any) -> None
         assert {rung.term for rung in ladder.rungs} == {None, "left", "right"}
         assert ladder.rungs[2].delta_chi2 > 2.0 * ladder.rungs[1].delta_chi2
         assert ladder.verdict == "unknown"
+        assert set(ladder.imitating) == {"left", "right"}
         assert all(rung.status != "confirmed" for rung in ladder.rungs)
         both = diagnose(toy.problem(seed, {"left": 60.0, "right": 30.0}, library=library), rules=RULES)
-        assert (both.verdict, set(both.terms)) == ("effect", {"left", "right"})
+        assert (both.verdict, set(both.terms), both.imitating) == ("effect", {"left", "right"}, ())
 
 
 def test_a_superfluous_term_is_removed_once_the_right_one_is_added(toy: Any) -> None:

@@ -138,6 +138,13 @@ def test_the_headline_of_an_unknown_misfit_names_no_effect() -> None:
     )
 
 
+def test_effects_that_imitate_a_missing_one_together_are_not_said_to_leave_a_misfit() -> None:
+    names = ("cubic_stiffness", "hysteresis")
+    text = missing_sentence("unknown", names, (), added=True, tried=names, imitating=names)
+    assert "cubic stiffness and hysteresis remove the misfit together" in text
+    assert "remains" not in text
+
+
 def test_numbers_have_the_digits_that_matter() -> None:
     assert effect_words("offdiagonal_damping") == "off-diagonal damping"
     assert effect_words("tilt about the other axis (absorbed by updown_gain)").endswith("(absorbed by up-down gain)")
