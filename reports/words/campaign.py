@@ -60,7 +60,8 @@ class ErrorChange:
 
 
 def effect_words(name: str) -> str:
-    """Name of an effect in words: "pickoff_pole" is "pick-off pole"."""
+    """Name of an effect in words: "pickoff_pole" is "pick-off pole", and "internal_resonance_1_2" is "internal resonance 1:2"."""
+    name = re.sub(r"_(\d)_(\d)$", r" \1:\2", name)
     return re.sub(rf"\b({'|'.join(_SPELLED)})\b", lambda match: _SPELLED[match[0]], name.replace("_", " "))
 
 

@@ -25,6 +25,8 @@ _LEAST_MISFIT = 1e-3
 #: Half the width of a bar, and the width of the column of a refused effect, in rungs.
 _HALF, _NARROW = 0.14, 0.6
 _REFUSED_SHOWN = 4
+#: Characters of the names of models that fit side by side below the axes.
+_CHARACTERS = 125
 _FOUR = (("u₁", "s"), ("v₁", "o"), ("u₂", "D"), ("v₂", "^"))
 #: Offsets of the names of entries [points] that keep neighbours apart.
 _OFFSETS = ((9, 3), (9, -11), (-37, 3), (-37, -11))
@@ -61,12 +63,20 @@ def ladder_plot(ladder: Sequence[RungAnswer], refused: Sequence[str] = ()) -> Dr
 
 
 def _names(axes: Axes, ladder: Sequence[RungAnswer], refused: Sequence[str]) -> None:
-    names = [*(rung_name(rung.effect) for rung in ladder), *(effect_words(name) for name in refused)]
-    width = min(max(110 // len(names), 9), 24)
     edge = len(ladder) - 0.4
+    # As many characters of the axis' font as fit on a rung; a refused effect has a narrower column.
+    room = _CHARACTERS / (edge + 0.4 + _NARROW * len(refused))
+    names = [
+        *(_folded(rung_name(rung.effect), room) for rung in ladder),
+        *(_folded(effect_words(name), _NARROW * room) for name in refused),
+    ]
     places = [*range(len(ladder)), *(edge + _NARROW * (k + 0.5) for k in range(len(refused)))]
-    axes.set_xticks(places, [textwrap.fill(literal(name), width, break_long_words=False) for name in names])
+    axes.set_xticks(places, names)
     axes.set_xlim(-0.4, edge + _NARROW * len(refused))
+
+
+def _folded(name: str, room: float) -> str:
+    return textwrap.fill(literal(name), min(max(int(room) - 1, 9), 24), break_long_words=False)
 
 
 Pairs = Sequence[tuple[float | None, float | None]]
