@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from .campaign import effect_words, effects_listed
+
 
 @dataclass(frozen=True)
 class RunPhysics:
@@ -34,14 +36,14 @@ def physics_sentences(physics: RunPhysics) -> tuple[str, ...]:
             "gain": "white noise and gain noise",
         }
         out.append(
-            f"The virtual devices carry {_list(physics.carried)}, and {noise.get(physics.noise, f'{physics.noise} noise')}."
+            f"The virtual devices carry {_named(physics.carried)}, and {noise.get(physics.noise, f'{physics.noise} noise')}."
         )
     mismatch = " and the electrode mismatches, which contain an up-down tilt" if physics.mismatch else ""
     out.append(f"The fitted model has off-diagonal damping{mismatch}.")
     if physics.left_out:
-        out.append(f"Drawn by the population but not simulated: {_list(physics.left_out)}.")
+        out.append(f"Drawn by the population but not simulated: {effects_listed(physics.left_out)}.")
     return tuple(out)
 
 
-def _list(names: Sequence[str]) -> str:
-    return ", ".join(name.replace("_", " ") for name in names)
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(effect_words(name) for name in names)

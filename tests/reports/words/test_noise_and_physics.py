@@ -20,7 +20,7 @@ def test_identified_components_are_named_with_their_size():
 def test_the_head_states_what_is_carried_fitted_and_left_out():
     physics = RunPhysics(("offdiagonal_damping", "updown_tilt"), ("electrostatic_softening",), "ar", True)
     text = " ".join(physics_sentences(physics))
-    assert "carry offdiagonal damping, updown tilt, and autoregressive noise" in text
+    assert "carry off-diagonal damping, up-down tilt, and autoregressive noise" in text
     assert "electrode mismatches" in text
     assert "not simulated: electrostatic softening" in text
     assert "carry" not in " ".join(physics_sentences(RunPhysics(mismatch=True)))
