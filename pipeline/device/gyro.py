@@ -139,6 +139,13 @@ def split_hz(cartesian: FloatArray) -> FloatArray:
     return 2.0 * omega0 * eps / (omega1 + omega2) / TAU
 
 
+def rocking_hz(x: FloatArray) -> tuple[float, float]:
+    """f1 and f2 [Hz] of one device with cartesian parameters x (P,), P >= 12; f1 is nan where eps > omega0."""
+    omega0, eps = float(x[0]), math.hypot(x[1], x[2])
+    first, second = (omega0 * (omega0 + turn) for turn in (-eps, eps))
+    return (math.sqrt(first) / TAU if first >= 0.0 else math.nan), math.sqrt(second) / TAU
+
+
 def gyro_mechanics(physical: FloatArray) -> Mechanics:
     """Mechanics (n = 3) in (psi_x, psi_y, z) [V s] from physical parameters (B, 12): the paper, eq. (1), (9), (10), (18)."""
     return cartesian_mechanics(to_cartesian(physical))

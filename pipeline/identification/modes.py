@@ -41,7 +41,20 @@ class DiscreteModes:
     @property
     def peak(self) -> FloatArray:
         """|R_k|_2 / (1 - |z_k|) (M,) [1]: the H-infinity norm of each mode alone, for light damping."""
-        return np.asarray(np.linalg.norm(self.residues, ord=2, axis=(1, 2)) / np.abs(1.0 - np.abs(self.poles)))
+        return _largest_gain(self.residues) / np.abs(1.0 - np.abs(self.poles))
+
+
+def _largest_gain(matrices: ComplexArray) -> FloatArray:
+    """Largest singular value (M,) of matrices (M, S, D); of two by two in a tenth of the time of the general way.
+
+    s1^2 + s2^2 = |R|_F^2,   s1 s2 = |det R|,   so   2 s1 = sqrt(|R|_F^2 + 2 |det R|) + sqrt(|R|_F^2 - 2 |det R|)
+    """
+    if matrices.shape[1:] != (2, 2):
+        return np.asarray(np.linalg.norm(matrices, ord=2, axis=(1, 2)))
+    a, b, c, d = matrices.reshape(-1, 4).T
+    square = (np.abs(matrices) ** 2).sum(axis=(1, 2))
+    twice = 2.0 * np.abs(a * d - b * c)
+    return np.asarray(0.5 * (np.sqrt(square + twice) + np.sqrt(np.maximum(square - twice, 0.0))))
 
 
 @dataclass(frozen=True, eq=False)

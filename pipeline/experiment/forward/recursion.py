@@ -10,6 +10,7 @@ Shapes: N samples, P poles, D inputs, S outputs.  Signals in volts.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +40,7 @@ class Lanes:
 
 def _aligned(shape: tuple[int, ...]) -> FloatArray:
     """An array whose values are not set, and which begins at a line of the cache."""
-    size = int(np.prod(shape))
+    size = math.prod(shape)
     whole = np.empty(size + _LINE // 8)
     first = -whole.ctypes.data % _LINE // 8
     return whole[first : first + size].reshape(shape)

@@ -24,6 +24,7 @@ from ..moments import moments
 #: that rounding can leave where all draws are equal.
 _RESOLUTION, _ROUNDING = float(np.finfo(float).resolution), 1e-24
 
+
 def split_chains(draws: FloatArray) -> FloatArray:
     """Halves (P, 2 E, n // 2) of the ensembles of draws (E, n, P), neighbours in memory along the last axis."""
     rows, n = np.moveaxis(draws, -1, 0), draws.shape[1]
