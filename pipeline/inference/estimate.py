@@ -118,7 +118,7 @@ def cartesian_quantities(x: FloatArray, rate: RateSettings) -> dict[str, FloatAr
 
 def intervals(draws: Mapping[str, FloatArray]) -> dict[str, float]:
     """<q>, <q>_sd, <q>_q05, <q>_q95 [unit of q] of every quantity (n,); those that are nan in all draws are left out."""
-    known = {name: values for name, values in draws.items() if not (np.isnan(values[0]) and np.all(np.isnan(values)))}
+    known = {name: values for name, values in draws.items() if values[0] == values[0] or not np.all(np.isnan(values))}
     lines = np.stack(list(known.values()))
     centre = np.zeros(len(known))
     for i, name in enumerate(known):

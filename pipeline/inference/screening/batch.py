@@ -20,6 +20,7 @@ from math import comb
 
 import numpy as np
 from numba import njit
+from scipy.linalg.lapack import dgeqrf, dorgqr
 
 from ...arrays import ComplexArray, FloatArray, RealArray
 from ...device.gyro_batch import batch_modes
@@ -97,7 +98,9 @@ def local_rows(likelihood: Compressed, x: FloatArray) -> Rows:
     slopes = jacobian_rows(x, *likelihood.arrays)[:count]
     kept = np.concatenate([slopes / np.linalg.norm(slopes, axis=0), residual[:count, None]], axis=1)
     basis = np.zeros((-(-kept.shape[1] // _LANES) * _LANES, count))
-    basis[: kept.shape[1]] = np.linalg.qr(kept)[0].T
+    factors, reflections, _, _ = dgeqrf(kept, overwrite_a=True)
+    orthonormal, _, _ = dorgqr(factors, reflections, overwrite_a=True)
+    basis[: kept.shape[1]] = orthonormal.T
     centre, origin, design = _expanded_at(basis @ whole.design, whole.expansion, x)
     # At the maximum no pole is shifted, so its features are its residues.
     own = design.reshape(design.shape[0], -1, 2 * (_LOCAL + 1))[:, :, :2].reshape(design.shape[0], -1)
