@@ -50,10 +50,10 @@ def in_lanes(signal: FloatArray) -> Lanes:
     """``signal`` (N, D) as the parts that :func:`recursive` takes."""
     samples, inputs = signal.shape
     length, even = -(-samples // _LANES), inputs + inputs % 2
-    padded = np.empty((_LANES * length, even))
-    padded[:samples, :inputs] = signal
-    padded[samples:] = 0.0
-    padded[:, inputs:] = 0.0
+    padded = np.ascontiguousarray(signal)
+    if signal.shape != (_LANES * length, even):
+        padded = np.zeros((_LANES * length, even))
+        padded[:samples, :inputs] = signal
     parts = _aligned((length, even, _LANES))
     parts[:] = padded.reshape(_LANES, length, even).transpose(1, 2, 0)
     return Lanes(samples, parts.reshape(length, even // 2, 2 * _LANES))

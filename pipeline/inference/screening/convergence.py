@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, by_column
 from ..moments import moments
 
 #: Range of draws that counts as none [unit of the draws], as in arviz_stats; and a variance, relative to the square of the mean,
@@ -27,7 +27,7 @@ _RESOLUTION, _ROUNDING = float(np.finfo(float).resolution), 1e-24
 
 def split_chains(draws: FloatArray) -> FloatArray:
     """Halves (P, 2 E, n // 2) of the ensembles of draws (E, n, P), neighbours in memory along the last axis."""
-    rows, n = np.moveaxis(draws, -1, 0), draws.shape[1]
+    rows, n = by_column(draws), draws.shape[1]
     half = n // 2
     whole = rows if n % 2 == 0 else np.concatenate([rows[:, :, :half], rows[:, :, -half:]], axis=2)
     return np.ascontiguousarray(whole).reshape(rows.shape[0], 2 * rows.shape[1], half)

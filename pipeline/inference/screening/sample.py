@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import FloatArray, IntArray, by_row
 from .batch import Rows, local_rows, whole_rows
 from .convergence import rhat_and_ess, split_chains
 from .fit import Fit
@@ -123,7 +123,7 @@ def _independence_chains(
     _walk(density.ravel() - _log_t(first), log_weight, chance, at, moved)
     points = np.concatenate([first.T, proposed.T], axis=1).take(at[kept].T.ravel(), axis=1)
     accepted = moved.reshape(count, walkers).sum(axis=1) / (steps * walkers)
-    return np.moveaxis(points.reshape(size, count, walkers, -1), 0, -1), accepted
+    return by_row(points.reshape(size, count, walkers, -1)), accepted
 
 
 @njit(cache=True)
