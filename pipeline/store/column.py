@@ -94,9 +94,10 @@ def _packed(bits: npt.NDArray[np.bool_]) -> pa.Buffer:
 
 
 def _text_array(values: Values) -> pa.Array:
-    # A name stands in many rows, and is encoded once.
-    place: dict[Any, int] = {}
-    codes = [place.setdefault(value, len(place)) for value in values]
+    # A name stands in many rows, and is encoded once.  A list holds the same objects whenever it is read: no nan equals another.
+    listed = list(values)
+    place = {value: k for k, value in enumerate(dict.fromkeys(listed))}
+    codes = [place[value] for value in listed]
     known = np.array([value is not None and value == value for value in place], dtype=np.bool_)
     words = [str.encode(value, "utf-8") if here else b"" for value, here in zip(place, known)]
     ends = np.zeros(len(codes) + 1, dtype=np.int32)
