@@ -23,3 +23,13 @@ RANK = 1e-9
 def real_parts(z: ComplexArray) -> FloatArray:
     """(2, ..): real parts, then imaginary ones; what compiled loops are fastest with."""
     return np.stack([z.real, z.imag])
+
+
+def by_column(x: FloatArray) -> FloatArray:
+    """A view (P, ..) of x (.., P): ``numpy.moveaxis`` of the last axis, in a tenth of its time."""
+    return x.transpose(x.ndim - 1, *range(x.ndim - 1))
+
+
+def by_row(columns: FloatArray) -> FloatArray:
+    """A view (.., P) of ``columns`` (P, ..), the inverse of :func:`by_column`."""
+    return columns.transpose(*range(1, columns.ndim), 0)

@@ -23,7 +23,7 @@ import math
 import numpy as np
 from numba import njit
 
-from ..arrays import ComplexArray, FloatArray
+from ..arrays import ComplexArray, FloatArray, by_column, by_row
 from .mechanics import Mechanics, Modes, modes_of
 
 PHYSICAL: tuple[str, ...] = (
@@ -64,7 +64,7 @@ def to_cartesian(physical: FloatArray) -> FloatArray:
 
     The logarithms of gains that are not positive, which no device has, are nan.
     """
-    f1, f2, f3, zeta1, zeta2, zeta3, theta_deg, c12, g_r, g_z, s, d = np.moveaxis(physical, -1, 0)
+    f1, f2, f3, zeta1, zeta2, zeta3, theta_deg, c12, g_r, g_z, s, d = by_column(physical)
     omega1, omega2, omega3 = TAU * f1, TAU * f2, TAU * f3
     double = np.deg2rad(2.0 * theta_deg)
     omega0 = np.sqrt((omega1**2 + omega2**2) / 2.0)
@@ -98,7 +98,7 @@ def to_physical(cartesian: FloatArray) -> FloatArray:
     f1 and zeta1 are nan where no device has the parameters (eps > omega0).  The values of one parameter are neighbours in memory:
     all that follows takes parameter by parameter.
     """
-    omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = np.moveaxis(cartesian, -1, 0)
+    omega0, eps_c, eps_s, c0, d_c, d_s, omega3, c33, ln_r, ln_z, s, d = by_column(cartesian)
     eps = np.sqrt(eps_c * eps_c + eps_s * eps_s)
     # The lower axis has the eigenvalue -eps, so 2 theta is the angle of -(eps_c, eps_s).
     theta_deg = np.rad2deg(np.arctan2(-eps_s, -eps_c)) / 2.0
@@ -127,16 +127,23 @@ def to_physical(cartesian: FloatArray) -> FloatArray:
             d,
         ]
     )
-    return np.moveaxis(physical, 0, -1)
+    return by_row(physical)
 
 
 def split_hz(cartesian: FloatArray) -> FloatArray:
     """(omega2 - omega1)/2pi = 2 omega0 eps / (omega1 + omega2) / 2pi (...) [Hz], free of cancellation; x (..., 12)."""
-    omega0, eps_c, eps_s = np.moveaxis(cartesian[..., :3], -1, 0)
+    omega0, eps_c, eps_s = by_column(cartesian[..., :3])
     eps = np.sqrt(eps_c * eps_c + eps_s * eps_s)
     omega1 = np.sqrt(omega0**2 - omega0 * eps)
     omega2 = np.sqrt(omega0**2 + omega0 * eps)
     return 2.0 * omega0 * eps / (omega1 + omega2) / TAU
+
+
+def rocking_hz(x: FloatArray) -> tuple[float, float]:
+    """f1 and f2 [Hz] of one device with cartesian parameters x (P,), P >= 12; f1 is nan where eps > omega0."""
+    omega0, eps = float(x[0]), math.hypot(x[1], x[2])
+    first, second = (omega0 * (omega0 + turn) for turn in (-eps, eps))
+    return (math.sqrt(first) / TAU if first >= 0.0 else math.nan), math.sqrt(second) / TAU
 
 
 def gyro_mechanics(physical: FloatArray) -> Mechanics:

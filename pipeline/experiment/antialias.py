@@ -60,14 +60,21 @@ def behind_filter(modes: Modes, antialias: AntiAlias | None) -> Bank:
     if antialias is None:
         assert not np.any(modes.direct), "a bank of poles has no part that follows the drive at once"
         return Bank(modes.poles, modes.residues)
+    q, r = _upper_poles(antialias)
+    batch, own = modes.residues.shape[:2]
+    poles = np.empty((batch, own + q.size), dtype=np.complex128)
+    residues = np.empty((batch, own + q.size, *modes.residues.shape[2:]), dtype=np.complex128)
+    poles[:, :own], poles[:, own:] = modes.poles, q
+    gain = filter_response(antialias, modes.poles)
+    np.multiply(modes.residues, gain[:, :, None, None], out=residues[:, :own])
+    np.multiply(modes.response(q).transpose(0, 3, 1, 2), r[:, None, None], out=residues[:, own:])
+    return Bank(poles, residues)
+
+
+@cache
+def _upper_poles(antialias: AntiAlias) -> tuple[ComplexArray, ComplexArray]:
+    """Poles and residues of the filter, one of each conjugate pair; half the residue of a real pole."""
     q, r = filter_poles(antialias)
     upper = q.imag >= -1e-9 * np.abs(q)
-    q, r = q[upper], r[upper]
     weight = np.where(np.abs(q.imag) <= 1e-9 * np.abs(q), 0.5, 1.0)
-    plant = modes.residues * filter_response(antialias, modes.poles)[:, :, None, None]
-    own = np.moveaxis(modes.response(q), -1, 1) * (r * weight)[None, :, None, None]
-    batch = modes.poles.shape[0]
-    return Bank(
-        np.concatenate([modes.poles, np.broadcast_to(q, (batch, q.size))], axis=1),
-        np.concatenate([plant, own], axis=1),
-    )
+    return q[upper], (r * weight)[upper]

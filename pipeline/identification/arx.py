@@ -206,11 +206,13 @@ def fit_arx(y: FloatArray, u: FloatArray, order: int, ridge: float = 1e-12, dire
     w = np.empty((senses + drives, samples))
     w[:senses] = y.T
     w[senses:] = u.T
-    if not np.all(np.isfinite(w)):
+    gram = gram_matrix(w, order)
+    # Every sample stands on the diagonal of the matrix, squared; only a large one can be finite and its square not.
+    if not np.isfinite(gram.trace()) and not np.all(np.isfinite(w)):
         raise IdentificationError(
             "the record holds values that are not finite",
             value=int(np.size(w) - np.count_nonzero(np.isfinite(w))),
             allowed="finite volts in every sample",
             next_step="remove or repair these samples",
         )
-    return solve_gram(gram_matrix(w, order), senses, drives, samples - order, ridge, direct)
+    return solve_gram(gram, senses, drives, samples - order, ridge, direct)

@@ -41,7 +41,20 @@ class DiscreteModes:
     @property
     def peak(self) -> FloatArray:
         """|R_k|_2 / (1 - |z_k|) (M,) [1]: the H-infinity norm of each mode alone, for light damping."""
-        return np.asarray(np.linalg.norm(self.residues, ord=2, axis=(1, 2)) / np.abs(1.0 - np.abs(self.poles)))
+        return _largest_gain(self.residues) / np.abs(1.0 - np.abs(self.poles))
+
+
+def _largest_gain(matrices: ComplexArray) -> FloatArray:
+    """Largest singular value (M,) of matrices (M, S, D); of two by two in a tenth of the time of the general way.
+
+    2 s1^2 = p + q + sqrt((p - q)^2 + 4 |r|^2),   R^H R = [[p, r], [conj r, q]]
+    """
+    if matrices.shape[1:] != (2, 2):
+        return np.asarray(np.linalg.norm(matrices, ord=2, axis=(1, 2)))
+    a, b, c, d = matrices.reshape(-1, 4).T
+    p, q = np.abs(a) ** 2 + np.abs(c) ** 2, np.abs(b) ** 2 + np.abs(d) ** 2
+    r = np.abs(a.conj() * b + c.conj() * d)
+    return np.asarray(np.sqrt(0.5 * (p + q + np.hypot(p - q, 2.0 * r))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,7 +100,7 @@ def assign_modes(modes: ContinuousModes, M: FloatArray) -> tuple[int, int, int]:
     ------
     IdentificationError : not exactly one of the three modes moves all pick-offs alike.
     """
-    share = M.sum(axis=(1, 2)) / (2.0 * np.linalg.norm(M, axis=(1, 2)))
+    share = M.sum(axis=(1, 2)) / (2.0 * np.sqrt(np.square(M).sum(axis=(1, 2))))
     updown = int(np.argmax(share))
     alone = _isolated_mode(modes.frequency_hz)
     if alone not in (None, updown) and share[alone] < _REVERSED_SHARE:

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import ndtri
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, by_column
 from ..axial import PERIOD_DEG, double_angle, wrap
 from ..device.gyro import PHYSICAL, to_physical
 from ..device.gyro import split_hz as cartesian_split_hz
@@ -102,7 +102,7 @@ def identified_quantities(
     ------
     ConfigError : an angular gain that is not positive, or a phase error of 90 deg or more.
     """
-    named = dict(zip(PHYSICAL, np.moveaxis(physical, -1, 0)))
+    named = dict(zip(PHYSICAL, by_column(physical)))
     named["split_hz"] = named["f2_hz"] - named["f1_hz"] if split_hz is None else split_hz
     for i in (1, 2, 3):
         named[f"quality{i}"] = 0.5 / named[f"zeta{i}"]
@@ -118,7 +118,7 @@ def cartesian_quantities(x: FloatArray, rate: RateSettings) -> dict[str, FloatAr
 
 def intervals(draws: Mapping[str, FloatArray]) -> dict[str, float]:
     """<q>, <q>_sd, <q>_q05, <q>_q95 [unit of q] of every quantity (n,); those that are nan in all draws are left out."""
-    known = {name: values for name, values in draws.items() if not (np.isnan(values[0]) and np.all(np.isnan(values)))}
+    known = {name: values for name, values in draws.items() if values[0] == values[0] or not np.all(np.isnan(values))}
     lines = np.stack(list(known.values()))
     centre = np.zeros(len(known))
     for i, name in enumerate(known):

@@ -23,7 +23,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import ndtri
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, by_column
 from ..device.gyro import PHYSICAL, to_physical
 from ..device.gyro import split_hz as cartesian_split_hz
 from ..experiment.record import Campaign
@@ -91,7 +91,7 @@ class Identified:
         ConfigError : a phase error of 90 deg or more.
         """
         s = self.rate.systematic
-        _, _, gain, clock, temperature = np.moveaxis(z, -1, 0) * np.array(s.sds).reshape(-1, *[1] * (z.ndim - 1))
+        _, _, gain, clock, temperature = by_column(z) * np.array(s.sds).reshape(-1, *[1] * (z.ndim - 1))
         rates, stiffness = 1.0 + 1e-6 * clock, 1.0 + 1e-6 * s.tcf_ppm_per_c * temperature
         shape = np.broadcast_shapes(rates.shape, self.split_hz.shape)
         physical = np.broadcast_to(self.physical, (*shape, len(PHYSICAL))).copy()

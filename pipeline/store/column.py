@@ -94,11 +94,18 @@ def _packed(bits: npt.NDArray[np.bool_]) -> pa.Buffer:
 
 
 def _text_array(values: Values) -> pa.Array:
-    known = np.array([value is not None and value == value for value in values], dtype=np.bool_)
-    words = [str.encode(value, "utf-8") if here else b"" for value, here in zip(values, known)]
-    ends = np.cumsum([0, *(len(word) for word in words)]).astype(np.int32)
-    buffers = [_bitmap(known), pa.py_buffer(ends), pa.py_buffer(b"".join(words))]
-    return pa.Array.from_buffers(pa.string(), len(words), buffers)
+    # A name stands in many rows, and is encoded once.  A list holds the same objects whenever it is read: no nan equals another.
+    listed = list(values)
+    place = {value: k for k, value in enumerate(dict.fromkeys(listed))}
+    codes = [place[value] for value in listed]
+    known = np.array([value is not None and value == value for value in place], dtype=np.bool_)
+    words = [str.encode(value, "utf-8") if here else b"" for value, here in zip(place, known)]
+    ends = np.zeros(len(codes) + 1, dtype=np.int32)
+    np.cumsum(np.array([len(word) for word in words], dtype=np.int32)[codes], out=ends[1:])
+    data = b"".join([words[code] for code in codes])
+    return pa.Array.from_buffers(
+        pa.string(), len(codes), [_bitmap(known[codes]), pa.py_buffer(ends), pa.py_buffer(data)]
+    )
 
 
 def _number_array(values: Values, kind: pa.DataType) -> pa.Array:

@@ -145,13 +145,18 @@ def _causes(limits: Limits, truth: Mapping[str, FloatArray]) -> list[str | None]
 
 def judged(results: Sequence[DeviceResult], limits: Limits) -> dict[str, list[Any]]:
     """p_pass, verdict and failed_limits of each result, by column name."""
-    out: dict[str, list[Any]] = {"p_pass": [], "verdict": [], "failed_limits": []}
-    for result in results:
-        draws = {q: result.estimate.draws.get(q, np.full(1, np.nan))[None] for q in limits.quantities}
-        decision = decide(limits, draws, [result.estimate.status])
-        out["p_pass"].append(float(decision.p_pass[0]))
-        out["verdict"].append(decision.verdict[0])
-        out["failed_limits"].append(decision.failed_limits[0])
+    unknown = np.full(1, np.nan)
+    draws = [{q: result.estimate.draws.get(q, unknown) for q in limits.quantities} for result in results]
+    # Devices with equal numbers of draws are judged together.
+    alike: dict[tuple[int, ...], list[int]] = {}
+    for i, own in enumerate(draws):
+        alike.setdefault(tuple(values.size for values in own.values()), []).append(i)
+    out: dict[str, list[Any]] = {name: [None] * len(results) for name in ("p_pass", "verdict", "failed_limits")}
+    for places in alike.values():
+        stacked = {q: np.stack([draws[i][q] for i in places]) for q in limits.quantities}
+        found = decide(limits, stacked, [results[i].estimate.status for i in places])
+        for i, p_pass, verdict, failed in zip(places, found.p_pass.tolist(), found.verdict, found.failed_limits):
+            out["p_pass"][i], out["verdict"][i], out["failed_limits"][i] = p_pass, verdict, failed
     return out
 
 

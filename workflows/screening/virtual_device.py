@@ -6,7 +6,7 @@ Shapes: N samples, two drives and two senses, B devices of a draw.  Volts unless
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from zlib import crc32
 
@@ -29,8 +29,11 @@ from pipeline.experiment.noise.spectrum import noise_spectrum
 from pipeline.experiment.record import Record
 from pipeline.identification.bandpass import bandpass, window_slice
 from pipeline.identification.failure import IdentificationError
-from pipeline.inference.screening.device import FitRecord, fit_device, prepare
+from pipeline.inference.estimate import RateSettings
+from pipeline.inference.gate import Gate
+from pipeline.inference.screening.device import FitRecord, IdentificationSettings, fit_device, prepare
 from pipeline.inference.screening.result import DeviceResult, Fitted, results_of
+from pipeline.inference.screening.sample import SamplerSettings
 from populations.draw import Draw, draw
 
 from ..config import RunConfig
@@ -67,6 +70,24 @@ def _shared(config_key: bytes) -> FitRecord:
         # The route of each device reports it.
         return prepared
     return replace(prepared, filtered_drive_v=filtered)
+
+
+@dataclass(frozen=True)
+class _FitSettings:
+    """What ``fit_device`` takes beside the records and the noise, which all devices of a run share."""
+
+    identification: IdentificationSettings
+    sampler: SamplerSettings
+    gate: Gate
+    rate: RateSettings
+
+
+@lru_cache(maxsize=2)
+def _fit_settings(config_key: bytes, angular_gain: float) -> _FitSettings:
+    config = msgspec.msgpack.decode(config_key, type=RunConfig)
+    return _FitSettings(
+        settings_of(config), config.posterior.settings(), config.judging_gate(), rate_of(config, angular_gain)
+    )
 
 
 def shared_record(config: RunConfig) -> FitRecord:
@@ -231,14 +252,15 @@ def fit_virtual(
     silent, fit, _ = virtual_records(config, drawn, i, bank)
     noise = noise_spectrum(silent, instrument.sample_rate_hz, config.line_hz(), instrument.adc)
     record = Record("chirp", instrument.sample_rate_hz, shared.record.drive_v, fit, role="fit")
+    shares = _fit_settings(msgspec.msgpack.encode(config), angular_gain)
     return fit_device(
         [replace(shared, record=record)],
         noise,
         instrument,
-        settings_of(config),
-        config.posterior.settings(),
-        config.judging_gate(),
-        rate_of(config, angular_gain),
+        shares.identification,
+        shares.sampler,
+        shares.gate,
+        shares.rate,
         device_seed(config, POSTERIOR_STREAM, int(drawn.index[i])),
     )
 

@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, by_column
 from ...axial import double_angle
 from ...errors import ConfigError
 
@@ -46,7 +46,7 @@ def rate_biases_dps(
         raise ConfigError("angular gain must be positive", value=angular_gain, allowed="I_p / I_0p in (0, 1]")
     if np.any(np.abs(phase_error_deg) >= 90.0):
         raise ConfigError("demodulation phase error too large", value=phase_error_deg, allowed="(-90, 90) deg")
-    f1, f2, _, zeta1, zeta2, _, theta_deg, c12 = np.moveaxis(physical, -1, 0)[:8]
+    f1, f2, _, zeta1, zeta2, _, theta_deg, c12 = by_column(physical)[:8]
     omega1, omega2 = 2.0 * np.pi * f1, 2.0 * np.pi * f2
     omega0 = omega1 if drive == "f1" else omega2
     cos, sin = double_angle(theta_deg)

@@ -74,7 +74,7 @@ def respond(
     z, g0, g1 = hold_gains(bank.poles, step_s, hold)
     # x[n] - g1 v[n] needs v[n] alone: x[n+1] - g1 v[n+1] = z (x[n] - g1 v[n]) + (g0 + z g1) v[n].
     gain, parts = g0 + z * g1, in_lanes(drive) if lanes is None else lanes
-    weights = np.moveaxis(2.0 * bank.residues, 1, 2)
+    weights = (2.0 * bank.residues).swapaxes(1, 2)
     at_once = np.einsum("bspd,bp->bsd", weights, g1).real
     out = [
         recursive(parts, z[i], -(g1[i] / gain[i])[:, None] * drive[0], weights[i] * gain[i][:, None], at_once[i])

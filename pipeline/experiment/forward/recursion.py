@@ -10,6 +10,7 @@ Shapes: N samples, P poles, D inputs, S outputs.  Signals in volts.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +40,7 @@ class Lanes:
 
 def _aligned(shape: tuple[int, ...]) -> FloatArray:
     """An array whose values are not set, and which begins at a line of the cache."""
-    size = int(np.prod(shape))
+    size = math.prod(shape)
     whole = np.empty(size + _LINE // 8)
     first = -whole.ctypes.data % _LINE // 8
     return whole[first : first + size].reshape(shape)
@@ -49,10 +50,10 @@ def in_lanes(signal: FloatArray) -> Lanes:
     """``signal`` (N, D) as the parts that :func:`recursive` takes."""
     samples, inputs = signal.shape
     length, even = -(-samples // _LANES), inputs + inputs % 2
-    padded = np.empty((_LANES * length, even))
-    padded[:samples, :inputs] = signal
-    padded[samples:] = 0.0
-    padded[:, inputs:] = 0.0
+    padded = np.ascontiguousarray(signal)
+    if signal.shape != (_LANES * length, even):
+        padded = np.zeros((_LANES * length, even))
+        padded[:samples, :inputs] = signal
     parts = _aligned((length, even, _LANES))
     parts[:] = padded.reshape(_LANES, length, even).transpose(1, 2, 0)
     return Lanes(samples, parts.reshape(length, even // 2, 2 * _LANES))

@@ -37,14 +37,13 @@ def _waves(samples: int, sample_rate_hz: float, frequency_hz: float, harmonics: 
     return waves
 
 
-def hum_volts(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random: np.random.Generator) -> FloatArray:
-    """Hum (samples, senses) [V] from t = 0, with random phases."""
+def hum_period_v(hum: Hum, samples: int, sample_rate_hz: float, senses: int, random: np.random.Generator) -> FloatArray:
+    """Hum (n, senses) [V] from t = 0, with random phases: the n <= ``samples`` samples of its period, or all."""
     amplitude = np.array(hum.amplitude_v)[:, None]
     phases = random.uniform(0.0, 2.0 * np.pi, (amplitude.size, senses))
     weights = np.concatenate([amplitude * np.cos(phases), -amplitude * np.sin(phases)])
     period = min(_period(sample_rate_hz, hum.frequency_hz, samples), samples)
-    one = _waves(period, sample_rate_hz, hum.frequency_hz, amplitude.size) @ weights
-    return np.tile(one, (-(-samples // period), 1))[:samples]
+    return _waves(period, sample_rate_hz, hum.frequency_hz, amplitude.size) @ weights
 
 
 @lru_cache(maxsize=8)
@@ -81,5 +80,8 @@ def measured(
     total = noise_volts(kind, sigma_v, volts, sample_rate_hz, random)
     total += volts
     if hum.amplitude_v:
-        total += hum_volts(hum, samples, sample_rate_hz, senses, random)
+        one = hum_period_v(hum, samples, sample_rate_hz, senses, random)
+        whole = samples // len(one) * len(one)
+        total[:whole].reshape(-1, *one.shape)[:] += one
+        total[whole:] += one[: samples - whole]
     return convert(total, adc)

@@ -7,7 +7,8 @@
     W = orth[J, e],    A -> W' A,    d -> W' d
 
 and fewer powers of the shift, which they count from the poles of the maximum.  What is left out is the square of the curvature of
-the model outside of W, and higher powers.  ``sample`` measures it.
+the model outside of W, and higher powers.  The product is that of W' A and c(x) - c(x^), a few standard deviations, in single
+precision.  ``sample`` measures what both change.
 
 Shapes: n points, P = 12 or 14 parameters, S = 2 senses, J = 48 features (12 for each power of the shift), r rows.
 """
@@ -19,8 +20,9 @@ from math import comb
 
 import numpy as np
 from numba import njit
+from scipy.linalg.lapack import dgeqrf, dorgqr
 
-from ...arrays import ComplexArray, FloatArray
+from ...arrays import ComplexArray, FloatArray, RealArray
 from ...device.gyro_batch import batch_modes
 from .compressed import Compressed
 from .fit import modes_at
@@ -45,13 +47,15 @@ class Rows:
     Parameters
     ----------
     expansion : poles (3,) [rad/s] of the features.
-    design, target : A (r, 2 J) and d (r,).
+    design, target : A (r, 2 J), in the precision of its product, and d (r,) less what the origin adds.
+    origin : residues (S, 3, D) from which those of c count.
     prior_root, prior_offset : (2, 2) and (2,) of the mismatches; (0, 2) and (0,) without.
     """
 
     expansion: ComplexArray
-    design: FloatArray
+    design: RealArray
     target: FloatArray
+    origin: ComplexArray
     prior_root: FloatArray
     prior_offset: FloatArray
 
@@ -64,6 +68,7 @@ class Rows:
             self.expansion,
             self.design,
             self.target,
+            self.origin,
             self.prior_root,
             self.prior_offset,
         )
@@ -75,7 +80,14 @@ def whole_rows(likelihood: Compressed) -> Rows:
     design = np.zeros((2 * rows, 2 * FEATURES))
     design[:rows, :FEATURES], design[rows:, FEATURES:] = likelihood.triangle
     design[: likelihood.cross.shape[0], FEATURES:] = likelihood.cross
-    return Rows(likelihood.expansion, design, likelihood.data.ravel(), likelihood.prior_root, likelihood.prior_offset)
+    return Rows(
+        likelihood.expansion,
+        design,
+        likelihood.data.ravel(),
+        np.zeros((2, 3, 2), dtype=np.complex128),
+        likelihood.prior_root,
+        likelihood.prior_offset,
+    )
 
 
 def local_rows(likelihood: Compressed, x: FloatArray) -> Rows:
@@ -86,30 +98,43 @@ def local_rows(likelihood: Compressed, x: FloatArray) -> Rows:
     slopes = jacobian_rows(x, *likelihood.arrays)[:count]
     kept = np.concatenate([slopes / np.linalg.norm(slopes, axis=0), residual[:count, None]], axis=1)
     basis = np.zeros((-(-kept.shape[1] // _LANES) * _LANES, count))
-    basis[: kept.shape[1]] = np.linalg.qr(kept)[0].T
-    centre, design = _expanded_at(basis @ whole.design, whole.expansion, x)
-    return Rows(centre, design, basis @ whole.target, whole.prior_root, whole.prior_offset)
+    factors, reflections, _, _ = dgeqrf(kept, overwrite_a=True)
+    orthonormal, _, _ = dorgqr(factors, reflections, overwrite_a=True)
+    basis[: kept.shape[1]] = orthonormal.T
+    centre, origin, design = _expanded_at(basis @ whole.design, whole.expansion, x)
+    # At the maximum no pole is shifted, so its features are its residues.
+    own = design.reshape(design.shape[0], -1, 2 * (_LOCAL + 1))[:, :, :2].reshape(design.shape[0], -1)
+    target = basis @ whole.target - own @ origin.ravel().view(np.float64)
+    return Rows(centre, design.astype(np.float32), target, origin, whole.prior_root, whole.prior_offset)
 
 
-def _expanded_at(design: FloatArray, expansion: ComplexArray, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """The poles (3,) of ``x`` in the order of ``expansion`` (3,), and a design (r, 2 J) with features around them.
+def _expanded_at(
+    design: FloatArray, expansion: ComplexArray, x: FloatArray
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Poles (3,) and residues (S, 3, D) of ``x`` in the order of ``expansion`` (3,); a design (r, 2 J) with features around them.
 
     c_m = R (delta + h)^m = sum_l C(m, l) delta^{m-l} R h^l,      delta the poles less the expansion
     """
-    poles, _ = modes_at(x)
+    poles, residues = modes_at(x)
     straight, crossed = (np.abs(poles[:2][list(way)] - expansion[:2]).sum() for way in ((0, 1), (1, 0)))
-    centre = poles[[1, 0, 2]] if crossed < straight else poles
+    order = [1, 0, 2] if crossed < straight else [0, 1, 2]
+    centre, origin = poles[order], np.ascontiguousarray(residues[order].swapaxes(0, 1))
     power = np.subtract.outer(np.arange(_ORDERS), np.arange(_LOCAL + 1))
     delta = (centre - expansion)[:, None, None] ** np.maximum(power, 0)
     moved = (_BINOMIAL[:, : _LOCAL + 1] * delta).conj()
     # A real pair (A, B) times (re c, im c) is the real part of conj(A + iB) c.
     pairs = np.ascontiguousarray(design).view(np.complex128).reshape(-1, 2, 3, 2, _ORDERS)
-    return centre, (pairs @ moved).reshape(design.shape[0], -1).view(np.float64)
+    return centre, origin, (pairs @ moved).reshape(design.shape[0], -1).view(np.float64)
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _features(poles: FloatArray, residues: FloatArray, expansion: ComplexArray, out: FloatArray) -> None:
-    """Fill ``out`` (2 J, n) with c of modes (3, 2, n), (3, S, D, 2, n): each rocking pole at the nearer one of the expansion."""
+def _features(
+    poles: FloatArray, residues: FloatArray, expansion: ComplexArray, origin: ComplexArray, out: RealArray
+) -> None:
+    """Fill ``out`` (2 J, n) with c of modes (3, 2, n), (3, S, D, 2, n), the residues less ``origin`` (S, 3, D).
+
+    Each rocking pole is at the nearer one of the expansion.
+    """
     count, orders = poles.shape[2], out.shape[0] // 24
     shift = np.empty((3, 2, count))
     crossed = np.empty(count, dtype=np.bool_)
@@ -129,15 +154,17 @@ def _features(poles: FloatArray, residues: FloatArray, expansion: ComplexArray, 
             for d in range(2):
                 first = ((a * 3 + k) * 2 + d) * orders * 2
                 own, other = residues[k, a, d], residues[1 - k if k < 2 else k, a, d]
+                fr, fi = origin[a, k, d].real, origin[a, k, d].imag
                 for n in range(count):
                     cr = other[0, n] if crossed[n] else own[0, n]
                     ci = other[1, n] if crossed[n] else own[1, n]
-                    out[first, n], out[first + 1, n] = cr, ci
+                    out[first, n], out[first + 1, n] = cr - fr, ci - fi
                 for m in range(1, orders):
                     j = first + 2 * m
                     for n in range(count):
-                        cr, ci, hr, hi = out[j - 2, n], out[j - 1, n], shift[k, 0, n], shift[k, 1, n]
+                        cr, ci, hr, hi = out[j - 2, n] + fr, out[j - 1, n] + fi, shift[k, 0, n], shift[k, 1, n]
                         out[j, n], out[j + 1, n] = cr * hr - ci * hi, cr * hi + ci * hr
+                    fr, fi = 0.0, 0.0
 
 
 @njit(cache=True)
@@ -166,8 +193,9 @@ def _log_likelihood(
     x: FloatArray,
     gains: FloatArray,
     expansion: ComplexArray,
-    design: FloatArray,
+    design: RealArray,
     target: FloatArray,
+    origin: ComplexArray,
     prior_root: FloatArray,
     prior_offset: FloatArray,
 ) -> FloatArray:
@@ -179,8 +207,8 @@ def _log_likelihood(
         own = x[:, first:last].copy()
         poles, residues = np.empty((3, 2, last - first)), np.empty((3, 2, 2, 2, last - first))
         batch_modes(own, gains[:, first:last].copy(), poles, residues)
-        c = np.empty((design.shape[1], last - first))
-        _features(poles, residues, expansion, c)
+        c = np.empty((design.shape[1], last - first), dtype=design.dtype)
+        _features(poles, residues, expansion, origin, c)
         model = np.dot(design, c)
         total = np.zeros(last - first)
         for i in range(target.size):

@@ -17,36 +17,38 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, by_column
 from ..moments import moments
+
+#: Range of draws that counts as none [unit of the draws], as in arviz_stats; and a variance, relative to the square of the mean,
+#: that rounding can leave where all draws are equal.
+_RESOLUTION, _ROUNDING = float(np.finfo(float).resolution), 1e-24
 
 
 def split_chains(draws: FloatArray) -> FloatArray:
     """Halves (P, 2 E, n // 2) of the ensembles of draws (E, n, P), neighbours in memory along the last axis."""
-    rows, n = np.moveaxis(draws, -1, 0), draws.shape[1]
+    rows, n = by_column(draws), draws.shape[1]
     half = n // 2
     whole = rows if n % 2 == 0 else np.concatenate([rows[:, :, :half], rows[:, :, -half:]], axis=2)
     return np.ascontiguousarray(whole).reshape(rows.shape[0], 2 * rows.shape[1], half)
 
 
-def split_rhat(chains: FloatArray) -> FloatArray:
-    """R-hat (P,) [1] of chains (P, C, n); nan where all draws are equal."""
-    n = chains.shape[2]
+def rhat_and_ess(chains: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R-hat (P,) [1], nan where all draws are equal, and ESS (P,) [draws] of the mean, of chains (P, C, n)."""
+    count, n = chains.shape[1:]
     means, variances = moments(chains)
-    between = n * means.var(axis=1, ddof=1)
+    between = means.var(axis=1, ddof=1)
     within = variances.mean(axis=1) * (n / (n - 1.0))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.sqrt((between / within + n - 1.0) / n))
-
-
-def mean_ess(chains: FloatArray) -> FloatArray:
-    """ESS (P,) [draws] of the mean, of chains (P, C, n)."""
-    count, n = chains.shape[1:]
-    means, _ = moments(chains)
+        rhat = np.sqrt((n * between / within + n - 1.0) / n)
     times = np.empty(chains.shape[0])
-    _autocorrelation_times(chains, means, means.var(axis=1, ddof=1), times)
-    found = count * n / np.maximum(times, 1.0 / np.log10(count * n))
-    return np.where(np.ptp(chains, axis=(1, 2)) < np.finfo(float).resolution, float(count * n), found)
+    _autocorrelation_times(chains, means, between, times)
+    ess = count * n / np.maximum(times, 1.0 / np.log10(count * n))
+    # Two more passes over the draws, only where the variance may be rounding.
+    for i in np.flatnonzero(within <= _ROUNDING * np.square(means).max(axis=1) + _RESOLUTION**2):
+        if np.ptp(chains[i]) < _RESOLUTION:
+            ess[i] = count * n
+    return np.asarray(rhat), np.asarray(ess)
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})

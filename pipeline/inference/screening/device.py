@@ -29,6 +29,7 @@ from ..general.starts import gyro_start
 from .compressed import BandData, nuisance_basis
 from .fit import Fit, maximise, modes_at, start_from_modes
 from .inband import Band, make_band
+from .kept import kept_if_short
 from .mismatch import MismatchPrior
 from .quality import full_band_quality, with_dependent_noise
 from .refill import refilled_fit
@@ -73,6 +74,12 @@ def prepare(record: Record, instrument: Instrument, settings: IdentificationSett
     """``record`` with its band and nuisance basis (2 W, L) [1]; ConfigError as in ``make_band``."""
     band = make_band(record.drive_v, instrument, settings.low_hz, settings.high_hz)
     return FitRecord(record, band, nuisance_basis(band, settings.line_hz))
+
+
+@kept_if_short(4)
+def _drives_all(band: Band) -> bool:
+    """Whether the drive of a record reaches every electrode, as the paper's route needs it."""
+    return all(np.any(drive_v) for drive_v in band.drive_v.T)
 
 
 def _route_columns(route: RouteResult) -> dict[str, Value]:
@@ -195,7 +202,7 @@ def fit_device(
     found: list[RouteResult] = []
     reason = "no record drives both electrodes"
     for item in fit_records:
-        if found or not np.all(np.any(item.record.drive_v != 0.0, axis=0)):
+        if found or not _drives_all(item.band):
             continue
         try:
             found.append(

@@ -17,6 +17,7 @@ Shapes: n draws of 14 parameters: the cartesian ones of ``pipeline.device.gyro``
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,9 +51,15 @@ class MismatchPrior:
 
     def rows(self) -> tuple[FloatArray, FloatArray]:
         """Root (2, 2) and offset (2,) [1] of the prior: -2 ln p = |offset - root m'|^2."""
-        covariance = np.array(self.covariance) + _LEAST_SD**2 * np.eye(2)
-        root = np.linalg.inv(np.linalg.cholesky(covariance))
-        return root, root @ np.array(self.mean)
+        root, offset = _rows(self)
+        return root.copy(), offset.copy()
+
+
+@lru_cache(maxsize=4)
+def _rows(prior: MismatchPrior) -> tuple[FloatArray, FloatArray]:
+    covariance = np.array(prior.covariance) + _LEAST_SD**2 * np.eye(2)
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    return root, root @ np.array(prior.mean)
 
 
 #: Without a population: a spread of 1 %, the size of a mismatch that gap errors of 5 % leave after averaging over electrodes.

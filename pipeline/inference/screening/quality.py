@@ -92,12 +92,13 @@ def full_band_quality(
         math.sqrt(float(np.vdot(rest, rest)) / max(float(np.vdot(r.sense_v, r.sense_v)), 1e-300))
         for rest, r in zip(rests, records)
     ]
-    square = float(np.average(squares, weights=weight))
+    share = weight / weight.sum()
+    square = float(share @ squares)
     senses = noise.sigma_v.size
     sd = math.sqrt(2.0 / (senses * weight.sum()) + 2.0 / (senses * noise.dof))
     return FullBandQuality(
         math.sqrt(square),
-        math.sqrt(float(np.average(np.square(relative), weights=weight))),
+        math.sqrt(float(share @ np.square(relative))),
         math.sqrt(square),
         not noise.white or square - 1.0 > _LOUDER * sd,
         "white" if noise.white else "coloured",

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...arrays import FloatArray
-from ...device.gyro import to_physical
+from ...device.gyro import rocking_hz
 from ..estimate import Estimate, estimate_from
 from ..gate import Gate, GoodnessOfFit, Undetected
 from ..moments import moments
@@ -118,7 +118,7 @@ def _plant_draws(
 def _result(fitted: Fitted, undetected: Undetected) -> DeviceResult:
     fit, posterior, quality, scoring = fitted.scoring.fit, fitted.posterior, fitted.quality, fitted.scoring
     plant, mismatch = _plant_draws(posterior.flat(), scoring.prior, fitted.seed)
-    first_hz, second_hz = to_physical(fit.x[:12])[:2].tolist()
+    first_hz, second_hz = rocking_hz(fit.x)
     omega0_hz = first_hz if scoring.rate.drive == "f1" else second_hz
     rate = with_measured_noise(scoring.rate, scoring.noise, omega0_hz, plant.shape[0])
     identified = Identified.of_cartesian(plant, rate)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...inference.screening.convergence import mean_ess, split_chains, split_rhat
+from ...inference.screening.convergence import rhat_and_ess, split_chains
 from ..answers import Answer
 from .model import contribution
 from .profile import Profile
@@ -206,11 +206,9 @@ def _chains(
             parts[k] = sampler.get_chain()
         # Steps of one walker are kept together, so that the ESS accounts for their autocorrelation.
         w = np.stack([own.transpose(1, 0, 2).reshape(-1, size) for own in parts])
-        chains = split_chains(w)
+        rhat, ess = rhat_and_ess(split_chains(w))
         accepted = float(np.mean([np.mean(sampler.acceptance_fraction) for sampler in samplers]))
-        found = SpreadDraws(
-            chosen, np.exp(w) - offset, float(split_rhat(chains).max()), float(mean_ess(chains).min()), accepted, 0.0
-        )
+        found = SpreadDraws(chosen, np.exp(w) - offset, float(rhat.max()), float(ess.min()), accepted, 0.0)
         if found.converged or steps >= MOST_STEPS:
             return w, found
         steps *= 2

@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.device.gyro import cartesian_modes, gyro_mechanics, gyro_modes, split_hz, to_cartesian, to_physical
+from pipeline.device.gyro import (
+    cartesian_modes,
+    gyro_mechanics,
+    gyro_modes,
+    rocking_hz,
+    split_hz,
+    to_cartesian,
+    to_physical,
+)
 from pipeline.device.operation.bias import rate_biases_dps
 
 PAPER = np.array([534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.0, 13.33, 28.6, 0.0386, 0.0007])
@@ -30,6 +38,7 @@ def test_physical_and_cartesian_parameters_are_the_same_device(split, theta, sha
     physical[7] = share * 2.0 * np.sqrt(np.prod(2.0 * np.pi * physical[:2] * physical[3:5]))
     back = to_physical(to_cartesian(physical[None]))[0]
     np.testing.assert_allclose(back[:6], physical[:6], rtol=1e-9)
+    np.testing.assert_allclose(rocking_hz(to_cartesian(physical)), physical[:2], rtol=1e-12)
     # theta is as sharp as the split lets it be in double precision.
     assert abs((back[6] - theta + 90.0) % 180.0 - 90.0) < 1e-8 / split
     np.testing.assert_allclose(split_hz(to_cartesian(physical[None]))[0], split, rtol=1e-7, atol=1e-10)

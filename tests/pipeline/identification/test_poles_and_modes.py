@@ -19,6 +19,7 @@ from pipeline.identification.bandpass import bandpass, window_slice
 from pipeline.identification.failure import IdentificationError
 from pipeline.identification.modes import (
     ContinuousModes,
+    DiscreteModes,
     band_poles,
     modes_from_fractions,
     modes_of,
@@ -125,3 +126,15 @@ def test_too_few_modes_in_the_band_is_said_so() -> None:
     model = model_with_poles(np.exp(np.array([0.3j, 0.31j]) - 1e-4), np.float64(10.0))
     with pytest.raises(IdentificationError, match="too few stable modes"):
         modes_of(model, RATE, count=3)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (2, 3)])
+def test_the_peak_is_the_largest_singular_value_over_the_distance_from_the_circle(shape):
+    random = np.random.default_rng(9)
+    residues = random.standard_normal((4, *shape)) + 1j * random.standard_normal((4, *shape))
+    # A matrix of rank one, one that is nearly orthogonal, and none.
+    residues[1] = np.outer(residues[0, :, 0], residues[0, 0])
+    residues[2, :2, :2] = np.eye(2) + 1e-9j * residues[2, :2, :2]
+    residues[3] = 0.0
+    found = DiscreteModes(np.full(4, 0.9j), residues).peak
+    np.testing.assert_allclose(found, np.linalg.svd(residues)[1][:, 0] / 0.1, rtol=1e-12)

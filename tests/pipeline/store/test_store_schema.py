@@ -100,3 +100,13 @@ def test_posterior_has_the_sampled_quantities() -> None:
     table = posterior_table({"device_id": ["a"], "draw": [0]})
     assert table.schema.names[:4] == ["device_id", "draw", "theta_deg", "split_hz"]
     assert table.schema.field("draw").type == pa.int32()
+
+
+def test_texts_come_back_row_by_row() -> None:
+    names = ["ä", "b", "", "ä", "b"]
+    lots = ["x", None, float("nan"), "", "x"]
+    table = devices_table({"device_id": names, "lot": lots})
+    assert table.column("device_id").to_pylist() == names
+    assert table.column("lot").to_pylist() == ["x", None, None, "", "x"]
+    nothing = devices_table({"device_id": names[:2], "lot": np.full(2, np.nan)})
+    assert nothing.column("lot").null_count == 2

@@ -1,10 +1,13 @@
 """Limits on performance figures: refused where the figure would be null, judged like any other quantity where it is known."""
 
+import numpy as np
 import pytest
 
 from pipeline.errors import ConfigError
+from pipeline.inference.estimate import Estimate
+from pipeline.inference.screening.result import DeviceResult
 from workflows.config import load_config
-from workflows.screening.block import DeviceBlock, virtual_block
+from workflows.screening.block import DeviceBlock, judged, virtual_block
 
 LIMITS = """
 [run]
@@ -39,3 +42,19 @@ def test_figures_are_judged_by_their_draws(tmp_path):
         assert devices["shock_limit_g"].null_count == 3
     assert verdicts == [["pass"] * 3, ["fail"] * 3]
     assert devices["failed_limits"].to_pylist() == ["arw_electronic_deg_per_rth"] * 3
+
+
+def test_devices_are_judged_together_as_each_alone():
+    random, limits = np.random.default_rng(3), load_config(None).judged_by()
+    results = []
+    for draws, status in ((300, "ok"), (600, "ok"), (300, "misfit"), (0, "fit_failed"), (300, "ok"), (0, "lost")):
+        # Some draws are outside of each limit.
+        own = {}
+        for one in limits.limits:
+            middle = one.low if one.high == np.inf else one.high if one.low == -np.inf else 0.5 * (one.low + one.high)
+            own[one.quantity] = middle + 0.4 * one.width * random.standard_normal(draws)
+        results.append(DeviceResult({}, Estimate(status, None, {}, own if draws else {}), None))
+    together = judged(results, limits)
+    alone = [judged([result], limits) for result in results]
+    assert str(together) == str({name: [one[name][0] for one in alone] for name in together})
+    assert len({p for p in together["p_pass"] if p == p}) == 3
