@@ -16,6 +16,8 @@ from .readout_filter import compiled_filter
 _SIZES = (4, 6)
 #: Pairs of poles of the anti-alias filter of order 8.
 _LANES = 4
+#: Places for coordinates that a force law appends: none, and hidden modes or memories of two axes.
+_BESIDE = (0, 2)
 
 
 def is_compiled() -> bool:
@@ -27,13 +29,15 @@ def is_compiled() -> bool:
 
 
 def compile_loops() -> None:
-    """Compile the loops, the largest first, and the forces of the library; what is cached is loaded."""
-    for size in reversed(_SIZES):
-        compiled_deviation(size)
-    compiled_first_order(_SIZES[0])
+    """Compile the loops in the order of their need, and the forces of the library; what is cached is loaded."""
+    compiled_deviation(_SIZES[0])
+    compiled_first_order(_SIZES[0], _BESIDE[0])
     compiled_filter(_LANES)
     compiled_linear_states(_SIZES[0])
+    compiled_first_order(_SIZES[0], _BESIDE[1])
     # From the last: a search that has come so far begins with the first.
     for effect in reversed(find_effects(()).values()):
         if effect.force is not None:
             compiled_force(effect.force)
+    # Only fits with such effects need more places.
+    compiled_deviation(_SIZES[1])

@@ -24,8 +24,9 @@ from ...device.parameters import Parameter
 from ...errors import ConfigError
 from ..instrument import Instrument
 from .drive_groups import DriveGroup, highest_drive_energy, single_record_group
+from .first_order import first_order_response, is_first_order
 from .integrate import Motion
-from .response import Starts, converted, first_order_response, linear_motions, linear_volts, nonlinear_response
+from .response import Starts, converted, linear_motions, linear_volts, nonlinear_response
 from .sensitivity import SHARE, SLOPE_SUBSTEPS, STRONG
 from .system import System, assemble
 
@@ -225,16 +226,19 @@ def _change(
     system = assemble(larger, larger.complete(trial), instrument, group.conditions)
     integrated = found.force is not None or found.sense is not None
     if integrated or base.strong:
-        # The linear response changes only if the effect acts on a linear stage too.
-        appends = found.has_coordinates or system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape
+        linear_stages = set(found.stages) & {"drive", "mechanics", "readout"}
         # Close to the null the first order of a force suffices; a point of a grid is far from the null.
-        if base.motions is not None and not own.grid and not appends:
+        if base.motions is not None and not own.grid and is_first_order(system, base.system):
             change = first_order_response(system, group, base.motions)
+            if system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape:
+                # Coordinates that forces alone move.
+                linear_stages -= {"mechanics"}
         else:
             change = nonlinear_response(system, group, base.starts, base.substeps)
         if base.nonlinear is not None:
             change -= base.nonlinear
-        if set(found.stages) & {"drive", "mechanics", "readout"}:
+        # The linear response changes only if the effect acts on a linear stage too.
+        if linear_stages:
             change += linear_volts(system, group, base.starts)
             change -= base.linear
     else:
