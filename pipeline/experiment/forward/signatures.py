@@ -198,7 +198,8 @@ def signatures(
                 _derivative(m, point, change, base.level, steps.get(m.name, 0.0), not integrated)
                 for m in differentiated
             ]
-            columns = np.stack([slope for slope, _ in slopes])
+            # A copy of one column takes as long as its transform.
+            columns = slopes[0][0][None] if len(slopes) == 1 else np.stack([slope for slope, _ in slopes])
             names = tuple(m.name for m in differentiated)
             steps = {**steps, **{m.name: step for m, (_, step) in zip(differentiated, slopes)}}
         yield Signature(effect, names, point, columns, basis, dict(steps))
@@ -242,7 +243,8 @@ def _change(
             change += linear_volts(system, group, base.starts)
             change -= base.linear
     else:
-        change = linear_volts(system, group, base.starts) - base.linear
+        change = linear_volts(system, group, base.starts)
+        change -= base.linear
     if system.adcs:
         change = converted(system, base.y + change) - converted(base.system, base.y)
     return change
@@ -263,8 +265,9 @@ def _derivative(
     """
     step, first = _tuned_step(member, point, change, level, hint, both_sides)
     if both_sides and member.null - step >= member.low:
-        return (first - change(point, member.name, member.null - step)) / (2.0 * step), step
-    return first / step, step
+        first -= change(point, member.name, member.null - step)
+        return np.divide(first, 2.0 * step, out=first), step
+    return np.divide(first, step, out=first), step
 
 
 def _tuned_step(

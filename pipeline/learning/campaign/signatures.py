@@ -170,7 +170,7 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
                 if number == 0:
                     found.append(replace(signature, columns=np.zeros(0)))
                     energy.append(np.zeros(signature.columns.shape[0]))
-                energy[j] = energy[j] + np.sum(signature.columns**2, axis=(1, 2, 3))
+                energy[j] += [float(np.vdot(column, column)) for column in signature.columns]
                 for k, (place, source) in enumerate(zip(places, response_sources(base.group, base.starts))):
                     own = at.rows(place, signature.columns[:, k]) if source == k else columns[places[source]][-1]
                     columns[place].append(own)
