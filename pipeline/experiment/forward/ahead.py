@@ -1,4 +1,4 @@
-"""The loops that almost every search for an effect needs: whether they are compiled, and how each is loaded or compiled before it."""
+"""The loops that almost every search for an effect needs: whether they are compiled, and how each is made ready before it."""
 
 from __future__ import annotations
 
