@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -183,7 +184,7 @@ class Motion:
     drive: FloatArray
     states: FloatArray
 
-    @property
+    @cached_property
     def state(self) -> FloatArray:
         """(M, 2n) states at the grid points [V s, V]."""
         return np.asarray(self.states[::2, self.steps.index] / self.steps.factors)
