@@ -47,5 +47,6 @@ def needed_loops() -> tuple[Callable[[], object], ...]:
 
 def compile_loops() -> None:
     """Compile the needed loops, and those that only fits with appended coordinates need."""
-    for make in (*needed_loops(), partial(compiled_deviation, _SIZES[1])):
+    for make in needed_loops():
         make()
+    compiled_deviation(_SIZES[1])

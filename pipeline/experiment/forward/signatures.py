@@ -198,7 +198,6 @@ def signatures(
                 _derivative(m, point, change, base.level, steps.get(m.name, 0.0), not integrated)
                 for m in differentiated
             ]
-            # A copy of one column takes as long as its transform.
             columns = slopes[0][0][None] if len(slopes) == 1 else np.stack([slope for slope, _ in slopes])
             names = tuple(m.name for m in differentiated)
             steps = {**steps, **{m.name: step for m, (_, step) in zip(differentiated, slopes)}}
@@ -232,8 +231,7 @@ def _change(
         if base.motions is not None and not own.grid and is_first_order(system, base.system):
             change = first_order_response(system, group, base.motions)
             if system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape:
-                # Coordinates that forces alone move.
-                linear_stages -= {"mechanics"}
+                linear_stages -= {"mechanics"}  # which appends coordinates that forces alone move
         else:
             change = nonlinear_response(system, group, base.starts, base.substeps)
         if base.nonlinear is not None:
@@ -243,8 +241,7 @@ def _change(
             change += linear_volts(system, group, base.starts)
             change -= base.linear
     else:
-        change = linear_volts(system, group, base.starts)
-        change -= base.linear
+        change = linear_volts(system, group, base.starts) - base.linear
     if system.adcs:
         change = converted(system, base.y + change) - converted(base.system, base.y)
     return change
@@ -265,8 +262,7 @@ def _derivative(
     """
     step, first = _tuned_step(member, point, change, level, hint, both_sides)
     if both_sides and member.null - step >= member.low:
-        first -= change(point, member.name, member.null - step)
-        return np.divide(first, 2.0 * step, out=first), step
+        return (first - change(point, member.name, member.null - step)) / (2.0 * step), step
     return np.divide(first, step, out=first), step
 
 
