@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,29 @@ def test_nothing_is_started_without_need_or_without_a_second_core(
     with ahead.compiled_ahead():
         pass
     assert started.said == []
+
+
+def test_a_thread_loads_what_is_cached_until_the_command_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "is_compiled", lambda: True)
+    monkeypatch.setattr(ahead, "usable_cores", lambda: 2)
+    loaded: list[str] = []
+    first, ended = threading.Event(), threading.Event()
+
+    def slow() -> None:
+        loaded.append(threading.current_thread().name)
+        first.set()
+        assert ended.wait(10.0)
+
+    monkeypatch.setattr(ahead, "needed_loops", lambda: (slow, lambda: loaded.append("one more")))
+    inside = ahead.compiled_ahead()
+    inside.__enter__()
+    assert first.wait(10.0)
+    threading.Timer(0.1, ended.set).start()
+    assert not inside.__exit__(None, None, None)
+    # What began has ended, in another thread, and nothing began after the command had ended.
+    assert len(loaded) == 1
+    assert loaded[0] != threading.current_thread().name
+    assert not any(thread.name == loaded[0] for thread in threading.enumerate())
 
 
 def test_the_process_ends_with_the_command_even_if_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,9 @@
-"""The loops that almost every search for an effect needs: whether they are compiled, and their compilation before it."""
+"""The loops that almost every search for an effect needs: whether they are compiled, and how each is made ready before it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from numba import njit
@@ -16,6 +18,8 @@ from .readout_filter import compiled_filter
 _SIZES = (4, 6)
 #: Pairs of poles of the anti-alias filter of order 8.
 _LANES = 4
+#: Places for coordinates that a force law appends: none, and hidden modes or memories of two axes.
+_BESIDE = (0, 2)
 
 
 def is_compiled() -> bool:
@@ -26,14 +30,23 @@ def is_compiled() -> bool:
     return max(written, default=0.0) > source.stat().st_mtime
 
 
-def compile_loops() -> None:
-    """Compile the loops, the largest first, and the forces of the library; what is cached is loaded."""
-    for size in reversed(_SIZES):
-        compiled_deviation(size)
-    compiled_first_order(_SIZES[0])
-    compiled_filter(_LANES)
-    compiled_linear_states(_SIZES[0])
+def needed_loops() -> tuple[Callable[[], object], ...]:
+    """Each loads or compiles a loop, in the order of their need, and then a force of the library."""
+    size, (none, some) = _SIZES[0], _BESIDE
+    loops = (
+        partial(compiled_deviation, size),
+        partial(compiled_first_order, size, none),
+        partial(compiled_filter, _LANES),
+        partial(compiled_linear_states, size),
+        partial(compiled_first_order, size, some),
+    )
     # From the last: a search that has come so far begins with the first.
-    for effect in reversed(find_effects(()).values()):
-        if effect.force is not None:
-            compiled_force(effect.force)
+    forces = (effect.force for effect in reversed(find_effects(()).values()))
+    return (*loops, *(partial(compiled_force, force) for force in forces if force is not None))
+
+
+def compile_loops() -> None:
+    """Compile the needed loops, and those that only fits with appended coordinates need."""
+    for make in needed_loops():
+        make()
+    compiled_deviation(_SIZES[1])

@@ -8,7 +8,8 @@ from numba import njit, types
 
 from ...device.force_law import FORCES_TYPES
 from ...threads import once
-from .kernels import deviation_from_linear, first_order_deviation, linear_states
+from .first_order_kernel import first_order_deviation
+from .kernels import deviation_from_linear, linear_states
 
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
@@ -43,10 +44,10 @@ def compiled_linear_states(half_size: int) -> Any:
 
 
 @once
-def compiled_first_order(half_size: int) -> Any:
-    """``first_order_deviation`` for at most ``half_size`` coordinates (H)."""
-    shape = types.UniTuple(types.int64, half_size)
-    matrices = (_MATRIX, _MATRIX, types.float64)
+def compiled_first_order(half_size: int, beside: int) -> Any:
+    """``first_order_deviation`` for at most ``half_size`` known coordinates (H), and ``beside`` others (W)."""
+    shape, more = types.UniTuple(types.int64, half_size), types.Tuple((types.int64,) * beside)
+    matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
     reads = (_MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(shape, *FORCES_TYPES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    signature = types.void(shape, more, *FORCES_TYPES, *matrices, *_STEPS, types.int64, types.int64, *_DRIVE, *reads)
     return njit(signature, **OPTIONS)(first_order_deviation)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,27 +79,42 @@ def record_motion(system: System, group: DriveGroup, record: int, starts: Starts
     return RecordMotion(states[:, :own], states[:, n : n + own], u, x, xd, driven, t, omega, whole.axes)
 
 
-def responses(system: System, group: DriveGroup, forces: Sequence[FloatArray], hold: Hold = "foh") -> FloatArray:
-    """Volts (k, N, S) [V] that each of k forces (N, n) [V/s] on the coordinates of the plant causes from rest, to first order.
+class Push(NamedTuple):
+    """A part of a force: gain times ``waveform`` (N,) [V/s] on one coordinate of the plant."""
+
+    coordinate: int
+    gain: float
+    waveform: FloatArray
+
+
+Force = tuple[Push, ...]
+
+
+def responses(system: System, group: DriveGroup, forces: Sequence[Force], hold: Hold = "foh") -> FloatArray:
+    """Volts (k, N, S) [V] that each of k forces on the coordinates of the plant causes from rest, to first order.
 
     ``hold`` is that of the forces: "foh" for those that follow the motion, that of the clock for those that follow the drive.
+    Forces that hold the same waveform, the same object, share its responses on all coordinates.
     """
     mechanics, clock = system.mechanics, _sampled(group, hold)
-    found = []
-    for force in forces:
-        # Column by column, each search ends at the first sample that is not zero.
-        acting = np.flatnonzero([column.any() for column in force.T])
-        if not acting.size:
-            found.append(np.zeros((force.shape[0], system.sense_motion.shape[0])))
+    n = mechanics.stiffness.shape[1]
+    pushed = replace(mechanics, drive=np.eye(n)[None])
+    uses: dict[int, list[tuple[int, Push]]] = {}
+    for k, force in enumerate(forces):
+        for push in force:
+            uses.setdefault(id(push.waveform), []).append((k, push))
+    found = np.zeros((len(forces), group.drives[0].shape[0], system.sense_motion.shape[0]))
+    for shared in uses.values():
+        waveform = shared[0][1].waveform
+        if not waveform.any():
             continue
-        onto = np.zeros((1, mechanics.stiffness.shape[1], acting.size))
-        onto[0, acting, np.arange(acting.size)] = 1.0
-        pushed = replace(mechanics, drive=onto)
-        waveforms = np.ascontiguousarray(force[:, acting].T)
-        found.append(
-            linear_response(pushed, system.readout, waveforms, np.eye(acting.size)[None], clock, feeds=False)[0]
-        )
-    return np.stack(found)
+        gains = np.zeros((len(shared), n, 1))
+        for row, (_, push) in enumerate(shared):
+            gains[row, push.coordinate, 0] = push.gain
+        volts = linear_response(pushed, system.readout, waveform[None], gains, clock, feeds=False)
+        for (k, _), own in zip(shared, volts):
+            found[k] += own
+    return found
 
 
 def read_out(system: System, group: DriveGroup, volts: Sequence[FloatArray]) -> FloatArray:

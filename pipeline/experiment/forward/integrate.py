@@ -11,7 +11,8 @@ This avoids cancellation, and the jumps and kinks of the held drive stay in the 
 r = (V, D) d + (sense effects), is smooth between samples; ``readout_filter`` takes it as the polynomial through the
 ``SUBSTEPS`` + 1 values of each sample interval.
 
-If a force is so weak that its first order suffices, it is summed along the linear trajectory, which all such forces share.
+If a force is so weak that its first order suffices, it is summed along the linear trajectory, which all such forces share
+(``first_order``).
 
 Shapes: N samples, M = (N - 1) SUBSTEPS + 1 grid points, n coordinates, D drives, S senses.  A state (2n,) is (q, q') with q
 in V s and q' in V.  H >= n is the size to which the compiled loops pad q and q'.
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ from ...device.force_law import Laws, acting_forces
 from ...device.mechanics import Mechanics, state_matrix
 from ...errors import ConfigError
 from ..instrument import Hold
-from .compiled import compiled_deviation, compiled_first_order, compiled_linear_states
+from .compiled import compiled_deviation, compiled_linear_states
 
 SUBSTEPS = 4
 
@@ -182,7 +184,7 @@ class Motion:
     drive: FloatArray
     states: FloatArray
 
-    @property
+    @cached_property
     def state(self) -> FloatArray:
         """(M, 2n) states at the grid points [V s, V]."""
         return np.asarray(self.states[::2, self.steps.index] / self.steps.factors)
@@ -208,30 +210,3 @@ def linear_motion(
         states,
     )
     return Motion(steps, u, states)
-
-
-def perturbed_motion(motion: Motion, forces: Forces, laws: Laws, reads: FloatArray) -> FloatArray:
-    """Volts (M, S) [V] at the pick-offs due to the deviation that ``forces`` cause along ``motion``, to first order.
-
-    ``reads`` (S, 2n) gives pick-off volts from a state; ``forces`` and ``laws`` as in ``trajectory``.
-    """
-    steps = motion.steps
-    taps = steps.padded(reads / steps.factors)
-    deviation = np.empty((motion.states.shape[0] // 2 + 1, taps.shape[0]))
-    compiled_first_order(steps.half_size)(
-        (0,) * steps.half_size,
-        *acting_forces(forces),
-        laws,
-        steps.half,
-        steps.half @ steps.half,
-        1.0 / steps.scale,
-        steps.step_s,
-        steps.substeps,
-        steps.coordinates,
-        motion.drive,
-        steps.sloped,
-        motion.states,
-        taps,
-        deviation,
-    )
-    return deviation

@@ -22,11 +22,11 @@ from ...arrays import FloatArray, IntArray
 from ...device.force_law import Laws, push
 
 #: Options of functions that only compiled loops call; a wrapper for Python would be compiled in vain.
-_INSIDE: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True}
+INSIDE: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True}
 
 
-@njit(**_INSIDE)
-def _summed(
+@njit(**INSIDE)
+def summed(
     size: int, transposed: FloatArray, offset: int, rows: int, x: FloatArray, row: int, out: FloatArray, to: int
 ) -> None:
     """out[to] = x[row, :rows] @ transposed[offset : offset + rows]; four sums at a time stay in registers.
@@ -44,8 +44,8 @@ def _summed(
         out[to, i], out[to, i + 1], out[to, i + 2], out[to, i + 3] = s0, s1, s2, s3
 
 
-@njit(**_INSIDE)
-def _read(size: int, taps: FloatArray, x: FloatArray, row: int, out: FloatArray, to: int) -> None:
+@njit(**INSIDE)
+def read_taps(size: int, taps: FloatArray, x: FloatArray, row: int, out: FloatArray, to: int) -> None:
     """out[to] = taps @ x[row]."""
     for tap in range(taps.shape[0]):
         total = 0.0
@@ -105,9 +105,9 @@ def deviation_from_linear(
     for i in range(size):
         motion[0, i], free[0, i] = start[i], 0.0
     wants_linear = linear.shape[0] > 0
-    _read(size, taps, free, 0, deviation, 0)
+    read_taps(size, taps, free, 0, deviation, 0)
     if wants_linear:
-        _read(size, taps, motion, 0, linear, 0)
+        read_taps(size, taps, motion, 0, linear, 0)
     point = 0
     for sample in range(drive.shape[0] - 1):
         for d in range(drives):
@@ -122,7 +122,7 @@ def deviation_from_linear(
                 for i in range(size):
                     driven[i] += held[d, i] * u[d] + ramp[d, i] * slope[d]
             for node in range(1, 3):
-                _summed(size, half, 0, size, motion, node - 1, motion, node)
+                summed(size, half, 0, size, motion, node - 1, motion, node)
                 for i in range(size):
                     motion[node, i] += driven[i]
                 for d in range(drives):
@@ -132,8 +132,8 @@ def deviation_from_linear(
                 for stage in range(4):
                     node = (stage + 1) // 2
                     if stage == 1 or stage == 3:
-                        _summed(size, half, 0, size, free, node - 1, free, node)
-                        _summed(size, half, half_size, half_size, k, stage - 1, grown, node - 1)
+                        summed(size, half, 0, size, free, node - 1, free, node)
+                        summed(size, half, half_size, half_size, k, stage - 1, grown, node - 1)
                         for d in range(drives):
                             u[d] += slope[d] * 0.5 * h
                         for i in range(size):
@@ -153,7 +153,7 @@ def deviation_from_linear(
                 # d <- E^2 d + h/6 (E (E k1 + 2 (k2 + k3)) + k4),  E the exponential of half a substep
                 for i in range(n):
                     grown[0, half_size + i] += 2.0 * (k[1, i] + k[2, i])
-                _summed(size, half, 0, size, grown, 0, grown, 1)
+                summed(size, half, 0, size, grown, 0, grown, 1)
                 for i in range(size):
                     free[0, i] = free[2, i] + sixth * grown[1, i]
                 for i in range(n):
@@ -161,9 +161,9 @@ def deviation_from_linear(
             for i in range(size):
                 motion[0, i] = motion[2, i]
             point += 1
-            _read(size, taps, free, 0, deviation, point)
+            read_taps(size, taps, free, 0, deviation, point)
             if wants_linear:
-                _read(size, taps, motion, 0, linear, point)
+                read_taps(size, taps, motion, 0, linear, point)
 
 
 def linear_states(
@@ -199,76 +199,7 @@ def linear_states(
                 u = drive[sample, k] + slope[k] * (part * half_s)
                 for i in range(size):
                     driven[i] += held[k, i] * u + ramp[k, i] * slope[k]
-            _summed(size, half, 0, size, out, row, out, row + 1)
+            summed(size, half, 0, size, out, row, out, row + 1)
             row += 1
             for i in range(size):
                 out[row, i] += driven[i]
-
-
-def first_order_deviation(
-    shape: tuple[int, ...],
-    forces: IntArray,
-    p: FloatArray,
-    ends: IntArray,
-    laws: Laws,
-    half: FloatArray,
-    whole: FloatArray,
-    inverse: float,
-    step_s: float,
-    substeps: int,
-    n: int,
-    drive: FloatArray,
-    sloped: bool,
-    states: FloatArray,
-    taps: FloatArray,
-    deviation: FloatArray,
-) -> None:
-    """Fill ``deviation`` (M, T), the taps of the motion [V] that forces cause, to first order in the forces.
-
-    The forces k1, k2, k3 act along the known linear ``states`` (2M - 1, 2H), at the start, middle and end of a substep
-    (Simpson's rule):  d <- E^2 d + h/6 (E^2 k1 + 4 E k2 + k3).  ``whole`` is E^2; the other arguments are those of
-    ``deviation_from_linear``.
-    """
-    half_size = len(shape)
-    size = 2 * half_size
-    drives = drive.shape[1]
-    h = step_s / substeps
-    sixth = h * (1.0 / 6.0)
-    q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.empty(drives)
-    # The deviation, with the force at the start of a substep, and the response to that in its middle.
-    impulse, d, grown = np.empty((1, half_size)), np.empty((2, size)), np.empty((1, size))
-    for i in range(size):
-        d[0, i] = 0.0
-    for i in range(half_size):
-        impulse[0, i] = 0.0
-    _read(size, taps, d, 0, deviation, 0)
-    for sample in range(drive.shape[0] - 1):
-        for k in range(drives):
-            slope[k] = (drive[sample + 1, k] - drive[sample, k]) / step_s if sloped else 0.0
-        for sub in range(substeps):
-            point = sample * substeps + sub
-            t = laws.elapsed_s + sample * step_s + sub * h
-            for node in range(3):
-                # The forces at the end of the last substep are reused, unless a held drive has jumped since.
-                if node > 0 or sub == 0:
-                    for i in range(n):
-                        q[i], qd[i] = states[2 * point + node, i] * inverse, states[2 * point + node, half_size + i]
-                        out[i] = 0.0
-                    for k in range(drives):
-                        u[k] = drive[sample, k] + slope[k] * (sub + 0.5 * node) * h
-                    for f in range(forces.size):
-                        push(forces[f], t + 0.5 * node * h, q, qd, u, p, ends[f], ends[f + 1], laws, out)
-                if node == 1:
-                    for i in range(n):
-                        impulse[0, i] = 4.0 * sixth * out[i]
-                    _summed(size, half, half_size, half_size, impulse, 0, grown, 0)
-                    for i in range(size):
-                        d[0, i] += grown[0, i]
-                    continue
-                for i in range(n):
-                    d[0, half_size + i] += sixth * out[i]
-                if node == 0:
-                    for i in range(size):
-                        d[1, i] = d[0, i]
-                    _summed(size, whole, 0, size, d, 1, d, 0)
-            _read(size, taps, d, 0, deviation, point + 1)

@@ -64,6 +64,12 @@ def _filter(
     samples, senses = out.shape
     x = np.zeros((senses, 2, len(lanes)))
     read = np.zeros((2, len(lanes)))
+    # Without crosstalk a channel is read from its own states only, half of the sums.
+    mixed = np.zeros((senses, senses), np.bool_)
+    for a in range(senses):
+        for b in range(senses):
+            for j in range(len(lanes)):
+                mixed[a, b] |= residues[0, a, b, j] != 0.0 or residues[1, a, b, j] != 0.0
     for sample in range(samples):
         first = sample * substeps
         last = sample + 1 == samples
@@ -79,6 +85,8 @@ def _filter(
                         read[0, j] += w_out[0, i, j] * r[first + i, b]
                         read[1, j] += w_out[1, i, j] * r[first + i, b]
             for a in range(senses):
+                if not mixed[a, b]:
+                    continue
                 total = 0.0
                 for j in range(len(lanes)):
                     total += residues[0, a, b, j] * read[0, j] - residues[1, a, b, j] * read[1, j]

@@ -23,7 +23,7 @@ from ...device.force_law import Points, force_along
 from ...device.readout import Readout
 from ...threads import mapped
 from .drive_groups import DriveGroup, waveforms_of
-from .integrate import SUBSTEPS, Motion, between_samples, linear_motion, perturbed_motion, trajectory
+from .integrate import SUBSTEPS, Motion, between_samples, linear_motion, trajectory
 from .linear import (
     SampleClock,
     delay_steps,
@@ -134,7 +134,7 @@ def nonlinear_responses(
         r = _nonlinear_pickoff(system, u, group.clock, start_states[record], steps)
         return np.stack([after_readout(delayed(system, d), r, group.clock, steps) for d in delays_s])
 
-    return np.stack(_for_distinct_records(one, response_sources(group, starts), group.threads), axis=1)
+    return np.stack(for_distinct_records(one, response_sources(group, starts), group.threads), axis=1)
 
 
 def force_drive(system: System, group: DriveGroup, record: int) -> FloatArray:
@@ -159,30 +159,7 @@ def linear_motions(system: System, group: DriveGroup, starts: Starts | None, sub
         state = None if start is None else full_start(system, start)
         return linear_motion(system.mechanics, u, clock.step_s, clock.hold, state, steps)
 
-    return _for_distinct_records(one, response_sources(group, starts), group.threads)
-
-
-def first_order_response(system: System, group: DriveGroup, motions: Sequence[Motion]) -> FloatArray:
-    """As ``nonlinear_response`` (R, N, S) [V], to first order in the force and sense effects.
-
-    ``motions`` are the linear trajectories of the records (``linear_motions``).
-    """
-
-    def one(record: int) -> FloatArray:
-        motion = motions[record]
-        reads = _pickoff_rows(system)
-        r = np.zeros((motion.states.shape[0] // 2 + 1, reads.shape[0]))
-        if system.forces:
-            r += perturbed_motion(motion, [(effect.force, p) for effect, p in system.forces], system.laws, reads)
-            if system.mechanics.senses_acceleration:
-                u = between_samples(motion.drive, motion.steps.substeps, motion.steps.sloped)
-                r += _force_volts(system, motion.state, u, group.clock.step_s / motion.steps.substeps)
-        if system.senses:
-            r += _sense_effect_volts(system, motion.state, motion.drive, group.clock, motion.steps.substeps)
-        return after_readout(system, r, group.clock, motion.steps.substeps)
-
-    source = [next(k for k, other in enumerate(motions) if other is motion) for motion in motions]
-    return np.stack(_for_distinct_records(one, source, group.threads))
+    return for_distinct_records(one, response_sources(group, starts), group.threads)
 
 
 def response_sources(group: DriveGroup, starts: Starts | None) -> list[int]:
@@ -194,7 +171,7 @@ def response_sources(group: DriveGroup, starts: Starts | None) -> list[int]:
     ]
 
 
-def _for_distinct_records(one: Callable[[int], Out], source: Sequence[int], threads: int) -> list[Out]:
+def for_distinct_records(one: Callable[[int], Out], source: Sequence[int], threads: int) -> list[Out]:
     distinct = [record for record, first in enumerate(source) if first == record]
     found = mapped(one, distinct, threads)
     return [found[distinct.index(first)] for first in source]
@@ -204,7 +181,7 @@ def _substeps(clock: SampleClock, substeps: int) -> int:
     return min(substeps, _INTERPOLATED_SUBSTEPS) if clock.stride > 1 else substeps
 
 
-def _pickoff_rows(system: System) -> FloatArray:
+def pickoff_rows(system: System) -> FloatArray:
     """(S, 2n): pick-off volts from a state, without drive, forces and sense effects."""
     return system.mechanics.reads[0]
 
@@ -215,7 +192,7 @@ def _nonlinear_pickoff(
     """Nonlinear pick-off volts (M, S) of one record to ``u`` (N', D), before the read-out."""
     forces = [(effect.force, p) for effect, p in system.forces]
     state = None if start is None else full_start(system, start)
-    reads = _pickoff_rows(system)
+    reads = pickoff_rows(system)
     solve = partial(trajectory, system.mechanics, forces, system.laws, u, clock.step_s, clock.hold, state, substeps)
     if not system.senses and not system.mechanics.senses_acceleration:
         return solve(reads=reads)[1]
@@ -223,13 +200,13 @@ def _nonlinear_pickoff(
     r = deviation @ reads.T
     if system.mechanics.senses_acceleration:
         v = between_samples(u, substeps, clock.hold != "zoh")
-        r += _force_volts(system, linear + deviation, v, clock.step_s / substeps)
+        r += force_volts_along(system, linear + deviation, v, clock.step_s / substeps)
     if system.senses:
-        r += _sense_effect_volts(system, linear + deviation, u, clock, substeps)
+        r += sense_effect_volts(system, linear + deviation, u, clock, substeps)
     return r
 
 
-def _force_volts(system: System, state: FloatArray, u: FloatArray, step_s: float) -> FloatArray:
+def force_volts_along(system: System, state: FloatArray, u: FloatArray, step_s: float) -> FloatArray:
     """A a (M, S) [V]: the forces a along states (M, 2n) under drives u (M, D) [V], as pick-offs of acceleration see them."""
     n = system.mechanics.stiffness.shape[1]
     points = Points(np.arange(state.shape[0], dtype=np.float64) * step_s, state[:, :n].T, state[:, n:].T, u.T)
@@ -240,7 +217,7 @@ def _force_volts(system: System, state: FloatArray, u: FloatArray, step_s: float
     return np.asarray(forces.T @ system.mechanics.acceleration_sense[0].T)
 
 
-def _sense_effect_volts(
+def sense_effect_volts(
     system: System, state: FloatArray, drive: FloatArray, clock: SampleClock, substeps: int
 ) -> FloatArray:
     """What sense effects add to the pick-off volts along states (M, 2n) under ``drive`` (N', D) [V], (M, S) [V]."""
@@ -248,11 +225,11 @@ def _sense_effect_volts(
     x, xd, s = (
         state[:, :n] @ system.sense_motion.T,
         state[:, n:] @ system.sense_motion.T,
-        state @ _pickoff_rows(system).T,
+        state @ pickoff_rows(system).T,
     )
     if system.mechanics.senses_acceleration:
         u = between_samples(drive, substeps, clock.hold != "zoh")
-        s = s + u @ system.mechanics.direct[0].T + _force_volts(system, state, u, step_s)
+        s = s + u @ system.mechanics.direct[0].T + force_volts_along(system, state, u, step_s)
     t = system.context.elapsed_s + np.arange(state.shape[0], dtype=np.float64) * step_s
     sensed = s
     for effect, p in system.senses:

@@ -24,8 +24,9 @@ from ...device.parameters import Parameter
 from ...errors import ConfigError
 from ..instrument import Instrument
 from .drive_groups import DriveGroup, highest_drive_energy, single_record_group
+from .first_order import first_order_response, is_first_order
 from .integrate import Motion
-from .response import Starts, converted, first_order_response, linear_motions, linear_volts, nonlinear_response
+from .response import Starts, converted, linear_motions, linear_volts, nonlinear_response
 from .sensitivity import SHARE, SLOPE_SUBSTEPS, STRONG
 from .system import System, assemble
 
@@ -197,7 +198,7 @@ def signatures(
                 _derivative(m, point, change, base.level, steps.get(m.name, 0.0), not integrated)
                 for m in differentiated
             ]
-            columns = np.stack([slope for slope, _ in slopes])
+            columns = slopes[0][0][None] if len(slopes) == 1 else np.stack([slope for slope, _ in slopes])
             names = tuple(m.name for m in differentiated)
             steps = {**steps, **{m.name: step for m, (_, step) in zip(differentiated, slopes)}}
         yield Signature(effect, names, point, columns, basis, dict(steps))
@@ -225,16 +226,18 @@ def _change(
     system = assemble(larger, larger.complete(trial), instrument, group.conditions)
     integrated = found.force is not None or found.sense is not None
     if integrated or base.strong:
-        # The linear response changes only if the effect acts on a linear stage too.
-        appends = found.has_coordinates or system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape
+        linear_stages = set(found.stages) & {"drive", "mechanics", "readout"}
         # Close to the null the first order of a force suffices; a point of a grid is far from the null.
-        if base.motions is not None and not own.grid and not appends:
+        if base.motions is not None and not own.grid and is_first_order(system, base.system):
             change = first_order_response(system, group, base.motions)
+            if system.mechanics.stiffness.shape != base.system.mechanics.stiffness.shape:
+                linear_stages -= {"mechanics"}  # which appends coordinates that forces alone move
         else:
             change = nonlinear_response(system, group, base.starts, base.substeps)
         if base.nonlinear is not None:
             change -= base.nonlinear
-        if set(found.stages) & {"drive", "mechanics", "readout"}:
+        # The linear response changes only if the effect acts on a linear stage too.
+        if linear_stages:
             change += linear_volts(system, group, base.starts)
             change -= base.linear
     else:
@@ -260,7 +263,7 @@ def _derivative(
     step, first = _tuned_step(member, point, change, level, hint, both_sides)
     if both_sides and member.null - step >= member.low:
         return (first - change(point, member.name, member.null - step)) / (2.0 * step), step
-    return first / step, step
+    return np.divide(first, step, out=first), step
 
 
 def _tuned_step(

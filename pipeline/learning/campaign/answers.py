@@ -104,10 +104,13 @@ class CampaignAnswers:
 
     def proposals(self, terms: Sequence[str], classes: Sequence[TermClass]) -> tuple[Proposal, ...]:
         """For every class of several effects the record that separates it best; ``terms`` are in the fit."""
+        several = [one for one in classes if len(one.members) > 1]
+        if not several:
+            return ()
         # Few campaigns have a class.
         from ..next_experiment.separating import separating_record
 
-        found = (separating_record(self.problem, terms, one) for one in classes if len(one.members) > 1)
+        found = (separating_record(self.problem, terms, one) for one in several)
         return tuple(one for one in found if one is not None)
 
     @cached_property

@@ -24,34 +24,37 @@ from itertools import combinations
 import numpy as np
 
 from ...arrays import FloatArray
-from ...experiment.forward.generic_forces import RecordMotion
+from ...experiment.forward.generic_forces import Force, Push, RecordMotion
 
 
-def force_families(motion: RecordMotion) -> dict[str, list[FloatArray]]:
-    """Forces (N, n) that follow the motion, by family.  Their unit does not matter, but it is the same in all records."""
-    q, qd, time = motion.q * motion.omega, motion.qd, motion.t
+def force_families(motion: RecordMotion) -> dict[str, list[Force]]:
+    """Forces that follow the motion, by family.  Their unit does not matter, but it is the same in all records."""
+    q, qd = motion.q * motion.omega, motion.qd
     axes, every = range(motion.axes), range(motion.q.shape[1])
-    amplitude = np.sqrt(np.sum(q[:, : motion.axes] ** 2 + qd[:, : motion.axes] ** 2, axis=1))
+    squares = np.sum(q[:, : motion.axes] ** 2 + qd[:, : motion.axes] ** 2, axis=1)
     # |q_i| <= |a|, so |a|^-1 q_i stays finite; at rest it is zero.
-    amplitude = np.maximum(amplitude, np.finfo(float).tiny)
+    amplitude = np.maximum(np.sqrt(squares), np.finfo(float).tiny)
+    power = {m: amplitude**m for m in (-1, 1, 2, 4)}
+    velocity = [np.ascontiguousarray(qd[:, j]) for j in every]
+    time = {m: motion.t**m for m in (1, 2)}
     return {
         "elastic force of third order": _potentials(q, axes, 3),
         "elastic force of fourth order": _potentials(q, axes, 4),
-        "stiffness that follows the amplitude": [_in(i, amplitude**m * q[:, i], q) for m in (-1, 1, 4) for i in axes],
-        "damping that follows the amplitude": [_in(i, amplitude**m * qd[:, i], q) for m in (-1, 1, 2) for i in axes],
-        "viscous coupling": [_in(i, qd[:, j], q) for i in every for j in every],
-        "slow change": [_in(i, time**m * s[:, i], q) for m in (1, 2) for s in (q, qd) for i in every],
+        "stiffness that follows the amplitude": [_on(i, power[m] * q[:, i]) for m in (-1, 1, 4) for i in axes],
+        "damping that follows the amplitude": [_on(i, power[m] * qd[:, i]) for m in (-1, 1, 2) for i in axes],
+        "viscous coupling": [_on(i, velocity[j]) for i in every for j in every],
+        "slow change": [_on(i, time[m] * s[:, i]) for m in (1, 2) for s in (q, qd) for i in every],
     }
 
 
-def drive_families(motion: RecordMotion) -> dict[str, list[FloatArray]]:
-    """Forces (N, n) that follow the drive, by family, in the same unit in all records."""
+def drive_families(motion: RecordMotion) -> dict[str, list[Force]]:
+    """Forces that follow the drive, by family, in the same unit in all records."""
     every = range(motion.q.shape[1])
+    squares = [v * v for v in motion.u.T]
+    pulls = [v * x for v, x in zip(motion.u.T, motion.driven.T)]
     return {
-        "force of the squared drive": [_in(i, v * v, motion.q) for i in every for v in motion.u.T],
-        "force of drive times motion": [
-            _in(i, v * x, motion.q) for i in every for v, x in zip(motion.u.T, motion.driven.T)
-        ],
+        "force of the squared drive": [_on(i, v) for i in every for v in squares],
+        "force of drive times motion": [_on(i, v) for i in every for v in pulls],
     }
 
 
@@ -65,15 +68,22 @@ def volt_families(motion: RecordMotion) -> dict[str, list[FloatArray]]:
     }
 
 
-def _potentials(q: FloatArray, axes: range, order: int) -> list[FloatArray]:
-    """-dV/dq (N, n) of V = q_i^m q_j^(order - m)."""
-    forces = [_in(i, q[:, i] ** (order - 1), q) for i in axes]
+def _potentials(q: FloatArray, axes: range, order: int) -> list[Force]:
+    """-dV/dq of V = q_i^m q_j^(order - m)."""
+    forces: list[Force] = []
+    own = {i: q[:, i] ** (order - 1) for i in axes}
+    forces += [_on(i, own[i]) for i in axes]
     for i, j in combinations(axes, 2):
+        # q_i^m q_j^(order - 1 - m)
+        mixed = [own[j], *(q[:, i] ** m * q[:, j] ** (order - 1 - m) for m in range(1, order - 1)), own[i]]
         for m in range(1, order):
-            k = order - m
-            one, other = m * q[:, i] ** (m - 1) * q[:, j] ** k, k * q[:, i] ** m * q[:, j] ** (k - 1)
-            forces.append(_in(i, one, q) + _in(j, other, q))
+            forces.append((Push(i, m, mixed[m - 1]), Push(j, order - m, mixed[m])))
     return forces
+
+
+def _on(coordinate: int, waveform: FloatArray) -> Force:
+    """``waveform`` (N,) on one coordinate."""
+    return (Push(coordinate, 1.0, waveform),)
 
 
 def _in(place: int, values: FloatArray, like: FloatArray) -> FloatArray:

@@ -43,16 +43,20 @@ class FourierRows:
     frequency_hz: FloatArray
     top_hz: float
 
-    def __call__(self, y: FloatArray) -> FloatArray:
-        """(.., N, S) -> (.., 2 F, S): unitary real Fourier coefficients."""
-        # Along the last, contiguous axis a transform is several times faster than down a column.
-        lines = np.ascontiguousarray(np.moveaxis(y, -2, -1)).reshape(-1, *y.shape[-1:-3:-1])
-        out = np.zeros((lines.shape[0], 2 * self.bins.size, lines.shape[1]))
+    def __call__(self, y: FloatArray, sigma: FloatArray | None = None) -> FloatArray:
+        """(.., N, S) -> (.., 2 F, S): unitary real Fourier coefficients; those of y / sigma where ``sigma`` (S,) is given."""
+        senses = y.shape[-1]
+        lines = y.reshape(-1, *y.shape[-2:])
+        out = np.zeros((lines.shape[0], 2 * self.bins.size, senses))
         first, last = int(self.bins[0]), int(self.bins[-1]) + 1
-        acting = [place for place in np.ndindex(lines.shape[:2]) if lines[place].any()]
+        acting = [(i, s) for i, s in np.ndindex(lines.shape[0], senses) if lines[i, :, s].any()]
+        # Along the last, contiguous axis a transform is several times faster than down a column.
+        work = np.empty((min(_TOGETHER, len(acting)), self.samples))
         for begin in range(0, len(acting), _TOGETHER):
             some = acting[begin : begin + _TOGETHER]
-            found = rfft(np.stack([lines[place] for place in some]))[:, first:last]
+            for line, (i, s) in zip(work, some):
+                np.divide(lines[i, :, s], 1.0 if sigma is None else sigma[s], out=line)
+            found = rfft(work[: len(some)])[:, first:last]
             found *= np.sqrt(2.0 / self.samples)
             for (i, s), c in zip(some, found):
                 out[i, : self.bins.size, s], out[i, self.bins.size :, s] = c.real, c.imag
@@ -77,7 +81,8 @@ def white_rows(problem: CampaignResiduals, task: Task, spectrum: FourierRows, y:
     """Rows (k, 2 F S) [sigma] of changes y (k, N, S) [V] of the record of ``task``."""
     # A free offset is the bin at zero, which is not among the rows.
     plain = task.basis.shape[1] == 1 and task.masked is None and task.whitening.is_white
-    return spectrum(y / problem.sigma_v if plain else problem.whiten(y, task)).reshape(y.shape[0], -1)
+    white = spectrum(y, problem.sigma_v) if plain else spectrum(problem.whiten(y, task))
+    return white.reshape(y.shape[0], -1)
 
 
 def strata_of(spectra: FourierRows, senses: int) -> IntArray:

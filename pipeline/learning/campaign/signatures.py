@@ -102,15 +102,26 @@ def known_signatures(
 
     tangent = tangent_of(fitted, tasks, problem.instrument, records, rows)
     sizes = [2 * s.bins.size * record.sense_v.shape[1] for s, record in zip(spectra, records)]
-    candidates, blocks = _stacked(executor.map(partial(signature_of, tangent), names), sizes)
+    candidates, parts = _collected(executor.map(partial(signature_of, tangent), names), sizes)
+
+    def stacked(place: int) -> tuple[FloatArray, FloatArray]:
+        # Each column is contiguous in memory; the parts of a record are freed when they are copied.
+        block = np.concatenate(parts[place]).T
+        parts[place].clear()
+        return block, stratum_grams((block,), (strata[place],))
+
+    found = list(executor.map(stacked, range(len(parts))))
+    grams = np.zeros((max(own.shape[0] for _, own in found), *found[0][1].shape[1:]))
+    for _, own in found:
+        grams[: own.shape[0]] += own
     predicted = {r.name: r.predicted_v for r in fitted.of_role("fit")}
-    return KnownSignatures(candidates, frozenset(names), blocks, stratum_grams(blocks, strata), predicted)
+    return KnownSignatures(candidates, frozenset(names), tuple(block for block, _ in found), grams, predicted)
 
 
-def _stacked(
+def _collected(
     signatures: Iterable[tuple[Candidate, list[list[FloatArray]]] | None], sizes: Sequence[int]
-) -> tuple[tuple[Candidate, ...], tuple[FloatArray, ...]]:
-    """Candidates with their cells in common blocks (rows, K), one per record; ``sizes`` are the numbers of rows."""
+) -> tuple[tuple[Candidate, ...], list[list[FloatArray]]]:
+    """Candidates with their cells in common blocks, and for each record parts (k, rows) of its block of ``sizes`` rows."""
     candidates: list[Candidate] = []
     parts: list[list[FloatArray]] = [[np.empty((0, size))] for size in sizes]
     width = 0
@@ -123,9 +134,7 @@ def _stacked(
         width += sum(part.shape[0] for part in columns[0])
         for known, own in zip(parts, columns):
             known.extend(own)
-    # Each column is contiguous in memory; the parts of a record are freed before those of the next are copied.
-    parts.reverse()
-    return tuple(candidates), tuple(np.concatenate(parts.pop()).T for _ in sizes)
+    return tuple(candidates), parts
 
 
 def tangent_of(
@@ -170,7 +179,7 @@ def signature_of(at: Tangent, name: str) -> tuple[Candidate, list[list[FloatArra
                 if number == 0:
                     found.append(replace(signature, columns=np.zeros(0)))
                     energy.append(np.zeros(signature.columns.shape[0]))
-                energy[j] = energy[j] + np.sum(signature.columns**2, axis=(1, 2, 3))
+                energy[j] += [float(np.vdot(column, column)) for column in signature.columns]
                 for k, (place, source) in enumerate(zip(places, response_sources(base.group, base.starts))):
                     own = at.rows(place, signature.columns[:, k]) if source == k else columns[places[source]][-1]
                     columns[place].append(own)

@@ -15,7 +15,8 @@ from pipeline.device.model import Model, PlantSpec
 from pipeline.device.readout import plain_readout
 from pipeline.experiment.antialias import filter_poles
 from pipeline.experiment.excitation import Chirp, drive_samples
-from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, perturbed_motion, trajectory
+from pipeline.experiment.forward.first_order import perturbed_motion
+from pipeline.experiment.forward.integrate import SUBSTEPS, linear_motion, trajectory
 from pipeline.experiment.forward.linear import SampleClock, linear_response, upper_poles
 from pipeline.experiment.forward.readout_filter import filtered
 from pipeline.experiment.instrument import AntiAlias
@@ -100,7 +101,8 @@ def test_the_first_order_response_misses_only_the_second_order(hold: Any, start:
     for p in (1e-4, 1e-5):
         force = [(curved, np.array([p]))]
         whole = trajectory(m, force, _laws(m), DRIVE, 1.0 / RATE, hold, start, reads=reads)[1]
-        errors.append(np.linalg.norm(perturbed_motion(motion, force, _laws(m), reads) - whole) / np.linalg.norm(whole))
+        found = perturbed_motion(motion, m, force, _laws(m), reads)
+        errors.append(np.linalg.norm(found - whole) / np.linalg.norm(whole))
     assert errors[0] < 1e-1
     # The error is of the next order.
     assert errors[1] == pytest.approx(0.1 * errors[0], rel=0.05)
