@@ -6,7 +6,7 @@ Arrays are made from their buffers and taken from them, because ``pa.array``, ``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,15 +36,33 @@ def column_array(values: Values | None, kind: pa.DataType, rows: int, name: str)
         raise UsageError(f"column {name} holds values of the wrong type ({error})", allowed=str(kind)) from None
 
 
+def joined(parts: Iterable[pa.Array], kind: pa.DataType, rows: int) -> pa.ChunkedArray:
+    """A column of ``rows`` values from its parts; numbers lie in one piece, and each part is released once it is copied."""
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+        return pa.chunked_array(list(parts), kind)
+    values = np.empty(rows, kind.to_pandas_dtype())
+    known: npt.NDArray[np.bool_] | None = None
+    first = 0
+    for part in parts:
+        values[first : first + len(part)] = raw_values(part)
+        if part.null_count:
+            known = np.ones(rows, dtype=np.bool_) if known is None else known
+            known[first : first + len(part)] = validity(part)
+        first += len(part)
+    return pa.chunked_array([pa.Array.from_buffers(kind, rows, [_bitmap(known), pa.py_buffer(values)])])
+
+
 def number_values(column: pa.ChunkedArray) -> FloatArray:
-    """(n,) values of a numeric column; NaN where null."""
+    """(n,) values of a numeric column, read-only; NaN where null."""
+    if column.num_chunks == 1 and pa.types.is_float64(column.type) and not column.null_count:
+        return _read_only(raw_values(column.chunk(0)))
     out = np.full(len(column), np.nan)
     first = 0
     for chunk in column.cast(pa.float64()).chunks:
         if chunk.null_count < len(chunk):
             out[first : first + len(chunk)] = np.where(validity(chunk), raw_values(chunk), np.nan)
         first += len(chunk)
-    return out
+    return _read_only(out)
 
 
 def validity(chunk: pa.Array) -> npt.NDArray[np.bool_]:
@@ -115,5 +133,11 @@ def _number_array(values: Values, kind: pa.DataType) -> pa.Array:
     return pa.Array.from_buffers(kind, raw.size, [_bitmap(known), pa.py_buffer(numbers)])
 
 
-def _bitmap(known: np.ndarray[Any, Any]) -> pa.Buffer | None:
-    return None if known.all() else _packed(known)
+def _bitmap(known: npt.NDArray[np.bool_] | None) -> pa.Buffer | None:
+    return None if known is None or known.all() else _packed(known)
+
+
+def _read_only(values: FloatArray) -> FloatArray:
+    """The array, which may be the very memory of a column."""
+    values.flags.writeable = False
+    return values
