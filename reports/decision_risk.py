@@ -35,7 +35,7 @@ from pipeline.arrays import BoolArray, FloatArray
 from .acceptance import probability_inside, zones
 from .capability import Common, normal_process
 from .clusters import effective_number
-from .coded import CodedText, IntArray
+from .coded import CodedText, IntArray, numbered
 from .devices import Devices
 from .limits import Limit, Limits
 from .rules import Rule
@@ -123,10 +123,10 @@ def decision_risks(devices: Devices, limits: Limits, common: Common = MappingPro
 
 
 def _truth(devices: Devices, limits: Limits) -> BoolArray | None:
-    values = [(limit, devices.number(f"true_{limit.quantity}")) for limit in limits.limits]
-    if any(np.isnan(true).any() for _, true in values):
+    checks = [devices.truth(limit) for limit in limits.limits]
+    if not all(check.whole for check in checks):
         return None
-    return np.asarray(np.logical_and.reduce([limit.admits(true) for limit, true in values]))
+    return np.asarray(np.logical_and.reduce([check.conforms for check in checks]))
 
 
 def _of_quantity(devices: Devices, rule: Rule, limit: Limit, groups: CodedText, common: Common) -> DecisionRisk:
@@ -196,10 +196,10 @@ def _share(wrong: FloatArray, group: IntArray, normal: float | None, counted: Bo
 
 def _interval(wrong: FloatArray, group: IntArray) -> Interval:
     n, value = wrong.size, float(wrong.mean()) if wrong.size else 0.0
-    present, index = np.unique(group, return_inverse=True)
+    present, index = numbered(group)
     if present.size < 2 or value in (0.0, 1.0):
         return clopper_pearson(value * n, n)
-    found = effective_number(wrong, index.astype(np.int64), present.size)
+    found = effective_number(wrong, index, present.size)
     return clopper_pearson(value * found.effective, found.effective)
 
 

@@ -16,6 +16,8 @@ import pyarrow as pa
 from ..arrays import FloatArray
 from ..errors import UsageError
 
+#: A column of texts is kept as numbers of words unless more of the rows than this have a word of their own.
+_MOST_WORDS = 0.25
 Values = Sequence[Any] | np.ndarray[Any, Any]
 
 
@@ -37,7 +39,12 @@ def column_array(values: Values | None, kind: pa.DataType, rows: int, name: str)
 
 
 def joined(parts: Iterable[pa.Array], kind: pa.DataType, rows: int) -> pa.ChunkedArray:
-    """A column of ``rows`` values from its parts; numbers lie in one piece, and each part is released once it is copied."""
+    """A column of ``rows`` values from its parts, each of which is released once it is copied.
+
+    Numbers lie in one piece; texts are a dictionary and the numbers of its words, unless nearly every row has a word of its own.
+    """
+    if pa.types.is_string(kind):
+        return _joined_texts(parts, rows)
     if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
         return pa.chunked_array(list(parts), kind)
     values = np.empty(rows, kind.to_pandas_dtype())
@@ -50,6 +57,26 @@ def joined(parts: Iterable[pa.Array], kind: pa.DataType, rows: int) -> pa.Chunke
             known[first : first + len(part)] = validity(part)
         first += len(part)
     return pa.chunked_array([pa.Array.from_buffers(kind, rows, [_bitmap(known), pa.py_buffer(values)])])
+
+
+def _joined_texts(parts: Iterable[pa.Array], rows: int) -> pa.ChunkedArray:
+    codes = np.empty(rows, dtype=np.int32)
+    place: dict[str | None, int] = {}
+    whole: list[pa.Array] = []
+    first = 0
+    for part in parts:
+        encoded = part.dictionary_encode("encode")
+        if whole or len(encoded.dictionary) > _MOST_WORDS * len(part):
+            whole.append(part)
+            continue
+        own = [place.setdefault(word, len(place)) for word in encoded.dictionary.to_pylist()]
+        codes[first : first + len(part)] = np.array([*own, 0], dtype=np.int32)[raw_values(encoded.indices)]
+        first += len(part)
+    words = _text_array(list(place))
+    known = pa.DictionaryArray.from_arrays(
+        pa.Array.from_buffers(pa.int32(), first, [None, pa.py_buffer(codes[:first])]), words
+    )
+    return pa.chunked_array([known.cast(pa.string()), *whole] if whole else [known])
 
 
 def number_values(column: pa.ChunkedArray) -> FloatArray:
@@ -85,7 +112,10 @@ def raw_values(chunk: pa.Array) -> np.ndarray[Any, Any]:
 
 def text_codes(column: pa.ChunkedArray) -> tuple[tuple[str, ...], npt.NDArray[np.int64]]:
     """The different words of a text column, "" for null, and the number (n,) of the word of each row."""
-    encoded = column.cast(pa.string()).combine_chunks().dictionary_encode("encode")
+    if pa.types.is_dictionary(column.type) and column.num_chunks == 1:
+        encoded = column.chunk(0)
+    else:
+        encoded = column.cast(pa.string()).combine_chunks().dictionary_encode("encode")
     words = ["" if word is None else word for word in encoded.dictionary.to_pylist()]
     indices = encoded.indices
     codes = raw_values(indices).astype(np.int64)
