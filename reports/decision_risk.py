@@ -161,8 +161,9 @@ def _risk(
 ) -> DecisionRisk:
     rows = np.flatnonzero(judged)
     n = rows.size
-    yes, p, group = accepted[rows], np.clip(p[rows], 0.0, 1.0), groups.codes[rows]
+    yes, p = accepted[rows], np.clip(p[rows], 0.0, 1.0)
     true = None if good is None else good[rows]
+    present, group = numbered(groups.codes[rows])
     risk = 1.0 - p[yes]
     return DecisionRisk(
         limit,
@@ -171,12 +172,14 @@ def _risk(
         int(n - yes.sum() - rejected[rows].sum()),
         float(risk.mean()) if risk.size else math.nan,
         float(risk.max()) if risk.size else math.nan,
-        _share(np.where(yes, 1.0 - p, 0.0), group, normal[0], None if true is None else yes & ~true),
-        _share(np.where(yes, 0.0, p), group, normal[1], None if true is None else ~yes & true),
+        _share(np.where(yes, 1.0 - p, 0.0), group, present.size, normal[0], None if true is None else yes & ~true),
+        _share(np.where(yes, 0.0, p), group, present.size, normal[1], None if true is None else ~yes & true),
     )
 
 
-def _share(wrong: FloatArray, group: IntArray, normal: float | None, counted: BoolArray | None) -> RiskShare:
+def _share(
+    wrong: FloatArray, group: IntArray, groups: int, normal: float | None, counted: BoolArray | None
+) -> RiskShare:
     n = wrong.size
     value = float(wrong.mean()) if n else math.nan
     # What is certain to a part in 10^9 need not be convolved.
@@ -184,7 +187,7 @@ def _share(wrong: FloatArray, group: IntArray, normal: float | None, counted: Bo
     number = None if counted is None else int(counted.sum())
     return RiskShare(
         value,
-        _interval(wrong, group),
+        _interval(wrong, group, groups),
         spread.mean,
         spread.low,
         spread.high,
@@ -194,12 +197,11 @@ def _share(wrong: FloatArray, group: IntArray, normal: float | None, counted: Bo
     )
 
 
-def _interval(wrong: FloatArray, group: IntArray) -> Interval:
+def _interval(wrong: FloatArray, group: IntArray, groups: int) -> Interval:
     n, value = wrong.size, float(wrong.mean()) if wrong.size else 0.0
-    present, index = numbered(group)
-    if present.size < 2 or value in (0.0, 1.0):
+    if groups < 2 or value in (0.0, 1.0):
         return clopper_pearson(value * n, n)
-    found = effective_number(wrong, index, present.size)
+    found = effective_number(wrong, group, groups)
     return clopper_pearson(value * found.effective, found.effective)
 
 

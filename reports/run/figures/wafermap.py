@@ -114,7 +114,7 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
 def _places(x_mm: FloatArray, y_mm: FloatArray, radius: float) -> tuple[FloatArray, IntArray]:
     """Different die positions (P, 2) [mm] and the number (B,) of each die's position; on a grid if P exceeds ``PLACES``."""
     for pitch in (1e-3, 2.0 * radius / PLACES**0.5):
-        (columns, column), (rows, row) = (_steps(np.round(at / pitch)) for at in (x_mm, y_mm))
+        (columns, column), (rows, row) = (_steps(np.asarray(np.rint(at / pitch))) for at in (x_mm, y_mm))
         present, index = numbered(column * rows.size + row)
         if present.size <= PLACES:
             break
@@ -125,8 +125,8 @@ def _steps(whole: FloatArray) -> tuple[FloatArray, IntArray]:
     """The different whole numbers (S,) and the place (B,) of each of ``whole`` in them."""
     least = whole.min()
     if whole.max() - least > 8.0 * whole.size:  # positions on no grid: sorting them takes no array of all steps
-        present, index = np.unique(whole, return_inverse=True)
-        return present, index.astype(np.int64)
+        different, place = np.unique(whole, return_inverse=True)
+        return different, place.astype(np.int64)
     present, index = numbered((whole - least).astype(np.int64))
     return least + present, index
 
