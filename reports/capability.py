@@ -34,7 +34,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from pipeline.arrays import FloatArray
+from pipeline.arrays import BoolArray, FloatArray
 from pipeline.axial import mean_axis, wrap
 
 from .acceptance import probability_inside
@@ -105,9 +105,7 @@ def capabilities(devices: Devices, limits: Limits, common: Common = MappingProxy
 
 
 def _capability(devices: Devices, limit: Limit, levels: list[IntArray], common: Common) -> Capability:
-    value, u = devices.number(limit.quantity), devices.number(f"{limit.quantity}_sd")
-    used = devices.is_ok() & np.isfinite(value) & np.isfinite(u)
-    x, u = value[used], u[used]
+    used, x, u = _used(devices, limit)
     low, high = limit.low, limit.high
     if x.size < LEAST_DEVICES:
         return _none(limit, x.size, "few")
@@ -117,9 +115,8 @@ def _capability(devices: Devices, limit: Limit, levels: list[IntArray], common: 
         centre = mean_axis(x)
         x, low, high = wrap(x - centre) + float(wrap(centre - middle)), -half, half
     spread = nested_spread(x, [codes[used] for codes in levels])
-    shift = np.nan_to_num(common[limit.quantity][:, used]) if limit.quantity in common else np.zeros((1, x.size))
-    own = np.maximum(u**2 - np.sum(shift**2, axis=0), 0.0)
-    noise = float(np.mean(own) + np.sum(np.var(shift, axis=1)))
+    shift = _shift(limit, common, used)
+    noise = _noise(u, shift)
     spread = replace(spread, mean_variance=spread.mean_variance + float(np.sum(np.mean(shift, axis=1) ** 2)))
     if limit.axis and 3.0 * math.sqrt(spread.total) > 90.0:
         return _none(limit, x.size, "axis")
@@ -135,6 +132,25 @@ def _capability(devices: Devices, limit: Limit, levels: list[IntArray], common: 
     return Capability(
         limit, x.size, spread.groups, mean, sigma, sigma_within, rms_u, *indices, outside, found_outside, ""
     )
+
+
+def _used(devices: Devices, limit: Limit) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """(B,) whether a device is used, and the value and u (n,) of those that are."""
+    value, u = devices.number(limit.quantity), devices.number(f"{limit.quantity}_sd")
+    used = devices.is_ok() & np.isfinite(value) & np.isfinite(u)
+    return used, value[used], u[used]
+
+
+def _shift(limit: Limit, common: Common, used: BoolArray) -> FloatArray:
+    """a_e (E, n) of the devices used; E = 0 without common errors."""
+    found = common.get(limit.quantity)
+    return np.zeros((0, int(used.sum()))) if found is None else np.asarray(np.nan_to_num(found[:, used]))
+
+
+def _noise(u: FloatArray, shift: FloatArray) -> float:
+    """v, the part of s^2 that the measurement adds."""
+    own = np.maximum(u**2 - np.sum(shift**2, axis=0), 0.0)
+    return float(np.mean(own) + np.sum(np.var(shift, axis=1)))
 
 
 def _none(limit: Limit, devices: int, reason: str) -> Capability:
@@ -179,7 +195,11 @@ def normal_process(
     devices: Devices, limit: Limit, common: Common = MappingProxyType({})
 ) -> tuple[float, float, float] | None:
     """Mean, sd and rms u [unit of the quantity] of a process that is no axis: the prior of a global risk, if any."""
-    found = _capability(devices, limit, [], common)
-    if limit.axis or found.reason or not found.sigma > 0.0:
+    if limit.axis:
         return None
-    return found.mean, found.sigma, found.uncertainty
+    used, x, u = _used(devices, limit)
+    if x.size < LEAST_DEVICES:
+        return None
+    spread = nested_spread(x, [])
+    sigma = math.sqrt(max(0.0, spread.total - _noise(u, _shift(limit, common, used))))
+    return (spread.mean, sigma, math.sqrt(float(np.mean(u**2)))) if sigma > 0.0 else None

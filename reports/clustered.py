@@ -26,7 +26,7 @@ from scipy.special import chdtri
 
 from pipeline.arrays import FloatArray
 
-from .coded import IntArray
+from .coded import IntArray, numbered
 from .yields import LEVEL
 
 
@@ -62,14 +62,14 @@ def nested_spread(x: FloatArray, levels: Sequence[IntArray]) -> NestedSpread:
 
     Parameters
     ----------
-    levels : numbers of the groups (n,) of each level, the coarsest first; a group of a level lies within one of the level before.
+    levels : numbers (n,) >= 0 of the groups of each level, the coarsest first; a group lies within one of the level before.
     """
     n, mean = x.size, float(np.mean(x))
     kept: list[IntArray] = []
     for codes in levels:
-        present, index = np.unique(codes, return_inverse=True)
+        present, index = numbered(codes)
         if (int(kept[-1].max()) + 1 if kept else 1) < present.size < n:
-            kept.append(index.astype(np.int64))
+            kept.append(index)
     centre, before = np.full(n, mean), 1
     squares, freedom = [], []
     for index in kept:

@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 
 from pipeline.arrays import FloatArray
 
-from .coded import coded
+from .coded import coded, numbered
 from .yields import LEVEL, Interval, clopper_pearson
 
 
@@ -57,7 +57,7 @@ def clustering(verdicts: Sequence[str], groups: Sequence[str], by: str, level: f
     by : kind of group, "wafer" or "lot".
     """
     passed = coded(verdicts).equals("pass").astype(np.float64)
-    present, index = np.unique(coded(groups).codes, return_inverse=True)
+    present, index = numbered(coded(groups).codes)
     g = present.size
     if g < 2:
         return Clustering(by, g, None, None, None, None)

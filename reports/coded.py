@@ -58,8 +58,10 @@ class CodedText(Sequence[str]):
     def counts(self) -> dict[str, int]:
         """How often each word occurs, in the order of its first occurrence; words that do not occur are left out."""
         number = np.bincount(self.codes, minlength=len(self.words))
-        present, first = np.unique(self.codes, return_index=True)
-        return {self.words[code]: int(number[code]) for code in present[np.argsort(first)]}
+        first = np.zeros(len(self.words), dtype=np.int64)
+        first[self.codes[::-1]] = np.arange(len(self))[::-1]  # of equal codes the last assignment stays
+        present = np.flatnonzero(number)
+        return {self.words[code]: int(number[code]) for code in present[np.argsort(first[present])].tolist()}
 
     def filled(self, other: CodedText) -> CodedText:
         """The texts, and those of ``other`` (B,) where they are empty."""
@@ -81,9 +83,21 @@ def coded(texts: Sequence[str]) -> CodedText:
     return CodedText(tuple(place), codes)
 
 
+def numbered(codes: IntArray) -> tuple[IntArray, IntArray]:
+    """The different numbers that occur, ascending, and the place (B,) of each number in them; ``codes`` (B,) are not negative.
+
+    ``np.unique`` with its inverse, without a sort where the numbers are not much larger than B.
+    """
+    if not codes.size or int(codes.max()) > 8 * codes.size:
+        present, index = np.unique(codes, return_inverse=True)
+        return present, index.astype(np.int64)
+    occurs = np.bincount(codes) > 0
+    return np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[codes]
+
+
 def paired(first: CodedText, second: CodedText) -> tuple[tuple[tuple[str, str], ...], IntArray]:
     """The pairs of words that occur together, in order of their codes, and the number (B,) of the pair of each row."""
     key = first.codes * max(len(second.words), 1) + second.codes
-    present, index = np.unique(key, return_inverse=True)
+    present, index = numbered(key)
     pairs = tuple((first.words[k // len(second.words)], second.words[k % len(second.words)]) for k in present.tolist())
-    return pairs, index.astype(np.int64)
+    return pairs, index

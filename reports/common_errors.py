@@ -25,7 +25,7 @@ from pipeline.arrays import BoolArray, FloatArray
 from pipeline.store.column import number_values, text_codes
 
 from .clusters import Clustering, effective_number
-from .coded import IntArray, coded
+from .coded import IntArray, coded, numbered
 from .devices import ColumnSource, Devices
 from .rules import Rule
 from .yields import LEVEL, GroupYield, Interval, Measurement, Yield, groups_of, poisson_binomial
@@ -142,7 +142,7 @@ def clustering_with_common(found: Clustering, groups: Sequence[str], given: Give
     """``found`` with an interval that contains the common errors; ``groups``: B names."""
     if given is None or found.interval is None:
         return found
-    names, index = np.unique(coded(groups).codes, return_inverse=True)
+    names, index = numbered(coded(groups).codes)
     parts = [effective_number(passed.astype(np.float64), index, names.size) for passed in given.passed]
     share, n = np.array([part.share for part in parts]), np.array([part.effective for part in parts])
     mixed = mixed_clopper_pearson(share * n, n, f"{found.interval.method}, common errors included")

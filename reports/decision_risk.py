@@ -35,7 +35,7 @@ from pipeline.arrays import BoolArray, FloatArray
 from .acceptance import probability_inside, zones
 from .capability import Common, normal_process
 from .clusters import effective_number
-from .coded import CodedText, IntArray
+from .coded import CodedText, IntArray, numbered
 from .devices import Devices
 from .limits import Limit, Limits
 from .rules import Rule
@@ -123,10 +123,10 @@ def decision_risks(devices: Devices, limits: Limits, common: Common = MappingPro
 
 
 def _truth(devices: Devices, limits: Limits) -> BoolArray | None:
-    values = [(limit, devices.number(f"true_{limit.quantity}")) for limit in limits.limits]
-    if any(np.isnan(true).any() for _, true in values):
+    checks = [devices.truth(limit) for limit in limits.limits]
+    if not all(check.whole for check in checks):
         return None
-    return np.asarray(np.logical_and.reduce([limit.admits(true) for limit, true in values]))
+    return np.asarray(np.logical_and.reduce([check.conforms for check in checks]))
 
 
 def _of_quantity(devices: Devices, rule: Rule, limit: Limit, groups: CodedText, common: Common) -> DecisionRisk:
@@ -161,8 +161,9 @@ def _risk(
 ) -> DecisionRisk:
     rows = np.flatnonzero(judged)
     n = rows.size
-    yes, p, group = accepted[rows], np.clip(p[rows], 0.0, 1.0), groups.codes[rows]
+    yes, p = accepted[rows], np.clip(p[rows], 0.0, 1.0)
     true = None if good is None else good[rows]
+    present, group = numbered(groups.codes[rows])
     risk = 1.0 - p[yes]
     return DecisionRisk(
         limit,
@@ -171,12 +172,14 @@ def _risk(
         int(n - yes.sum() - rejected[rows].sum()),
         float(risk.mean()) if risk.size else math.nan,
         float(risk.max()) if risk.size else math.nan,
-        _share(np.where(yes, 1.0 - p, 0.0), group, normal[0], None if true is None else yes & ~true),
-        _share(np.where(yes, 0.0, p), group, normal[1], None if true is None else ~yes & true),
+        _share(np.where(yes, 1.0 - p, 0.0), group, present.size, normal[0], None if true is None else yes & ~true),
+        _share(np.where(yes, 0.0, p), group, present.size, normal[1], None if true is None else ~yes & true),
     )
 
 
-def _share(wrong: FloatArray, group: IntArray, normal: float | None, counted: BoolArray | None) -> RiskShare:
+def _share(
+    wrong: FloatArray, group: IntArray, groups: int, normal: float | None, counted: BoolArray | None
+) -> RiskShare:
     n = wrong.size
     value = float(wrong.mean()) if n else math.nan
     # What is certain to a part in 10^9 need not be convolved.
@@ -184,7 +187,7 @@ def _share(wrong: FloatArray, group: IntArray, normal: float | None, counted: Bo
     number = None if counted is None else int(counted.sum())
     return RiskShare(
         value,
-        _interval(wrong, group),
+        _interval(wrong, group, groups),
         spread.mean,
         spread.low,
         spread.high,
@@ -194,12 +197,11 @@ def _share(wrong: FloatArray, group: IntArray, normal: float | None, counted: Bo
     )
 
 
-def _interval(wrong: FloatArray, group: IntArray) -> Interval:
+def _interval(wrong: FloatArray, group: IntArray, groups: int) -> Interval:
     n, value = wrong.size, float(wrong.mean()) if wrong.size else 0.0
-    present, index = np.unique(group, return_inverse=True)
-    if present.size < 2 or value in (0.0, 1.0):
+    if groups < 2 or value in (0.0, 1.0):
         return clopper_pearson(value * n, n)
-    found = effective_number(wrong, index.astype(np.int64), present.size)
+    found = effective_number(wrong, group, groups)
     return clopper_pearson(value * found.effective, found.effective)
 
 

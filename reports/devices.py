@@ -8,7 +8,7 @@ Shapes: B devices.  Units are those of the results columns.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -20,6 +20,7 @@ from pipeline.store.column import column_array, number_values, rows_equal, text_
 from pipeline.store.columns import StoredTable
 
 from .coded import CodedText, coded, paired
+from .limits import Limit
 
 
 class ColumnSource(Protocol):
@@ -61,10 +62,27 @@ def rows_of(source: ColumnSource, device_id: str) -> pa.Table:
 
 
 @dataclass(frozen=True, eq=False)
+class TruthCheck:
+    """The truth of virtual devices against one limit.
+
+    Parameters
+    ----------
+    conforms : (B,) whether it conforms; nan does not.
+    finite : (B,) whether it is known.
+    whole : whether none is nan.
+    """
+
+    conforms: BoolArray
+    finite: BoolArray
+    whole: bool
+
+
+@dataclass(frozen=True, eq=False)
 class Devices:
     """The columns present in a ``devices`` table: a measured batch has no truth and may have no wafer."""
 
     table: ColumnSource
+    _checked: dict[tuple[str, Limit], TruthCheck] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return int(self.table.num_rows)
@@ -74,6 +92,15 @@ class Devices:
         if name not in self.table.column_names:
             return np.full(len(self), np.nan)
         return number_values(self.table[name])
+
+    def truth(self, limit: Limit, stage: str = "true") -> TruthCheck:
+        """The truth against a limit, as packaged (``stage`` "true") or fabricated ("fab"); kept: a column is read once."""
+        if (stage, limit) not in self._checked:
+            values = self.number(f"{stage}_{limit.quantity}")
+            self._checked[stage, limit] = TruthCheck(
+                limit.admits(values), np.isfinite(values), not np.isnan(values).any()
+            )
+        return self._checked[stage, limit]
 
     def text(self, name: str, rows: Sequence[int] | None = None) -> CodedText:
         """B values of a text column, or those of ``rows``; "" where null or absent."""

@@ -29,7 +29,7 @@ from .coded import CodedText, IntArray, coded, paired
 
 LEVEL = 0.95
 # Products of polynomials up to this length are computed for all pairs at once: one by one, calls outweigh the arithmetic.
-_SHORT = 33
+_SHORT = 65
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,8 @@ def by_group(
         np.bincount(index[rows], minlength=len(keys))
         for rows in (np.ones(len(found), dtype=np.bool_), found.equals("pass"), found.equals("fail"))
     )
-    order = sorted(range(len(keys)), key=lambda k: (natural(keys[k][0]), natural(keys[k][1])))
+    place = {name: natural(name) for name in {name for key in keys for name in key}}
+    order = sorted(range(len(keys)), key=lambda k: (place[keys[k][0]], place[keys[k][1]]))
     return tuple(
         GroupYield(*keys[k], yield_of(int(passed[k]), int(failed[k]), int(number[k] - passed[k] - failed[k])))
         for k in order

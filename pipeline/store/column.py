@@ -6,7 +6,7 @@ Arrays are made from their buffers and taken from them, because ``pa.array``, ``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ import pyarrow as pa
 from ..arrays import FloatArray
 from ..errors import UsageError
 
+#: A column of texts is kept as numbers of words unless more of the rows than this have a word of their own.
+_MOST_WORDS = 0.25
 Values = Sequence[Any] | np.ndarray[Any, Any]
 
 
@@ -36,15 +38,58 @@ def column_array(values: Values | None, kind: pa.DataType, rows: int, name: str)
         raise UsageError(f"column {name} holds values of the wrong type ({error})", allowed=str(kind)) from None
 
 
+def joined(parts: Iterable[pa.Array], kind: pa.DataType, rows: int) -> pa.ChunkedArray:
+    """A column of ``rows`` values from its parts, each of which is released once it is copied.
+
+    Numbers lie in one piece; texts are a dictionary and the numbers of its words, unless nearly every row has a word of its own.
+    """
+    if pa.types.is_string(kind):
+        return _joined_texts(parts, rows)
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+        return pa.chunked_array(list(parts), kind)
+    values = np.empty(rows, kind.to_pandas_dtype())
+    known: npt.NDArray[np.bool_] | None = None
+    first = 0
+    for part in parts:
+        values[first : first + len(part)] = raw_values(part)
+        if part.null_count:
+            known = np.ones(rows, dtype=np.bool_) if known is None else known
+            known[first : first + len(part)] = validity(part)
+        first += len(part)
+    return pa.chunked_array([pa.Array.from_buffers(kind, rows, [_bitmap(known), pa.py_buffer(values)])])
+
+
+def _joined_texts(parts: Iterable[pa.Array], rows: int) -> pa.ChunkedArray:
+    codes = np.empty(rows, dtype=np.int32)
+    place: dict[str | None, int] = {}
+    whole: list[pa.Array] = []
+    first = 0
+    for part in parts:
+        encoded = part.dictionary_encode("encode")
+        if whole or len(encoded.dictionary) > _MOST_WORDS * len(part):
+            whole.append(part)
+            continue
+        own = [place.setdefault(word, len(place)) for word in encoded.dictionary.to_pylist()]
+        codes[first : first + len(part)] = np.array([*own, 0], dtype=np.int32)[raw_values(encoded.indices)]
+        first += len(part)
+    words = _text_array(list(place))
+    known = pa.DictionaryArray.from_arrays(
+        pa.Array.from_buffers(pa.int32(), first, [None, pa.py_buffer(codes[:first])]), words
+    )
+    return pa.chunked_array([known.cast(pa.string()), *whole] if whole else [known])
+
+
 def number_values(column: pa.ChunkedArray) -> FloatArray:
-    """(n,) values of a numeric column; NaN where null."""
+    """(n,) values of a numeric column, read-only; NaN where null."""
+    if column.num_chunks == 1 and pa.types.is_float64(column.type) and not column.null_count:
+        return _read_only(raw_values(column.chunk(0)))
     out = np.full(len(column), np.nan)
     first = 0
     for chunk in column.cast(pa.float64()).chunks:
         if chunk.null_count < len(chunk):
             out[first : first + len(chunk)] = np.where(validity(chunk), raw_values(chunk), np.nan)
         first += len(chunk)
-    return out
+    return _read_only(out)
 
 
 def validity(chunk: pa.Array) -> npt.NDArray[np.bool_]:
@@ -67,7 +112,10 @@ def raw_values(chunk: pa.Array) -> np.ndarray[Any, Any]:
 
 def text_codes(column: pa.ChunkedArray) -> tuple[tuple[str, ...], npt.NDArray[np.int64]]:
     """The different words of a text column, "" for null, and the number (n,) of the word of each row."""
-    encoded = column.cast(pa.string()).combine_chunks().dictionary_encode("encode")
+    if pa.types.is_dictionary(column.type) and column.num_chunks == 1:
+        encoded = column.chunk(0)
+    else:
+        encoded = column.cast(pa.string()).combine_chunks().dictionary_encode("encode")
     words = ["" if word is None else word for word in encoded.dictionary.to_pylist()]
     indices = encoded.indices
     codes = raw_values(indices).astype(np.int64)
@@ -122,5 +170,11 @@ def _number_array(values: Values, kind: pa.DataType) -> pa.Array:
     return pa.Array.from_buffers(kind, raw.size, [_bitmap(known), pa.py_buffer(numbers)])
 
 
-def _bitmap(known: np.ndarray[Any, Any]) -> pa.Buffer | None:
-    return None if known.all() else _packed(known)
+def _bitmap(known: npt.NDArray[np.bool_] | None) -> pa.Buffer | None:
+    return None if known is None or known.all() else _packed(known)
+
+
+def _read_only(values: FloatArray) -> FloatArray:
+    """The array, which may be the very memory of a column."""
+    values.flags.writeable = False
+    return values

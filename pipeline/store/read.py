@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ CONFIG = "run.toml"
 LATEST = "latest"
 #: How often a reader starts again because a writer replaced files while it read.
 _TRIES = 20
+_DAMAGED = "run `gyroscreen verify` for the whole list; restore the file from a copy, or run again"
 T = TypeVar("T")
 
 
@@ -102,22 +104,38 @@ def read_file(folder: Path, entry: FileEntry) -> bytes:
     IntegrityError : it is missing, unreadable, or its size or SHA-256 is not what was committed.
     """
     path = folder / entry.name
-    next_step = "run `gyroscreen verify` for the whole list; restore the file from a copy, or run again"
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise IntegrityError(
-            f"{path} was committed and cannot be read ({error.strerror})", next_step=next_step
-        ) from None
-    found = sha256(data)
+        raise _unreadable(path, error) from None
+    _require_committed(path, entry, sha256(data), len(data))
+    return data
+
+
+def check_file(folder: Path, entry: FileEntry) -> None:
+    """The check of :func:`read_file` for a file that is not needed whole: parts of it are in memory, one after the other."""
+    path = folder / entry.name
+    try:
+        with path.open("rb", buffering=0) as file:
+            digest = hashlib.file_digest(file, "sha256")
+            size = file.tell()
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    _require_committed(path, entry, digest.hexdigest(), size)
+
+
+def _unreadable(path: Path, error: OSError) -> IntegrityError:
+    return IntegrityError(f"{path} was committed and cannot be read ({error.strerror})", next_step=_DAMAGED)
+
+
+def _require_committed(path: Path, entry: FileEntry, found: str, size: int) -> None:
     if found not in (entry.sha256, entry.next_sha256):
         raise IntegrityError(
             f"{path} is not what was committed",
-            value=f"{len(data)} bytes, sha256 {found}",
+            value=f"{size} bytes, sha256 {found}",
             allowed=f"{entry.bytes} bytes, sha256 {entry.sha256}",
-            next_step=next_step,
+            next_step=_DAMAGED,
         )
-    return data
 
 
 def read_config(folder: Path, manifest: Manifest) -> str:

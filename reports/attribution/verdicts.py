@@ -19,6 +19,7 @@ from scipy.special import stdtrit
 
 from pipeline.arrays import BoolArray, FloatArray, IntArray
 
+from ..coded import numbered
 from ..interval_estimate import IntervalEstimate
 from ..yields import LEVEL
 
@@ -27,7 +28,7 @@ _NEVER_ONE = 1.0 - 1e-12
 
 def explained_verdicts(lost: BoolArray, not_passed: BoolArray, lot: IntArray) -> IntervalEstimate | None:
     """r^2 of the two (N,); ``None`` where either is the same for all devices, or there are fewer than three lots."""
-    _, index = np.unique(lot, return_inverse=True)
+    _, index = numbered(lot)
     t, v = lost.astype(np.float64), not_passed.astype(np.float64)
     sums = np.stack([np.bincount(index, weights=w) for w in (np.ones_like(t), t, v, t * v)])
     lots = sums.shape[1]

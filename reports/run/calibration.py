@@ -20,6 +20,7 @@ from pipeline.quantities import AXES, NAMES
 
 from ..devices import Devices
 from ..limits import Limits
+from ..order_statistics import median
 from ..yields import Interval, clopper_pearson
 
 NOMINAL = 0.90
@@ -88,10 +89,11 @@ def z_scores(devices: Devices, quantity: str) -> FloatArray:
 
 def coverages(devices: Devices) -> tuple[Coverage, ...]:
     """Calibration of every quantity that has intervals and a truth, in the order of the results columns."""
-    return tuple(row for row in (_coverage(devices, name) for name in NAMES) if row is not None)
+    return tuple(row for row in (coverage(devices, name) for name in NAMES) if row is not None)
 
 
-def _coverage(devices: Devices, quantity: str) -> Coverage | None:
+def coverage(devices: Devices, quantity: str) -> Coverage | None:
+    """Calibration of one quantity; ``None`` where no device has an interval and a truth."""
     truth = devices.number(f"true_{quantity}")
     low, high = devices.number(f"{quantity}_q05"), devices.number(f"{quantity}_q95")
     usable = devices.is_ok() & np.isfinite(truth) & np.isfinite(low) & np.isfinite(high)
@@ -107,7 +109,7 @@ def _coverage(devices: Devices, quantity: str) -> Coverage | None:
         inside,
         clopper_pearson(inside, n),
         (_binomial_quantile(0.025, n) / n, _binomial_quantile(0.975, n) / n),
-        float(np.median(z)),
+        median(z),
         float(np.sqrt(np.mean(z**2))),
         float(np.mean(np.abs(z) > 3.0)),
     )
@@ -120,11 +122,11 @@ def _binomial_quantile(q: float, n: int) -> int:
 
 def check_verdicts(devices: Devices, limits: Limits) -> VerdictCheck | None:
     """Verdicts against the truth; ``None`` if no device has a truth for every limit."""
-    truth = {name: devices.number(f"true_{name}") for name in limits.quantities}
-    known = np.logical_and.reduce([np.isfinite(values) for values in truth.values()])
+    checks = [devices.truth(limit) for limit in limits.limits]
+    known = np.logical_and.reduce([check.finite for check in checks])
     if not known.any():
         return None
-    good = np.logical_and.reduce([limit.admits(truth[limit.quantity]) for limit in limits.limits])
+    good = np.logical_and.reduce([check.conforms for check in checks])
     p_pass = devices.number("p_pass")
     judged = known & np.isfinite(p_pass)
     return VerdictCheck(

@@ -105,12 +105,12 @@ def stage_losses(devices: Devices, limits: Limits) -> tuple[StageLoss, ...]:
     known_all = np.ones(len(devices), dtype=np.bool_)
     fab_all, true_all = known_all.copy(), known_all.copy()
     for limit in limits.limits:
-        fab, true = devices.number(f"fab_{limit.quantity}"), devices.number(f"true_{limit.quantity}")
-        known = np.isfinite(fab) & np.isfinite(true)
-        rows.append(_stages(limit, limit.admits(fab), limit.admits(true), known))
+        fab, true = devices.truth(limit, "fab"), devices.truth(limit)
+        known = fab.finite & true.finite
+        rows.append(_stages(limit, fab.conforms, true.conforms, known))
         known_all &= known
-        fab_all &= limit.admits(fab)
-        true_all &= limit.admits(true)
+        fab_all &= fab.conforms
+        true_all &= true.conforms
     if not any(row.unknown < len(devices) for row in rows):
         return ()
     return (_stages(None, fab_all, true_all, known_all), *rows)

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.errors import ConfigError
-from pipeline.quantities import QUANTITIES, Quantity
+from pipeline.quantities import NAMES, QUANTITIES, Quantity
 
 from ..capability import Capability, Common, capabilities
 from ..clusters import Clustering, clustering
@@ -39,12 +39,12 @@ from ..yields import (
     measurement_uncertainty,
     yield_of_verdicts,
 )
-from .calibration import Coverage, VerdictCheck, check_verdicts, coverages
+from .calibration import Coverage, VerdictCheck, check_verdicts, coverage
 from .causes import Pareto, StageLoss, pareto, stage_losses
 from .health import RouteDifference, Spread, StatusCount, route_differences, spreads, status_counts
 from .lot_effects import LotEffects, NeededEffects, needed_effects
 from .trim import TrimYield, trim_yield, true_conformity
-from .undetected import BiasBound, bias_bounds
+from .undetected import BiasBound, bias_bound
 from .worst import WorstDevice, worst_devices
 
 
@@ -169,6 +169,7 @@ def run_content(
         if len(names) and all(names.counts())
     )
     manifest = _mapping(run.manifest)
+    calibration, bounds = _by_quantity(devices, limits)
     return RunContent(
         run_id=str(manifest.get("run_id", "")),
         headline=Headline(
@@ -190,11 +191,11 @@ def run_content(
         stages=stages,
         needed=needed_effects(devices, lot_effects),
         trim=trim_yield(devices, true_conformity(devices, limits)),
-        coverages=coverages(devices),
+        coverages=calibration,
         verdict_check=_verdict_check(devices, limits, given),
         statuses=statuses,
         spreads=spreads(devices),
-        bias_bounds=bias_bounds(devices, limits),
+        bias_bounds=bounds,
         routes=route_differences(devices),
         worst=worst_devices(devices, limits),
         capabilities=capabilities(devices, limits, common) if identified else (),
@@ -206,6 +207,15 @@ def run_content(
         files=_files(manifest.get("files", ())),
         config_toml=run.config_toml,
         glossary=QUANTITIES,
+    )
+
+
+def _by_quantity(devices: Devices, limits: Limits) -> tuple[tuple[Coverage, ...], tuple[BiasBound, ...]]:
+    """What is said of every quantity, one after the other: a stored column is then read once."""
+    pairs = [(coverage(devices, name), bias_bound(devices, limits, name)) for name in NAMES]
+    return (
+        tuple(row for row, _ in pairs if row is not None),
+        tuple(row for _, row in pairs if row is not None),
     )
 
 

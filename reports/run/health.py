@@ -12,6 +12,7 @@ from pipeline.axial import difference
 
 from ..coded import paired
 from ..devices import Devices
+from ..order_statistics import quantiles
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 ROUTE_THETAS = ("theta_u1_deg", "theta_v1_deg", "theta_u2_deg", "theta_v2_deg")
@@ -87,8 +88,8 @@ def spreads(devices: Devices) -> tuple[Spread, ...]:
         values = devices.number(name)
         values = values[np.isfinite(values)]
         if values.size:
-            q05, median, q95 = (float(q) for q in np.quantile(values, [0.05, 0.5, 0.95]))
-            rows.append(Spread(name, int(values.size), float(values.min()), q05, median, q95, float(values.max())))
+            q05, middle, q95 = quantiles(values, (0.05, 0.5, 0.95)).tolist()
+            rows.append(Spread(name, int(values.size), float(values.min()), q05, middle, q95, float(values.max())))
     return tuple(rows)
 
 
@@ -117,7 +118,5 @@ def _route(devices: Devices, name: str, quantity: str, unit: str) -> RouteDiffer
 
 def _median_q90(values: FloatArray) -> tuple[float, float]:
     values = values[np.isfinite(values)]
-    if values.size == 0:
-        return float("nan"), float("nan")
-    median, q90 = np.quantile(values, [0.5, 0.9])
-    return float(median), float(q90)
+    middle, q90 = quantiles(values, (0.5, 0.9)).tolist()
+    return middle, q90

@@ -12,7 +12,6 @@ import numpy as np
 
 from pipeline.arrays import BoolArray
 
-from ..decision import conforms
 from ..devices import Devices
 from ..limits import Limits
 from ..yields import Yield, yield_of, yield_of_verdicts
@@ -37,10 +36,10 @@ class TrimYield:
 
 def true_conformity(devices: Devices, limits: Limits) -> BoolArray | None:
     """(B,) whether the truth of each virtual device conforms; ``None`` if a truth is not known."""
-    truth = {name: devices.number(f"true_{name}") for name in limits.quantities}
-    if any(not np.all(np.isfinite(values)) for values in truth.values()):
+    checks = [devices.truth(limit) for limit in limits.limits]
+    if not all(np.all(check.finite) for check in checks):
         return None
-    return conforms(limits, truth)
+    return np.asarray(np.logical_and.reduce([check.conforms for check in checks]))
 
 
 def trim_yield(devices: Devices, conforms_before: BoolArray | None) -> TrimYield | None:

@@ -10,6 +10,7 @@ from pipeline.quantities import NAMES
 
 from ..devices import Devices
 from ..limits import Limits
+from ..order_statistics import median, quantiles
 
 
 @dataclass(frozen=True)
@@ -33,15 +34,17 @@ class BiasBound:
 
 def bias_bounds(devices: Devices, limits: Limits) -> tuple[BiasBound, ...]:
     """Bounds of all quantities that have one, in the order of the results."""
-    widths = {limit.quantity: limit.width for limit in limits.limits}
-    rows = []
-    for name in NAMES:
-        bound, sd = devices.number(f"{name}_bias_bound"), devices.number(f"{name}_sd")
-        known = devices.is_ok() & np.isfinite(bound) & (sd > 0.0)
-        if not known.any():
-            continue
-        median, q95 = (float(q) for q in np.quantile(bound[known] / sd[known], [0.5, 0.95]))
-        width = widths.get(name, 0.0)
-        share = float(np.median(bound[known])) / width if width > 0.0 else float("nan")
-        rows.append(BiasBound(name, int(known.sum()), median, q95, share))
-    return tuple(rows)
+    return tuple(row for row in (bias_bound(devices, limits, name) for name in NAMES) if row is not None)
+
+
+def bias_bound(devices: Devices, limits: Limits, name: str) -> BiasBound | None:
+    """Bounds of one quantity; ``None`` where no device has one."""
+    bound, sd = devices.number(f"{name}_bias_bound"), devices.number(f"{name}_sd")
+    known = devices.is_ok() & np.isfinite(bound) & (sd > 0.0)
+    if not known.any():
+        return None
+    bound, sd = bound[known], sd[known]
+    width = {limit.quantity: limit.width for limit in limits.limits}.get(name, 0.0)
+    middle, q95 = quantiles(bound / sd, (0.5, 0.95)).tolist()
+    share = median(bound) / width if width > 0.0 else float("nan")
+    return BiasBound(name, bound.size, middle, q95, share)

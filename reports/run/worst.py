@@ -56,8 +56,10 @@ class WorstDevice:
 
 def margins(devices: Devices, limits: Limits) -> FloatArray:
     """(B,) smallest ``Limit.margin`` over the limits whose quantity is known; nan if none is known."""
-    each = np.array([limit.margin(devices.number(limit.quantity)) for limit in limits.limits])
-    return np.where(np.isnan(each).all(axis=0), np.nan, np.where(np.isnan(each), np.inf, each).min(axis=0))
+    least = np.full(len(devices), np.nan)
+    for limit in limits.limits:
+        np.fmin(least, limit.margin(devices.number(limit.quantity)), out=least)  # nan only where both are
+    return least
 
 
 def worst_devices(devices: Devices, limits: Limits, each: int = 2) -> tuple[WorstDevice, ...]:

@@ -18,6 +18,7 @@ from ...coded import CodedText, coded
 from ...html.style import COLOURS, EDGES, HATCHES, INK, LIMIT, MARKERS, MUTED, POINTS, RULE, WIDTH, Drawing, style
 from ...html.style import panels as laid_out
 from ...limits import Limit
+from ...order_statistics import quantiles
 
 
 def theta_and_split(
@@ -105,7 +106,7 @@ def _histogram(axes: Axes, values: FloatArray, verdict: CodedText, limit: Limit 
 
 def _window(values: FloatArray, limit: Limit | None) -> tuple[float, float]:
     """The 1 to 99 % range, extended to nearby limits but not beyond the values."""
-    q01, q99 = np.quantile(values, [0.01, 0.99])
+    q01, q99 = quantiles(values, (0.01, 0.99)).tolist()
     span = max(q99 - q01, 1e-9 * max(abs(q01), abs(q99), 1e-12))
     low, high = q01 - 0.1 * span, q99 + 0.1 * span
     for end in (limit.low, limit.high) if limit else ():

@@ -14,7 +14,7 @@ from matplotlib.patches import Circle
 
 from pipeline.arrays import BoolArray, FloatArray
 
-from ...coded import IntArray, coded
+from ...coded import IntArray, coded, numbered
 from ...html.style import COLOURS, EDGES, MARKERS, MUTED, RULE, WIDTH, Drawing, style
 from ...html.style import panels as laid_out
 from ...yields import natural
@@ -114,11 +114,21 @@ def stacked_map(x_mm: FloatArray, y_mm: FloatArray, passed: BoolArray, name: str
 def _places(x_mm: FloatArray, y_mm: FloatArray, radius: float) -> tuple[FloatArray, IntArray]:
     """Different die positions (P, 2) [mm] and the number (B,) of each die's position; on a grid if P exceeds ``PLACES``."""
     for pitch in (1e-3, 2.0 * radius / PLACES**0.5):
-        steps = np.round(x_mm / pitch) + 1j * np.round(y_mm / pitch)
-        unique, index = np.unique(steps, return_inverse=True)
-        if unique.size <= PLACES:
+        (columns, column), (rows, row) = (_steps(np.asarray(np.rint(at / pitch))) for at in (x_mm, y_mm))
+        present, index = numbered(column * rows.size + row)
+        if present.size <= PLACES:
             break
-    return pitch * np.stack([unique.real, unique.imag], axis=1), index.astype(np.int64)
+    return pitch * np.stack([columns[present // rows.size], rows[present % rows.size]], axis=1), index
+
+
+def _steps(whole: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The different whole numbers (S,) and the place (B,) of each of ``whole`` in them."""
+    least = whole.min()
+    if whole.max() - least > 8.0 * whole.size:  # positions on no grid: sorting them takes no array of all steps
+        different, place = np.unique(whole, return_inverse=True)
+        return different, place.astype(np.int64)
+    present, index = numbered((whole - least).astype(np.int64))
+    return least + present, index
 
 
 def _by_radius(axes: Axes, r_mm: FloatArray, passed: BoolArray, radius: float) -> None:
