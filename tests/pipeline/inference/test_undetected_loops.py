@@ -120,15 +120,14 @@ def test_small_changes_move_the_modes_as_their_derivatives_say():
     np.testing.assert_allclose(parts[0], plain, atol=1e-5 * np.abs(plain).max())
 
 
-def test_laws_of_first_order_are_right_in_single_precision():
+def test_laws_are_right_in_single_precision():
     random = np.random.default_rng(5)
-    q, qd, u = 1e-4 * random.standard_normal((3, 50)), 0.3 * random.standard_normal((3, 50)), np.zeros((2, 50))
+    q, qd, u = (size * random.standard_normal((k, 50)) for k, size in ((3, 1e-4), (3, 0.3), (2, 1.0)))
     matrix = random.standard_normal((3, 3))
     laws = Laws(matrix, matrix, random.standard_normal((3, 2)), random.standard_normal((2, 3)), 5.0, 5.0, 2)
     motion = Points(np.linspace(0.0, 3.0, 50), q, qd, u)
     found = [probe for probe in probes_of(True, "force") if kind_of(probe).single]
-    assert {kind_of(probe).order for probe in found} == {1}
-    assert len(found) >= 8
+    assert len(found) >= 11
     for probe in found:
         p = probe.at(probe.member.scale)
         exact, rough = force_along(probe.effect.force, motion, p, laws), np.empty((3, 50), dtype=np.float32)

@@ -192,6 +192,7 @@ def forces_of(
     envelopes = np.empty((count, 3 * most_signatures(with_mismatch, FORCES), points), dtype=np.complex64)
     book = _Book(envelopes, [], [], [], [])
     at: dict[tuple[Phases, bool], DevicePoints] = {}
+    deviations: _Deviations | None = None
     for probe, kind in _kinds(with_mismatch):
         key = kind.phases, kind.single
         own = at[key] = at.get(key) or motions.at(*key)
@@ -201,7 +202,8 @@ def forces_of(
             values = np.full(count, probe.member.scale)
             book.write(probe, values, 1, force, kind.phases, motions.counted(kind.fades, kind.single))
         elif any(one is not None for one in force):
-            values, moved = _deviated(force, devices, motions, own)
+            deviations = deviations or _Deviations.of(devices, motions)
+            values, moved = deviations.by(force, own)
             values *= probe.member.scale
             p = np.zeros((probe.size, count, 1, 1))
             p[:] = probe.at(0.0).reshape(-1, 1, 1, 1)
@@ -219,42 +221,67 @@ def forces_of(
     return [book.of(b) for b in range(count)]
 
 
-#: Re and Im of f_2 and f_0, (3, M), and the phases (M, 5) of a motion with a deviation: Re a, Im a, Re d_2, Im d_2, d_0.
-_EVEN: FloatArray = waves(WHOLE_TURN, (2, 0), False)[:3] * (2.0 / WHOLE_TURN.count)
+def _even(single: bool) -> RealArray:
+    """What turns a force at the phases of :data:`WHOLE_TURN` into Re f_2, Im f_2 and f_0, (3, M)."""
+    return waves(WHOLE_TURN, (2, 0), single)[:3] * (2.0 / WHOLE_TURN.count)
+
+
+#: What turns Re a, Im a of a motion and Re d_2, Im d_2, d_0 of a deviation into the motion at the phases, (M, 5).
 _DEVIATED: FloatArray = np.ascontiguousarray(
     np.concatenate([waves(WHOLE_TURN, (1, 2), False), np.ones((1, WHOLE_TURN.count))]).T
 )
 
 
-def _deviated(
-    force: Force, devices: Sequence[LinearDevice], motions: Motions, points: DevicePoints
-) -> tuple[FloatArray, DevicePoints]:
-    """Share (B,) of a force at :data:`WHOLE_TURN`, and the motion with the deviation that this share of its harmonics causes.
+@dataclass(frozen=True, eq=False)
+class _Deviations:
+    """What the motions with a deviation of second order need.
 
-    The deviation is proportional to the force; the share is 0 where there is none.
+    Parameters
+    ----------
+    motions : the motions without it.
+    static, fast : K^-1 and (K - 4 w0^2)^-1 (B, 3, 3) [s^2].
+    level : root of the sum of squares of the loud envelopes (B,) [V s].
     """
-    omega, counted = motions.grid.omega, motions.counted(True, False)
-    acts = [c for c, one in enumerate(force) if one is not None]
-    even = np.stack([_EVEN @ one for one in force if one is not None], axis=1) * counted[:, None, None]
-    stiffness = np.stack([device.mechanics.stiffness[0] for device in devices])
-    static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * omega**2 * np.eye(3)]))[..., acts]
-    # Of each device alone: one sum over all axes would depend on the number of devices.
-    by_part = (even**2).sum(axis=-1)
-    size = np.sqrt(np.maximum(by_part[:, :, 0] + by_part[:, :, 1], by_part[:, :, 2]).sum(axis=1))
-    level = np.sqrt(((motions.double[:3] * counted[:, None]) ** 2).sum(axis=-1).sum(axis=-1).sum(axis=0))
-    share = np.divide(_SHARE * omega**2 * level, size, out=np.zeros_like(size), where=size > 0.0)
-    by_device = share[:, None, None]
-    count, n = motions.shape
-    double = ((fast * by_device) @ even[:, :, :2].reshape(count, len(acts), -1)).reshape(count, 3, 2, n)
-    steady = (static * (0.5 * by_device)) @ even[:, :, 2]
 
-    def coordinate(i: int) -> RealArray:
-        parts = np.concatenate([motions.double[i], double[:, i], steady[:, i, None]], axis=1)
-        return np.asarray(_DEVIATED @ parts)
+    motions: Motions
+    static: FloatArray
+    fast: FloatArray
+    level: FloatArray
 
-    def velocity(i: int) -> RealArray:
-        turned = np.stack([-2.0 * omega * double[:, i, 1], 2.0 * omega * double[:, i, 0]], axis=1)
-        return np.asarray(_DEVIATED[:, :4] @ np.concatenate([motions.double[3 + i], turned], axis=1))
+    @classmethod
+    def of(cls, devices: Sequence[LinearDevice], motions: Motions) -> _Deviations:
+        stiffness = np.stack([device.mechanics.stiffness[0] for device in devices])
+        static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * motions.grid.omega**2 * np.eye(3)]))
+        # One sum over all axes would depend on the number of devices.
+        squares = (motions.double[:3] * motions.counted(True, False)[:, None]) ** 2
+        return cls(motions, static, fast, np.sqrt(squares.sum(axis=-1).sum(axis=-1).sum(axis=0)))
 
-    moved = DevicePoints(points.t, Elements(3, coordinate), Elements(3, velocity), points.u, points.shape)
-    return share, moved
+    def by(self, force: Force, points: DevicePoints) -> tuple[FloatArray, DevicePoints]:
+        """Share (B,) of a force at :data:`WHOLE_TURN`, and the motion with the deviation that this share of it causes.
+
+        The deviation is proportional to the force; the share is 0 where there is none.
+        """
+        motions, omega = self.motions, self.motions.grid.omega
+        single = points.t.dtype == np.float32
+        acts = [c for c, one in enumerate(force) if one is not None]
+        even = np.stack([_even(single) @ one for one in force if one is not None], axis=1)
+        even *= motions.counted(True, single)[:, None, None]
+        by_part = np.square(even).sum(axis=-1, dtype=np.float64)
+        size = np.sqrt(np.maximum(by_part[:, :, 0] + by_part[:, :, 1], by_part[:, :, 2]).sum(axis=1))
+        share = np.divide(_SHARE * omega**2 * self.level, size, out=np.zeros_like(size), where=size > 0.0)
+        by_device = share[:, None, None]
+        (count, n), kind = motions.shape, even.dtype
+        fast, static = self.fast[..., acts] * by_device, self.static[..., acts] * (0.5 * by_device)
+        double = (fast.astype(kind) @ even[:, :, :2].reshape(count, len(acts), -1)).reshape(count, 3, 2, n)
+        steady = static.astype(kind) @ even[:, :, 2]
+
+        def coordinate(i: int) -> RealArray:
+            parts = np.concatenate([motions.double[i], double[:, i], steady[:, i, None]], axis=1)
+            return np.asarray(_DEVIATED @ parts)
+
+        def velocity(i: int) -> RealArray:
+            turned = np.stack([-2.0 * omega * double[:, i, 1], 2.0 * omega * double[:, i, 0]], axis=1)
+            return np.asarray(_DEVIATED[:, :4] @ np.concatenate([motions.double[3 + i], turned], axis=1))
+
+        plain = motions.at(WHOLE_TURN, False)
+        return share, DevicePoints(plain.t, Elements(3, coordinate), Elements(3, velocity), plain.u, plain.shape)

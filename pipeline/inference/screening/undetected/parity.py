@@ -45,8 +45,7 @@ class LawKind:
     order : of what returns into the band in the parameter, 1 or 2.
     still : whether it does not depend on the motion.
     fades : whether it is negligible in quiet parts of a record, because it grows as the square of the motion at least.
-    single : whether it is right in single precision: it takes devices together, no difference in it cancels its digits, and
-        what returns into the band is no small change of it, as for laws of second order.
+    single : whether it is right in single precision: it takes devices together, and no difference in it cancels its digits.
     acts : the coordinates on which it acts.
     """
 
@@ -92,7 +91,7 @@ def kind_of(probe: Probe) -> LawKind:
     kind = _kind(force, p, motion, laws)
     # A law that is zero at the points may act elsewhere.
     acts = tuple(np.flatnonzero(exact.any(axis=1)).tolist()) or kind.acts
-    return replace(kind, single=single and kind.order == 1, acts=acts)
+    return replace(kind, single=single, acts=acts)
 
 
 def _points() -> tuple[Points, Laws]:
