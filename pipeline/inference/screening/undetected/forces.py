@@ -97,7 +97,7 @@ def _kinds(with_mismatch: bool) -> tuple[tuple[Probe, LawKind], ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Laws:
+class _DeviceLaws:
     """Linear mechanics of each device as force laws see them: one by one, and together in both precisions."""
 
     each: tuple[Laws, ...]
@@ -105,7 +105,7 @@ class _Laws:
     single: Laws
 
     @classmethod
-    def of(cls, devices: Sequence[LinearDevice]) -> _Laws:
+    def of(cls, devices: Sequence[LinearDevice]) -> _DeviceLaws:
         each = []
         for device in devices:
             m, c = device.mechanics, device.context
@@ -187,12 +187,12 @@ def forces_of(
     sizes : of clipping, of each device (``clipping.drive_sizes``).
     with_mismatch : whether the fits have electrode mismatches.
     """
-    laws, motions = _Laws.of(devices), Motions.of(signals)
+    laws, motions = _DeviceLaws.of(devices), Motions.of(signals)
     count, points = motions.shape
     envelopes = np.empty((count, 3 * most_signatures(with_mismatch, FORCES), points), dtype=np.complex64)
     book = _Book(envelopes, [], [], [], [])
     at: dict[tuple[Phases, bool], DevicePoints] = {}
-    deviations: _Deviations | None = None
+    deviations: _SecondOrder | None = None
     for probe, kind in _kinds(with_mismatch):
         key = kind.phases, kind.single
         own = at[key] = at.get(key) or motions.at(*key)
@@ -202,7 +202,7 @@ def forces_of(
             values = np.full(count, probe.member.scale)
             book.write(probe, values, 1, force, kind.phases, motions.counted(kind.fades, kind.single))
         elif any(one is not None for one in force):
-            deviations = deviations or _Deviations.of(devices, motions)
+            deviations = deviations or _SecondOrder.of(devices, motions)
             values, moved = deviations.by(force, own)
             values *= probe.member.scale
             p = np.zeros((probe.size, count, 1, 1))
@@ -233,7 +233,7 @@ _DEVIATED: FloatArray = np.ascontiguousarray(
 
 
 @dataclass(frozen=True, eq=False)
-class _Deviations:
+class _SecondOrder:
     """What the motions with a deviation of second order need.
 
     Parameters
@@ -249,7 +249,7 @@ class _Deviations:
     level: FloatArray
 
     @classmethod
-    def of(cls, devices: Sequence[LinearDevice], motions: Motions) -> _Deviations:
+    def of(cls, devices: Sequence[LinearDevice], motions: Motions) -> _SecondOrder:
         stiffness = np.stack([device.mechanics.stiffness[0] for device in devices])
         static, fast = np.linalg.inv(np.stack([stiffness, stiffness - 4.0 * motions.grid.omega**2 * np.eye(3)]))
         # One sum over all axes would depend on the number of devices.
