@@ -147,7 +147,7 @@ def _at_each_point(
         push(address, t[i], q[i], qd[i], u[i], p, 0, p.size, laws, out[i])
 
 
-class _Vectors(list[Any]):
+class Vectors(list[Any]):
     """Vectors in place of the numbers of an array: what a law indexes, and asks for its size."""
 
     @property
@@ -170,7 +170,7 @@ class Points:
     @cached_property
     def elements(self) -> tuple[Any, Any, Any]:
         """q, qd and u as n, n and D vectors (m,)."""
-        return _Vectors(self.q), _Vectors(self.qd), _Vectors(self.u)
+        return Vectors(self.q), Vectors(self.qd), Vectors(self.u)
 
     @cached_property
     def single(self) -> Points:
@@ -184,7 +184,7 @@ class Points:
 
 def _with_vectors(force: Callable[..., None], points: Points, p: RealArray, laws: Laws, whole: RealArray) -> None:
     """Write the force to ``whole`` (n, m)."""
-    out = _Vectors([0.0] * points.q.shape[0])
+    out = Vectors([0.0] * points.q.shape[0])
     force(points.t, *points.elements, p, laws, out)
     for own, row in zip(whole, out):
         own[:] = row

@@ -26,12 +26,12 @@ from pipeline.inference.screening.undetected.bounds import (
     summary,
 )
 from pipeline.inference.screening.undetected.clipping import adc_sizes, loud_samples
-from pipeline.inference.screening.undetected.device import feature_slopes
 from pipeline.inference.screening.undetected.library import probes_of, scored_effects
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.parity import kind_of
 from pipeline.inference.screening.undetected.signatures import signatures
+from pipeline.inference.screening.undetected.slopes import feature_slopes
 
 RATE = 10_000.0
 INSTRUMENT = Instrument(antialias=AntiAlias())

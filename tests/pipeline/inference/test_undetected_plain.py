@@ -10,7 +10,7 @@ from scipy.special import fdtrc
 from pipeline.inference.screening.inband import make_band
 from pipeline.inference.screening.undetected.bounds import Projection
 from pipeline.inference.screening.undetected.clipping import adc_sizes, transform_of_few
-from pipeline.inference.screening.undetected.device import feature_slopes, scored_device, scored_devices
+from pipeline.inference.screening.undetected.device import scored_device, scored_devices
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.narrow_band import (
@@ -18,11 +18,11 @@ from pipeline.inference.screening.undetected.narrow_band import (
     at_phases,
     grid_of,
     harmonics,
-    motion_at_phases,
 )
 from pipeline.inference.screening.undetected.scan_bounds import judged_scans
 from pipeline.inference.screening.undetected.scanned import ScannedProducts, ScanPoints, scans_of
 from pipeline.inference.screening.undetected.signatures import signatures
+from pipeline.inference.screening.undetected.slopes import feature_slopes
 from populations.draw import draw
 from workflows.config import RunConfig
 from workflows.screening.settings import population
@@ -128,9 +128,6 @@ def test_phases_and_harmonics_are_inverse_to_each_other(scored):
     values = at_phases(a, WHOLE_TURN)
     (first,) = harmonics(values, WHOLE_TURN, 1)
     np.testing.assert_allclose(first, a, rtol=1e-13)
-    q, qd = motion_at_phases(a, 3.0, WHOLE_TURN)
-    np.testing.assert_array_equal(q, values)
-    np.testing.assert_allclose(qd, at_phases(3j * a, WHOLE_TURN), rtol=1e-12, atol=1e-12)
     (data,) = scored[0].data
     grid, spectrum = grid_of(data.band), data.spectrum
     np.testing.assert_allclose(

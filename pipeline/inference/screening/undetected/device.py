@@ -7,39 +7,35 @@ Shapes: P parameters, W bins, S = 2 senses.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import groupby
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 
-from ....arrays import ComplexArray, FloatArray, IntArray
-from ....axial import wrap
+from ....arrays import FloatArray, IntArray
 from ....experiment.instrument import Instrument
 from ....experiment.noise.spectrum import NoiseSpectrum
-from ....quantities import AXES, IDENTIFIED
-from ...estimate import RateSettings, cartesian_quantities
+from ...estimate import RateSettings
 from ...gate import Undetected
 from ..compressed import BandData
 from ..fit import Fit
-from ..likelihood import FEATURES, STEPS, coefficients
-from ..mismatch import MismatchPrior, mean_plant
+from ..mismatch import MismatchPrior
 from .bounds import Candidates, EffectEvidence, Judged, Projection, judged, judged_together, summary
 from .clipping import Loud, adc_sizes, drive_sizes
+from .forces import forces_of
 from .library import BandSignature, write_real
 from .linear import LinearDevice, Moved, linear_devices
 from .linear_stages import moved_mechanics
 from .rows import products_of, record_weight, stationary_variance, take_out_hum, white_products
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
-from .signatures import signatures
+from .signatures import Along, Motion, band_motion, signatures
+from .slopes import QuantitySlopes, feature_slopes, quantity_slopes
 
 T = TypeVar("T")
-#: Names of the quantities that are known, and dq/dx (Q, P).
-QuantitySlopes = tuple[tuple[str, ...], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +95,15 @@ def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
 
     Each device passes its stages as it does alone, so its scores are the same bit for bit.
     """
-    if len(scorings) == 1:
+    if len(scorings) == 1 or any(len(scoring.data) > 1 for scoring in scorings):
         # A long record is given up part by part.
         return _each(scored_device, scorings)
     linear = _each(_linear, scorings)
-    products = _each(_products, scorings, linear)
-    posed = _each(_posed, scorings, products, _slopes_of(scorings))
+    motions = _each(lambda one: band_motion(*one.devices), linear)
+    along = _together(_along, _driven_alike, scorings, linear, motions)
+    products = _each(_products, scorings, linear, along)
+    slopes = _together(_slopes_of, lambda one: (one.rate, one.prior), scorings)
+    posed = _each(_posed, scorings, products, slopes)
     return _each(lambda one, own: summary((own, one.scans), one.quantities), posed, _judged_of(posed))
 
 
@@ -120,6 +119,28 @@ def _each(stage: Callable[..., T], *inputs: Sequence[Any]) -> list[T | Exception
     return out
 
 
+def _together(
+    stage: Callable[..., Sequence[T]], alike: Callable[..., Hashable], *inputs: Sequence[Any]
+) -> list[T | Exception]:
+    """The stage of devices that follow each other and are ``alike``, all at once; where that fails, of each alone."""
+
+    def kind(own: tuple[Any, ...]) -> Hashable:
+        return None if any(isinstance(one, Exception) for one in own) else (alike(*own),)
+
+    out: list[T | Exception] = []
+    for key, members in groupby(zip(*inputs), key=kind):
+        group = list(members)
+        if key is not None and len(group) > 1:
+            try:
+                out += stage(*(list(each) for each in zip(*group)))
+                continue
+            except Exception:
+                # One of them fails; the others must not.
+                pass
+        out += _each(lambda *own: stage(*([one] for one in own))[0], *zip(*group))
+    return out
+
+
 def _linear(scoring: Scoring) -> _Linear:
     with_mismatch = scoring.prior is not None
     sizes = adc_sizes(scoring.louds, scoring.noise.sigma_v, scoring.instrument.bias_v, with_mismatch)
@@ -130,8 +151,22 @@ def _linear(scoring: Scoring) -> _Linear:
     )
 
 
-def _products(scoring: Scoring, linear: _Linear) -> _Products:
-    """Products of all rows, summed over the records and the prior of the fit."""
+def _driven_alike(scoring: Scoring, linear: _Linear, motion: Motion) -> Hashable:
+    return id(scoring.data[0].band), scoring.instrument.bias_v, scoring.prior is None
+
+
+def _along(scorings: Sequence[Scoring], linear: Sequence[_Linear], motions: Sequence[Motion]) -> list[Along]:
+    """The motion of devices with one record each, and the forces along it."""
+    devices, sizes = [one.devices[0] for one in linear], [one.sizes for one in linear]
+    forces = forces_of(devices, [signals for _, signals in motions], sizes, scorings[0].prior is not None)
+    return [Along(*motion, own) for motion, own in zip(motions, forces)]
+
+
+def _products(scoring: Scoring, linear: _Linear, along: Along | None = None) -> _Products:
+    """Products of all rows, summed over the records and the prior of the fit.
+
+    ``along``: the motion and the forces of a device with one record, if they are known.
+    """
     fit, data, with_mismatch = scoring.fit, scoring.data, scoring.prior is not None
     slopes, count = feature_slopes(fit), fit.x.size
     first = data[0].band.frequency_hz
@@ -141,7 +176,7 @@ def _products(scoring: Scoring, linear: _Linear) -> _Products:
     for item, device, loud in zip(data, linear.devices, scoring.louds):
         edges = (float(first[0]), float(first[-1]))
         scans = scans_of(item.band, edges, scoring.line_hz, with_mismatch)
-        found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, slopes)
+        found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, slopes, along)
         write_real(item.spectrum - found.sensed, found.rows[count])
         variance = stationary_variance(item, scoring.noise.sigma_v)
         candidates = _candidates(found.signatures)
@@ -188,23 +223,17 @@ def _posed(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> _Po
 
 
 def _judged_of(posed: Sequence[_Posed | Exception]) -> list[Judged | Exception]:
-    """The effects of each device judged; those that follow each other with the same effects and quantities at once."""
+    """The effects of each device judged."""
+    return _together(
+        lambda group: judged_together([one.problem for one in group]),
+        lambda one: (one.problem.candidates.effects, one.quantities),
+        posed,
+    )
 
-    def alike(one: _Posed | Exception) -> tuple[Any, ...]:
-        return () if isinstance(one, Exception) else (one.problem.candidates.effects, one.quantities)
 
-    out: list[Judged | Exception] = []
-    for key, own in groupby(posed, key=alike):
-        group = list(own)
-        if key and len(group) > 1:
-            try:
-                out += judged_together([one.problem for one in group if isinstance(one, _Posed)])
-                continue
-            except Exception:
-                # One of them fails; the others must not.
-                pass
-        out += _each(lambda one: judged(one.problem), group)
-    return out
+def _slopes_of(scorings: Sequence[Scoring]) -> list[QuantitySlopes]:
+    """The slopes of the quantities of devices with the same rate settings and prior."""
+    return quantity_slopes(np.stack([one.fit.x for one in scorings]), scorings[0].rate, scorings[0].prior)
 
 
 def _of_record(
@@ -244,55 +273,3 @@ def _prior_products(prior: MismatchPrior | None, x: FloatArray) -> FloatArray:
     rows[12:14] = root.T
     rows[-1] = offset - root @ x[12:]
     return rows @ rows.T
-
-
-def feature_slopes(fit: Fit) -> FloatArray:
-    """Slopes (P, S, J), per unit of x, of the coefficients of the model's spectrum in the features of the fit."""
-    slopes = np.empty((fit.x.size, 2, FEATURES))
-    _feature_slopes(fit.x, fit.likelihood.expansion, slopes)
-    return slopes
-
-
-@njit(cache=True)
-def _feature_slopes(x: FloatArray, expansion: ComplexArray, out: FloatArray) -> None:
-    ahead, behind, shift = np.empty((2, FEATURES)), np.empty((2, FEATURES)), np.empty(3)
-    for i in range(x.size):
-        moved = x.copy()
-        moved[i] = x[i] + STEPS[i]
-        coefficients(moved, expansion, ahead, shift)
-        moved[i] = x[i] - STEPS[i]
-        coefficients(moved, expansion, behind, shift)
-        for a in range(2):
-            for j in range(FEATURES):
-                out[i, a, j] = (ahead[a, j] - behind[a, j]) / (2.0 * STEPS[i])
-
-
-def quantity_slopes(x: FloatArray, rate: RateSettings, prior: MismatchPrior | None) -> list[QuantitySlopes]:
-    """Names of the quantities that are known, and dq/dx (Q, P), of each of the parameters x (B, P)."""
-    size = x.shape[1]
-    step = STEPS[:size]
-    moves = np.concatenate([np.diag(step), -np.diag(step)])
-    points = (x[:, None] + moves).reshape(-1, size)
-    q = cartesian_quantities(points if prior is None else mean_plant(points, prior), rate)
-    names = tuple(quantity.name for quantity in IDENTIFIED)
-    both = np.stack([q[name] for name in names]).reshape(len(names), x.shape[0], 2, size)
-    change = both[:, :, 0] - both[:, :, 1]
-    axes = [names.index(name) for name in AXES]
-    change[axes] = wrap(change[axes])
-    change /= 2.0 * step
-    known = np.asarray(np.isfinite(change).all(axis=2))
-    return [
-        (tuple(name for name, is_known in zip(names, own) if is_known), change[own, i]) for i, own in enumerate(known.T)
-    ]
-
-
-def _slopes_of(scorings: Sequence[Scoring]) -> list[QuantitySlopes | Exception]:
-    """The slopes of the quantities of each device; those with the same rate settings and prior at once."""
-    out: list[QuantitySlopes | Exception] = []
-    for _, own in groupby(scorings, key=lambda one: (one.rate, one.prior)):
-        group = list(own)
-        try:
-            out += quantity_slopes(np.stack([one.fit.x for one in group]), group[0].rate, group[0].prior)
-        except Exception as error:
-            out += [error] * len(group)
-    return out

@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, real_parts
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
 from ....device.gyro import PHYSICAL, cartesian_mechanics, to_physical
@@ -30,6 +30,7 @@ from ..fit import Fit, modes_at
 from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
+from .library import Probe
 from .loops import respond
 from .narrow_band import Grid, Signals
 from .position_modes import PositionModes
@@ -60,6 +61,20 @@ class BandMotion:
     def sensed(self) -> ComplexArray:
         """Pick-off volts (S, W) [V]."""
         return np.asarray(self.of_drives.sum(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceForces:
+    """Parameters whose forces in the band are known, each at its value; ``orders`` are those of the forces in the parameters.
+
+    rows (K, 3): which of the envelopes (R, n) [V/s], in single precision, a force has on each coordinate; -1 where it has none.
+    """
+
+    probes: Sequence[Probe]
+    values: Sequence[float]
+    orders: Sequence[int]
+    rows: IntArray
+    envelopes: AnyComplexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +138,7 @@ class LinearDevice:
         inverse, drive = shared_signals(self.band, grid)
         whole = np.empty((6 + drive.shape[0], grid.points), dtype=np.complex64)
         whole[:6], whole[6:] = grid.envelopes((motion.spectra * inverse).astype(np.complex64)), drive
-        return Signals(grid, np.arange(grid.points), whole)
+        return Signals(grid, whole)
 
     @cached_property
     def pickoff_residues(self) -> ComplexArray:
@@ -132,38 +147,37 @@ class LinearDevice:
         read = m.velocity_sense[0] * self.poles[:, None, None] + m.position_sense[0]
         return np.asarray(read @ self.parts @ m.drive[0])
 
-    def forced(self, force: AnyComplexArray, grid: Grid, out: FloatArray) -> FloatArray:
-        """Volts behind the filter in response to envelopes of forces (K, 3, n) [V/s]: the first rows of ``out`` (.., S, 2 W)."""
+    def forced(self, forces: DeviceForces, grid: Grid, out: FloatArray) -> FloatArray:
+        """Volts behind the filter in response to forces: the first rows of ``out`` (.., S, 2 W)."""
+        envelopes, rows = forces.envelopes, forces.rows
         span = self.band.samples / self.band.sample_rate_hz
         # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
         decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
-        left = (grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]).astype(force.dtype)
-        count = force.shape[0]
-        ends = (left @ force.reshape(-1, grid.points).T).reshape(3, count, 3) * (0.5 * span / grid.points)
-        modal = np.einsum("kij,kbj->kbi", self.parts, ends)
+        left = (grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]).astype(np.complex64)
+        # One more for the coordinates on which a force does not act.
+        ends = np.zeros((3, envelopes.shape[0] + 1), dtype=np.complex128)
+        ends[:, :-1] = (left @ envelopes.T) * (0.5 * span / grid.points)
+        modal = np.einsum("kij,kbj->kbi", self.parts, ends[:, rows])
         q_end = 2.0 * modal.real.sum(axis=0)
         v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
         m = self.mechanics
         ringing = np.stack([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=2)
         ringing *= self.band.sample_rate_hz / grid.bin_scale
-        spectra, transfer = grid.transforms(force), self._transfer(grid.bin_scale)
-        respond(spectra, grid.below, ringing.astype(np.float32), self._omega, transfer, out[:count])
-        return out[:count]
-
-    @property
-    def _omega(self) -> RealArray:
-        return self.s.imag.astype(np.float32)
-
-    def _transfer(self, scale: float) -> RealArray:
-        """G (V s + D)(K + s C + s^2)^-1 times ``scale`` (2, 3, S, W), real parts before imaginary ones, by partial fractions."""
-        m = self.mechanics
-        poles = np.concatenate([self.poles, self.poles.conj()])
-        parts = np.concatenate([self.parts, self.parts.conj()])
-        gain = (scale * m.velocity_sense[0] * poles[:, None, None] + scale * m.position_sense[0]) @ parts
-        # The distance to a pole needs all digits, the quotient does not.
-        resonances = (self.antialias / (self.s - poles[:, None])).astype(np.complex64)
-        found = gain.T.reshape(-1, poles.size).astype(np.complex64) @ resonances
-        return np.stack([found.real, found.imag]).reshape(2, 3, -1, self.s.size)
+        gain = grid.bin_scale * (
+            (m.velocity_sense[0] * self.poles[:, None, None] + m.position_sense[0]) @ self.parts
+        ).swapaxes(1, 2)
+        respond(
+            grid.transforms(envelopes),
+            rows,
+            grid.below,
+            ringing.astype(np.float32),
+            self.s.imag,
+            real_parts(self.antialias).astype(np.float32),
+            real_parts(self.poles),
+            real_parts(gain).astype(np.float32),
+            out[: rows.shape[0]],
+        )
+        return out[: rows.shape[0]]
 
 
 def hold_response(band: Band) -> ComplexArray:

@@ -5,7 +5,7 @@
 
 Complex numbers are pairs of real ones inside of the loops: numba writes no vectors for complex numbers.
 
-Shapes: K forces, 3 coordinates, M phases, S = 2 senses, W bins, n points of the grid, n' of them used.
+Shapes: B devices, K forces, 3 coordinates, M phases, S = 2 senses, W bins, n points of the grid.
 """
 
 from __future__ import annotations
@@ -17,46 +17,86 @@ from ....arrays import AnyComplexArray, FloatArray, IntArray, RealArray
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
-def first_harmonic(values: RealArray, waves: RealArray, kept: IntArray, out: AnyComplexArray) -> None:
-    """Write f_1 of values (K, 3, M, n') to the points ``kept`` (n',) of ``out`` (K, 3, n).
+def first_harmonic(values: RealArray, waves: RealArray, counted: RealArray, out: AnyComplexArray) -> None:
+    """Write f_1 of values (B, M, n), times ``counted`` (B, n), to ``out`` (B, n).
 
     waves (2, M): (2/M) cos phi_m, and -(2/M) sin phi_m.
     """
-    real, imaginary = np.empty(kept.size, dtype=values.dtype), np.empty(kept.size, dtype=values.dtype)
-    for k in range(values.shape[0]):
-        for c in range(3):
-            real[:], imaginary[:] = 0.0, 0.0
-            for m in range(waves.shape[1]):
-                cosine, sine = waves[0, m], waves[1, m]
-                for i in range(kept.size):
-                    real[i] += cosine * values[k, c, m, i]
-                    imaginary[i] += sine * values[k, c, m, i]
-            for i in range(kept.size):
-                out[k, c, kept[i]] = complex(real[i], imaginary[i])
+    points = values.shape[2]
+    real, imaginary = np.empty(points, dtype=values.dtype), np.empty(points, dtype=values.dtype)
+    for b in range(values.shape[0]):
+        real[:], imaginary[:] = 0.0, 0.0
+        for m in range(waves.shape[1]):
+            cosine, sine = waves[0, m], waves[1, m]
+            for i in range(points):
+                real[i] += cosine * values[b, m, i]
+                imaginary[i] += sine * values[b, m, i]
+        for i in range(points):
+            out[b, i] = complex(counted[b, i] * real[i], counted[b, i] * imaginary[i])
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
 def respond(
-    force: AnyComplexArray, below: int, ringing: RealArray, omega: RealArray, transfer: RealArray, out: FloatArray
+    force: AnyComplexArray,
+    rows: IntArray,
+    below: int,
+    ringing: RealArray,
+    omega: FloatArray,
+    antialias: RealArray,
+    poles: FloatArray,
+    gain: RealArray,
+    out: FloatArray,
 ) -> None:
     """Write y (K, S, 2 W), real parts before imaginary ones, to ``out``.
 
+    T_ca = G sum_k g_kca / (i w - p_k) + g~_kca / (i w - p~_k)
+
     Parameters
     ----------
-    force : transforms (K, 3, n) of the envelopes of the forces; the ``below`` last bins lie below the first.
+    force : transforms (R, n) of the envelopes of forces on a coordinate; the ``below`` last bins lie below the first.
+    rows : (K, 3) which of them each force has on each coordinate; -1 where it has none.
     ringing : a and b (K, 3, 2), the motion at the end of the record, in units of the force.
-    omega : w (W,) [rad/s].
-    transfer : T (2, 3, S, W), real parts before imaginary ones.
+    omega, antialias : w (W,) [rad/s], and G (2, W), real parts before imaginary ones.
+    poles, gain : p (2, 3) [rad/s] and g (2, 3, 3, S) of each mode, coordinate and sense.
     """
-    bins, points = omega.size, force.shape[2]
-    f = np.empty((2, 3, bins), dtype=np.float32)
-    for k in range(force.shape[0]):
-        for c in range(3):
-            a, b = ringing[k, c, 0], ringing[k, c, 1]
+    bins, points = omega.size, force.shape[1]
+    kind = ringing.dtype
+    resonance = np.empty((2, 6, bins), dtype=kind)
+    for j in range(6):
+        sign = 1.0 if j < 3 else -1.0
+        # The distance to a pole needs all digits, the quotient does not.
+        decay, own = -poles[0, j % 3], sign * poles[1, j % 3]
+        for w in range(bins):
+            apart = omega[w] - own
+            inverse = 1.0 / (decay * decay + apart * apart)
+            resonance[0, j, w], resonance[1, j, w] = decay * inverse, -apart * inverse
+    transfer, total = np.empty((2, 3, 2, bins), dtype=kind), np.empty((2, bins), dtype=kind)
+    for c in range(3):
+        for s in range(2):
+            total[:] = 0.0
+            for j in range(6):
+                a, b = gain[0, j % 3, c, s], gain[1, j % 3, c, s]
+                if j > 2:
+                    b = -b
+                for w in range(bins):
+                    total[0, w] += a * resonance[0, j, w] - b * resonance[1, j, w]
+                    total[1, w] += a * resonance[1, j, w] + b * resonance[0, j, w]
             for w in range(bins):
-                at = w - below if w >= below else points - below + w
-                f[0, c, w] = force[k, c, at].real - a
-                f[1, c, w] = force[k, c, at].imag - b * omega[w]
+                transfer[0, c, s, w] = antialias[0, w] * total[0, w] - antialias[1, w] * total[1, w]
+                transfer[1, c, s, w] = antialias[0, w] * total[1, w] + antialias[1, w] * total[0, w]
+    f, single = np.empty((2, 3, bins), dtype=kind), omega.astype(kind)
+    for k in range(rows.shape[0]):
+        for c in range(3):
+            a, b, row = ringing[k, c, 0], ringing[k, c, 1], rows[k, c]
+            for w in range(bins):
+                f[0, c, w], f[1, c, w] = -a, -b * single[w]
+            if row >= 0:
+                for w in range(below):
+                    f[0, c, w] += force[row, points - below + w].real
+                    f[1, c, w] += force[row, points - below + w].imag
+                for w in range(below, bins):
+                    f[0, c, w] += force[row, w - below].real
+                    f[1, c, w] += force[row, w - below].imag
         for s in range(2):
             for w in range(bins):
                 out[k, s, w] = (

@@ -17,7 +17,7 @@ Nonlinear laws count as zero where the device has not reached its resonances yet
 Forces of first order are taken in single precision: its rounding, 6e-8, is far below the share of 1e-2 of the norm of a
 signature that survives a fit.
 
-Shapes: n points over the record, n' of them used, 3 coordinates, D drives, S senses, M phases, W bins.  Coordinates in V s.
+Shapes: n points over the record, 3 coordinates, D drives, S senses, M phases, W bins.  Coordinates in V s.
 """
 
 from __future__ import annotations
@@ -28,11 +28,9 @@ from functools import cache, cached_property
 import numpy as np
 from scipy.fft import fft, ifft, next_fast_len
 
-from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, RealArray
-from ....device.force_law import Points
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, RealArray
 from ..inband import Band
 from ..kept import kept_if_short
-from .loops import first_harmonic
 
 #: Points per bin of the band.  Products of three signals of the band that would fold need tones at both of its ends at once.
 _POINTS_PER_BIN = 1.2
@@ -127,60 +125,41 @@ class Phases:
     count: int
     turn: float
 
-    @property
-    def doubled(self) -> Phases:
-        """The phases of 2 w0 at the same times."""
-        return Phases(self.count, 2.0 * self.turn)
-
 
 #: Phases of a general law: those of third order are exact.
 WHOLE_TURN = Phases(5, 1.0)
 
 
 @cache
-def _waves(phases: Phases, orders: tuple[int, ...], single: bool) -> RealArray:
-    """cos(h phi_m), then -sin(h phi_m), of each of the orders h, (2 len(orders), M)."""
+def waves(phases: Phases, orders: tuple[int, ...], single: bool) -> RealArray:
+    """cos(h phi_m), then -sin(h phi_m), of each of the orders h, (2 len(orders), M), in ``single`` or double precision."""
     angles = np.array(orders)[:, None] * np.linspace(0.0, 2.0 * np.pi * phases.turn, phases.count, endpoint=False)
-    waves = np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(-1, phases.count)
-    return np.asarray(waves, dtype=np.float32 if single else np.float64)
+    found = np.stack([np.cos(angles), -np.sin(angles)], axis=1).reshape(-1, phases.count)
+    return np.asarray(found, dtype=np.float32 if single else np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Envelopes of a device at points of a grid.
+    """Envelopes of a device at the points of a grid, in single precision.
 
     Parameters
     ----------
-    grid, kept : its points, and the indices (n',) of those that the envelopes have.
-    envelopes : of coordinates, velocities and drives (3 + 3 + D, n') [V s, V, V], in single precision.
+    grid : the grid.
+    envelopes : of coordinates, velocities and drives (3 + 3 + D, n) [V s, V, V].
     """
 
     grid: Grid
-    kept: IntArray
     envelopes: AnyComplexArray
 
     @property
     def coordinates(self) -> AnyComplexArray:
-        """(3, n') [V s]."""
+        """(3, n) [V s]."""
         return self.envelopes[:3]
 
     @property
     def velocities(self) -> AnyComplexArray:
-        """(3, n') [V]."""
+        """(3, n) [V]."""
         return self.envelopes[3:6]
-
-    @property
-    def loud(self) -> Signals:
-        """Those of all points at which nonlinear forces count."""
-        size = np.abs(self.velocities).sum(axis=0)
-        kept = np.flatnonzero(size > QUIET * float(size.max()))
-        return Signals(self.grid, self.kept[kept], self.envelopes[:, kept])
-
-    def at(self, phases: Phases, single: bool) -> Points:
-        """The motion at M phases of each of the n' points, phase by phase, in ``single`` or double precision."""
-        every = at_phases(self.envelopes if single else self.envelopes.astype(np.complex128), phases)
-        time_s = np.tile(self.grid.time_s[self.kept].astype(every.dtype), phases.count)
-        return Points(time_s, every[:3], every[3:6], every[6:])
 
 
 def _is_single(values: RealArray | AnyComplexArray) -> bool:
@@ -188,37 +167,22 @@ def _is_single(values: RealArray | AnyComplexArray) -> bool:
 
 
 def _parts(envelope: AnyComplexArray) -> RealArray:
-    """Real and imaginary parts (.., 2, n') of envelopes (.., n'), as a view."""
-    whole = np.ascontiguousarray(envelope)
-    pairs = whole.view(np.float32 if _is_single(whole) else np.float64)
-    return np.swapaxes(pairs.reshape(*whole.shape, 2), -1, -2)
+    """Real and imaginary parts (.., 2, n) of envelopes (.., n)."""
+    return np.stack([envelope.real, envelope.imag], axis=-2)
 
 
 def at_phases(envelope: AnyComplexArray, phases: Phases) -> RealArray:
-    """Re{a e^{i phi_m}} (.., M n') of envelopes a (.., n'), phase by phase, in their precision."""
-    waves = _waves(phases, (1,), _is_single(envelope))
-    return np.asarray(waves.T @ _parts(envelope)).reshape(*envelope.shape[:-1], -1)
-
-
-def motion_at_phases(envelope: AnyComplexArray, omega: float, phases: Phases) -> tuple[RealArray, RealArray]:
-    """Re{a e^{i phi_m}} (.., M n') of envelopes a (.., n') of coordinates, and Re{i omega a e^{i phi_m}} of their velocities."""
-    parts, (cosines, sines) = _parts(envelope), _waves(phases, (1,), _is_single(envelope))
-    shape = (*envelope.shape[:-1], -1)
-    ahead = omega * np.stack([sines, -cosines])
-    return (np.stack([cosines, sines]).T @ parts).reshape(shape), (ahead.T @ parts).reshape(shape)
-
-
-def write_first_harmonic(values: RealArray, phases: Phases, kept: IntArray, out: AnyComplexArray) -> None:
-    """Write f_1 of values (k, 3, M n'), phase by phase, to the points ``kept`` (n',) of ``out`` (k, 3, n)."""
-    waves = _waves(phases, (1,), _is_single(values)) * (2.0 / phases.count)
-    first_harmonic(values.reshape(*values.shape[:2], phases.count, -1), waves, kept, out)
+    """Re{a e^{i phi_m}} (.., M n) of envelopes a (.., n), phase by phase, in their precision."""
+    turns = waves(phases, (1,), _is_single(envelope))
+    return np.asarray(turns.T @ _parts(envelope)).reshape(*envelope.shape[:-1], -1)
 
 
 def harmonics(values: RealArray, phases: Phases, *orders: int) -> list[AnyComplexArray]:
-    """f_h (.., n') of values (.., M n'), phase by phase, for each of the ``orders`` h, in their precision."""
+    """f_h (.., n) of values (.., M n), phase by phase, for each of the ``orders`` h, in their precision."""
     single = _is_single(values)
-    waves = _waves(phases, orders, single) * (2.0 / phases.count)
-    parts = waves @ values.reshape(*values.shape[:-1], phases.count, -1)
+    parts = (waves(phases, orders, single) * (2.0 / phases.count)) @ values.reshape(
+        *values.shape[:-1], phases.count, -1
+    )
     shape = (len(orders), *values.shape[:-1], parts.shape[-1])
     out = np.empty(shape, dtype=np.complex64 if single else np.complex128)
     for i, own in enumerate(out):

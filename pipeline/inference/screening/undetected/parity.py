@@ -19,7 +19,8 @@ from functools import lru_cache
 import numpy as np
 
 from ....arrays import FloatArray
-from ....device.force_law import Laws, Points, force_along, in_single, single_force_along, takes_vectors
+from ....device.device_forces import takes_devices
+from ....device.force_law import Laws, Points, force_along, in_single, single_force_along
 from .library import Probe
 from .narrow_band import QUIET, WHOLE_TURN, Phases, at_phases, harmonics
 
@@ -44,8 +45,8 @@ class LawKind:
     order : of what returns into the band in the parameter, 1 or 2.
     still : whether it does not depend on the motion.
     fades : whether it is negligible in quiet parts of a record, because it grows as the square of the motion at least.
-    single : whether it is right in single precision: it takes vectors, no difference in it cancels its digits, and what returns
-        into the band is no small change of it, as for laws of second order.
+    single : whether it is right in single precision: it takes devices together, and no difference in it cancels its digits.
+    acts : the coordinates on which it acts.
     """
 
     phases: Phases
@@ -55,6 +56,7 @@ class LawKind:
     still: bool = False
     fades: bool = True
     single: bool = True
+    acts: tuple[int, ...] = (0, 1, 2)
 
 
 def _half_turn(force: Callable[..., None], p: FloatArray, laws: Laws, q: FloatArray, qd: FloatArray) -> Phases:
@@ -81,14 +83,15 @@ def kind_of(probe: Probe) -> LawKind:
     force, p = probe.effect.force, probe.at(probe.member.scale)
     assert force is not None
     motion, laws = _points()
-    single = takes_vectors(force, p.size)
+    exact, single = force_along(force, motion, p, laws), takes_devices(force, p.size)
     if single:
-        exact = force_along(force, motion, p, laws)
         rough = np.empty(motion.q.shape, dtype=np.float32)
         single_force_along(force, motion.single, p, in_single(laws), rough)
         single = bool(np.linalg.norm(rough - exact) <= _IN_SINGLE * np.linalg.norm(exact))
     kind = _kind(force, p, motion, laws)
-    return replace(kind, single=single and kind.order == 1)
+    # A law that is zero at the points may act elsewhere.
+    acts = tuple(np.flatnonzero(exact.any(axis=1)).tolist()) or kind.acts
+    return replace(kind, single=single, acts=acts)
 
 
 def _points() -> tuple[Points, Laws]:

@@ -20,11 +20,12 @@ import numpy as np
 
 from ....arrays import ComplexArray, FloatArray
 from .clipping import Loud, adc_signatures
-from .library import FORCES, SHAPE, STAGES, BandSignature, most_signatures
-from .linear import LinearDevice, Moved
+from .forces import forces_of
+from .library import SHAPE, STAGES, BandSignature, most_signatures
+from .linear import BandMotion, DeviceForces, LinearDevice, Moved
 from .linear_stages import mechanics_coefficients, readout_signatures
-from .narrow_band import grid_of
-from .nonlinear import drive_forces, forces_of, sense_signatures
+from .narrow_band import Signals, grid_of
+from .nonlinear import sense_signatures
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,25 @@ class Found:
     sensed: ComplexArray
 
 
+#: The motion of a device in the band, and its envelopes.
+Motion = tuple[BandMotion, Signals]
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """The motion of a device in the band, its envelopes, and the forces along it."""
+
+    motion: BandMotion
+    signals: Signals
+    forces: DeviceForces
+
+
+def band_motion(device: LinearDevice) -> Motion:
+    """The motion of a device in its band."""
+    motion = device.motion(device.rows(device.motion_coefficients))
+    return motion, device.signals(motion, grid_of(device.band))
+
+
 def signatures(
     device: LinearDevice,
     moved: Moved,
@@ -49,6 +69,7 @@ def signatures(
     sizes: Mapping[str, float],
     with_mismatch: bool,
     slopes: FloatArray,
+    along: Along | None = None,
 ) -> Found:
     """All signatures of the effects that a fit lacks.
 
@@ -59,22 +80,20 @@ def signatures(
     sizes : of clipping (:func:`adc_sizes`, :func:`drive_sizes`).
     with_mismatch : whether the fit has electrode mismatches.
     slopes : of the fit, coefficients (P, S, J) of the features.
+    along : its motion and forces, if they are known.
     """
-    grid, count = grid_of(device.band), slopes.shape[0]
+    if along is None:
+        motion, signals = band_motion(device)
+        along = Along(motion, signals, *forces_of([device], [signals], [sizes], with_mismatch))
+    motion, signals, forces = along.motion, along.signals, along.forces
+    grid, count = signals.grid, slopes.shape[0]
     mechanics, of_mechanics = mechanics_coefficients(device, moved, with_mismatch)
-    of_motion = device.motion_coefficients
-    senses, first, last = SHAPE.senses, count + 1, count + 1 + len(mechanics)
-    scratch = -(-of_motion.shape[0] // senses)
-    rows = np.empty(
-        (max(count + 1 + most_signatures(with_mismatch, STAGES), last + scratch), senses, 2 * device.band.bins.size)
-    )
-    # One product for all that is linear in the features; the rows of the motion are free again once it is copied.
-    parts = (slopes, np.zeros((senses, slopes.shape[2])), of_mechanics, of_motion)
-    coefficients = np.concatenate([each.reshape(-1, slopes.shape[2]) for each in parts])
-    flat = rows.reshape(-1, rows.shape[2])
-    device.rows(coefficients, flat[: coefficients.shape[0]])
-    motion = device.motion(flat[senses * last : coefficients.shape[0]])
-    signals = device.signals(motion, grid)
+    senses, first = SHAPE.senses, count + 1
+    rows = np.empty((first + most_signatures(with_mismatch, STAGES), senses, 2 * device.band.bins.size))
+    # One product for all that is linear in the features.
+    parts = (slopes, np.zeros((1, senses, slopes.shape[2])), of_mechanics)
+    coefficients = np.concatenate(parts)
+    device.rows(coefficients, rows[: coefficients.shape[0]])
     found = [probe.signature(row, 1.0, 1) for probe, row in zip(mechanics, rows[first:])]
 
     def free() -> FloatArray:
@@ -83,11 +102,9 @@ def signatures(
     found += adc_signatures(device, loud, sizes, with_mismatch, free())
     found += sense_signatures(device, signals, with_mismatch, free())
     found += readout_signatures(device, motion, grid, with_mismatch, free())
-    envelopes = np.zeros((most_signatures(with_mismatch, FORCES), 3, grid.points), dtype=np.complex64)
-    forces = list(forces_of(device, signals, with_mismatch, envelopes))
-    written = sum(len(one.probes) for one in forces)
-    forces += drive_forces(device, signals, sizes, with_mismatch, envelopes[written:])
-    own = iter(device.forced(envelopes[: sum(len(one.probes) for one in forces)], grid, free()))
-    for one in forces:
-        found += [probe.signature(next(own), value, one.order) for probe, value in zip(one.probes, one.values)]
+    own = device.forced(forces, grid, free())
+    found += [
+        probe.signature(row, value, order)
+        for probe, row, value, order in zip(forces.probes, own, forces.values, forces.orders)
+    ]
     return Found(tuple(found), rows[: first + len(found)], motion.sensed)
