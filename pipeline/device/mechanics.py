@@ -52,6 +52,11 @@ class Mechanics:
         if self.acceleration_sense is _ABSENT:
             object.__setattr__(self, "acceleration_sense", np.zeros_like(self.velocity_sense))
 
+    def of(self, device: int) -> Mechanics:
+        """The mechanics of one device, a batch of one."""
+        own = slice(device, device + 1)
+        return Mechanics(*(getattr(self, name)[own] for name in _ARRAYS))
+
     @property
     def senses_acceleration(self) -> bool:
         """Whether a pick-off senses acceleration."""
@@ -75,6 +80,9 @@ class Mechanics:
     def direct(self) -> FloatArray:
         """A F (B, S, D) [1]: pick-off volts that follow the drive at once."""
         return np.asarray(self.acceleration_sense @ self.drive)
+
+
+_ARRAYS = tuple(own.name for own in fields(Mechanics))
 
 
 @dataclass(frozen=True, eq=False)

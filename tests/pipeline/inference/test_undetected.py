@@ -51,7 +51,7 @@ def device():
     data = BandData(band, band.transform(y), np.zeros((2 * band.bins.size, 0)))
     likelihood = compress([data], np.full(2, 1e-3), modes_at(x)[0], BROAD)
     fit = Fit(x, np.eye(14), 0.0, 1, likelihood, True)
-    (linear,), moved = linear_devices(fit, [band], INSTRUMENT, partial(moved_mechanics, True))
+    (((linear,), moved),) = linear_devices([fit], [[band]], INSTRUMENT, partial(moved_mechanics, True))
     loud = loud_samples(y)
     sizes = adc_sizes([loud], np.full(2, 1e-3), 5.0, True)
     found = signatures(linear, moved, loud, sizes, True, feature_slopes(fit))

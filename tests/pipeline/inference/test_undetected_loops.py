@@ -108,16 +108,16 @@ def test_small_changes_move_the_modes_as_their_derivatives_say():
         return Mechanics(damping[None], step * (change - change.T)[None], stiffness[None] + step * 1e3, eye, none, eye)
 
     own = mechanics(0.0)
-    near = modes_of(own).poles[0]
+    near = modes_of(own).poles
     modes = PositionModes.of(own, near)
-    state = np.zeros((1, 6, 6))
-    state[0, 3:, :3], state[0, 3:, 3:] = -1e3, change.T - change
+    state = np.zeros((1, 1, 6, 6))
+    state[0, 0, 3:, :3], state[0, 0, 3:, 3:] = -1e3, change.T - change
     poles, parts = modes.moved(state)
     step = 1e-3
     ahead, behind = (PositionModes.of(mechanics(sign * step), near) for sign in (1.0, -1.0))
-    np.testing.assert_allclose(poles[0], (ahead.poles - behind.poles) / (2.0 * step), rtol=1e-6)
+    np.testing.assert_allclose(poles[:, 0], (ahead.poles - behind.poles) / (2.0 * step), rtol=1e-6)
     plain = (ahead.parts - behind.parts) / (2.0 * step)
-    np.testing.assert_allclose(parts[0], plain, atol=1e-5 * np.abs(plain).max())
+    np.testing.assert_allclose(parts[:, 0], plain, atol=1e-5 * np.abs(plain).max())
 
 
 def test_laws_are_right_in_single_precision():

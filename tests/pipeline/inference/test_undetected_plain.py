@@ -77,7 +77,7 @@ def test_scores_are_those_of_plain_least_squares(scored):
         scoring.noise,
         scoring.instrument,
     )
-    (device,), moved = linear_devices(fit, [data.band], instrument, partial(moved_mechanics, True))
+    (((device,), moved),) = linear_devices([fit], [[data.band]], instrument, partial(moved_mechanics, True))
     sizes = adc_sizes([loud], noise.sigma_v, instrument.bias_v, True)
     found_rows = signatures(device, moved, loud, sizes, True, feature_slopes(fit))
     fit_rows = _jacobian_and_residual(device, found_rows.sensed, fit, data, noise.sigma_v, scoring.prior)

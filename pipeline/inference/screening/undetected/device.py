@@ -86,7 +86,8 @@ def scored_device(scoring: Scoring) -> Undetected:
     numpy.linalg.LinAlgError, ConfigError : the linear device or its Jacobian is singular.
     """
     (slopes,) = quantity_slopes(scoring.fit.x[None], scoring.rate, scoring.prior)
-    posed = _posed(scoring, _products(scoring, _linear(scoring)), slopes)
+    (linear,) = _linear([scoring])
+    posed = _posed(scoring, _products(scoring, linear), slopes)
     return summary((judged(posed.problem), posed.scans), posed.quantities)
 
 
@@ -98,7 +99,7 @@ def scored_devices(scorings: Sequence[Scoring]) -> list[Undetected | Exception]:
     if len(scorings) == 1 or any(len(scoring.data) > 1 for scoring in scorings):
         # A long record is given up part by part.
         return _each(scored_device, scorings)
-    linear = _each(_linear, scorings)
+    linear = _together(_linear, lambda one: (one.instrument.bias_v, one.prior is None, one.fit.x.size), scorings)
     motions = _each(lambda one: band_motion(*one.devices), linear)
     along = _together(_along, _driven_alike, scorings, linear, motions)
     products = _each(_products, scorings, linear, along)
@@ -141,14 +142,18 @@ def _together(
     return out
 
 
-def _linear(scoring: Scoring) -> _Linear:
-    with_mismatch = scoring.prior is not None
-    sizes = adc_sizes(scoring.louds, scoring.noise.sigma_v, scoring.instrument.bias_v, with_mismatch)
-    bands = [item.band for item in scoring.data]
-    sizes |= drive_sizes(bands, with_mismatch)
-    return _Linear(
-        *linear_devices(scoring.fit, bands, scoring.instrument, partial(moved_mechanics, with_mismatch)), sizes
+def _linear(scorings: Sequence[Scoring]) -> list[_Linear]:
+    """The linear devices of scorings with the same bias and parameters."""
+    instrument, with_mismatch = scorings[0].instrument, scorings[0].prior is not None
+    bands = [[item.band for item in scoring.data] for scoring in scorings]
+    found = linear_devices(
+        [scoring.fit for scoring in scorings], bands, instrument, partial(moved_mechanics, with_mismatch)
     )
+    out = []
+    for scoring, own_bands, (devices, moved) in zip(scorings, bands, found):
+        sizes = adc_sizes(scoring.louds, scoring.noise.sigma_v, instrument.bias_v, with_mismatch)
+        out.append(_Linear(devices, moved, sizes | drive_sizes(own_bands, with_mismatch)))
+    return out
 
 
 def _driven_alike(scoring: Scoring, linear: _Linear, motion: Motion) -> Hashable:

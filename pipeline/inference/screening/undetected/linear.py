@@ -36,12 +36,16 @@ from .narrow_band import Grid, Signals
 from .position_modes import PositionModes
 
 
-def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, Context]:
-    """Mechanics (a batch of one) of parameters x (12,) or (14,), and what the stages of effects may use."""
-    plant = dict(zip(PHYSICAL, to_physical(x[None, :12])[0].tolist()))
-    context = Context(bias_v, bias_v, plant)
-    mechanics = cartesian_mechanics(x[None, :12])
-    return (mechanics if x.size == 12 else mismatched(mechanics, x[12:], context)), context
+def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, list[Context]]:
+    """Mechanics of the parameters x (B, 12) or (B, 14) of B devices, and what the stages of effects may use of each."""
+    plants = to_physical(x[:, :12])
+    contexts = [Context(bias_v, bias_v, dict(zip(PHYSICAL, plant))) for plant in plants.tolist()]
+    mechanics = cartesian_mechanics(x[:, :12])
+    if x.shape[1] == 12:
+        return mechanics, contexts
+    return mismatched(
+        mechanics, x[:, 12:].T[..., None], Context(bias_v, bias_v, dict(zip(PHYSICAL, plants.T)))
+    ), contexts
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,54 +213,67 @@ class Moved:
     residues: ComplexArray
 
 
-def _moved(modes: PositionModes, own: Mechanics, pairs: Sequence[tuple[Mechanics, Mechanics]]) -> Moved:
-    """What the differences of ``pairs`` change, linearised at the mechanics ``own``."""
+#: Two mechanics (batches of one), and what of the first is changed.
+Pair = tuple[Mechanics, Mechanics]
 
-    def change(name: str) -> FloatArray | float:
-        every = [(getattr(ahead, name), getattr(behind, name)) for ahead, behind in pairs]
-        if all(ahead is behind for ahead, behind in every):
-            return 0.0
-        return np.concatenate([ahead - behind for ahead, behind in every])
 
-    state = np.zeros((len(pairs), 6, 6))
-    state[:, 3:, :3] = -change("stiffness")
-    state[:, 3:, 3:] = -(change("damping") + change("gyroscopic"))
+def _moved(modes: PositionModes, own: Mechanics, pairs: Sequence[Sequence[Pair]]) -> list[Moved]:
+    """What the differences of k pairs of each device change, linearised at the mechanics ``own`` of B devices."""
+    shape = len(pairs), len(pairs[0])
+
+    def change(name: str) -> FloatArray | None:
+        ends = [[(getattr(ahead, name), getattr(behind, name)) for ahead, behind in each] for each in pairs]
+        if all(ahead is behind for each in ends for ahead, behind in each):
+            return None
+        return np.array([[ahead[0] - behind[0] for ahead, behind in each] for each in ends])
+
+    state = np.zeros((*shape, 6, 6))
+    for name, columns in (("stiffness", slice(0, 3)), ("damping", slice(3, 6)), ("gyroscopic", slice(3, 6))):
+        if (moved := change(name)) is not None:
+            state[:, :, 3:, columns] -= moved
     poles, parts = modes.moved(state)
-    of_own, drive = modes.poles[:, None, None], own.drive[0]
-    read = own.velocity_sense[0] * of_own + own.position_sense[0]
-    residues = (own.velocity_sense[0] * poles[:, :, None, None] @ modes.parts + read @ parts) @ drive
-    velocity, position, driven = (change(name) for name in ("velocity_sense", "position_sense", "drive"))
-    if not isinstance(velocity, float) or not isinstance(position, float):
-        none = np.zeros((len(pairs), *own.velocity_sense.shape[1:]))
-        residues += ((none + velocity)[:, None] * of_own + (none + position)[:, None]) @ modes.parts @ drive
-    if not isinstance(driven, float):
-        residues += read @ modes.parts @ driven[:, None]
-    return Moved(poles, residues)
+    of_own, own_parts, drive = modes.poles[:, None, :, None, None], modes.parts[:, None], own.drive[:, None, None]
+    reads = own.velocity_sense[:, None, None]
+    read = reads * of_own + own.position_sense[:, None, None]
+    residues = (reads * poles[..., None, None] @ own_parts + read @ parts) @ drive
+    for name, factor in (("velocity_sense", of_own), ("position_sense", 1.0)):
+        if (moved := change(name)) is not None:
+            residues += (moved[:, :, None] * factor) @ own_parts @ drive
+    if (moved := change("drive")) is not None:
+        residues += read @ own_parts @ moved[:, :, None]
+    return [Moved(*each) for each in zip(poles, residues)]
 
 
 def linear_devices(
-    fit: Fit,
-    bands: Sequence[Band],
+    fits: Sequence[Fit],
+    bands: Sequence[Sequence[Band]],
     instrument: Instrument,
-    others: Callable[[Mechanics, Context], Sequence[tuple[Mechanics, Mechanics]]],
-) -> tuple[tuple[LinearDevice, ...], Moved]:
-    """The linear device of a fit in the band of each record, and what pairs of ``others``, functions of its mechanics, change.
+    others: Callable[[Mechanics, Context], Sequence[Pair]],
+) -> list[tuple[tuple[LinearDevice, ...], Moved]]:
+    """The linear device of each fit in the band of each record, and what pairs of ``others``, functions of its mechanics, change.
+
+    All arithmetic acts on each device alone, so a device has the numbers that it has alone, bit for bit.
 
     Raises
     ------
     ConfigError : a mode does not oscillate, as in ``modes_of``.
     """
-    x, expansion = fit.x, fit.likelihood.expansion
-    mechanics, context = device_mechanics(x, instrument.bias_v)
-    modes = PositionModes.of(mechanics, modes_at(x)[0])
-    poles, parts = modes.poles, modes.parts
-    first, second = poles[:2]
-    straight = abs(first - expansion[0]) + abs(second - expansion[1])
-    crossed = abs(first - expansion[1]) + abs(second - expansion[0])
-    source = (1, 0, 2) if crossed < straight else (0, 1, 2)
-    shifts = poles - expansion[list(source)]
-    devices = tuple(
-        LinearDevice(band, context, mechanics, poles, parts, columns, shifts, source, *frequency_axis(band))
-        for band, columns in zip(bands, fit.likelihood.columns)
-    )
-    return devices, _moved(modes, mechanics, others(mechanics, context))
+    mechanics, contexts = device_mechanics(np.stack([fit.x for fit in fits]), instrument.bias_v)
+    modes = PositionModes.of(mechanics, np.stack([modes_at(fit.x)[0] for fit in fits]))
+    alone = [mechanics.of(b) for b in range(len(fits))]
+    moved = _moved(modes, mechanics, [others(own, context) for own, context in zip(alone, contexts)])
+    found = []
+    for fit, own_bands, own, context, poles, parts in zip(fits, bands, alone, contexts, modes.poles, modes.parts):
+        expansion = fit.likelihood.expansion
+        first, second = poles[:2]
+        straight = abs(first - expansion[0]) + abs(second - expansion[1])
+        crossed = abs(first - expansion[1]) + abs(second - expansion[0])
+        source = (1, 0, 2) if crossed < straight else (0, 1, 2)
+        shifts = poles - expansion[list(source)]
+        found.append(
+            tuple(
+                LinearDevice(band, context, own, poles, parts, columns, shifts, source, *frequency_axis(band))
+                for band, columns in zip(own_bands, fit.likelihood.columns)
+            )
+        )
+    return list(zip(found, moved))
