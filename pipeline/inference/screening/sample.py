@@ -48,8 +48,8 @@ class SamplerSettings:
     """``ensembles`` ensembles of ``walkers`` walkers with ``burn`` discarded and ``steps`` kept steps; convergence limits.
 
     Walkers start at Laplace draws.  Of their difference from the posterior, a move of independence chains leaves the share of
-    proposals that are refused: 0.022 in the median of 1000 default devices, and 0.029 in 99 of 100.  With two discarded instead of
-    one, no mean sd differs by more than twice its standard error of 6e-4.
+    proposals that are refused: 0.022 in the median of 1000 default devices, and 0.029 in 99 of 100.  With two discarded instead
+    of one, no mean sd differs by more than twice its standard error of 6e-4.
     """
 
     ensembles: int = 4
