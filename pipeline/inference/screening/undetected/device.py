@@ -36,6 +36,8 @@ from .signatures import Along, Motion, band_motion, signatures
 from .slopes import QuantitySlopes, feature_slopes, quantity_slopes
 
 T = TypeVar("T")
+#: Devices whose forces are computed at once: eight take 0.05 ms less each, and 10 MB more.
+_AT_ONCE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +165,10 @@ def _driven_alike(scoring: Scoring, linear: _Linear, motion: Motion) -> Hashable
 def _along(scorings: Sequence[Scoring], linear: Sequence[_Linear], motions: Sequence[Motion]) -> list[Along]:
     """The motion of devices with one record each, and the forces along it."""
     devices, sizes = [one.devices[0] for one in linear], [one.sizes for one in linear]
-    forces = forces_of(devices, [signals for _, signals in motions], sizes, scorings[0].prior is not None)
+    signals, forces = [own for _, own in motions], []
+    for first in range(0, len(devices), _AT_ONCE):
+        own = slice(first, first + _AT_ONCE)
+        forces += forces_of(devices[own], signals[own], sizes[own], scorings[0].prior is not None)
     return [Along(*motion, own) for motion, own in zip(motions, forces)]
 
 

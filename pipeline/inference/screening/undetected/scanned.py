@@ -24,7 +24,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from ....arrays import FloatArray
+from ....arrays import FloatArray, RealArray
 from ....device.effect import Effect
 from ..compressed import line_columns, lines_between
 from ..inband import SHORT, Band, features
@@ -68,20 +68,28 @@ class BandScan:
     ----------
     scans : the points of each scan, g in all.
     columns : (2 g, 2 W) real, two for each point; in single precision, as products with them are scores of at most 1e7 sigmas.
-    squares, sums : (2 W, 3 g) products of the two columns of a point: 11, 12, 22; and their sums (3 g,) over the bins.
+    sums : (3 g,) products of the two columns of a point, 11, 12, 22, summed over the bins.
     """
 
     scans: tuple[ScanPoints, ...]
     columns: NDArray[np.float32]
-    squares: FloatArray
     sums: FloatArray
+
+    def weighted_sums(self, power: FloatArray) -> FloatArray:
+        """``sums`` (S, 3 g) with the weights ``power`` (S, 2 W) of the bins."""
+        return _sums(self.columns, power)
+
+
+def _sums(columns: RealArray, power: FloatArray) -> FloatArray:
+    """Products 11, 12, 22 (S, 3 g) of pairs of columns (2 g, 2 W), summed over the bins with weights (S, 2 W)."""
+    first, second = columns[::2], columns[1::2]
+    pairs = ((first, first), (first, second), (second, second))
+    return np.stack([power @ (a * b).T for a, b in pairs], axis=2).reshape(power.shape[0], -1)
 
 
 def _band_scan(scan: ScanPoints, columns: FloatArray) -> BandScan:
-    first, second = columns[:, ::2], columns[:, 1::2]
-    squares = np.stack([first**2, first * second, second**2], axis=2).reshape(columns.shape[0], -1)
     single = np.ascontiguousarray(columns.T, dtype=np.float32)
-    return BandScan((scan,), single, squares, squares.sum(axis=0))
+    return BandScan((scan,), single, _sums(columns.T, np.ones((1, columns.shape[0])))[0])
 
 
 def _together(parts: Sequence[BandScan]) -> BandScan:
@@ -89,7 +97,6 @@ def _together(parts: Sequence[BandScan]) -> BandScan:
     return BandScan(
         _joined([scan for part in parts for scan in part.scans]),
         np.concatenate([part.columns for part in parts]),
-        np.concatenate([part.squares for part in parts], axis=1),
         np.concatenate([part.sums for part in parts]),
     )
 
@@ -259,7 +266,7 @@ def scanned_products(
         if flat_weight:
             cross *= level
         crosses.append(cross.reshape(rows.shape[0], 2, -1, 2))
-        sums = level * scan.sums if flat_weight else np.tile(power, 2) @ scan.squares
+        sums = level * scan.sums if flat_weight else scan.weighted_sums(np.tile(power, 2))
         squares.append(sums.reshape(2, -1, 3))
         found += scan.scans
     if not crosses:
