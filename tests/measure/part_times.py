@@ -30,7 +30,13 @@ PARTS = {
     "pipeline.inference.screening.sample": "_sufficient_rows _independence_chains _t_draws diagnose",
     "pipeline.inference.screening.batch": "_log_likelihood",
     "pipeline.inference.screening.result": "scored_devices _result",
-    "pipeline.inference.screening.undetected.device": "_linear signatures _of_record _products _posed _judged_of",
+    "pipeline.inference.screening.undetected.device": (
+        "_linear band_motion _along signatures _of_record _products _posed _judged_of"
+        " scanned_products white_products judged_scans"
+    ),
+    "pipeline.inference.screening.undetected.signatures": "sense_signatures readout_signatures adc_signatures",
+    "pipeline.inference.screening.undetected.forces": "force_of_devices first_harmonic",
+    "pipeline.inference.screening.undetected.linear": "respond",
     "pipeline.identification.route": "bandpass fit_arx modes_of",
     "pipeline.identification.modes": "refine",
 }
