@@ -49,6 +49,7 @@ def _jacobian_and_residual(device, sensed, fit, data, sigma_v, prior):
     """Rows (P + 1, 4 W + 2) in sigmas, those of the prior at the end."""
     real = device.rows(feature_slopes(fit))
     width = data.band.bins.size
+    sensed = sensed[:, :width] + 1j * sensed[:, width:]
     spectra = np.concatenate(
         [real[..., :width] + 1j * real[..., width:], (data.spectrum - sensed)[None]], dtype=np.complex128
     )

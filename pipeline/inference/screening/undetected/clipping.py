@@ -6,7 +6,7 @@ Shapes: N samples, S = 2 senses, W bins.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ....arrays import ComplexArray, FloatArray, IntArray
 from ....device.effect import Context
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import BandSignature, probes_of, write_real
+from .library import Acting, probes_of, write_real
 from .linear import LinearDevice
 
 #: Products of samples and bins, relative to the samples of the record, up to which a sum takes less time than an FFT.
@@ -71,18 +71,18 @@ def drive_sizes(bands: Sequence[Band], with_mismatch: bool) -> dict[str, float]:
 
 def adc_signatures(
     device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool, out: FloatArray
-) -> Iterator[BandSignature]:
-    """Signatures of the ADC stage at ``sizes`` of :func:`adc_sizes`, written to the first rows of ``out`` (.., S, 2 W)."""
-    rows = iter(out)
+) -> list[Acting]:
+    """Changes by the ADC stage at ``sizes`` of :func:`adc_sizes`, written to the first rows of ``out`` (.., S, 2 W)."""
+    found: list[Acting] = []
     loud, volts = louds
     for probe in probes_of(with_mismatch, "adc"):
         if probe.effect.adc is None or probe.effect.name not in sizes:
             continue
         change = probe.effect.adc(volts, np.array([sizes[probe.effect.name]]), device.context) - volts
         moved = np.flatnonzero(change.any(axis=1))
-        row = next(rows)
-        write_real(transform_of_few(device.band, loud[moved], change[moved]), row)
-        yield BandSignature(probe.effect.name, row, 0.0, np.inf)
+        write_real(transform_of_few(device.band, loud[moved], change[moved]), out[len(found)])
+        found.append(Acting(probe, 1.0, 0))
+    return found
 
 
 def transform_of_few(band: Band, where: IntArray, change: FloatArray) -> ComplexArray:

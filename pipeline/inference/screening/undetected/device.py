@@ -26,7 +26,7 @@ from ..mismatch import MismatchPrior
 from .bounds import Candidates, EffectEvidence, Judged, Projection, judged, judged_together, summary
 from .clipping import Loud, adc_sizes, drive_sizes
 from .forces import forces_of
-from .library import BandSignature, write_real
+from .library import candidates_of, write_real
 from .linear import LinearDevice, Moved, linear_devices
 from .linear_stages import moved_mechanics
 from .rows import products_of, record_weight, stationary_variance, take_out_hum, white_products
@@ -187,9 +187,10 @@ def _products(scoring: Scoring, linear: _Linear, along: Along | None = None) -> 
         edges = (float(first[0]), float(first[-1]))
         scans = scans_of(item.band, edges, scoring.line_hz, with_mismatch)
         found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, slopes, along)
-        write_real(item.spectrum - found.sensed, found.rows[count])
+        write_real(item.spectrum, found.rows[count])
+        found.rows[count] -= found.sensed
         variance = stationary_variance(item, scoring.noise.sigma_v)
-        candidates = _candidates(found.signatures)
+        candidates = candidates_of(found.acting)
         more, part = _of_record(found.rows, candidates.numbers, item, scans, variance)
         del found  # its rows are as large as a long record
         products = products + more
@@ -197,12 +198,6 @@ def _products(scoring: Scoring, linear: _Linear, along: Along | None = None) -> 
     assert scanned is not None
     assert candidates is not None
     return _Products(np.array(products), scanned, candidates)
-
-
-def _candidates(found: Sequence[BandSignature]) -> Candidates:
-    """The effects of signatures, with the ranges of their strengths in units of the rows."""
-    low, high = (np.array([getattr(one, end) * one.per_unit for one in found]) for end in ("low", "high"))
-    return Candidates(tuple(one.effect for one in found), low, high)
 
 
 @dataclass(frozen=True, eq=False)

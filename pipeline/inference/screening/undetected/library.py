@@ -5,9 +5,12 @@ Shapes: S = 2 senses, W bins, k parameters of an effect.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +19,7 @@ from ....device.effect import Effect, LookAlike
 from ....device.model import Model
 from ....device.parameters import Parameter, Shape
 from ..mismatch import NIGHTLY_MODEL
+from .bounds import Candidates
 
 SHAPE: Shape = NIGHTLY_MODEL.built.shape
 
@@ -91,16 +95,39 @@ class Probe:
             p[i] = fixed
         return p
 
-    def signature(self, row: FloatArray, value: float, order: int) -> BandSignature:
-        """The signature per unit of the parameter, or of its square, from the change as a row (S, 2 W) [V] at ``value``."""
-        low, high = self._ranges[order - 1]
-        return BandSignature(self.effect.name, row, low, high, value**-order)
-
     @cached_property
-    def _ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Ranges of the parameter and of its square."""
+    def ranges(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+        """Ranges of the share of a probe, of the parameter, and of its square: those of an ``Acting`` by its order."""
         m = self.member
-        return (min(m.low, 0.0), m.high), (0.0, max(abs(m.low), abs(m.high)) ** 2)
+        return (0.0, math.inf), (min(m.low, 0.0), m.high), (0.0, max(abs(m.low), abs(m.high)) ** 2)
+
+
+class Acting(NamedTuple):
+    """A parameter at a value, and the order in it of its change of a record; order 0: a change as a whole, of any share."""
+
+    probe: Probe
+    value: float
+    order: int
+
+    def signature(self, row: FloatArray) -> BandSignature:
+        """The signature per unit of the parameter to the power ``order``, from its change as a row (S, 2 W) [V]."""
+        low, high = self.probe.ranges[self.order]
+        return BandSignature(self.probe.effect.name, row, low, high, self.value**-self.order)
+
+
+def candidates_of(acting: Sequence[Acting]) -> Candidates:
+    """The effects of parameters that act, with the ranges of their strengths in units of their rows."""
+    probes, values, orders = zip(*acting)
+    effects, low, high = _ranges_of(probes, orders)
+    per_unit = np.array(values) ** -np.array(orders, dtype=np.float64)
+    return Candidates(effects, low * per_unit, high * per_unit)
+
+
+@lru_cache(maxsize=16)
+def _ranges_of(probes: tuple[Probe, ...], orders: tuple[int, ...]) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    """Effects, and both ends (K,) of the ranges of their strengths, which most devices share."""
+    low, high = np.array([probe.ranges[order] for probe, order in zip(probes, orders)]).T
+    return tuple(probe.effect.name for probe in probes), low, high
 
 
 @lru_cache(maxsize=32)

@@ -31,7 +31,7 @@ from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
 from .library import Probe
-from .loops import respond
+from .loops import in_features, respond
 from .narrow_band import Grid, Signals
 from .position_modes import PositionModes
 
@@ -50,20 +50,20 @@ def device_mechanics(x: FloatArray, bias_v: float) -> tuple[Mechanics, list[Cont
 
 @dataclass(frozen=True, eq=False)
 class BandMotion:
-    """Spectra behind the filter.
+    """Spectra behind the filter, real parts before imaginary ones.
 
     Parameters
     ----------
-    of_drives : the part of each drive (D, S, W) [V] of the pick-off volts.
-    spectra : coordinates and velocities (3 + 3, W) [V s, V].
+    of_drives : the part of each drive (D, S, 2 W) [V] of the pick-off volts.
+    moving : coordinates and velocities (3 + 3, 2 W) [V s, V].
     """
 
-    of_drives: ComplexArray
-    spectra: ComplexArray
+    of_drives: FloatArray
+    moving: FloatArray
 
     @cached_property
-    def sensed(self) -> ComplexArray:
-        """Pick-off volts (S, W) [V]."""
+    def sensed(self) -> FloatArray:
+        """Pick-off volts (S, 2 W) [V]."""
         return np.asarray(self.of_drives.sum(axis=0))
 
 
@@ -108,13 +108,14 @@ class LinearDevice:
 
     def coefficients(self, residues: ComplexArray, slopes: ComplexArray | None = None) -> FloatArray:
         """Those (.., C, J) of sum_k R_k Phi_k + T_k dPhi_k/dp_k + conj in the features, of R and T (.., 3, C, D)."""
-        orders = np.arange(ORDER + 1)
-        powers = self.shifts[:, None] ** orders
-        series = residues[..., None] * powers[:, None, None]
-        if slopes is not None:
-            series[..., 1:] += slopes[..., None] * (orders[1:] * powers[:, :-1])[:, None, None]
-        by_channel = np.ascontiguousarray(np.moveaxis(series[..., self.source, :, :, :], -3, -4))
-        return by_channel.view(np.float64).reshape(*by_channel.shape[:-3], -1)
+        *several, modes, channels, drives = residues.shape
+        flat = (-1, modes, channels, drives)
+        out = np.empty((residues.size // (modes * channels * drives), channels, modes, drives, ORDER + 1, 2))
+        # Without T its part is that of R with no weight.
+        moving = residues if slopes is None else slopes
+        weight = 0.0 if slopes is None else 1.0
+        in_features(residues.reshape(flat), moving.reshape(flat), weight, self.shifts, self.source, out)
+        return out.reshape(*several, channels, -1)
 
     def rows(self, coefficients: FloatArray, out: FloatArray | None = None) -> FloatArray:
         """Spectra (.., 2 W), real parts before imaginary ones, of coefficients (.., J) of the features."""
@@ -126,22 +127,26 @@ class LinearDevice:
     @property
     def motion_coefficients(self) -> FloatArray:
         """Coefficients (D S + 3 + 3, J) of the pick-off volts of each drive, the coordinates and the velocities."""
-        q = self.parts @ self.mechanics.drive[0]
-        drives = q.shape[2]
-        alone = (np.eye(drives)[:, None, None] * self.pickoff_residues).swapaxes(0, 1).reshape(3, -1, drives)
-        return self.coefficients(np.concatenate([alone, q, q * self.poles[:, None, None]], axis=1))
+        q, read = self.parts @ self.mechanics.drive[0], self.pickoff_residues
+        senses, drives = read.shape[1:]
+        residues = np.zeros((3, drives * senses + 6, drives), dtype=np.complex128)
+        for d in range(drives):
+            residues[:, d * senses : (d + 1) * senses, d] = read[:, :, d]
+        residues[:, -6:-3], residues[:, -3:] = q, q * self.poles[:, None, None]
+        return self.coefficients(residues)
 
     def motion(self, rows: FloatArray) -> BandMotion:
         """The motion from the rows (D S + 3 + 3, 2 W) of its coefficients."""
-        out = np.empty((rows.shape[0], self.s.size), dtype=np.complex128)
-        out.real, out.imag = rows[:, : self.s.size], rows[:, self.s.size :]
-        return BandMotion(out[:-6].reshape(self.drive.shape[0], -1, self.s.size), out[-6:])
+        return BandMotion(rows[:-6].reshape(self.drive.shape[0], -1, rows.shape[1]), rows[-6:])
 
     def signals(self, motion: BandMotion, grid: Grid) -> Signals:
         """Envelopes of the motion and of the drive on a grid."""
         inverse, drive = shared_signals(self.band, grid)
         whole = np.empty((6 + drive.shape[0], grid.points), dtype=np.complex64)
-        whole[:6], whole[6:] = grid.envelopes((motion.spectra * inverse).astype(np.complex64)), drive
+        moving = np.empty((6, self.s.size), dtype=np.complex64)
+        moving.real, moving.imag = motion.moving[:, : self.s.size], motion.moving[:, self.s.size :]
+        moving *= inverse
+        whole[:6], whole[6:] = grid.envelopes(moving), drive
         return Signals(grid, whole)
 
     @cached_property
@@ -199,10 +204,11 @@ def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray
 
 
 @kept_if_short(4)
-def shared_signals(band: Band, grid: Grid) -> tuple[ComplexArray, ComplexArray]:
-    """1 / G (W,), in units of the grid, and the envelopes of the drive (D, n) [V], which all devices of a band share."""
+def shared_signals(band: Band, grid: Grid) -> tuple[AnyComplexArray, ComplexArray]:
+    """What devices of a band share: 1 / G (W,) in units of the grid, single precision, and envelopes (D, n) [V] of the drive."""
     _, antialias, drive = frequency_axis(band)
-    return 1.0 / (grid.bin_scale * antialias), grid.envelopes(drive / grid.bin_scale)
+    inverse = (1.0 / (grid.bin_scale * antialias)).astype(np.complex64)
+    return inverse, grid.envelopes(drive / grid.bin_scale)
 
 
 @dataclass(frozen=True, eq=False)

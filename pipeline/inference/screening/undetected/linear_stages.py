@@ -10,21 +10,22 @@ Shapes: S = 2 senses, W bins.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from ....arrays import AnyComplexArray, ComplexArray, FloatArray
+from ....arrays import ComplexArray, FloatArray, RealArray
 from ....device.effect import Context
 from ....device.mechanics import Mechanics
 from ....device.readout import Readout, plain_readout
 from ....experiment.antialias import filter_poles
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import SHAPE, BandSignature, Probe, probes_of, write_real
+from .library import SHAPE, Acting, Probe, probes_of, write_real
 from .linear import BandMotion, LinearDevice, Moved, frequency_axis
+from .loops import read_out
 from .narrow_band import Grid
 
 
@@ -64,17 +65,17 @@ class _ReadoutChanges:
     Parameters
     ----------
     fed, fed_rows : parameters that feed the drive through, and their signatures (k, S, 2 W) per unit.
-    through, filters : parameters that change the filter, and their change of G (k, S, S, W) per unit, in single precision.
-    lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, W) per unit, in single precision.
+    through, filters : parameters that change the filter, and their change of G (k, S, S, 2 W) per unit, in single precision.
+    lagged, lags : parameters that change the lag of a drive, and their change of it (k, D, 2 W) per unit, in single precision.
     clocks : parameters that change the clock, each with the offset per unit.
     """
 
     fed: tuple[Probe, ...]
     fed_rows: FloatArray
     through: tuple[Probe, ...]
-    filters: AnyComplexArray
+    filters: RealArray
     lagged: tuple[Probe, ...]
-    lags: AnyComplexArray
+    lags: RealArray
     clocks: tuple[tuple[Probe, float], ...]
 
 
@@ -125,40 +126,32 @@ def _readout_changes(band: Band, with_mismatch: bool, bias_v: float) -> _Readout
     )
 
 
-def _single(changes: Sequence[ComplexArray], shape: tuple[int, ...]) -> AnyComplexArray:
-    """Changes (k, ..) of a shape in single precision."""
-    out = np.empty((len(changes), *shape), dtype=np.complex64)
+def _single(changes: Sequence[ComplexArray], shape: tuple[int, ...]) -> RealArray:
+    """Changes (k, .., 2 W) of complex ones of a shape (.., W) in single precision."""
+    out = np.empty((len(changes), *shape[:-1], 2 * shape[-1]), dtype=np.float32)
     for own, change in zip(out, changes):
-        own[:] = change
+        write_real(change, own)
     return out
 
 
 def readout_signatures(
     device: LinearDevice, motion: BandMotion, grid: Grid, with_mismatch: bool, out: FloatArray
-) -> Iterator[BandSignature]:
-    """Signatures of the read-out, written to the first rows of ``out`` (.., S, 2 W).
+) -> list[Acting]:
+    """Changes by the read-out, written to the first rows of ``out`` (.., S, 2 W).
 
     A parameter changes the filter, what is fed through, the lag of a drive, or the clock.
     """
     changes = _readout_changes(device.band, with_mismatch, device.context.bias_v)
-    out[: len(changes.fed)] = changes.fed_rows
-    rows = iter(out)
-    for probe in changes.fed:
-        yield probe.signature(next(rows), 1.0, 1)
-    of_drives = motion.of_drives.astype(np.complex64)
-    sensed = of_drives.sum(axis=0)
-    filtered = changes.filters[:, :, 0] * sensed[0]
-    filtered += changes.filters[:, :, 1] * sensed[1]
-    lagged = changes.lags[:, :1] * of_drives[0]
-    lagged += changes.lags[:, 1:] * of_drives[1]
-    for probes, spectra in ((changes.through, filtered), (changes.lagged, lagged)):
-        for probe, spectrum in zip(probes, spectra):
-            row = next(rows)
-            write_real(spectrum, row)
-            yield probe.signature(row, 1.0, 1)
+    first = len(changes.fed)
+    out[:first] = changes.fed_rows
+    read_out(changes.filters, changes.lags, motion.sensed, motion.of_drives, out[first:])
+    found = [Acting(probe, 1.0, 1) for probe in (*changes.fed, *changes.through, *changes.lagged)]
     if changes.clocks:
-        later = -grid.over_time(device.s.astype(np.complex64) * sensed)
+        bins, omega = device.s.size, device.s.imag
+        slope = np.empty((out.shape[1], bins), dtype=np.complex64)
+        slope.real, slope.imag = -omega * motion.sensed[:, bins:], omega * motion.sensed[:, :bins]
+        later = -grid.over_time(slope)
         for probe, offset in changes.clocks:
-            row = next(rows)
-            write_real(offset * later, row)
-            yield probe.signature(row, 1.0, 1)
+            write_real(offset * later, out[len(found)])
+            found.append(Acting(probe, 1.0, 1))
+    return found

@@ -2,10 +2,12 @@
 
     first harmonic   f_1 = (2/M) sum_m f_m e^{-i phi_m}
     response         y_a(w) = sum_c T_ca(w) {f_c(w) - a_c - i w b_c}
+    features         c_m = R h^m + m T h^(m - 1)
+    read-out         y_a(w) = sum_r F_ar(w) S_r(w),    sum_d L_d(w) S_da(w)
 
 Complex numbers are pairs of real ones inside of the loops: numba writes no vectors for complex numbers.
 
-Shapes: B devices, K forces, 3 coordinates, M phases, S = 2 senses, W bins, n points of the grid.
+Shapes: B devices, K forces, 3 coordinates, M phases, S = 2 senses, D = 2 drives, W bins, n points of the grid.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ....arrays import AnyComplexArray, FloatArray, IntArray, RealArray
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, RealArray
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -115,6 +117,66 @@ def respond(
                     + transfer[0, 2, s, w] * f[1, 2, w]
                     + transfer[1, 2, s, w] * f[0, 2, w]
                 )
+
+
+@njit(cache=True, error_model="numpy")
+def in_features(
+    residues: ComplexArray,
+    slopes: ComplexArray,
+    weight: float,
+    shifts: ComplexArray,
+    source: tuple[int, ...],
+    out: FloatArray,
+) -> None:
+    """Write R h^m + weight m T h^(m - 1) to ``out`` (k, C, 3, D, orders, 2), real part before imaginary one.
+
+    Parameters
+    ----------
+    residues, slopes : R and T (k, 3, C, D).
+    shifts, source : h of each mode [rad/s], and the mode that stands in each place.
+    """
+    for j in range(len(source)):
+        mode = source[j]
+        power, before = 1.0 + 0.0j, 0.0j
+        for m in range(out.shape[4]):
+            for k in range(residues.shape[0]):
+                for c in range(residues.shape[2]):
+                    for d in range(residues.shape[3]):
+                        one = residues[k, mode, c, d] * power + weight * m * slopes[k, mode, c, d] * before
+                        out[k, c, j, d, m, 0], out[k, c, j, d, m, 1] = one.real, one.imag
+            power, before = power * shifts[mode], power
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def read_out(filters: RealArray, lags: RealArray, sensed: FloatArray, of_drives: FloatArray, out: FloatArray) -> None:
+    """Write sum_r F_ksr(w) S_r(w), then sum_d L_ld(w) S_ds(w), (k + l, S, 2 W), to ``out``.
+
+    All spectra have real parts before imaginary ones.
+
+    Parameters
+    ----------
+    filters, lags : F (k, S, S, 2 W), and L (l, D, 2 W).
+    sensed, of_drives : S (S, 2 W) [V], and its parts S_d (D, S, 2 W) [V].
+    """
+    count = filters.shape[0]
+    out[: count + lags.shape[0]] = 0.0
+    for s in range(sensed.shape[0]):
+        for k in range(count):
+            for r in range(sensed.shape[0]):
+                _add_product(filters[k, s, r], sensed[r], out[k, s])
+        for l in range(lags.shape[0]):
+            for d in range(of_drives.shape[0]):
+                _add_product(lags[l, d], of_drives[d, s], out[count + l, s])
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _add_product(factor: RealArray, signal: FloatArray, out: FloatArray) -> None:
+    """Add the product of two spectra (2 W,) to ``out`` (2 W,)."""
+    bins = out.size // 2
+    for w in range(bins):
+        a, b, x, y = factor[w], factor[bins + w], signal[w], signal[bins + w]
+        out[w] += a * x - b * y
+        out[bins + w] += a * y + b * x
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})

@@ -6,7 +6,7 @@ Shapes: S = 2 senses, W bins, n points of the grid.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -16,8 +16,8 @@ from ....device.effect import Context
 from ....device.gyro import M_S
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import SHAPE, BandSignature, Probe, members_of, probes_of, write_real
-from .linear import LinearDevice, shared_signals
+from .library import SHAPE, Acting, Probe, members_of, probes_of, write_real
+from .linear import LinearDevice, frequency_axis, shared_signals
 from .narrow_band import WHOLE_TURN, Grid, Phases, Signals, at_phases, harmonics
 
 #: Relative change of the volts by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
@@ -28,6 +28,8 @@ _SPARSE = 16
 _CLIP_PHASES = Phases(8, 0.5)
 #: First harmonic of an even law relative to its other harmonics: rounding.
 _EVEN = 1e-9
+#: Phases of a linear law, and typical motion [V s] and velocity [V] of the points at which the kind of a law is found.
+_LINEAR, _MOTION, _VELOCITY = Phases(2, 0.5), 1e-4, 0.3
 _MOTION_S: FloatArray = np.concatenate([M_S, np.ones((2, 1))], axis=1)
 
 
@@ -67,33 +69,71 @@ def _drive_change(band: Band, grid: Grid, probe: Probe, value: float, bias_v: fl
     return np.asarray(harmonics(change.T, phases, 1)[0], dtype=np.complex64)
 
 
-def sense_signatures(
-    device: LinearDevice, signals: Signals, with_mismatch: bool, out: FloatArray
-) -> Iterator[BandSignature]:
-    """Signatures of the sense laws, written to the first rows of ``out`` (.., S, 2 W)."""
-    m, q, qd = device.mechanics, signals.coordinates, signals.velocities
-    sensed = m.velocity_sense[0] @ qd + m.position_sense[0] @ q
-    values = at_phases(np.concatenate([_MOTION_S @ q, _MOTION_S @ qd, sensed]), WHOLE_TURN)
-    # Laws take points by channels (M n', S); their columns are contiguous.
-    x, xd, s = values[:2].T, values[2:4].T, values[4:].T
-    t = np.tile(signals.grid.time_s, WHOLE_TURN.count)
-    few = slice(None, None, _SPARSE)
-    level = _rms(s[few])
-    found: list[tuple[Probe, float, int]] = []
-    changes: list[ComplexArray] = []
-    for probe in probes_of(with_mismatch, "sense"):
-        sense, scale = probe.effect.sense, probe.member.scale
-        assert sense is not None
-        trial = sense(x[few], xd[few], s[few], t[few], probe.at(scale), device.context) - s[few]
-        value = scale * _SHARE * level / _rms(trial)
-        change = (sense(x, xd, s, t, probe.at(value), device.context) - s).T
-        (first,) = harmonics(change, WHOLE_TURN, 1)
-        # An even law has a first harmonic of second order.
-        found.append((probe, value, 1 if _rms(first) > 0.01 * _rms(change) else 2))
-        changes.append(first)
-    if changes:
-        spectra = signals.grid.spectra(np.stack(changes).astype(np.complex64))
-        spectra *= signals.grid.bin_scale * device.antialias
-        write_real(spectra, out[: len(found)])
-        for (probe, value, order), row in zip(found, out):
-            yield probe.signature(row, value, order)
+@lru_cache(maxsize=64)
+def _is_linear(probe: Probe) -> bool:
+    """Whether the change of the volts by a sense law is linear in the motion, at fixed points."""
+    sense, p = probe.effect.sense, probe.at(probe.member.scale)
+    assert sense is not None
+    random, context = np.random.default_rng(0), Context(5.0, 5.0, {})
+    x, xd, s = (scale * random.standard_normal((8, SHAPE.senses)) for scale in (_MOTION, _VELOCITY, _VELOCITY))
+    once, twice = (
+        sense(factor * x, factor * xd, factor * s, np.ones(8), p, context) - factor * s for factor in (1.0, 2.0)
+    )
+    return float(np.linalg.norm(twice - 2.0 * once)) <= _EVEN * float(np.linalg.norm(once))
+
+
+def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool, out: FloatArray) -> list[Acting]:
+    """Changes by the sense laws, written to the first rows of ``out`` (.., S, 2 W).
+
+    Two phases give the first harmonic of a linear law.
+    """
+    probes = probes_of(with_mismatch, "sense")
+    if not probes:
+        return []
+    m, grid = device.mechanics, signals.grid
+    sensed = m.velocity_sense[0] @ signals.velocities + m.position_sense[0] @ signals.coordinates
+    envelopes = np.concatenate([_MOTION_S @ signals.coordinates, _MOTION_S @ signals.velocities, sensed])
+    motions: dict[Phases, list[FloatArray]] = {}
+    changes = np.empty((len(probes), SHAPE.senses, grid.points), dtype=np.complex64)
+    found = []
+    for probe, change in zip(probes, changes):
+        phases = _LINEAR if _is_linear(probe) else WHOLE_TURN
+        if phases not in motions:
+            values = at_phases(envelopes, phases)
+            # Laws take points by channels (M n, S); their columns are contiguous.
+            motions[phases] = [*(values[first : first + 2].T for first in (0, 2, 4)), _times(device.band, grid, phases)]
+        value, order, change[:] = _sense_change(probe, motions[phases], phases, device.context)
+        found.append(Acting(probe, value, order))
+    spectra = grid.spectra(changes)
+    spectra *= _unit_gain(device.band, grid)
+    write_real(spectra, out[: len(found)])
+    return found
+
+
+def _sense_change(
+    probe: Probe, motion: Sequence[FloatArray], phases: Phases, context: Context
+) -> tuple[float, int, ComplexArray]:
+    """Value of the parameter of a sense law, order of the change in it, and its first harmonic (S, n) [V]."""
+    sense, value, linear = probe.effect.sense, probe.member.scale, phases == _LINEAR
+    assert sense is not None
+    s = motion[2]
+    if not linear:
+        few = slice(None, None, _SPARSE)
+        trial = sense(*(one[few] for one in motion), probe.at(value), context) - s[few]
+        value *= _SHARE * _rms(s[few]) / _rms(trial)
+    change = (sense(*motion, probe.at(value), context) - s).T
+    (first,) = harmonics(change, phases, 1)
+    # An even law has a first harmonic of second order.
+    return value, 1 if linear or _rms(first) > 0.01 * _rms(change) else 2, first
+
+
+@kept_if_short(4)
+def _times(band: Band, grid: Grid, phases: Phases) -> FloatArray:
+    """Times (M n,) [s] of the points of a grid at each of the phases."""
+    return np.tile(grid.time_s, phases.count)
+
+
+@kept_if_short(4)
+def _unit_gain(band: Band, grid: Grid) -> AnyComplexArray:
+    """What turns the transforms of envelopes into volts behind the filter (W,), which all devices of a band share."""
+    return np.asarray(grid.bin_scale * frequency_axis(band)[1], dtype=np.complex64)

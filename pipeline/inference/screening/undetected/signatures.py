@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....arrays import ComplexArray, FloatArray
+from ....arrays import FloatArray
 from .clipping import Loud, adc_signatures
 from .forces import forces_of
-from .library import SHAPE, STAGES, BandSignature, most_signatures
+from .library import SHAPE, STAGES, Acting, BandSignature, most_signatures
 from .linear import BandMotion, DeviceForces, LinearDevice, Moved
 from .linear_stages import mechanics_coefficients, readout_signatures
 from .narrow_band import Signals, grid_of
@@ -34,13 +34,19 @@ class Found:
 
     Parameters
     ----------
+    acting : the K parameters whose changes the last rows are.
     rows : (P + 1 + K, S, 2 W) [V]: of the slopes of the fit, an empty one, and those of the signatures.
-    sensed : volts of the device (S, W) [V].
+    sensed : volts of the device (S, 2 W) [V], real parts before imaginary ones.
     """
 
-    signatures: tuple[BandSignature, ...]
+    acting: tuple[Acting, ...]
     rows: FloatArray
-    sensed: ComplexArray
+    sensed: FloatArray
+
+    @property
+    def signatures(self) -> list[BandSignature]:
+        """The signatures per unit of their strengths."""
+        return [one.signature(row) for one, row in zip(self.acting, self.rows[-len(self.acting) :])]
 
 
 #: The motion of a device in the band, and its envelopes.
@@ -94,7 +100,7 @@ def signatures(
     parts = (slopes, np.zeros((1, senses, slopes.shape[2])), of_mechanics)
     coefficients = np.concatenate(parts)
     device.rows(coefficients, rows[: coefficients.shape[0]])
-    found = [probe.signature(row, 1.0, 1) for probe, row in zip(mechanics, rows[first:])]
+    found = [Acting(probe, 1.0, 1) for probe in mechanics]
 
     def free() -> FloatArray:
         return rows[first + len(found) :]
@@ -102,9 +108,6 @@ def signatures(
     found += adc_signatures(device, loud, sizes, with_mismatch, free())
     found += sense_signatures(device, signals, with_mismatch, free())
     found += readout_signatures(device, motion, grid, with_mismatch, free())
-    own = device.forced(forces, grid, free())
-    found += [
-        probe.signature(row, value, order)
-        for probe, row, value, order in zip(forces.probes, own, forces.values, forces.orders)
-    ]
+    device.forced(forces, grid, free())
+    found += [Acting(*one) for one in zip(forces.probes, forces.values, forces.orders)]
     return Found(tuple(found), rows[: first + len(found)], motion.sensed)
