@@ -6,7 +6,7 @@ Shapes: S = 2 senses, W bins, n points of the grid.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -30,6 +30,8 @@ _CLIP_PHASES = Phases(8, 0.5)
 _EVEN = 1e-9
 #: Phases of a linear law, and typical motion [V s] and velocity [V] of the points at which the kind of a law is found.
 _LINEAR, _MOTION, _VELOCITY = Phases(2, 0.5), 1e-4, 0.3
+#: What a sense law takes: motion and velocity of the electrodes, volts (M n, S) [V s, V, V], and times (M n,) [s].
+SensedMotion = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 _MOTION_S: FloatArray = np.concatenate([M_S, np.ones((2, 1))], axis=1)
 
 
@@ -93,7 +95,7 @@ def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool
     m, grid = device.mechanics, signals.grid
     sensed = m.velocity_sense[0] @ signals.velocities + m.position_sense[0] @ signals.coordinates
     envelopes = np.concatenate([_MOTION_S @ signals.coordinates, _MOTION_S @ signals.velocities, sensed])
-    motions: dict[Phases, list[FloatArray]] = {}
+    motions: dict[Phases, SensedMotion] = {}
     changes = np.empty((len(probes), SHAPE.senses, grid.points), dtype=np.complex64)
     found = []
     for probe, change in zip(probes, changes):
@@ -101,7 +103,7 @@ def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool
         if phases not in motions:
             values = at_phases(envelopes, phases)
             # Laws take points by channels (M n, S); their columns are contiguous.
-            motions[phases] = [*(values[first : first + 2].T for first in (0, 2, 4)), _times(device.band, grid, phases)]
+            motions[phases] = values[:2].T, values[2:4].T, values[4:].T, _times(device.band, grid, phases)
         value, order, change[:] = _sense_change(probe, motions[phases], phases, device.context)
         found.append(Acting(probe, value, order))
     spectra = grid.spectra(changes)
@@ -111,17 +113,17 @@ def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool
 
 
 def _sense_change(
-    probe: Probe, motion: Sequence[FloatArray], phases: Phases, context: Context
+    probe: Probe, motion: SensedMotion, phases: Phases, context: Context
 ) -> tuple[float, int, ComplexArray]:
     """Value of the parameter of a sense law, order of the change in it, and its first harmonic (S, n) [V]."""
     sense, value, linear = probe.effect.sense, probe.member.scale, phases == _LINEAR
     assert sense is not None
-    s = motion[2]
+    x, xd, s, t = motion
     if not linear:
         few = slice(None, None, _SPARSE)
-        trial = sense(*(one[few] for one in motion), probe.at(value), context) - s[few]
+        trial = sense(x[few], xd[few], s[few], t[few], probe.at(value), context) - s[few]
         value *= _SHARE * _rms(s[few]) / _rms(trial)
-    change = (sense(*motion, probe.at(value), context) - s).T
+    change = (sense(x, xd, s, t, probe.at(value), context) - s).T
     (first,) = harmonics(change, phases, 1)
     # An even law has a first harmonic of second order.
     return value, 1 if linear or _rms(first) > 0.01 * _rms(change) else 2, first
