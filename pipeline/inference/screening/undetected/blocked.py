@@ -4,10 +4,10 @@
     rows Z = sum_b (rows_b B_b) M_b = [rows_1 B_1, rows_2 B_2, ..] M
 
 A narrow mode has a shape of its own only in the block that has its frequency; in the others it is one of a few smooth ones, times
-the spectrum of the drive.  No such thing holds for all bins at once, of which the columns are nearly independent: 191 of 210.
+the spectrum of the drive.  Over all bins at once the columns are nearly independent: rank 194 of 210.
 
-B comes from a Cholesky factor with pivots of the products of unit columns, Z_b' Z_b = P' L L' P, which ends where all that is left
-of each column is below the tolerance: B_b = Z_b[pivots] L_11'^-1 are orthonormal, and M_b = L' P.
+B comes from a Cholesky factor with pivots of the products of unit columns, Z_b' Z_b = P' L L' P, which ends where what is left of
+each column is below the tolerance: B_b = Z_b[pivots] L_11'^-1 are orthonormal, and M_b = L' P.
 
 Shapes: K columns, W bins, r columns B_b of a block of w bins.
 """
@@ -15,6 +15,7 @@ Shapes: K columns, W bins, r columns B_b of a block of w bins.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,7 @@ def blocked(columns: NDArray[np.float32]) -> Blocked | None:
     edges = tuple(bins * b // _BLOCKS for b in range(_BLOCKS + 1))
     parts = columns.reshape(count, 2, bins)
     bases, mixes = [], []
-    for first, end in zip(edges, edges[1:]):
+    for first, end in pairwise(edges):
         own = parts[:, :, first:end].reshape(count, -1) / norm[:, None]
         factor, pivots, rank, _ = dpstrf(own @ own.T, tol=_LEFT_OUT**2, lower=1)
         factor, pivots = np.tril(factor)[:, :rank], pivots - 1

@@ -178,4 +178,3 @@ def _closest(p_values: FloatArray, explained: FloatArray) -> int:
     margin = _ROUNDING * explained[best]
     equal = (explained >= explained[best] - margin) & (p_values <= p_values[best] * np.exp(min(margin, 700.0)))
     return int(np.flatnonzero(equal)[0])
-

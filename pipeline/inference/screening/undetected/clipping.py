@@ -127,7 +127,7 @@ def transform_of_few(band: Band, where: IntArray, change: FloatArray) -> Complex
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _transform_of_few(where: IntArray, change: FloatArray, first: int, samples: int, out: ComplexArray) -> None:
     senses, bins = out.shape
-    length = int(math.ceil(math.sqrt(bins)))
+    length = math.ceil(math.sqrt(bins))
     fine, at = np.empty((2, length)), np.empty((2, length))
     # Real numbers, as numba writes no vectors for complex ones.
     total = np.zeros((senses, 2, bins))

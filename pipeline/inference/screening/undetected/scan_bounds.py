@@ -186,7 +186,7 @@ def _judge_points(
                 square[g] += solved[k, g] * solved[k, g]
                 total[g] += solved[k, g] * z[k, g]
                 own = abs(bias[i, k, g])
-                # Lines have no largest strength, and a quantity may have no bias at all: the quadrature bias without a phase error.
+                # Lines have no largest strength, and the quadrature bias has no bias without a phase error.
                 bounds[i, g] += own * reach[g] if own != 0.0 else 0.0
         for g in range(points):
             bounds[i, g] = min(abs(total[g]) + Z95 * math.sqrt(square[g]), bounds[i, g])
