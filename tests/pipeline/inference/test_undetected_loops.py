@@ -27,7 +27,7 @@ from pipeline.inference.screening.undetected.narrow_band import WHOLE_TURN, harm
 from pipeline.inference.screening.undetected.parity import kind_of
 from pipeline.inference.screening.undetected.position_modes import PositionModes
 from pipeline.inference.screening.undetected.rows import take_out_hum, white_products
-from pipeline.inference.screening.undetected.scan_bounds import _quantile
+from pipeline.inference.screening.undetected.scan_bounds import _least_above
 
 RATE = 10_000.0
 
@@ -187,8 +187,16 @@ def test_the_quantile_of_a_scan_is_the_least_value_with_its_share_below():
     values, weight = random.standard_normal((4, 60)), random.random(60)
     values[0, 3] = np.inf
     weight /= weight.sum()
-    for own, found in zip(values, _quantile(values, weight)):
+
+    def quantile(values, weight, share):
+        out = np.empty(values.shape[0])
+        _least_above(values, weight, share, out)
+        return out
+
+    for own, found in zip(values, quantile(values, weight, 0.05)):
         order = np.argsort(own)
         assert found == own[order][np.argmax(np.cumsum(weight[order]) >= 0.95)]
-    assert np.isnan(_quantile(np.full((1, 3), np.nan), np.full(3, 1.0 / 3.0))).all()
-    np.testing.assert_array_equal(_quantile(values, np.zeros(0)), values.max(axis=1))
+    assert np.isnan(quantile(np.full((1, 3), np.nan), np.full(3, 1.0 / 3.0), 0.05)).all()
+    assert np.isnan(quantile(np.array([[1.0, np.nan, 2.0]]), np.full(3, 1.0 / 3.0), 0.05)).all()
+    np.testing.assert_array_equal(quantile(values, np.ones(60), 0.0), values.max(axis=1))
+    np.testing.assert_array_equal(quantile(np.zeros((1, 60)), weight, 0.05), [0.0])

@@ -8,6 +8,7 @@ import pytest
 from scipy.special import fdtrc
 
 from pipeline.inference.screening.inband import make_band
+from pipeline.inference.screening.undetected.blocked import blocked
 from pipeline.inference.screening.undetected.bounds import Projection
 from pipeline.inference.screening.undetected.clipping import adc_sizes, transform_of_few
 from pipeline.inference.screening.undetected.device import scored_device, scored_devices
@@ -20,7 +21,12 @@ from pipeline.inference.screening.undetected.narrow_band import (
     harmonics,
 )
 from pipeline.inference.screening.undetected.scan_bounds import judged_scans
-from pipeline.inference.screening.undetected.scanned import ScannedProducts, ScanPoints, scans_of
+from pipeline.inference.screening.undetected.scanned import (
+    ScannedProducts,
+    ScanPoints,
+    scanned_products,
+    scans_of,
+)
 from pipeline.inference.screening.undetected.signatures import signatures
 from pipeline.inference.screening.undetected.slopes import feature_slopes
 from populations.draw import draw
@@ -176,3 +182,68 @@ def test_a_scanned_column_that_the_drive_does_not_reach_says_nothing():
     assert found.bounds[0, 0] > 0.0
     assert found.bounds[0, 1] == 0.0
     assert 0.0 < found.p_values[0] <= 1.0
+
+
+def _scan_of(scoring):
+    (scan,) = scans_of(scoring.data[0].band, (400.0, 700.0), scoring.line_hz, True)
+    return scan
+
+
+def test_products_by_blocks_are_those_of_all_columns(scored):
+    scan = _scan_of(scored[0])
+    blocks, width = scan.blocks, scan.columns.shape[1]
+    columns = scan.columns.reshape(-1, 2, width).swapaxes(0, 1).reshape(-1, width).astype(np.float64)
+    mixed, first = np.zeros_like(columns).reshape(-1, 2, width // 2), 0
+    for begin, end, basis in zip(blocks.edges, blocks.edges[1:], blocks.bases):
+        np.testing.assert_allclose(basis.T.astype(float) @ basis, np.eye(basis.shape[1]), atol=1e-5)
+        own = blocks.mix[first : first + basis.shape[1]].T.astype(float) @ basis.T
+        mixed[:, :, begin:end], first = own.reshape(-1, 2, end - begin), first + basis.shape[1]
+    left = columns - mixed.reshape(columns.shape)
+    norm = np.linalg.norm(columns, axis=1)
+    for begin, end in zip(blocks.edges, blocks.edges[1:]):
+        own = left.reshape(-1, 2, width // 2)[:, :, begin:end].reshape(norm.size, -1)
+        assert np.all(np.linalg.norm(own, axis=1) <= 1.1e-5 * norm)
+    assert first < 0.3 * width  # bases that kept everything would be right as well
+    # Rows that are random, smooth, what is left out, or columns themselves.
+    random = np.random.default_rng(8)
+    rows = np.concatenate([random.standard_normal((5, width)), np.ones((1, width)), left[::9], columns[::9]])
+    exact = rows @ columns.T
+    limit = np.sqrt(6.0) * 1.1e-5 * np.linalg.norm(rows, axis=1)[:, None] * norm
+    for own in (rows, rows.astype(np.float32)):
+        assert np.all(np.abs(blocks.products(own) - exact) <= limit)
+
+
+def test_columns_of_which_few_bins_are_not_zero_are_mixtures_too():
+    columns = np.zeros((40, 240), dtype=np.float32)
+    columns[:30, 100:102] = np.random.default_rng(9).standard_normal((30, 2))
+    rows = np.random.default_rng(10).standard_normal((3, 240))
+    np.testing.assert_allclose(blocked(columns).products(rows), rows @ columns.T, rtol=0.0, atol=1e-4)
+
+
+def test_columns_that_are_independent_are_no_mixtures():
+    random = np.random.default_rng(11)
+    assert blocked(random.standard_normal((40, 240)).astype(np.float32)) is None
+    assert blocked(random.standard_normal((2, 8)).astype(np.float32)) is None
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_scans_have_the_scores_of_all_columns(scored, coloured):
+    scoring, _ = scored
+    (data,), scan, random = scoring.data, _scan_of(scoring), np.random.default_rng(12)
+    (((device,), _),) = linear_devices([scoring.fit], [[data.band]], scoring.instrument, partial(moved_mechanics, True))
+    weight = np.full((2, data.band.bins.size), np.sqrt(2.0 / data.band.samples)) / scoring.noise.sigma_v[:, None]
+    if coloured:
+        weight = weight * np.geomspace(0.5, 2.0, data.band.bins.size)
+    noise = random.standard_normal((1, 2, 2 * data.band.bins.size)) / np.tile(weight, 2)
+    rows = np.concatenate([device.rows(feature_slopes(scoring.fit)), noise])
+    flat = (rows * np.tile(weight, 2)).reshape(rows.shape[0], -1)
+    base = flat @ flat.T
+    # Without its prior the fit does not know the mismatches.
+    projection = Projection.of(base[:-1, :-1] + 1e-9 * np.diag(np.diag(base[:-1, :-1])), random.normal(size=(3, 14)))
+    by_blocks, whole = (
+        judged_scans(scanned_products([one], rows, weight, base), projection, base[:-1, -1], 1e4)
+        for one in (scan, replace(scan, blocks=None))
+    )
+    assert scan.blocks is not None
+    np.testing.assert_allclose(by_blocks.p_values, whole.p_values, rtol=1e-4)
+    np.testing.assert_allclose(by_blocks.bounds, whole.bounds, rtol=1e-4)

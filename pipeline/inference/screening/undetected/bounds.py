@@ -24,13 +24,12 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.special import fdtrc
 
-from ....arrays import BoolArray, FloatArray, IntArray
+from ....arrays import FloatArray, IntArray
 from ...gate import Undetected
+from .left import EffectColumns, left_of, scored_effects
 
 #: 95 % of the noise.
 Z95 = 1.959963984540054
-#: Share of a signature's energy below which its direction counts as absorbed by the fit: the square of what rounding leaves.
-_ABSORBED = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,26 +111,6 @@ class EffectEvidence:
     noise_dof: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Left:
-    """What the fit leaves of unit columns Z: Z~' r (K,), Z~' Z~ (K, K), biases (Q, K), and the range (K,) of their strengths."""
-
-    score: FloatArray
-    gram: FloatArray
-    bias: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-    @classmethod
-    def of(cls, problem: EffectEvidence) -> _Left:
-        products, p = problem.products, problem.projection.whiten.shape[0]
-        scale = np.sqrt(np.maximum(products.diagonal()[p:], 1e-300))
-        overlap = problem.projection.overlap(products[:p, p:] / scale)
-        left = products[p:, p:] / (scale[:, None] * scale) - overlap.T @ overlap
-        score, bias, scale = left[0, 1:] * scale[0], problem.projection.bias(overlap[:, 1:]), scale[1:]
-        return cls(score, left[1:, 1:], bias, problem.candidates.low * scale, problem.candidates.high * scale)
-
-
 def judged(problem: EffectEvidence) -> Judged:
     """Scores and bounds of the effects of one device."""
     return judged_together([problem])[0]
@@ -142,74 +121,28 @@ def judged_together(problems: Sequence[EffectEvidence]) -> list[Judged]:
 
     Nothing is summed over devices, so that each has the numbers that it has alone, bit for bit.
     """
-    every = [_Left.of(problem) for problem in problems]
-    score, gram, bias, low, high = (
-        np.stack([getattr(one, name) for one in every]) for name in ("score", "gram", "bias", "low", "high")
-    )
-    dof = np.array([problem.noise_dof for problem in problems])
-    effects, single, several = _grouped(problems[0].candidates.effects)
-    devices, quantities = len(every), bias.shape[1]
-    p_values, explained = np.ones((devices, len(effects))), np.zeros((devices, len(effects)))
-    bounds = np.zeros((devices, len(effects), quantities))
-
-    def write(own: IntArray, found: tuple[FloatArray, FloatArray, FloatArray]) -> None:
-        for out, values in zip((p_values, explained, bounds), found):
-            out[:, own] = values.reshape(devices, own.size, *out.shape[2:])
-
-    if single.effects.size:
-        k = single.columns[:, 0]
-        of_column = np.swapaxes(bias[:, :, k], 0, 1).reshape(quantities, -1)
-        size = gram.diagonal(axis1=1, axis2=2)
-        flat = [each[:, k].ravel() for each in (score, size, low, high)]
-        write(single.effects, _single(flat[0], flat[1], of_column, flat[2], flat[3], np.repeat(dof, k.size)))
-    if several.effects.size:
-        own, used = several.columns, several.used
-        width = own.shape[1]
-        blocks = gram[:, own[:, :, None], own[:, None, :]] * (used[:, :, None] * used[:, None, :])
-        reach = np.where(used, np.maximum(np.abs(low), np.abs(high))[:, own], 0.0)
-        of_bias = np.swapaxes(bias[:, :, own], 1, 2) * used[:, None]
-        count = np.tile(used.sum(axis=1), devices)
-        write(
-            several.effects,
-            _several(
-                (score[:, own] * used).reshape(-1, width),
-                blocks.reshape(-1, width, width),
-                of_bias.reshape(-1, quantities, width),
-                reach.reshape(-1, width),
-                count,
-                np.repeat(dof, own.shape[0]),
-            ),
-        )
-    return [Judged(effects, *each) for each in zip(p_values, explained, bounds)]
-
-
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """Numbers (E,) of effects and their columns (E, k); those beyond the last of an effect are not ``used`` (E, k)."""
-
-    effects: IntArray
-    columns: IntArray
-    used: BoolArray
+    columns = _columns_of(problems[0].candidates.effects)
+    left = left_of([(one.products, one.projection.whiten, one.projection.slopes) for one in problems], columns)
+    low, high = (np.stack([getattr(one.candidates, end) for one in problems]) * left.scale for end in ("low", "high"))
+    scored = scored_effects(left, columns, low, high, Z95)
+    seen = np.maximum(scored.seen, 1.0)
+    dof = np.array([[problem.noise_dof] for problem in problems])
+    p_values = np.where(scored.share > 0.0, scored.share * fdtrc(seen, dof, scored.explained / seen), 1.0)
+    return [Judged(columns.effects, *each) for each in zip(p_values, scored.explained, scored.bounds)]
 
 
 @lru_cache(maxsize=16)
-def _grouped(of_columns: tuple[str, ...]) -> tuple[tuple[str, ...], _Group, _Group]:
-    """The effects of columns: their names, those with one column, and those with several."""
+def _columns_of(of_columns: tuple[str, ...]) -> EffectColumns:
+    """The effects of columns."""
     effects = tuple(sorted(set(of_columns)))
-    columns = [[k for k, name in enumerate(of_columns) if name == effect] for effect in effects]
-    groups = []
-    for several in (False, True):
-        own = [i for i, one in enumerate(columns) if (len(one) > 1) == several]
-        most = max((len(columns[i]) for i in own), default=0)
-        padded = [columns[i] + columns[i][:1] * (most - len(columns[i])) for i in own]
-        used = [[k < len(columns[i]) for k in range(most)] for i in own]
-        shape = (len(own), most)
-        groups.append(
-            _Group(
-                np.array(own, np.int64), np.array(padded, np.int64).reshape(shape), np.array(used, bool).reshape(shape)
-            )
-        )
-    return effects, groups[0], groups[1]
+    own = [[k for k, name in enumerate(of_columns) if name == effect] for effect in effects]
+    most = max((len(columns) for columns in own), default=1)
+    padded = [columns + columns[:1] * (most - len(columns)) for columns in own]
+    return EffectColumns(
+        effects,
+        np.array(padded, np.int64).reshape(len(own), most),
+        np.array([len(columns) for columns in own], np.int64),
+    )
 
 
 #: Relative precision of what an effect explains: two versions of the scores, in double and in single precision, agree to 4e-5.
@@ -245,51 +178,3 @@ def _closest(p_values: FloatArray, explained: FloatArray) -> int:
     margin = _ROUNDING * explained[best]
     equal = (explained >= explained[best] - margin) & (p_values <= p_values[best] * np.exp(min(margin, 700.0)))
     return int(np.flatnonzero(equal)[0])
-
-
-def _single(
-    score: FloatArray, size: FloatArray, bias: FloatArray, low: FloatArray, high: FloatArray, dof: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """p-values (K,) and T (K,) of effects with one signature of unit norm, ``size`` of which survives; bounds (K, Q)."""
-    seen = size > _ABSORBED
-    size = np.where(seen, size, 1.0)
-    side = np.where(low == 0.0, 1.0, np.where(high == 0.0, -1.0, 0.0))
-    strength = np.where(seen, score**2 / size, 0.0)
-    p = np.asarray(fdtrc(1.0, dof, strength), dtype=np.float64)
-    p = np.where(side == 0.0, p, np.where(side * score > 0.0, 0.5 * p, 1.0))
-    p = np.where(seen, p, 1.0)
-    estimate = score / size
-    estimate = np.abs(np.where(side == 0.0, estimate, np.maximum(side * estimate, 0.0)))
-    most = np.where(seen, estimate + Z95 / np.sqrt(size), np.inf)
-    most = np.minimum(most, np.maximum(np.abs(low), np.abs(high)))
-    # An unlimited size of an effect without bias is no bias.
-    return p, strength, np.multiply(np.abs(bias), most, out=np.zeros_like(bias), where=bias != 0.0).T
-
-
-def _several(
-    score: FloatArray, gram: FloatArray, bias: FloatArray, reach: FloatArray, count: IntArray, dof: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """p-values and T (E,) of effects with k signatures of unit norm; bounds (E, Q) of biases (E, Q, k).
-
-    score, reach (E, k): Z~' r and largest strengths; gram (E, k, k); count (E,): of the columns that are not zero.
-    """
-    within = at_most(bias, reach)
-    size, vector = np.linalg.eigh(gram)
-    seen = np.asarray(size > _ABSORBED)
-    weight = np.where(seen, 1.0 / np.where(seen, size, 1.0), 0.0)
-    projected = (score[:, None] @ vector)[:, 0]
-    visible = (bias @ vector) * seen[:, None]
-    k, total = seen.sum(axis=1), np.sum(projected**2 * weight, axis=1)
-    bound = np.abs(visible @ (projected * weight)[:, :, None])[:, :, 0]
-    bound += Z95 * np.sqrt(np.sum(visible**2 * weight[:, None], axis=2))
-    if np.any(k < count):
-        hidden = at_most(bias - visible @ np.swapaxes(vector, 1, 2), reach)
-        bound += np.where((k < count)[:, None], hidden, 0.0)
-    p = np.where(k > 0, np.asarray(fdtrc(np.maximum(k, 1), dof, total / np.maximum(k, 1)), dtype=np.float64), 1.0)
-    return p, total, np.where(k[:, None] > 0, np.minimum(bound, within), within)
-
-
-def at_most(bias: FloatArray, reach: FloatArray) -> FloatArray:
-    """Largest |b' a| (E, Q) for |a| <= ``reach`` (E, k), of biases (E, Q, k); no bias, no effect, however large."""
-    most = np.multiply(np.abs(bias), reach[:, None], out=np.zeros_like(bias), where=bias != 0.0)
-    return np.asarray(np.sum(most, axis=2))

@@ -212,18 +212,18 @@ class _Posed:
 def _posed(scoring: Scoring, products: _Products, slopes: QuantitySlopes) -> _Posed:
     fit, data, prior, whole = scoring.fit, scoring.data, scoring.prior, products.whole
     count = fit.x.size
-    of_prior = _prior_products(prior, fit.x)
     # The signatures have no part in the rows of the prior.
-    whole[: count + 1, : count + 1] += of_prior
+    _add_prior(prior, fit.x, whole)
     names, gradient = slopes
-    frequency = np.concatenate([item.band.frequency_hz for item in data])
-    dof = 2.0 / float(np.mean(scoring.noise.relative_sd(frequency) ** 2))
-    projection = Projection.of(whole[:count, :count], gradient)
-    base = products.scanned.base + of_prior
+    dof = _noise_dof(scoring.noise, data)
+    projection = of_scans = Projection.of(whole[:count, :count], gradient)
+    residual = whole[:count, count]
     # Scans take noise that depends on the signal at its largest variance, and their fit with it.
-    depends = any(item.noise is not None and item.noise.dependent.size for item in data)
-    of_scans = Projection.of(base[:count, :count], gradient) if depends else projection
-    scans = judged_scans(products.scanned, of_scans, base[:count, count], dof)
+    if any(item.noise is not None and item.noise.dependent.size for item in data):
+        base = products.scanned.base.copy()
+        _add_prior(prior, fit.x, base)
+        of_scans, residual = Projection.of(base[:count, :count], gradient), base[:count, count]
+    scans = judged_scans(products.scanned, of_scans, residual, dof)
     return _Posed(EffectEvidence(whole, projection, products.candidates, dof), scans, names)
 
 
@@ -269,12 +269,19 @@ def _rows_of(prior: MismatchPrior) -> tuple[FloatArray, FloatArray]:
     return prior.rows()
 
 
-def _prior_products(prior: MismatchPrior | None, x: FloatArray) -> FloatArray:
-    """What the prior adds to [J, r]' [J, r], (P + 1, P + 1)."""
+def _add_prior(prior: MismatchPrior | None, x: FloatArray, products: FloatArray) -> None:
+    """Add what the prior adds to [J, r]' [J, r], the first rows and columns (P + 1, P + 1) of ``products``, in place."""
     if prior is None:
-        return np.zeros((x.size + 1, x.size + 1))
+        return
     root, offset = _rows_of(prior)
-    rows = np.zeros((x.size + 1, offset.size))
-    rows[12:14] = root.T
-    rows[-1] = offset - root @ x[12:]
-    return rows @ rows.T
+    rows = np.concatenate([root.T, (offset - root @ x[12:])[None]])
+    own = slice(12, 12 + rows.shape[0])
+    products[own, own] += rows @ rows.T
+
+
+def _noise_dof(noise: NoiseSpectrum, data: Sequence[BandData]) -> float:
+    """Degrees of freedom of the level of the noise in the bands of records."""
+    if noise.white:
+        return float(noise.dof)
+    frequency = np.concatenate([item.band.frequency_hz for item in data])
+    return 2.0 / float(np.mean(noise.relative_sd(frequency) ** 2))

@@ -9,14 +9,16 @@ Shapes: g points, P parameters, Q quantities.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from scipy.special import fdtrc
 
-from ....arrays import FloatArray
+from ....arrays import FloatArray, IntArray
 from .bounds import Z95, Judged, Projection
-from .scanned import ScannedProducts
+from .scanned import ScannedProducts, ScanPoints
 
 #: Share of the range of a scan for which a bound holds.
 _SHARE = 0.95
@@ -34,37 +36,91 @@ def judged_scans(products: ScannedProducts, projection: Projection, residual: Fl
     residual : J' r (P,), with those rows.
     noise_dof : degrees of freedom of the noise level.
     """
-    scans, q = products.scans, projection.slopes.shape[0]
-    if not scans:
+    q = projection.slopes.shape[0]
+    if not products.scans:
         return Judged((), np.zeros(0), np.zeros(0), np.zeros((0, q)))
-    count, points = residual.size, products.squares.shape[1]
-    overlap = projection.overlap(products.cross[:count].reshape(count, -1))
-    bias = projection.bias(overlap)
-    reach = np.concatenate([np.full(scan.points, scan.reach) for scan in scans])
-    every, each = np.empty(points), np.empty((q, points))
-    left = products.cross[count].reshape(-1) - projection.overlap(residual) @ overlap
-    shape = (2, points, 2)
-    _judge_points(
-        products.squares,
+    whole, count = _whole(products.scans), residual.size
+    # Loops over points need them next to each other.
+    cross = np.ascontiguousarray(products.cross.swapaxes(2, 3)).reshape(count + 1, -1)
+    overlap = projection.overlap(cross[:count])
+    shape = (4, whole.reach.size)
+    explained, bounds = np.empty(whole.points.size), np.empty((whole.points.size, q))
+    _judge_scans(
+        np.ascontiguousarray(products.squares.swapaxes(1, 2)),
         overlap.reshape(count, *shape),
-        left.reshape(shape),
-        bias.reshape(q, *shape),
-        reach,
-        every,
-        each,
+        projection.overlap(residual),
+        cross[count].reshape(shape),
+        projection.bias(overlap).reshape(q, *shape),
+        whole,
+        explained,
+        bounds,
     )
-    p_values, explained, bounds = np.ones(len(scans)), np.zeros(len(scans)), np.zeros((len(scans), q))
-    last = 0
-    for i, scan in enumerate(scans):
-        first, last = last, last + scan.points
-        explained[i] = float(np.max(every[first:last]))
-        single = float(fdtrc(4.0, noise_dof, explained[i] / 4.0))
-        p_values[i] = -math.expm1(scan.points * math.log1p(-min(single, 1.0 - 1e-16)))
-        bounds[i] = _quantile(each[:, first:last], scan.weight)
-    return Judged(tuple(scan.effect for scan in scans), p_values, explained, bounds)
+    p_values = []
+    for total, points in zip(explained.tolist(), whole.points.tolist()):
+        single = float(fdtrc(4.0, noise_dof, total / 4.0))
+        p_values.append(-math.expm1(points * math.log1p(-min(single, 1.0 - 1e-16))))
+    return Judged(tuple(scan.effect for scan in products.scans), np.array(p_values), explained, bounds)
+
+
+class _Whole(NamedTuple):
+    """The points of all scans, one scan after the other.
+
+    Parameters
+    ----------
+    points : their number in each scan (n,).
+    reach, weight : largest strength and weight of each point (g,).
+    above : (n,) weight of the largest values of a scan beyond which its bound lies.
+    """
+
+    points: IntArray
+    reach: FloatArray
+    weight: FloatArray
+    above: FloatArray
+
+
+@lru_cache(maxsize=4)
+def _whole(scans: tuple[ScanPoints, ...]) -> _Whole:
+    # Without weights a single point has more than nothing: the bound is the largest value.
+    return _Whole(
+        np.array([scan.points for scan in scans]),
+        np.concatenate([np.full(scan.points, scan.reach) for scan in scans]),
+        np.concatenate([scan.weight if scan.weight.size else np.ones(scan.points) for scan in scans]),
+        np.array([(1.0 - _SHARE) * float(scan.weight.sum()) for scan in scans]),
+    )
 
 
 @njit(cache=True, error_model="numpy")
+def _judge_scans(
+    squares: FloatArray,
+    overlap: FloatArray,
+    residual: FloatArray,
+    cross: FloatArray,
+    bias: FloatArray,
+    whole: _Whole,
+    explained: FloatArray,
+    bounds: FloatArray,
+) -> None:
+    """Write the largest T (n,) and the bounds (n, Q) of scans.
+
+    Parameters
+    ----------
+    squares, overlap, bias : of :func:`_judge_points`.
+    residual, cross : Q' r (P,), and Z' r (4, g).
+    """
+    score, every, each = cross.copy(), np.empty(cross.shape[1]), np.empty((bias.shape[0], cross.shape[1]))
+    for p in range(residual.size):
+        for k in range(4):
+            for g in range(cross.shape[1]):
+                score[k, g] -= residual[p] * overlap[p, k, g]
+    _judge_points(squares, overlap, score, bias, whole.reach, every, each)
+    last = 0
+    for i in range(whole.points.size):
+        first, last = last, last + whole.points[i]
+        explained[i] = np.max(every[first:last])
+        _least_above(each[:, first:last], whole.weight[first:last], whole.above[i], bounds[i])
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _judge_points(
     squares: FloatArray,
     overlap: FloatArray,
@@ -80,80 +136,102 @@ def _judge_points(
 
     Parameters
     ----------
-    squares : Z' Z (S, g, 3).
-    overlap, score, bias : Q' Z (P, S, g, 2), Z~' r (S, g, 2), and the biases (Q, S, g, 2) by columns of unit strength.
+    squares : Z' Z (S, 3, g).
+    overlap, score, bias : Q' Z (P, 4, g), Z~' r (4, g), and the biases (Q, 4, g) by columns of unit strength.
     reach : largest strengths (g,).
     """
-    size, z, solved = np.empty(4), np.empty(4), np.empty(4)
-    gram = np.empty((4, 4))
-    for g in range(reach.size):
-        for k in range(4):
-            own = math.sqrt(squares[k // 2, g, 2 * (k % 2)])
-            size[k] = own if own > 0.0 else 1.0
-        for k in range(4):
-            for l in range(k + 1):
-                total = 1.0 + _RIDGE if k == l else 0.0
-                if k != l and k // 2 == l // 2:
-                    total = squares[k // 2, g, 1] / (size[k] * size[l])
-                shared = 0.0
-                for p in range(overlap.shape[0]):
-                    shared += overlap[p, k // 2, g, k % 2] * overlap[p, l // 2, g, l % 2]
-                gram[k, l] = total - shared / (size[k] * size[l])
-        # Cholesky factor, in place of the lower triangle.
-        for k in range(4):
-            for l in range(k + 1):
-                total = gram[k, l]
-                for m in range(l):
-                    total -= gram[k, m] * gram[l, m]
+    points = reach.size
+    per_unit, z, solved = np.empty((4, points)), np.empty((4, points)), np.empty((4, points))
+    gram, total, square = np.empty((4, 4, points)), np.empty(points), np.empty(points)
+    # All inner loops run over the points: one point after the other takes three times as long.
+    for k in range(4):
+        for g in range(points):
+            own = squares[k // 2, 2 * (k % 2), g]
+            per_unit[k, g] = 1.0 / math.sqrt(own) if own > 0.0 else 1.0
+    for k in range(4):
+        for l in range(k + 1):
+            total[:] = 0.0
+            if k != l and k // 2 == l // 2:
+                total[:] = squares[k // 2, 1]
+            for p in range(overlap.shape[0]):
+                for g in range(points):
+                    total[g] -= overlap[p, k, g] * overlap[p, l, g]
+            ridge = 1.0 + _RIDGE if k == l else 0.0
+            for g in range(points):
+                gram[k, l, g] = ridge + total[g] * (per_unit[k, g] * per_unit[l, g])
+    # Cholesky factor, in place of the lower triangle, with inverse elements on the diagonal.
+    for k in range(4):
+        for l in range(k + 1):
+            total[:] = gram[k, l]
+            for m in range(l):
+                for g in range(points):
+                    total[g] -= gram[k, m, g] * gram[l, m, g]
+            if k == l:
                 # Rounding takes no more than the ridge.
-                gram[k, l] = math.sqrt(max(total, _LEAST)) if k == l else total / gram[l, l]
-        explained[g] = 0.0
+                for g in range(points):
+                    gram[k, k, g] = 1.0 / math.sqrt(max(total[g], _LEAST))
+            else:
+                for g in range(points):
+                    gram[k, l, g] = total[g] * gram[l, l, g]
+    explained[:] = 0.0
+    for k in range(4):
+        _solve_next(score, per_unit, gram, k, z)
+        for g in range(points):
+            explained[g] += z[k, g] * z[k, g]
+    for i in range(bias.shape[0]):
+        square[:], total[:], bounds[i] = 0.0, 0.0, 0.0
         for k in range(4):
-            z[k] = score[k // 2, g, k % 2] / size[k]
-            for m in range(k):
-                z[k] -= gram[k, m] * z[m]
-            z[k] /= gram[k, k]
-            explained[g] += z[k] * z[k]
-        for i in range(bias.shape[0]):
-            square, shift, most = 0.0, 0.0, 0.0
-            for k in range(4):
-                own = bias[i, k // 2, g, k % 2] / size[k]
-                if own != 0.0:
-                    most += abs(own) * size[k] * reach[g]
-                for m in range(k):
-                    own -= gram[k, m] * solved[m]
-                solved[k] = own / gram[k, k]
-                square += solved[k] * solved[k]
-                shift += solved[k] * z[k]
-            # Lines have no largest strength, and a quantity may have no bias at all: the quadrature bias without a phase error.
-            bounds[i, g] = min(abs(shift) + Z95 * math.sqrt(square), most)
+            _solve_next(bias[i], per_unit, gram, k, solved)
+            for g in range(points):
+                square[g] += solved[k, g] * solved[k, g]
+                total[g] += solved[k, g] * z[k, g]
+                own = abs(bias[i, k, g])
+                # Lines have no largest strength, and the quadrature bias has no bias without a phase error.
+                bounds[i, g] += own * reach[g] if own != 0.0 else 0.0
+        for g in range(points):
+            bounds[i, g] = min(abs(total[g]) + Z95 * math.sqrt(square[g]), bounds[i, g])
 
 
-def _quantile(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted quantile (Q,) of values (Q, g) at ``_SHARE``; the largest without weights."""
-    if not weight.size:
-        return np.asarray(values.max(axis=1))
-    out = np.empty(values.shape[0])
-    _least_above(values, weight, (1.0 - _SHARE) * float(weight.sum()), out)
-    return out
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _solve_next(values: FloatArray, per_unit: FloatArray, factor: FloatArray, k: int, out: FloatArray) -> None:
+    """Write element k of L^-1 v to ``out`` (4, g), of ``values`` (4, g) ``per_unit`` column; elements before it are known."""
+    for g in range(out.shape[1]):
+        out[k, g] = values[k, g] * per_unit[k, g]
+    for m in range(k):
+        for g in range(out.shape[1]):
+            out[k, g] -= factor[k, m, g] * out[m, g]
+    for g in range(out.shape[1]):
+        out[k, g] *= factor[k, k, g]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _least_above(values: FloatArray, weight: FloatArray, share: float, out: FloatArray) -> None:
     """Write the least of the largest values (Q,) of values (Q, g) that have more than the weight ``share`` together.
 
-    The largest are taken one by one: they are few.  It is nan where values are.
+    It is nan where one of the values is.  The largest are kept in order while all are passed once: they are few.
     """
+    largest, own = np.empty(weight.size), np.empty(weight.size)
+    # The sum of a kept one and others is right to rounding only: those that the rounding may take are kept as well.
+    enough = share + 1e-12 * abs(share)
     for i in range(values.shape[0]):
-        taken = np.zeros(weight.size, dtype=np.bool_)
-        above, out[i] = 0.0, np.nan
-        while above <= share:
-            largest = -1
-            for g in range(weight.size):
-                if not taken[g] and (largest < 0 or values[i, g] > values[i, largest]):
-                    largest = g
-            if largest < 0:
+        kept, total, out[i] = 0, 0.0, np.nan
+        for g in range(weight.size):
+            value = values[i, g]
+            if np.isnan(value):
+                kept = 0
                 break
-            taken[largest] = True
-            above += weight[largest]
-            out[i] = values[i, largest]
+            if total > enough and value <= largest[kept - 1]:
+                continue
+            at = kept
+            while at > 0 and value > largest[at - 1]:
+                largest[at], own[at] = largest[at - 1], own[at - 1]
+                at -= 1
+            largest[at], own[at] = value, weight[g]
+            kept, total = kept + 1, total + weight[g]
+            while total - own[kept - 1] > enough:
+                kept, total = kept - 1, total - own[kept - 1]
+        above = 0.0
+        for k in range(kept):
+            if above > share:
+                break
+            above, out[i] = above + own[k], largest[k]
