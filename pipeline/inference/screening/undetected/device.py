@@ -37,7 +37,7 @@ from .slopes import QuantitySlopes, feature_slopes, quantity_slopes
 
 T = TypeVar("T")
 #: Devices whose forces are computed at once: eight take 0.05 ms less each, and 10 MB more.
-_AT_ONCE = 4
+_AT_ONCE = 8
 
 
 @dataclass(frozen=True, eq=False)

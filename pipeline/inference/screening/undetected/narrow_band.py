@@ -76,13 +76,19 @@ class Grid:
         product *= self._time_kernel
         return np.asarray(ifft(product, axis=-1)[..., : self.band.bins.size])
 
-    def powers(self, exponents: ComplexArray) -> ComplexArray:
-        """exp(x t) (k, n) at the times of the points, of exponents x (k,) [1/s], as products of two short sequences."""
+    def decays(self, exponents: ComplexArray) -> RealArray:
+        """exp(x (T - t)) (.., 2, n) at the points, real parts first, of exponents x (..) [1/s], T the end of the record.
+
+        In single precision.  Products of two short sequences, counted back from the end: a strongly damped mode would overflow
+        from the start.
+        """
         step = self.band.samples / self.band.sample_rate_hz / self.points
         size = int(np.ceil(np.sqrt(self.points)))
-        fine = np.exp(exponents[:, None] * step * np.arange(size))
-        coarse = np.exp(exponents[:, None] * step * size * np.arange(size))
-        return np.asarray((coarse[:, :, None] * fine[:, None, :]).reshape(exponents.size, -1)[:, : self.points])
+        back = np.arange(size)[::-1]
+        fine = np.exp(exponents[..., None] * (step * (1.0 + back))).astype(np.complex64)
+        coarse = np.exp(exponents[..., None] * (step * size * back)).astype(np.complex64)
+        whole = (coarse[..., :, None] * fine[..., None, :]).reshape(*exponents.shape, -1)[..., -self.points :]
+        return np.stack([whole.real, whole.imag], axis=-2)
 
     def envelopes(self, spectrum: AnyComplexArray) -> AnyComplexArray:
         """a (.., n) of transforms (.., W), both in units of :attr:`bin_scale` and of one precision."""
@@ -96,9 +102,12 @@ class Grid:
         """Bins of the band below w0."""
         return self.middle - int(self.band.bins[0])
 
-    def transforms(self, envelope: AnyComplexArray) -> AnyComplexArray:
-        """Transforms (.., n) of envelopes (.., n), the bin of w0 first, those below it at the end."""
-        return np.asarray(fft(envelope, axis=-1))
+    def transforms(self, envelope: AnyComplexArray, overwrite: bool = False) -> AnyComplexArray:
+        """Transforms (.., n) of envelopes (.., n), the bin of w0 first, those below it at the end.
+
+        ``overwrite``: in the memory of the envelopes.
+        """
+        return np.asarray(fft(envelope, axis=-1, overwrite_x=overwrite))
 
     def spectra(self, envelope: AnyComplexArray) -> AnyComplexArray:
         """Transforms (.., W) of envelopes (.., n), in units of :attr:`bin_scale` and of their precision."""
