@@ -12,6 +12,7 @@ from pipeline.inference.screening.undetected.blocked import blocked
 from pipeline.inference.screening.undetected.bounds import Projection
 from pipeline.inference.screening.undetected.clipping import adc_sizes, transform_of_few
 from pipeline.inference.screening.undetected.device import scored_device, scored_devices
+from pipeline.inference.screening.undetected.library import probes_of
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.narrow_band import (
@@ -114,6 +115,19 @@ def test_scores_are_those_of_plain_least_squares(scored):
             least = fdtrc(4.0, dof, max(totals) / 4.0)
             # The norms of scanned columns contain their parts in the hum lines, 1e-3 of them.
             assert found.p_values[one.effect] == pytest.approx(-np.expm1(one.points * np.log1p(-least)), rel=5e-3)
+
+
+@pytest.mark.parametrize("peak", [0.01, 1.0, 50.0])
+def test_the_size_of_a_clip_is_found_as_by_a_bisection_with_its_law(scored, peak):
+    (loud,), sigma_v = scored[0].louds, scored[0].noise.sigma_v
+    volts = loud[1] * (peak / np.abs(loud[1]).max())
+    (probe,) = (one for one in probes_of(True, "adc") if one.effect.name == "adc_saturation")
+    low, high, size = 1e-6 * probe.member.scale, probe.member.high, 0.0
+    while not 15.0 < size < 60.0:
+        middle = np.sqrt(low * high)
+        size = np.linalg.norm((np.clip(volts, -1.0 / middle, 1.0 / middle) - volts) / sigma_v)
+        low, high = (low, middle) if size > 30.0 else (middle, high)
+    assert adc_sizes([(loud[0], volts)], sigma_v, 10.0, True)["adc_saturation"] == pytest.approx(middle, rel=1e-12)
 
 
 def test_the_transform_of_few_samples_is_that_of_the_record(scored):

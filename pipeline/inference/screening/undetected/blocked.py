@@ -24,11 +24,11 @@ from scipy.linalg.lapack import dpstrf
 
 from ....arrays import RealArray
 
-#: Blocks of a band.  Of 901 bins and 210 columns they have 375 columns in all, and products with 30 rows take 0.13 ms, with 4 or
-#: 10 blocks 0.14 ms, with all columns 0.29 ms.
+#: Blocks of a band.  Of 901 bins and 210 columns they have 373 columns in all, and products with 30 rows take 0.15 ms; with
+#: 4 blocks 0.18 ms, with 10 blocks 0.16 ms, with all columns 0.30 ms.
 _BLOCKS = 6
-#: Part of a unit column in a block that is left out.  Of 24 devices it changed p-values by 4e-5 of
-#: themselves at most (1e-4: 2e-4, 1e-3: 4e-3; single precision alone: 9e-6), and none of the largest bounds.
+#: Part of a unit column in a block that is left out.  In 24 devices it changed p-values of scans by 4e-5 of themselves at most,
+#: and bounds by 5e-5; 1e-4: 2e-4 and 2e-4, 1e-3: 4e-3 and 6e-2, 1e-6: 9e-6 and 5e-6, for 0.01 ms more.
 _LEFT_OUT = 1e-5
 #: Multiplications, relative to those with all columns, from which blocks save nothing: they are smaller products.
 _WORTH = 0.75

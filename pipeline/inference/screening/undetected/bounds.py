@@ -26,7 +26,7 @@ from scipy.special import fdtrc
 
 from ....arrays import FloatArray, IntArray
 from ...gate import Undetected
-from .left import EffectColumns, left_of, scored_effects
+from .left import EffectColumns, left_of, scores_of
 
 #: 95 % of the noise.
 Z95 = 1.959963984540054
@@ -124,7 +124,7 @@ def judged_together(problems: Sequence[EffectEvidence]) -> list[Judged]:
     columns = _columns_of(problems[0].candidates.effects)
     left = left_of([(one.products, one.projection.whiten, one.projection.slopes) for one in problems], columns)
     low, high = (np.stack([getattr(one.candidates, end) for one in problems]) * left.scale for end in ("low", "high"))
-    scored = scored_effects(left, columns, low, high, Z95)
+    scored = scores_of(left, columns, low, high, Z95)
     seen = np.maximum(scored.seen, 1.0)
     dof = np.array([[problem.noise_dof] for problem in problems])
     p_values = np.where(scored.share > 0.0, scored.share * fdtrc(seen, dof, scored.explained / seen), 1.0)

@@ -141,7 +141,7 @@ class Scored:
     bounds: FloatArray
 
 
-def scored_effects(left: Left, effects: EffectColumns, low: FloatArray, high: FloatArray, z: float) -> Scored:
+def scores_of(left: Left, effects: EffectColumns, low: FloatArray, high: FloatArray, z: float) -> Scored:
     """Scores and bounds, ``z`` sigmas wide, of effects whose columns have strengths between ``low`` and ``high`` (B, K)."""
     shape = left.blocks.shape[:2]
     size, vector = left.blocks.diagonal(axis1=2, axis2=3).copy(), np.zeros(left.blocks.shape)
