@@ -30,7 +30,7 @@ from pipeline.inference.screening.undetected.library import probes_of, scored_ef
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
 from pipeline.inference.screening.undetected.parity import kind_of
-from pipeline.inference.screening.undetected.signatures import signatures
+from pipeline.inference.screening.undetected.signatures import along_motions, band_motion, signatures
 from pipeline.inference.screening.undetected.slopes import feature_slopes
 
 RATE = 10_000.0
@@ -54,7 +54,8 @@ def device():
     (((linear,), moved),) = linear_devices([fit], [[band]], INSTRUMENT, partial(moved_mechanics, True))
     loud = loud_samples(y)
     sizes = adc_sizes([loud], np.full(2, 1e-3), 5.0, True)
-    found = signatures(linear, moved, loud, sizes, True, feature_slopes(fit))
+    (along,) = along_motions([linear], [band_motion(linear)], [loud], [sizes], True)
+    found = signatures(linear, moved, True, feature_slopes(fit), along)
 
     def change(effect, parameter, value, **scanned):
         larger = model.with_effect(effect)

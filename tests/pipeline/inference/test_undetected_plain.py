@@ -28,7 +28,7 @@ from pipeline.inference.screening.undetected.scanned import (
     scanned_products,
     scans_of,
 )
-from pipeline.inference.screening.undetected.signatures import signatures
+from pipeline.inference.screening.undetected.signatures import along_motions, band_motion, signatures
 from pipeline.inference.screening.undetected.slopes import feature_slopes
 from populations.draw import draw
 from workflows.config import RunConfig
@@ -87,7 +87,8 @@ def test_scores_are_those_of_plain_least_squares(scored):
     )
     (((device,), moved),) = linear_devices([fit], [[data.band]], instrument, partial(moved_mechanics, True))
     sizes = adc_sizes([loud], noise.sigma_v, instrument.bias_v, True)
-    found_rows = signatures(device, moved, loud, sizes, True, feature_slopes(fit))
+    (along,) = along_motions([device], [band_motion(device)], [loud], [sizes], True)
+    found_rows = signatures(device, moved, True, feature_slopes(fit), along)
     fit_rows = _jacobian_and_residual(device, found_rows.sensed, fit, data, noise.sigma_v, scoring.prior)
     dof = 2.0 / float(np.mean(noise.relative_sd(data.band.frequency_hz) ** 2))
     by_effect = {}

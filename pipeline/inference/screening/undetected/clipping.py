@@ -15,7 +15,7 @@ from ....arrays import ComplexArray, FloatArray, IntArray
 from ....device.effect import Context
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import Acting, probes_of, write_real
+from .library import Acting, Changed, probes_of
 from .linear import LinearDevice
 
 #: Products of samples and bins, relative to the samples of the record, up to which a sum takes less time than an FFT.
@@ -93,20 +93,19 @@ def drive_sizes(bands: Sequence[Band], with_mismatch: bool) -> dict[str, float]:
     return dict.fromkeys(clips, 1.0 / (_LOUD * peak_v)) if peak_v > 0.0 else {}
 
 
-def adc_signatures(
-    device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool, out: FloatArray
-) -> list[Acting]:
-    """Changes by the ADC stage at ``sizes`` of :func:`adc_sizes`, written to the first rows of ``out`` (.., S, 2 W)."""
+def adc_changes(device: LinearDevice, louds: Loud, sizes: Mapping[str, float], with_mismatch: bool) -> Changed:
+    """What the ADC stage changes at ``sizes`` of :func:`adc_sizes`."""
     found: list[Acting] = []
+    spectra: list[ComplexArray] = []
     loud, volts = louds
     for probe in probes_of(with_mismatch, "adc"):
         if probe.effect.adc is None or probe.effect.name not in sizes:
             continue
         change = probe.effect.adc(volts, np.array([sizes[probe.effect.name]]), device.context) - volts
         moved = np.flatnonzero(change.any(axis=1))
-        write_real(transform_of_few(device.band, loud[moved], change[moved]), out[len(found)])
+        spectra.append(transform_of_few(device.band, loud[moved], change[moved]))
         found.append(Acting(probe, 1.0, 0))
-    return found
+    return Changed(found, np.array(spectra, dtype=np.complex128).reshape(len(found), -1, device.band.bins.size))
 
 
 def transform_of_few(band: Band, where: IntArray, change: FloatArray) -> ComplexArray:

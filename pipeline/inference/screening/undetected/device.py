@@ -25,19 +25,16 @@ from ..fit import Fit
 from ..mismatch import MismatchPrior
 from .bounds import Candidates, EffectEvidence, Judged, Projection, judged, judged_together, summary
 from .clipping import Loud, adc_sizes, drive_sizes
-from .forces import forces_of
 from .library import candidates_of, write_real
 from .linear import LinearDevice, Moved, linear_devices
 from .linear_stages import moved_mechanics
 from .rows import products_of, record_weight, stationary_variance, take_out_hum, white_products
 from .scan_bounds import judged_scans
 from .scanned import BandScan, ScannedProducts, scanned_products, scans_of
-from .signatures import Along, Motion, band_motion, signatures
+from .signatures import Along, Motion, along_motions, band_motion, signatures
 from .slopes import QuantitySlopes, feature_slopes, quantity_slopes
 
 T = TypeVar("T")
-#: Devices whose forces are computed at once: eight take 0.05 ms less each, and 10 MB more.
-_AT_ONCE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,19 +160,16 @@ def _driven_alike(scoring: Scoring, linear: _Linear, motion: Motion) -> Hashable
 
 
 def _along(scorings: Sequence[Scoring], linear: Sequence[_Linear], motions: Sequence[Motion]) -> list[Along]:
-    """The motion of devices with one record each, and the forces along it."""
+    """What acts along the motion of devices with one record each."""
     devices, sizes = [one.devices[0] for one in linear], [one.sizes for one in linear]
-    signals, forces = [own for _, own in motions], []
-    for first in range(0, len(devices), _AT_ONCE):
-        own = slice(first, first + _AT_ONCE)
-        forces += forces_of(devices[own], signals[own], sizes[own], scorings[0].prior is not None)
-    return [Along(*motion, own) for motion, own in zip(motions, forces)]
+    louds = [scoring.louds[0] for scoring in scorings]
+    return along_motions(devices, motions, louds, sizes, scorings[0].prior is not None)
 
 
 def _products(scoring: Scoring, linear: _Linear, along: Along | None = None) -> _Products:
     """Products of all rows, summed over the records and the prior of the fit.
 
-    ``along``: the motion and the forces of a device with one record, if they are known.
+    ``along``: what acts along the motion of a device with one record, if it is known.
     """
     fit, data, with_mismatch = scoring.fit, scoring.data, scoring.prior is not None
     slopes, count = feature_slopes(fit), fit.x.size
@@ -186,13 +180,14 @@ def _products(scoring: Scoring, linear: _Linear, along: Along | None = None) -> 
     for item, device, loud in zip(data, linear.devices, scoring.louds):
         edges = (float(first[0]), float(first[-1]))
         scans = scans_of(item.band, edges, scoring.line_hz, with_mismatch)
-        found = signatures(device, linear.moved, loud, linear.sizes, with_mismatch, slopes, along)
+        own = along or along_motions([device], [band_motion(device)], [loud], [linear.sizes], with_mismatch)[0]
+        found = signatures(device, linear.moved, with_mismatch, slopes, own)
         write_real(item.spectrum, found.rows[count])
         found.rows[count] -= found.sensed
         variance = stationary_variance(item, scoring.noise.sigma_v)
         candidates = candidates_of(found.acting)
         more, part = _of_record(found.rows, candidates.numbers, item, scans, variance)
-        del found  # its rows are as large as a long record
+        del own, found  # their spectra and rows are as large as a long record
         products = products + more
         scanned = part if scanned is None else scanned + part
     assert scanned is not None

@@ -272,7 +272,9 @@ def _first(phases: Phases, single: bool) -> RealArray:
 
 
 #: What turns a force at the phases of :data:`WHOLE_TURN` into Re f_2, Im f_2 and f_0, (1, M, 3).
-_EVEN: RealArray = np.ascontiguousarray(waves(WHOLE_TURN, (2, 0), True)[None, :3].swapaxes(1, 2)) * (2.0 / WHOLE_TURN.count)
+_EVEN: RealArray = np.ascontiguousarray(waves(WHOLE_TURN, (2, 0), True)[None, :3].swapaxes(1, 2)) * (
+    2.0 / WHOLE_TURN.count
+)
 _DOUBLE: FloatArray = waves(WHOLE_TURN, (2, 0), False)
 #: What turns Re d_2, Im d_2 and d_0 / 2 of a deviation into it at the phases, and into its velocity over 2 w0, (2, 3, M).
 _DEVIATED: FloatArray = np.stack([_DOUBLE[[0, 1, 2]], _DOUBLE[[1, 0, 3]] * [[1.0], [-1.0], [0.0]]])

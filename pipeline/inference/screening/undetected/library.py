@@ -115,6 +115,13 @@ class Acting(NamedTuple):
         return BandSignature(self.probe.effect.name, row, low, high, self.value**-self.order)
 
 
+class Changed(NamedTuple):
+    """Parameters that act, and the change of the spectra (k, S, W) [V] by each."""
+
+    acting: Sequence[Acting]
+    spectra: AnyComplexArray
+
+
 def candidates_of(acting: Sequence[Acting]) -> Candidates:
     """The effects of parameters that act, with the ranges of their strengths in units of their rows."""
     probes, values, orders = zip(*acting)

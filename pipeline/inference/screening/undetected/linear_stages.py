@@ -23,7 +23,7 @@ from ....device.readout import Readout, plain_readout
 from ....experiment.antialias import filter_poles
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import SHAPE, Acting, Probe, probes_of, write_real
+from .library import SHAPE, Acting, Changed, Probe, probes_of, write_real
 from .linear import BandMotion, LinearDevice, Moved, frequency_axis
 from .loops import read_out
 from .narrow_band import Grid
@@ -134,24 +134,26 @@ def _single(changes: Sequence[ComplexArray], shape: tuple[int, ...]) -> RealArra
     return out
 
 
-def readout_signatures(
-    device: LinearDevice, motion: BandMotion, grid: Grid, with_mismatch: bool, out: FloatArray
-) -> list[Acting]:
-    """Changes by the read-out, written to the first rows of ``out`` (.., S, 2 W).
-
-    A parameter changes the filter, what is fed through, the lag of a drive, or the clock.
-    """
+def readout_signatures(device: LinearDevice, motion: BandMotion, with_mismatch: bool, out: FloatArray) -> list[Acting]:
+    """Changes of what is fed through, the filter, or the lag of a drive, written to the first rows of ``out`` (.., S, 2 W)."""
     changes = _readout_changes(device.band, with_mismatch, device.context.bias_v)
     first = len(changes.fed)
     out[:first] = changes.fed_rows
     read_out(changes.filters, changes.lags, motion.sensed, motion.of_drives, out[first:])
-    found = [Acting(probe, 1.0, 1) for probe in (*changes.fed, *changes.through, *changes.lagged)]
-    if changes.clocks:
-        bins, omega = device.s.size, device.s.imag
-        slope = np.empty((out.shape[1], bins), dtype=np.complex64)
-        slope.real, slope.imag = -omega * motion.sensed[:, bins:], omega * motion.sensed[:, :bins]
-        later = -grid.over_time(slope)
-        for probe, offset in changes.clocks:
-            write_real(offset * later, out[len(found)])
-            found.append(Acting(probe, 1.0, 1))
-    return found
+    return [Acting(probe, 1.0, 1) for probe in (*changes.fed, *changes.through, *changes.lagged)]
+
+
+def clock_changes(
+    devices: Sequence[LinearDevice], motions: Sequence[BandMotion], grid: Grid, with_mismatch: bool
+) -> list[Changed]:
+    """What an offset of the clock changes, of devices in the same band."""
+    band, bias_v = devices[0].band, devices[0].context.bias_v
+    clocks = _readout_changes(band, with_mismatch, bias_v).clocks
+    acting = [Acting(probe, 1.0, 1) for probe, _ in clocks]
+    bins, omega = band.bins.size, devices[0].s.imag
+    slope = np.empty((len(devices), SHAPE.senses, bins), dtype=np.complex64)
+    for own, motion in zip(slope, motions):
+        own.real, own.imag = -omega * motion.sensed[:, bins:], omega * motion.sensed[:, :bins]
+    later = -grid.over_time(slope) if clocks else slope
+    offsets = np.array([offset for _, offset in clocks], dtype=np.float32)
+    return [Changed(acting, offsets[:, None, None] * own) for own in later]

@@ -1,4 +1,4 @@
-"""Forces of drive laws and signatures of sense laws along the motion of a device, from their first harmonic (``narrow_band``).
+"""Forces of drive laws and changes by sense laws along the motion of a device, from their first harmonic (``narrow_band``).
 
 Shapes: S = 2 senses, W bins, n points of the grid.
 """
@@ -16,7 +16,7 @@ from ....device.effect import Context
 from ....device.gyro import M_S
 from ..inband import Band
 from ..kept import kept_if_short
-from .library import SHAPE, Acting, Probe, members_of, probes_of, write_real
+from .library import SHAPE, Acting, Changed, Probe, members_of, probes_of
 from .linear import LinearDevice, frequency_axis, shared_signals
 from .narrow_band import WHOLE_TURN, Grid, Phases, Signals, at_phases, harmonics
 
@@ -84,14 +84,9 @@ def _is_linear(probe: Probe) -> bool:
     return float(np.linalg.norm(twice - 2.0 * once)) <= _EVEN * float(np.linalg.norm(once))
 
 
-def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool, out: FloatArray) -> list[Acting]:
-    """Changes by the sense laws, written to the first rows of ``out`` (.., S, 2 W).
-
-    Two phases give the first harmonic of a linear law.
-    """
+def sense_changes(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Changed:
+    """What the sense laws change.  Two phases give the first harmonic of a linear law."""
     probes = probes_of(with_mismatch, "sense")
-    if not probes:
-        return []
     m, grid = device.mechanics, signals.grid
     sensed = m.velocity_sense[0] @ signals.velocities + m.position_sense[0] @ signals.coordinates
     envelopes = np.concatenate([_MOTION_S @ signals.coordinates, _MOTION_S @ signals.velocities, sensed])
@@ -108,8 +103,7 @@ def sense_signatures(device: LinearDevice, signals: Signals, with_mismatch: bool
         found.append(Acting(probe, value, order))
     spectra = grid.spectra(changes)
     spectra *= _unit_gain(device.band, grid)
-    write_real(spectra, out[: len(found)])
-    return found
+    return Changed(found, spectra)
 
 
 def _sense_change(

@@ -13,19 +13,22 @@ Shapes: S = 2 senses, W bins, N samples.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ....arrays import FloatArray
-from .clipping import Loud, adc_signatures
+from .clipping import Loud, adc_changes
 from .forces import forces_of
-from .library import SHAPE, STAGES, Acting, BandSignature, most_signatures
+from .library import SHAPE, STAGES, Acting, BandSignature, Changed, most_signatures, write_real
 from .linear import BandMotion, DeviceForces, LinearDevice, Moved
-from .linear_stages import mechanics_coefficients, readout_signatures
+from .linear_stages import clock_changes, mechanics_coefficients, readout_signatures
 from .narrow_band import Signals, grid_of
-from .nonlinear import sense_signatures
+from .nonlinear import sense_changes
+
+#: Devices whose forces are computed at once: eight take 0.05 ms less each, and 10 MB more.
+_AT_ONCE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +58,12 @@ Motion = tuple[BandMotion, Signals]
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """The motion of a device in the band, its envelopes, and the forces along it."""
+    """The motion of a device in the band, its envelopes, the forces along it, and what other laws change along it."""
 
     motion: BandMotion
     signals: Signals
     forces: DeviceForces
+    changed: tuple[Changed, ...]
 
 
 def band_motion(device: LinearDevice) -> Motion:
@@ -68,31 +72,44 @@ def band_motion(device: LinearDevice) -> Motion:
     return motion, device.signals(motion, grid_of(device.band))
 
 
-def signatures(
-    device: LinearDevice,
-    moved: Moved,
-    loud: Loud,
-    sizes: Mapping[str, float],
+def along_motions(
+    devices: Sequence[LinearDevice],
+    motions: Sequence[Motion],
+    louds: Sequence[Loud],
+    sizes: Sequence[Mapping[str, float]],
     with_mismatch: bool,
-    slopes: FloatArray,
-    along: Along | None = None,
-) -> Found:
+) -> list[Along]:
+    """What acts along the motions of devices with the same band and bias, stage by stage.
+
+    Parameters
+    ----------
+    devices, motions : of which (:func:`band_motion`).
+    louds : samples of their volts near their peaks (``clipping``).
+    sizes : of clipping (:func:`adc_sizes`, :func:`drive_sizes`).
+    with_mismatch : whether the fits have electrode mismatches.
+    """
+    signals = [own for _, own in motions]
+    forces: list[DeviceForces] = []
+    for first in range(0, len(devices), _AT_ONCE):
+        own = slice(first, first + _AT_ONCE)
+        forces += forces_of(devices[own], signals[own], sizes[own], with_mismatch)
+    adc = [adc_changes(*one, with_mismatch) for one in zip(devices, louds, sizes)]
+    sense = [sense_changes(*one, with_mismatch) for one in zip(devices, signals)]
+    clock = clock_changes(devices, [own for own, _ in motions], signals[0].grid, with_mismatch)
+    return [Along(*motion, own, changed) for motion, own, changed in zip(motions, forces, zip(adc, sense, clock))]
+
+
+def signatures(device: LinearDevice, moved: Moved, with_mismatch: bool, slopes: FloatArray, along: Along) -> Found:
     """All signatures of the effects that a fit lacks.
 
     Parameters
     ----------
     device, moved : at the maximum of the likelihood, in the band of a record (``linear_devices``).
-    loud : samples of its volts near their peak (``clipping``).
-    sizes : of clipping (:func:`adc_sizes`, :func:`drive_sizes`).
     with_mismatch : whether the fit has electrode mismatches.
     slopes : of the fit, coefficients (P, S, J) of the features.
-    along : its motion and forces, if they are known.
+    along : what acts along its motion.
     """
-    if along is None:
-        motion, signals = band_motion(device)
-        along = Along(motion, signals, *forces_of([device], [signals], [sizes], with_mismatch))
-    motion, signals, forces = along.motion, along.signals, along.forces
-    grid, count = signals.grid, slopes.shape[0]
+    motion, forces, count = along.motion, along.forces, slopes.shape[0]
     mechanics, of_mechanics = mechanics_coefficients(device, moved, with_mismatch)
     senses, first = SHAPE.senses, count + 1
     rows = np.empty((first + most_signatures(with_mismatch, STAGES), senses, 2 * device.band.bins.size))
@@ -105,9 +122,10 @@ def signatures(
     def free() -> FloatArray:
         return rows[first + len(found) :]
 
-    found += adc_signatures(device, loud, sizes, with_mismatch, free())
-    found += sense_signatures(device, signals, with_mismatch, free())
-    found += readout_signatures(device, motion, grid, with_mismatch, free())
-    device.forced(forces, grid, free())
+    for changed in along.changed:
+        write_real(changed.spectra, free()[: len(changed.acting)])
+        found += changed.acting
+    found += readout_signatures(device, motion, with_mismatch, free())
+    device.forced(forces, along.signals.grid, free())
     found += [Acting(*one) for one in zip(forces.probes, forces.values, forces.orders)]
     return Found(tuple(found), rows[: first + len(found)], motion.sensed)
