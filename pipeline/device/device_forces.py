@@ -86,10 +86,14 @@ def force_of_devices(
     """
     out = Vectors([0.0] * len(points.q))
     force(points.t, points.q, points.qd, points.u, p, laws, out)
-    return [
-        None if type(own) is float else np.ascontiguousarray(np.broadcast_to(own, points.shape), dtype=points.t.dtype)
-        for own in out
-    ]
+    return [None if type(own) is float else _whole(own, points) for own in out]
+
+
+def _whole(force: Any, points: DevicePoints) -> RealArray:
+    """A force as an array of the shape and the precision of the points."""
+    if getattr(force, "shape", None) != points.shape:
+        force = np.broadcast_to(force, points.shape)
+    return np.ascontiguousarray(force, dtype=points.t.dtype)
 
 
 @lru_cache(maxsize=256)

@@ -21,9 +21,11 @@ from pipeline.inference.screening.undetected.bounds import (
     judged_together,
 )
 from pipeline.inference.screening.undetected.device import _judged_of, _Posed
+from pipeline.inference.screening.undetected.force_loops import end_sums, first_harmonic, sums_of_squares, weighted_sums
 from pipeline.inference.screening.undetected.library import Probe, members_of, probes_of
-from pipeline.inference.screening.undetected.loops import first_harmonic, respond
-from pipeline.inference.screening.undetected.narrow_band import WHOLE_TURN, harmonics, waves
+from pipeline.inference.screening.undetected.loops import respond
+from pipeline.inference.screening.undetected.motions import _cyclic
+from pipeline.inference.screening.undetected.narrow_band import WHOLE_TURN, grid_of, harmonics, waves
 from pipeline.inference.screening.undetected.parity import kind_of
 from pipeline.inference.screening.undetected.position_modes import PositionModes
 from pipeline.inference.screening.undetected.rows import take_out_hum, white_products
@@ -33,15 +35,69 @@ RATE = 10_000.0
 
 
 @pytest.mark.parametrize(("kind", "rtol"), [(np.float32, 2e-6), (np.float64, 1e-6)])
-def test_a_written_first_harmonic_is_that_of_the_values(kind, rtol):
+@pytest.mark.parametrize(("first", "count"), [(0, 7), (3, 7), (2, 3), (5, 4)])
+def test_a_written_first_harmonic_is_that_of_the_values(kind, rtol, first, count):
     random = np.random.default_rng(0)
-    values, counted = random.standard_normal((2, 5, 7)).astype(kind), np.array([[1, 1, 0, 1, 0, 0, 1], [1] * 7])
+    values = random.standard_normal((2, 5, 7)).astype(kind)
+    counted = np.array([[1, 1, 0, 1, 0, 0, 1], [1] * 7], dtype=np.float32)
     out = np.full((2, 3, 7), 9.0, dtype=np.complex64)
-    turns = waves(WHOLE_TURN, (1,), kind is np.float32) * (2.0 / WHOLE_TURN.count)
-    first_harmonic(values, turns, counted.astype(kind), out[:, 1])
+    turns = waves(WHOLE_TURN, (1,), kind is np.float32).T[None] * (2.0 / WHOLE_TURN.count)
+    own = np.ascontiguousarray(values[..., :count])
+    first_harmonic(own, np.ascontiguousarray(turns), counted, first, 1, out.view(np.float32))
     (plain,) = harmonics(values.astype(np.float64).reshape(2, -1), WHOLE_TURN, 1)
-    np.testing.assert_allclose(out[:, 1], counted * plain, rtol=rtol, atol=rtol)
+    plain = np.roll(np.where(np.arange(7) < count, counted * plain, 0.0), first, axis=1)
+    np.testing.assert_allclose(out[:, 1], plain, rtol=rtol, atol=rtol)
     assert (out[:, ::2] == 9.0).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("terms", [1, 2, 5, 6])
+def test_weighted_sums_are_written_or_added(kind, terms):
+    random = np.random.default_rng(8)
+    values, weights = random.standard_normal((2, terms, 9)), random.standard_normal((2, terms, 3))
+    out = np.ones((2, 5, 7), dtype=kind)
+    for own, fresh, plain in ((weights, False, 1.0), (weights[:1], True, 0.0)):
+        weighted_sums(values.astype(np.float32), own.astype(kind), 1, fresh, out)
+        plain = plain + np.swapaxes(own, 1, 2) @ values[..., :7]
+        np.testing.assert_allclose(out[:, 1:4], plain, rtol=2e-6, atol=2e-6)
+        assert (out[:, [0, 4]] == 1.0).all()
+
+
+def test_sums_of_squares_are_the_same_whichever_point_comes_first():
+    random = np.random.default_rng(9)
+    values, counted = random.standard_normal((2, 3, 23)).astype(np.float32), np.ones((2, 23), dtype=np.float32)
+    counted[:, 12:17] = 0.0
+    sums = {}
+    for first, count in ((0, 23), (5, 23), (17, 18)):
+        sums[first] = np.empty((2, 3))
+        ordered = [np.ascontiguousarray(np.roll(each, -first, axis=-1)) for each in (values, counted)]
+        sums_of_squares(*ordered, first, count, sums[first])
+    plain = np.sum((values * counted[:, None]).astype(np.float64) ** 2, axis=-1)
+    np.testing.assert_allclose(sums[0], plain, rtol=1e-12)
+    np.testing.assert_array_equal(sums[5], sums[0])
+    np.testing.assert_array_equal(sums[17], sums[0])
+
+
+@pytest.mark.parametrize("damping", [1.0, 1e3])
+def test_sums_up_to_the_end_of_a_record_count_the_decay_from_each_point(damping):
+    """A strongly damped mode keeps the last points only; factors counted from the start would overflow."""
+    band = make_band(drive_samples(Chirp(), RATE)[:3000], Instrument(), 500.0, 560.0)
+    grid, random = grid_of(band), np.random.default_rng(10)
+    exponents = -damping * np.array([[1.0, 0.5, 2.0]]) + 1j * np.array([[30.0, -40.0, 0.0]])
+    a = (random.standard_normal((1, 4, grid.points)) + 1j).astype(np.complex64)
+    out = np.empty((1, 3, 4), dtype=np.complex64)
+    end_sums(a, *grid.decays(exponents), out)
+    left = band.samples / band.sample_rate_hz - grid.time_s
+    plain = np.exp(exponents[..., None] * left) @ a.swapaxes(1, 2)
+    np.testing.assert_allclose(out, plain, atol=1e-5 * abs(plain).max())
+
+
+def test_the_points_that_are_used_follow_each_other_on_a_cyclic_grid():
+    assert _cyclic(np.array([0, 6, 7, 9]), 10) == (6, 5)
+    assert _cyclic(np.array([2, 3]), 10) == (2, 2)
+    assert _cyclic(np.array([4]), 10) == (4, 1)
+    assert _cyclic(np.arange(10), 10)[1] == 10
+    assert _cyclic(np.array([], dtype=int), 10) == (0, 0)
 
 
 def test_the_response_is_the_transfer_times_the_force_less_the_motion_at_the_end():

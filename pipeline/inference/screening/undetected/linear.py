@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, real_parts
+from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, RealArray, real_parts
 from ....device.effect import Context
 from ....device.effects.electrode_mismatch import mechanics as mismatched
 from ....device.gyro import PHYSICAL, cartesian_mechanics, to_physical
@@ -71,14 +71,17 @@ class BandMotion:
 class DeviceForces:
     """Parameters whose forces in the band are known, each at its value; ``orders`` are those of the forces in the parameters.
 
-    rows (K, 3): which of the envelopes (R, n) [V/s], in single precision, a force has on each coordinate; -1 where it has none.
+    rows (K, 3): which of the ``transforms`` a force has on each coordinate; -1 where it has none.
+    transforms (R, n) of the envelopes of forces (``Grid.transforms``), and ``ringing`` (K, 3, 2): f_s [q'(T) + C q(T)] and
+    f_s q(T) [V/s], both in units of the grid and in single precision.
     """
 
     probes: Sequence[Probe]
     values: Sequence[float]
     orders: Sequence[int]
     rows: IntArray
-    envelopes: AnyComplexArray
+    transforms: AnyComplexArray
+    ringing: RealArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,28 +156,15 @@ class LinearDevice:
 
     def forced(self, forces: DeviceForces, grid: Grid, out: FloatArray) -> FloatArray:
         """Volts behind the filter in response to forces: the first rows of ``out`` (.., S, 2 W)."""
-        envelopes, rows = forces.envelopes, forces.rows
-        span = self.band.samples / self.band.sample_rate_hz
-        # exp(i w0 t + p (T - t)), counted back from the end T: a strongly damped mode would overflow from the start.
-        decay, turn = self.poles - 1j * grid.omega, 1j * grid.omega * span
-        left = (grid.powers(decay)[:, ::-1] * np.exp(decay * span / grid.points + turn)[:, None]).astype(np.complex64)
-        # One more for the coordinates on which a force does not act.
-        ends = np.zeros((3, envelopes.shape[0] + 1), dtype=np.complex128)
-        ends[:, :-1] = (left @ envelopes.T) * (0.5 * span / grid.points)
-        modal = np.einsum("kij,kbj->kbi", self.parts, ends[:, rows])
-        q_end = 2.0 * modal.real.sum(axis=0)
-        v_end = 2.0 * (modal * self.poles[:, None, None]).real.sum(axis=0)
-        m = self.mechanics
-        ringing = np.stack([v_end + q_end @ (m.damping[0] + m.gyroscopic[0]).T, q_end], axis=2)
-        ringing *= self.band.sample_rate_hz / grid.bin_scale
+        m, rows = self.mechanics, forces.rows
         gain = grid.bin_scale * (
             (m.velocity_sense[0] * self.poles[:, None, None] + m.position_sense[0]) @ self.parts
         ).swapaxes(1, 2)
         respond(
-            grid.transforms(envelopes),
+            forces.transforms,
             rows,
             grid.below,
-            ringing.astype(np.float32),
+            forces.ringing,
             self.s.imag,
             real_parts(self.antialias).astype(np.float32),
             real_parts(self.poles),

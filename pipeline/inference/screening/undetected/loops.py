@@ -1,11 +1,10 @@
-"""Compiled loops over forces and rows: one pass instead of ten over arrays of complex numbers.
+"""Compiled loops over responses and rows: one pass instead of ten over arrays of complex numbers.
 
-    first harmonic   f_1 = (2/M) sum_m f_m e^{-i phi_m}
     response         y_a(w) = sum_c T_ca(w) {f_c(w) - a_c - i w b_c}
 
 Complex numbers are pairs of real ones inside of the loops: numba writes no vectors for complex numbers.
 
-Shapes: B devices, K forces, 3 coordinates, M phases, S = 2 senses, W bins, n points of the grid.
+Shapes: K forces, 3 coordinates, S = 2 senses, W bins, n points of the grid.
 """
 
 from __future__ import annotations
@@ -14,25 +13,6 @@ import numpy as np
 from numba import njit
 
 from ....arrays import AnyComplexArray, FloatArray, IntArray, RealArray
-
-
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
-def first_harmonic(values: RealArray, waves: RealArray, counted: RealArray, out: AnyComplexArray) -> None:
-    """Write f_1 of values (B, M, n), times ``counted`` (B, n), to ``out`` (B, n).
-
-    waves (2, M): (2/M) cos phi_m, and -(2/M) sin phi_m.
-    """
-    points = values.shape[2]
-    real, imaginary = np.empty(points, dtype=values.dtype), np.empty(points, dtype=values.dtype)
-    for b in range(values.shape[0]):
-        real[:], imaginary[:] = 0.0, 0.0
-        for m in range(waves.shape[1]):
-            cosine, sine = waves[0, m], waves[1, m]
-            for i in range(points):
-                real[i] += cosine * values[b, m, i]
-                imaginary[i] += sine * values[b, m, i]
-        for i in range(points):
-            out[b, i] = complex(counted[b, i] * real[i], counted[b, i] * imaginary[i])
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})

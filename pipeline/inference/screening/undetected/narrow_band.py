@@ -76,13 +76,20 @@ class Grid:
         product *= self._time_kernel
         return np.asarray(ifft(product, axis=-1)[..., : self.band.bins.size])
 
-    def powers(self, exponents: ComplexArray) -> ComplexArray:
-        """exp(x t) (k, n) at the times of the points, of exponents x (k,) [1/s], as products of two short sequences."""
+    def decays(self, exponents: ComplexArray) -> tuple[RealArray, RealArray]:
+        """exp(x (T - t)) of exponents x (..) [1/s], T the end of the record, at the points as products of two short sequences.
+
+        The factors (.., 2, C) of every F points and those (.., 2, F) of F points that follow each other, real parts first, in
+        single precision; counted back from the end, because a strongly damped mode would overflow from the start.
+        """
         step = self.band.samples / self.band.sample_rate_hz / self.points
         size = int(np.ceil(np.sqrt(self.points)))
-        fine = np.exp(exponents[:, None] * step * np.arange(size))
-        coarse = np.exp(exponents[:, None] * step * size * np.arange(size))
-        return np.asarray((coarse[:, :, None] * fine[:, None, :]).reshape(exponents.size, -1)[:, : self.points])
+        fine, coarse = (np.empty((*exponents.shape, size), dtype=np.complex128) for _ in range(2))
+        fine[:] = np.exp(exponents * step)[..., None]
+        np.cumprod(fine, axis=-1, out=fine)
+        coarse[..., 0], coarse[..., 1:] = 1.0, fine[..., -1:]
+        np.cumprod(coarse, axis=-1, out=coarse)
+        return single_parts(coarse[..., ::-1]), single_parts(fine[..., ::-1])
 
     def envelopes(self, spectrum: AnyComplexArray) -> AnyComplexArray:
         """a (.., n) of transforms (.., W), both in units of :attr:`bin_scale` and of one precision."""
@@ -96,9 +103,12 @@ class Grid:
         """Bins of the band below w0."""
         return self.middle - int(self.band.bins[0])
 
-    def transforms(self, envelope: AnyComplexArray) -> AnyComplexArray:
-        """Transforms (.., n) of envelopes (.., n), the bin of w0 first, those below it at the end."""
-        return np.asarray(fft(envelope, axis=-1))
+    def transforms(self, envelope: AnyComplexArray, overwrite: bool = False) -> AnyComplexArray:
+        """Transforms (.., n) of envelopes (.., n), the bin of w0 first, those below it at the end.
+
+        ``overwrite``: in the memory of the envelopes.
+        """
+        return np.asarray(fft(envelope, axis=-1, overwrite_x=overwrite))
 
     def spectra(self, envelope: AnyComplexArray) -> AnyComplexArray:
         """Transforms (.., W) of envelopes (.., n), in units of :attr:`bin_scale` and of their precision."""
@@ -169,6 +179,11 @@ def _is_single(values: RealArray | AnyComplexArray) -> bool:
 def _parts(envelope: AnyComplexArray) -> RealArray:
     """Real and imaginary parts (.., 2, n) of envelopes (.., n)."""
     return np.stack([envelope.real, envelope.imag], axis=-2)
+
+
+def single_parts(values: ComplexArray) -> RealArray:
+    """Real and imaginary parts (.., 2, n) of values (.., n), in single precision."""
+    return _parts(values).astype(np.float32)
 
 
 def at_phases(envelope: AnyComplexArray, phases: Phases) -> RealArray:
