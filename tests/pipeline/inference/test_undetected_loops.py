@@ -21,11 +21,11 @@ from pipeline.inference.screening.undetected.bounds import (
     judged_together,
 )
 from pipeline.inference.screening.undetected.device import _judged_of, _Posed
-from pipeline.inference.screening.undetected.force_loops import first_harmonic, sums_of_squares, weighted_sums
-from pipeline.inference.screening.undetected.forces import _cyclic
+from pipeline.inference.screening.undetected.force_loops import end_sums, first_harmonic, sums_of_squares, weighted_sums
 from pipeline.inference.screening.undetected.library import Probe, members_of, probes_of
 from pipeline.inference.screening.undetected.loops import respond
-from pipeline.inference.screening.undetected.narrow_band import WHOLE_TURN, harmonics, waves
+from pipeline.inference.screening.undetected.motions import _cyclic
+from pipeline.inference.screening.undetected.narrow_band import WHOLE_TURN, grid_of, harmonics, waves
 from pipeline.inference.screening.undetected.parity import kind_of
 from pipeline.inference.screening.undetected.position_modes import PositionModes
 from pipeline.inference.screening.undetected.rows import take_out_hum, white_products
@@ -43,7 +43,7 @@ def test_a_written_first_harmonic_is_that_of_the_values(kind, rtol, first, count
     out = np.full((2, 3, 7), 9.0, dtype=np.complex64)
     turns = waves(WHOLE_TURN, (1,), kind is np.float32).T[None] * (2.0 / WHOLE_TURN.count)
     own = np.ascontiguousarray(values[..., :count])
-    first_harmonic(own, np.ascontiguousarray(turns), counted, first, out[:, 1])
+    first_harmonic(own, np.ascontiguousarray(turns), counted, first, 1, out.view(np.float32))
     (plain,) = harmonics(values.astype(np.float64).reshape(2, -1), WHOLE_TURN, 1)
     plain = np.roll(np.where(np.arange(7) < count, counted * plain, 0.0), first, axis=1)
     np.testing.assert_allclose(out[:, 1], plain, rtol=rtol, atol=rtol)
@@ -76,6 +76,20 @@ def test_sums_of_squares_are_the_same_whichever_point_comes_first():
     np.testing.assert_allclose(sums[0], plain, rtol=1e-12)
     np.testing.assert_array_equal(sums[5], sums[0])
     np.testing.assert_array_equal(sums[17], sums[0])
+
+
+@pytest.mark.parametrize("damping", [1.0, 1e3])
+def test_sums_up_to_the_end_of_a_record_count_the_decay_from_each_point(damping):
+    """A strongly damped mode keeps the last points only; factors counted from the start would overflow."""
+    band = make_band(drive_samples(Chirp(), RATE)[:3000], Instrument(), 500.0, 560.0)
+    grid, random = grid_of(band), np.random.default_rng(10)
+    exponents = -damping * np.array([[1.0, 0.5, 2.0]]) + 1j * np.array([[30.0, -40.0, 0.0]])
+    a = (random.standard_normal((1, 4, grid.points)) + 1j).astype(np.complex64)
+    out = np.empty((1, 3, 4), dtype=np.complex64)
+    end_sums(a, *grid.decays(exponents), out)
+    left = band.samples / band.sample_rate_hz - grid.time_s
+    plain = np.exp(exponents[..., None] * left) @ a.swapaxes(1, 2)
+    np.testing.assert_allclose(out, plain, atol=1e-5 * abs(plain).max())
 
 
 def test_the_points_that_are_used_follow_each_other_on_a_cyclic_grid():

@@ -72,23 +72,24 @@ class Grid:
 
         The jump of t from the end of the record to its start needs more points than envelopes have.
         """
-        product = fft(spectrum.astype(np.complex64), self._time_kernel.size, axis=-1)
+        product = fft(spectrum.astype(np.complex64, copy=False), self._time_kernel.size, axis=-1)
         product *= self._time_kernel
         return np.asarray(ifft(product, axis=-1)[..., : self.band.bins.size])
 
-    def decays(self, exponents: ComplexArray) -> RealArray:
-        """exp(x (T - t)) (.., 2, n) at the points, real parts first, of exponents x (..) [1/s], T the end of the record.
+    def decays(self, exponents: ComplexArray) -> tuple[RealArray, RealArray]:
+        """exp(x (T - t)) of exponents x (..) [1/s], T the end of the record, at the points as products of two short sequences.
 
-        In single precision.  Products of two short sequences, counted back from the end: a strongly damped mode would overflow
-        from the start.
+        The factors (.., 2, C) of every F points and those (.., 2, F) of F points that follow each other, real parts first, in
+        single precision; counted back from the end, because a strongly damped mode would overflow from the start.
         """
         step = self.band.samples / self.band.sample_rate_hz / self.points
         size = int(np.ceil(np.sqrt(self.points)))
-        back = np.arange(size)[::-1]
-        fine = np.exp(exponents[..., None] * (step * (1.0 + back))).astype(np.complex64)
-        coarse = np.exp(exponents[..., None] * (step * size * back)).astype(np.complex64)
-        whole = (coarse[..., :, None] * fine[..., None, :]).reshape(*exponents.shape, -1)[..., -self.points :]
-        return np.stack([whole.real, whole.imag], axis=-2)
+        fine, coarse = (np.empty((*exponents.shape, size), dtype=np.complex128) for _ in range(2))
+        fine[:] = np.exp(exponents * step)[..., None]
+        np.cumprod(fine, axis=-1, out=fine)
+        coarse[..., 0], coarse[..., 1:] = 1.0, fine[..., -1:]
+        np.cumprod(coarse, axis=-1, out=coarse)
+        return single_parts(coarse[..., ::-1]), single_parts(fine[..., ::-1])
 
     def envelopes(self, spectrum: AnyComplexArray) -> AnyComplexArray:
         """a (.., n) of transforms (.., W), both in units of :attr:`bin_scale` and of one precision."""
@@ -178,6 +179,11 @@ def _is_single(values: RealArray | AnyComplexArray) -> bool:
 def _parts(envelope: AnyComplexArray) -> RealArray:
     """Real and imaginary parts (.., 2, n) of envelopes (.., n)."""
     return np.stack([envelope.real, envelope.imag], axis=-2)
+
+
+def single_parts(values: ComplexArray) -> RealArray:
+    """Real and imaginary parts (.., 2, n) of values (.., n), in single precision."""
+    return _parts(values).astype(np.float32)
 
 
 def at_phases(envelope: AnyComplexArray, phases: Phases) -> RealArray:

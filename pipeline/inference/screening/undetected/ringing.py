@@ -35,7 +35,7 @@ def ringing(devices: Sequence[LinearDevice], grid: Grid, envelopes: AnyComplexAr
     poles = np.stack([device.poles for device in devices])
     # One more for the coordinates on which a force does not act.
     ends = np.zeros((len(devices), 3, int(rows.max(initial=-1)) + 2), dtype=np.complex64)
-    end_sums(envelopes, grid.decays(poles - 1j * grid.omega), ends[:, :, :-1])
+    end_sums(envelopes, *grid.decays(poles - 1j * grid.omega), ends[:, :, :-1])
     turned = (0.5 * span / grid.points) * np.exp(1j * grid.omega * span)
     parts: ComplexArray = np.stack([device.parts for device in devices]) * turned
     modal = ends[:, :, rows] @ parts.swapaxes(2, 3)
