@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
@@ -27,6 +28,10 @@ from .layout import Places, places
 from .numbers import Numbers, SeededNumbers
 from .site import Site
 from .spec import PopulationSpec
+
+_STAGES: tuple[Stage, ...] = get_args(Stage)
+#: Stages whose changes a packaged device has.
+_PACKAGED: tuple[Stage, ...] = ("fabrication", "package")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +103,7 @@ class Draw:
         """
         device, found = self.spec.device, dict[str, FloatArray]()
         count, springs = len(self.index), len(device.spring_azimuth_deg)
-        packaged = _structure(self.changes, count, springs, "fabrication", "package")
+        packaged = _structure(self.changes, count, springs, *_PACKAGED)
         whole = stiffness(device, packaged, self.spec.bias_ratio).rocking.anisotropy
         size = np.maximum(np.hypot(whole.real, whole.imag), np.finfo(np.float64).tiny)
         for name, stage, change in self.changes:
@@ -137,18 +142,42 @@ def draw_with(spec: PopulationSpec, index: IntArray, placed: Places, numbers: Nu
     """
     device, operating, count = spec.device, spec.operating, len(index)
     recorded = RecordedNumbers(numbers)
-    changes: list[tuple[str, Stage, Change]] = []
-    for irregularity, values in spec.found():
-        site = Site(irregularity.name, recorded, index, placed, device, spec.wafer, operating)
-        changes.append((irregularity.name, irregularity.stage, acted(irregularity, values, site)))
-
+    changes = _changes(spec, index, placed, recorded, _STAGES)
     springs, bias = len(device.spring_azimuth_deg), spec.bias_ratio
-    packaged = _structure(changes, count, springs, "fabrication", "package")
-    true = parameters(device, packaged, bias, operating.lid_pressure_pa / device.nominal_pressure_pa)
+    packaged = _structure(changes, count, springs, *_PACKAGED)
+    true = _true(spec, packaged)
     probe = operating.probe_pressure_pa / device.nominal_pressure_pa
     fab = parameters(device, _structure(changes, count, springs, "fabrication", "probe"), 1.0, probe)
     sizes = effects(device, packaged, bias, true)
     return Draw(index, placed, fab, true, sizes, tuple(changes), recorded.drawn(count), spec)
+
+
+def true_with(spec: PopulationSpec, index: IntArray, placed: Places, numbers: Numbers) -> dict[str, FloatArray]:
+    """``true`` of :func:`draw_with` alone, bit for bit, in less than half of its time.
+
+    Raises
+    ------
+    ConfigError : a device has no positive stiffness as packaged, or an irregularity gives invalid changes.
+    """
+    changes = _changes(spec, index, placed, numbers, _PACKAGED)
+    return _true(spec, _structure(changes, len(index), len(spec.device.spring_azimuth_deg), *_PACKAGED))
+
+
+def _true(spec: PopulationSpec, packaged: Structure) -> dict[str, FloatArray]:
+    pressure = spec.operating.lid_pressure_pa / spec.device.nominal_pressure_pa
+    return parameters(spec.device, packaged, spec.bias_ratio, pressure)
+
+
+def _changes(
+    spec: PopulationSpec, index: IntArray, placed: Places, numbers: Numbers, stages: Sequence[Stage]
+) -> list[tuple[str, Stage, Change]]:
+    """What each irregularity of ``stages`` does, with its name and stage."""
+    changes: list[tuple[str, Stage, Change]] = []
+    for irregularity, values in spec.found():
+        if irregularity.stage in stages:
+            site = Site(irregularity.name, numbers, index, placed, spec.device, spec.wafer, spec.operating)
+            changes.append((irregularity.name, irregularity.stage, acted(irregularity, values, site)))
+    return changes
 
 
 def _structure(changes: Sequence[tuple[str, Stage, Change]], count: int, springs: int, *stages: Stage) -> Structure:

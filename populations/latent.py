@@ -29,7 +29,7 @@ from pipeline.arrays import FloatArray, IntArray
 from pipeline.errors import ConfigError, UsageError
 
 from .acting import acted
-from .draw import Draw, draw_with
+from .draw import Draw, draw_with, true_with
 from .layout import Places, die_centres
 from .nominal import Wafer
 from .numbers import SeededNumbers, field_factor
@@ -199,9 +199,27 @@ def draw_latent(spec: PopulationSpec, space: LatentSpace, z: FloatArray, seed: i
     UsageError : ``z`` does not have the shape (B, d) with B of at least 1.
     ConfigError : as :func:`populations.draw.draw`.
     """
+    return draw_with(*_latent(spec, space, z, seed))
+
+
+def true_latent(spec: PopulationSpec, space: LatentSpace, z: FloatArray, seed: int) -> dict[str, FloatArray]:
+    """``true`` of :func:`draw_latent` alone, bit for bit, in less than half of its time: what an attribution asks 91 times.
+
+    Raises
+    ------
+    UsageError : as :func:`draw_latent`.
+    ConfigError : as :func:`populations.draw.true_with`.
+    """
+    return true_with(*_latent(spec, space, z, seed))
+
+
+def _latent(
+    spec: PopulationSpec, space: LatentSpace, z: FloatArray, seed: int
+) -> tuple[PopulationSpec, IntArray, Places, LatentNumbers]:
+    """The population, device numbers, places and random numbers of devices with the latent normals ``z`` (B, d)."""
     if z.ndim != 2 or z.shape[1] != space.dimension or not len(z):
         allowed = f"(devices, {space.dimension})"
         raise UsageError("the latent normals have another shape", value=z.shape, allowed=allowed)
     columns = np.ascontiguousarray(z.T)
     placed = _places(spec.wafer, columns[space.first[_DIE]])
-    return draw_with(spec, np.arange(len(z), dtype=np.int64), placed, LatentNumbers(space, columns, seed))
+    return spec, np.arange(len(z), dtype=np.int64), placed, LatentNumbers(space, columns, seed)

@@ -18,7 +18,7 @@ from pipeline.errors import UsageError
 from pipeline.quantities import AXES
 from pipeline.store.columns import StoredTable
 from populations.drawn import UNIFORM
-from populations.latent import draw_latent, latent_space
+from populations.latent import latent_space, true_latent
 from reports.attribution.content import (
     FIELD,
     LOSS,
@@ -107,7 +107,8 @@ def process_shares(config: RunConfig, samples: int) -> tuple[OutputShares, ...]:
     quantities = [q for q in limits.quantities if q not in AXES]
 
     def evaluate(z: FloatArray) -> FloatArray:
-        true = true_quantities(config, draw_latent(spec, space, z, config.run.seed).true, float(spec.angular_gain))
+        drawn = true_latent(spec, space, z, config.run.seed)
+        true = true_quantities(config, drawn, float(spec.angular_gain), limits.quantities)
         met = conforms_each(limits, true)
         lost = [~np.logical_and.reduce(list(met.values())), *(~met[q] for q in limits.quantities)]
         return np.stack([*lost, *(true[q] for q in quantities)], axis=1).astype(np.float64)

@@ -17,10 +17,10 @@ from threadpoolctl import threadpool_limits
 from pipeline.arrays import FloatArray
 from pipeline.errors import GyroscreenError
 from pipeline.experiment.antialias import Bank
-from pipeline.inference.estimate import quantities
+from pipeline.inference.estimate import identified_quantities, quantities
 from pipeline.inference.screening.result import DeviceResult, Fitted, failed_result, lost_result, results_of
 from pipeline.inference.systematic import Identified, common_nodes
-from pipeline.quantities import MODEL, NAMES
+from pipeline.quantities import MODEL, NAMES, PERFORMANCE
 from pipeline.store.schema import devices_table, posterior_table
 from populations.draw import Draw, draw
 from reports.decision import conformity, conforms, decide
@@ -137,10 +137,19 @@ def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[s
     return out
 
 
-def true_quantities(config: RunConfig, values: Mapping[str, FloatArray], angular_gain: float) -> dict[str, FloatArray]:
-    """All result quantities (B,) of devices with the parameters ``values`` (B,) by name, without an error of measurement."""
+def true_quantities(
+    config: RunConfig,
+    values: Mapping[str, FloatArray],
+    angular_gain: float,
+    needed: Collection[str] = tuple(NAMES),
+) -> dict[str, FloatArray]:
+    """Result quantities (B,) of devices with the parameters ``values`` (B,) by name, without an error of measurement.
+
+    All of them, or those that do not depend on the operation where these are all that is ``needed``.
+    """
     rate = with_true_noise(config, rate_of(config, angular_gain))
-    return quantities(physical_of(values), rate, values["split_hz"])
+    found = quantities if any(q.name in needed for q in PERFORMANCE) else identified_quantities
+    return found(physical_of(values), rate, values["split_hz"])
 
 
 def _causes(limits: Limits, truth: Mapping[str, FloatArray]) -> list[str | None]:

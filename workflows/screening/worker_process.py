@@ -23,6 +23,8 @@ _PR_SET_PDEATHSIG = 1
 _SIGN_S = 5.0
 #: The driver ends a worker that takes too much memory; nothing is written to disk, and no worker waits for memory.
 _MEMORY = {f"distributed.worker.memory.{key}": False for key in ("target", "spill", "pause", "terminate")}
+#: Nobody looks at the profile of a worker, which is sampled a hundred times a second, or at its web pages: 8 MB without them.
+_UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.worker.http.routes": []}
 
 
 def name_of(pid: int) -> str:
@@ -57,7 +59,7 @@ def main() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != int(sys.argv[3]):  # killed before the call, while this process was still importing
             return
-    with dask.config.set({**_MEMORY, "distributed.worker.daemon": False}):
+    with dask.config.set({**_MEMORY, **_UNWATCHED, "distributed.worker.daemon": False}):
         asyncio.run(_serve(sys.argv[1], int(sys.argv[2])))
 
 

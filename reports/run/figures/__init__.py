@@ -69,7 +69,9 @@ def device_corner(
 
     ``estimates`` gives the truths.
     """
-    rows = Devices(rows_of(posterior, device_id))
+    # The other columns of all draws of the part need not be read.
+    held = [name for name in ("device_id", *CORNER) if name in posterior.column_names]
+    rows = Devices(rows_of(posterior.select(held), device_id))
     truths = {estimate.quantity: estimate.truth for estimate in estimates}
     columns: list[FloatArray] = []
     shown: list[float] = []
