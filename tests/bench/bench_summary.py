@@ -8,7 +8,7 @@ from pipeline.inference.estimate import cartesian_quantities, estimate_from, int
 from pipeline.inference.gate import GoodnessOfFit
 from pipeline.inference.screening.mismatch import without_tilt
 from pipeline.inference.screening.result import DeviceResult
-from workflows.screening.block import judged
+from workflows.screening.judging import judged
 
 PART = "gate and summary"
 

@@ -6,8 +6,10 @@ a result.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,25 +21,23 @@ from pipeline.errors import GyroscreenError
 from pipeline.experiment.antialias import Bank
 from pipeline.inference.estimate import identified_quantities, quantities
 from pipeline.inference.screening.result import DeviceResult, Fitted, failed_result, lost_result, results_of
-from pipeline.inference.systematic import Identified, common_nodes
-from pipeline.quantities import MODEL, NAMES, PERFORMANCE
-from pipeline.store.schema import devices_table, posterior_table
+from pipeline.quantities import NAMES, PERFORMANCE
+from pipeline.store.schema import devices_table
 from populations.draw import Draw, draw
-from reports.decision import conformity, conforms, decide
+from reports.decision import conforms
 from reports.limits import Limits
 
 from ..config import RunConfig
 from .drawn_table import drawn_table
 from .guard import Begin, unguarded
+from .judging import JudgedDevice, judged_devices, posterior_of
 from .settings import TRIM_STREAM, device_seed, population, rate_of, with_true_noise
 from .trimming import trimmed_columns
 from .virtual_device import fit_virtual, physical_of, virtual_banks
 
-#: Posterior draws at each common error: P(conform) in steps of 1/200, a tenth of the rule's 0.05.
-DRAWS_GIVEN_COMMON = 200
-
-#: Devices of a block that are scored together: 8 save all that 16 save, and hold 7 MB (16: 16 MB).
-_TOGETHER = 8
+#: Devices of a block that are scored together.  Blocks of 25 in groups of 5, 8, 12 and 25 take the same time within 2 %; a device
+#: that waits for its group holds 2 MB.
+_TOGETHER = 5
 #: What ends a device, not the run.
 _FAILURES = (GyroscreenError, ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError)
 
@@ -104,28 +104,25 @@ def _finished(fitted: Sequence[Fitted | DeviceResult]) -> list[DeviceResult]:
 
 
 def _results(
-    config: RunConfig, block: DeviceBlock, drawn: Draw, angular_gain: float, begin: Begin
+    config: RunConfig, block: DeviceBlock, drawn: Draw, angular_gain: float, begin: Begin, devices: range
 ) -> list[DeviceResult]:
+    """Of some devices of a block, which are scored together."""
     if block.lost:
-        return [lost_result(block.lost)] * block.count
-    kept = {*(q.name for q in MODEL), *config.judged_by().quantities}
-    results: list[DeviceResult] = []
-    for first in range(0, block.count, _TOGETHER):
-        devices = range(first, min(first + _TOGETHER, block.count))
-        fitted: list[Fitted | DeviceResult] = []
-        banks: Sequence[Bank | None] = ()
-        for i in devices:
-            begin(block.first + i)
-            banks = banks or _banks(config, drawn, devices)
-            fitted.append(_fitted(config, drawn, i, angular_gain, banks[i - first]))
-        results += [_slim(result, kept) for result in _finished(fitted)]
-    return results
+        return [lost_result(block.lost)] * len(devices)
+    fitted: list[Fitted | DeviceResult] = []
+    banks: Sequence[Bank | None] = ()
+    for i in devices:
+        begin(block.first + i)
+        banks = banks or _banks(config, drawn, devices)
+        fitted.append(_fitted(config, drawn, i, angular_gain, banks[i - devices.start]))
+    return _finished(fitted)
 
 
-def _slim(result: DeviceResult, names: Collection[str]) -> DeviceResult:
-    """The result with the draws of these quantities only: all draws of a block of 25 take 17 MB."""
-    draws = {name: values for name, values in result.estimate.draws.items() if name in names}
-    return replace(result, estimate=replace(result.estimate, draws=draws))
+def groups_of(count: int, most: int = _TOGETHER) -> list[range]:
+    """Devices 0 .. ``count`` - 1 in groups as equal as possible of about ``most``: a device alone takes 1.3 times as long."""
+    groups = max(round(count / most), 1)
+    edges = [count * k // groups for k in range(groups + 1)]
+    return [range(first, last) for first, last in pairwise(edges)]
 
 
 def truth_columns(config: RunConfig, drawn: Draw, angular_gain: float) -> dict[str, FloatArray]:
@@ -159,92 +156,34 @@ def _causes(limits: Limits, truth: Mapping[str, FloatArray]) -> list[str | None]
     return [None if t else ("packaging" if f else "fabrication") for f, t in zip(fab, true)]
 
 
-def judged(results: Sequence[DeviceResult], limits: Limits) -> dict[str, list[Any]]:
-    """p_pass, verdict and failed_limits of each result, by column name."""
-    unknown = np.full(1, np.nan)
-    draws = [{q: result.estimate.draws.get(q, unknown) for q in limits.quantities} for result in results]
-    # Devices with equal numbers of draws are judged together.
-    alike: dict[tuple[int, ...], list[int]] = {}
-    for i, own in enumerate(draws):
-        alike.setdefault(tuple(values.size for values in own.values()), []).append(i)
-    out: dict[str, list[Any]] = {name: [None] * len(results) for name in ("p_pass", "verdict", "failed_limits")}
-    for places in alike.values():
-        stacked = {q: np.stack([draws[i][q] for i in places]) for q in limits.quantities}
-        found = decide(limits, stacked, [results[i].estimate.status for i in places])
-        for i, p_pass, verdict, failed in zip(places, found.p_pass.tolist(), found.verdict, found.failed_limits):
-            out["p_pass"][i], out["verdict"][i], out["failed_limits"][i] = p_pass, verdict, failed
-    return out
-
-
 def tables_of(
-    index: int,
-    device_id: Sequence[str],
-    fixed: Mapping[str, Any],
-    results: Sequence[DeviceResult],
-    limits: Limits,
-    stored_draws: int,
+    index: int, device_id: Sequence[str], fixed: Mapping[str, Any], devices: Sequence[JudgedDevice]
 ) -> BlockTables:
     """The tables of a block.
 
     Parameters
     ----------
     index : number of the block.
-    device_id, results : of each device.
+    device_id, devices : of each device.
     fixed : further columns by name, one value per device.
-    limits : by which the devices are judged.
-    stored_draws : largest number of posterior draws kept per device.
     """
-    names = sorted({name for result in results for name in result.columns})
-    columns: dict[str, Any] = {name: [result.columns.get(name) for result in results] for name in names}
-    devices = devices_table({"device_id": list(device_id), **fixed, **columns, **judged(results, limits)})
-    statuses: dict[str, int] = {}
-    for result in results:
-        status = result.estimate.status
-        statuses[status] = statuses.get(status, 0) + 1
-    posterior = _posterior(device_id, results, limits, stored_draws) if stored_draws else None
-    return BlockTables(index, devices, posterior, statuses)
-
-
-def p_pass_given_common(limits: Limits, identified: Identified, nodes: FloatArray) -> FloatArray:
-    """P(conform) (K,) of a device at each of K common errors, ``nodes`` (K, 5) [sd]; nan where it is unknown."""
-    count = identified.split_hz.size
-    kept = np.linspace(0, count - 1, min(DRAWS_GIVEN_COMMON, count)).round().astype(np.int64)
-    draws = identified.thinned(kept).given(np.broadcast_to(nodes[:, None], (nodes.shape[0], kept.size, nodes.shape[1])))
-    return conformity(limits, {q: draws[q] for q in limits.quantities}).p_pass
-
-
-def _posterior(
-    device_id: Sequence[str], results: Sequence[DeviceResult], limits: Limits, stored_draws: int
-) -> pa.Table:
-    """At most ``stored_draws`` draws of each device, evenly spaced along its chains; P(conform) at that many common errors."""
-    parts: dict[str, list[Any]] = {"device_id": [], "draw": [], **{q.name: [] for q in MODEL}}
-    parts["p_pass_given_common"] = []
-    for identity, result in zip(device_id, results):
-        draws = result.estimate.draws
-        if not draws:
-            continue
-        total = draws["theta_deg"].size
-        kept = np.linspace(0, total - 1, min(stored_draws, total)).round().astype(np.int64)
-        parts["device_id"] += [identity] * kept.size
-        parts["draw"].append(np.arange(kept.size, dtype=np.int32))
-        for q in MODEL:
-            parts[q.name].append(draws[q.name][kept])
-        given = np.full(kept.size, np.nan)
-        if result.identified is not None and result.estimate.status == "ok":
-            given = p_pass_given_common(limits, result.identified, common_nodes(kept.size))
-        parts["p_pass_given_common"].append(given)
-    return posterior_table({k: (v if k == "device_id" else np.concatenate(v) if v else []) for k, v in parts.items()})
+    names = sorted({name for device in devices for name in device.columns})
+    columns: dict[str, Any] = {name: [device.columns.get(name) for device in devices] for name in names}
+    table = devices_table({"device_id": list(device_id), **fixed, **columns})
+    stored = any(device.draws is not None for device in devices)
+    posterior = posterior_of(device_id, [device.draws for device in devices]) if stored else None
+    return BlockTables(index, table, posterior, dict(Counter(device.status for device in devices)))
 
 
 def _with_trim(
-    config: RunConfig, limits: Limits, results: Sequence[DeviceResult], drawn: Draw, gain: float
+    config: RunConfig, limits: Limits, results: Sequence[DeviceResult], drawn: Draw, gain: float, devices: range
 ) -> list[DeviceResult]:
-    """The results with their trim columns, if the run has a [trim]."""
+    """The results of some devices with their trim columns, if the run has a [trim]."""
     if config.trim is None:
         return list(results)
     physical, rate = physical_of(drawn.true), rate_of(config, gain)
     out = []
-    for i, result in enumerate(results):
+    for i, result in zip(devices, results):
         seed = device_seed(config, TRIM_STREAM, int(drawn.index[i]))
         more = trimmed_columns(config.trim, limits, result, physical[i], rate, seed)
         out.append(replace(result, columns={**result.columns, **more}))
@@ -257,10 +196,16 @@ def virtual_block(config: RunConfig, block: DeviceBlock, begin: Begin = unguarde
         spec = population(config)
         drawn = draw(spec, config.run.seed, block.first, block.count)
         gain = float(spec.angular_gain)
-        results = _results(config, block, drawn, gain, begin)
-        truth = truth_columns(config, drawn, gain)
         limits = config.judged_by()
-        results = _with_trim(config, limits, results, drawn, gain)
+        found: list[JudgedDevice] = []
+        for devices in groups_of(block.count):
+            # No name holds the results of a group while the next one is identified: they are 5 MB.
+            found += judged_devices(
+                _with_trim(config, limits, _results(config, block, drawn, gain, begin, devices), drawn, gain, devices),
+                limits,
+                config.posterior.stored_draws,
+            )
+        truth = truth_columns(config, drawn, gain)
         fixed = {
             "lot": list(drawn.lot),
             "wafer": list(drawn.wafer),
@@ -270,5 +215,5 @@ def virtual_block(config: RunConfig, block: DeviceBlock, begin: Begin = unguarde
             "cause": _causes(limits, truth),
             **truth,
         }
-        found = tables_of(block.index, drawn.device_id, fixed, results, limits, config.posterior.stored_draws)
-        return replace(found, irregularities=drawn_table(drawn)) if config.source.store_irregularities else found
+        tables = tables_of(block.index, drawn.device_id, fixed, found)
+        return replace(tables, irregularities=drawn_table(drawn)) if config.source.store_irregularities else tables

@@ -19,6 +19,7 @@ from ..config import RunConfig
 from .block import BlockTables, DeviceBlock, tables_of
 from .campaign_source import CampaignSource, declared_id
 from .guard import Begin, unguarded
+from .judging import judged_devices
 from .settings import CAMPAIGN_STREAM, device_seed, settings_of, with_run_tables
 from .trimming import trimmed_columns
 
@@ -72,7 +73,5 @@ def campaign_block(
             block.index,
             [device_id for device_id, _ in found],
             _stated(campaigns),
-            [result for _, result in found],
-            config.judged_by(),
-            config.posterior.stored_draws,
+            judged_devices([result for _, result in found], config.judged_by(), config.posterior.stored_draws),
         )

@@ -26,7 +26,7 @@ from reports.common_errors import GivenCommon
 from reports.limits import Limits
 from reports.what_if.draws import DrawBatch, reweighted, reweighted_share
 
-from ..screening.block import DRAWS_GIVEN_COMMON
+from ..screening.judging import DRAWS_GIVEN_COMMON
 from .counted import counts
 from .stored import StoredDraws
 

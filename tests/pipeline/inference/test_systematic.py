@@ -12,7 +12,7 @@ from pipeline.inference.estimate import RateSettings, cartesian_quantities, inte
 from pipeline.inference.systematic import Identified, common_nodes, with_common_errors
 from reports.decision import decide
 from reports.limits import load_limits
-from workflows.screening.block import p_pass_given_common
+from workflows.screening.judging import p_pass_given_common
 
 PAPER = np.array([534.5, 536.4, 590.3, 3.167e-4, 1.586e-4, 11.7e-4, -33.2, 0.4, 13.33, 28.6, 0.0386, 0.0007])
 COUNT, KAPPA, PHI = 3072, 0.7, 1.0

@@ -7,7 +7,8 @@ from pipeline.errors import ConfigError
 from pipeline.inference.estimate import Estimate
 from pipeline.inference.screening.result import DeviceResult
 from workflows.config import load_config
-from workflows.screening.block import DeviceBlock, judged, virtual_block
+from workflows.screening.block import DeviceBlock, virtual_block
+from workflows.screening.judging import judged
 
 LIMITS = """
 [run]

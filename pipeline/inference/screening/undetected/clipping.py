@@ -118,40 +118,10 @@ def transform_of_few(band: Band, where: IntArray, change: FloatArray) -> Complex
         whole = np.zeros((samples, change.shape[1]))
         whole[where] = change
         return band.transform(whole)
-    out = np.empty((change.shape[1], bins.size), dtype=np.complex128)
-    _transform_of_few(where, change, int(bins[0]), samples, out)
-    return out
-
-
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _transform_of_few(where: IntArray, change: FloatArray, first: int, samples: int, out: ComplexArray) -> None:
-    senses, bins = out.shape
-    length = math.ceil(math.sqrt(bins))
-    fine, at = np.empty((2, length)), np.empty((2, length))
-    # Real numbers, as numba writes no vectors for complex ones.
-    total = np.zeros((senses, 2, bins))
-    for i in range(where.size):
-        _turns(where[i], 0, 1, samples, fine)
-        _turns(where[i], first, length, samples, at)
-        for j in range(-(-bins // length)):
-            begin = j * length
-            for a in range(senses):
-                real, imaginary = change[i, a] * at[0, j], change[i, a] * at[1, j]
-                for k in range(min(length, bins - begin)):
-                    total[a, 0, begin + k] += real * fine[0, k] - imaginary * fine[1, k]
-                    total[a, 1, begin + k] += real * fine[1, k] + imaginary * fine[0, k]
-    for a in range(senses):
-        for b in range(bins):
-            out[a, b] = complex(total[a, 0, b], total[a, 1, b])
-
-
-@njit(cache=True, error_model="numpy")
-def _turns(sample: int, first: int, step: int, samples: int, out: FloatArray) -> None:
-    """Write exp(-2 pi i n (b + L k) / N) of a ``sample`` n to ``out`` (2, length), real parts before imaginary ones."""
-    turn = -2.0 * math.pi / samples
-    # Whole turns are taken off as integers, so that the angles keep all their digits.
-    angle, more = turn * ((sample * first) % samples), turn * ((sample * step) % samples)
-    real, imaginary, cosine, sine = math.cos(angle), math.sin(angle), math.cos(more), math.sin(more)
-    for k in range(out.shape[1]):
-        out[0, k], out[1, k] = real, imaginary
-        real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+    length = math.isqrt(bins.size - 1) + 1
+    steps = np.concatenate([bins[::length], np.arange(length)])
+    # Whole turns are taken off as integers, so that the angle keeps all its digits.
+    waves = np.exp((-2j * np.pi / samples) * ((where[:, None] * steps) % samples))
+    coarse, fine = waves[:, :-length], waves[:, -length:]
+    found = (coarse.T * change.T[:, None]) @ fine
+    return np.ascontiguousarray(found.reshape(change.shape[1], -1)[:, : bins.size])

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.fft import ifft
 
 from ....arrays import AnyComplexArray, ComplexArray, FloatArray, IntArray, RealArray, real_parts
 from ....device.effect import Context
@@ -32,7 +31,7 @@ from ..inband import Band
 from ..kept import kept_if_short
 from ..likelihood import ORDER
 from .library import Probe
-from .loops import in_features, padded_product, respond
+from .loops import in_features, respond
 from .narrow_band import Grid, Signals
 from .position_modes import PositionModes
 
@@ -118,6 +117,8 @@ class LinearDevice:
         # Without T its part is that of R with no weight.
         moving = residues if slopes is None else slopes
         weight = 0.0 if slopes is None else 1.0
+        # A second layout in memory would be compiled a second time, which takes 1 MB of each worker.
+        residues, moving = np.ascontiguousarray(residues), np.ascontiguousarray(moving)
         in_features(residues.reshape(flat), moving.reshape(flat), weight, self.shifts, self.source, out)
         return out.reshape(*several, channels, -1)
 
@@ -147,8 +148,10 @@ class LinearDevice:
         """Envelopes of the motion and of the drive on a grid."""
         inverse, drive = shared_signals(self.band, grid)
         whole = np.empty((6 + drive.shape[0], grid.points), dtype=np.complex64)
-        padded_product(motion.moving, inverse, grid.below, whole)
-        whole[:6], whole[6:] = ifft(whole[:6], axis=-1, overwrite_x=True), drive
+        moving = np.empty((6, self.s.size), dtype=np.complex64)
+        moving.real, moving.imag = motion.moving[:, : self.s.size], motion.moving[:, self.s.size :]
+        moving *= inverse
+        whole[:6], whole[6:] = grid.envelopes(moving), drive
         return Signals(grid, whole)
 
     @cached_property
@@ -193,12 +196,10 @@ def frequency_axis(band: Band) -> tuple[ComplexArray, ComplexArray, ComplexArray
 
 
 @kept_if_short(4)
-def shared_signals(band: Band, grid: Grid) -> tuple[RealArray, ComplexArray]:
-    """What all devices of a band share: 1 / G (2 W,), real parts first, in units of the grid and in single precision, and the
-    envelopes (D, n) [V] of the drive.
-    """
+def shared_signals(band: Band, grid: Grid) -> tuple[AnyComplexArray, ComplexArray]:
+    """What devices of a band share: 1 / G (W,) in units of the grid, single precision, and envelopes (D, n) [V] of the drive."""
     _, antialias, drive = frequency_axis(band)
-    inverse = real_parts(1.0 / (grid.bin_scale * antialias)).reshape(-1).astype(np.float32)
+    inverse = (1.0 / (grid.bin_scale * antialias)).astype(np.complex64)
     return inverse, grid.envelopes(drive / grid.bin_scale)
 
 

@@ -128,21 +128,6 @@ def in_features(
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
-def padded_product(spectra: FloatArray, factor: RealArray, below: int, out: AnyComplexArray) -> None:
-    """Write products of spectra (k, 2 W) and a factor (2 W,) to the first rows of ``out`` (>= k, n), as a transform needs them.
-
-    The bin of w0 comes first, the ``below`` bins below it last, and zeros between.
-    """
-    bins, points = factor.size // 2, out.shape[1]
-    for k in range(spectra.shape[0]):
-        out[k, bins - below : points - below] = 0.0
-        for w in range(bins):
-            a, b, x, y = factor[w], factor[bins + w], np.float32(spectra[k, w]), np.float32(spectra[k, bins + w])
-            at = w - below if w >= below else points + w - below
-            out[k, at] = complex(a * x - b * y, a * y + b * x)
-
-
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
 def read_out(filters: RealArray, lags: RealArray, sensed: FloatArray, of_drives: FloatArray, out: FloatArray) -> None:
     """Write sum_r F_ksr(w) S_r(w), then sum_d L_ld(w) S_ds(w), (k + l, S, 2 W), to ``out``.
 

@@ -27,9 +27,6 @@ from .linear_stages import clock_changes, mechanics_coefficients, readout_signat
 from .narrow_band import Signals, grid_of
 from .nonlinear import sense_changes
 
-#: Devices whose forces are computed at once: four take 0.1 ms more each.
-_AT_ONCE = 8
-
 
 @dataclass(frozen=True, eq=False)
 class Found:
@@ -89,10 +86,7 @@ def along_motions(
     with_mismatch : whether the fits have electrode mismatches.
     """
     signals = [own for _, own in motions]
-    forces: list[DeviceForces] = []
-    for first in range(0, len(devices), _AT_ONCE):
-        own = slice(first, first + _AT_ONCE)
-        forces += forces_of(devices[own], signals[own], sizes[own], with_mismatch)
+    forces = forces_of(devices, signals, sizes, with_mismatch)
     adc = [adc_changes(*one, with_mismatch) for one in zip(devices, louds, sizes)]
     sense = [sense_changes(*one, with_mismatch) for one in zip(devices, signals)]
     clock = clock_changes(devices, [own for own, _ in motions], signals[0].grid, with_mismatch)
