@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
-import psutil
 import pyarrow as pa
 
 from ..errors import IncompleteError, UsageError
@@ -107,6 +106,8 @@ class QueryProcess:
 
     def _watch(self, request: Question, got: _Received, timeout_s: float) -> None:
         """Until the process ends; raises when it exceeds a limit."""
+        import psutil  # loading it takes 20 ms, and other commands that read a run do not need it
+
         started, process = time.monotonic(), psutil.Process(self._process.pid)
         while self._process.poll() is None:
             with suppress(psutil.Error):

@@ -12,7 +12,7 @@ from scipy.stats import kstest
 
 from pipeline.errors import ConfigError, UsageError
 from populations.draw import draw
-from populations.latent import draw_latent, latent_space
+from populations.latent import draw_latent, latent_space, true_latent
 from populations.layout import die_centres
 from populations.numbers import field_factor
 from populations.spec import load_spec
@@ -34,6 +34,13 @@ def test_a_device_is_a_function_of_its_own_latent_normals() -> None:
     assert len(set(batch.wafer)) == 50
     again = draw_latent(SPEC, pickle.loads(pickle.dumps(SPACE)), z, 1)
     assert all(np.array_equal(values, again.true[name]) for name, values in batch.true.items())
+
+
+def test_true_values_alone_are_those_of_the_whole_draw_bit_for_bit() -> None:
+    z = normals(50, 2)
+    whole, alone = draw_latent(SPEC, SPACE, z, 1).true, true_latent(SPEC, SPACE, z, 1)
+    assert whole.keys() == alone.keys()
+    assert all(np.array_equal(values, alone[name]) for name, values in whole.items())
 
 
 def test_marginals_are_those_of_devices_of_seeded_lots() -> None:

@@ -28,7 +28,7 @@ from workflows.attribution.shares import process_shares
 from workflows.attribution.stored import stored_numbers
 from workflows.attribution.what_if import what_if
 from workflows.cli import call
-from workflows.config import load_config
+from workflows.config import RunConfig, load_config
 from workflows.screening.block import true_quantities
 from workflows.screening.settings import population
 
@@ -215,3 +215,13 @@ def test_names_and_levels_of_own_irregularities_cannot_break_the_figure():
     figure = drawing.__html__()
     assert "<script>" not in figure
     assert "a$b&lt;script&gt;, batch" in figure
+
+
+def test_quantities_that_do_not_depend_on_the_operation_are_the_same_without_the_others() -> None:
+    config = RunConfig()
+    drawn, gain = draw(population(config), 3, 0, 20).true, population(config).angular_gain
+    whole = true_quantities(config, drawn, gain)
+    few = true_quantities(config, drawn, gain, ["quality1", "rate_bias_dps"])
+    assert whole.keys() > few.keys() >= {"quality1", "rate_bias_dps"}
+    assert all(np.array_equal(values, whole[name]) for name, values in few.items())
+    assert true_quantities(config, drawn, gain, ["bandwidth_hz"]).keys() == whole.keys()
