@@ -22,7 +22,7 @@ from workflows.screening.block import DeviceBlock, virtual_block
 TOGETHER = 24
 #: The functions, by the module that calls them.
 PARTS = {
-    "workflows.screening.block": "draw fit_virtual results_of tables_of",
+    "workflows.screening.block": "draw fit_virtual results_of judged_devices tables_of",
     "workflows.screening.virtual_device": "virtual_records virtual_volts measured noise_spectrum fit_device",
     "pipeline.inference.screening.device": "identify_record best_fit model_volts full_band_quality sample",
     "pipeline.inference.screening.fit": "compress",
@@ -34,7 +34,9 @@ PARTS = {
         "_linear band_motion _along signatures _of_record _products _posed _judged_of"
         " scanned_products white_products judged_scans"
     ),
-    "pipeline.inference.screening.undetected.signatures": "sense_signatures readout_signatures adc_signatures",
+    "pipeline.inference.screening.undetected.signatures": (
+        "forces_of adc_changes sense_changes time_changes readout_signatures"
+    ),
     "pipeline.inference.screening.undetected.forces": "force_of_devices first_harmonic",
     "pipeline.inference.screening.undetected.linear": "respond",
     "pipeline.identification.route": "bandpass fit_arx modes_of",

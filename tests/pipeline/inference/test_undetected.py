@@ -25,7 +25,7 @@ from pipeline.inference.screening.undetected.bounds import (
     judged,
     summary,
 )
-from pipeline.inference.screening.undetected.clipping import adc_sizes, loud_samples
+from pipeline.inference.screening.undetected.clipping import adc_sizes, drive_sizes, loud_samples
 from pipeline.inference.screening.undetected.library import probes_of, scored_effects
 from pipeline.inference.screening.undetected.linear import linear_devices
 from pipeline.inference.screening.undetected.linear_stages import moved_mechanics
@@ -53,7 +53,7 @@ def device():
     fit = Fit(x, np.eye(14), 0.0, 1, likelihood, True)
     (((linear,), moved),) = linear_devices([fit], [[band]], INSTRUMENT, partial(moved_mechanics, True))
     loud = loud_samples(y)
-    sizes = adc_sizes([loud], np.full(2, 1e-3), 5.0, True)
+    sizes = adc_sizes([loud], np.full(2, 1e-3), 5.0, True) | drive_sizes([band], True)
     (along,) = along_motions([linear], [band_motion(linear)], [loud], [sizes], True)
     found = signatures(linear, moved, True, feature_slopes(fit), along)
 
@@ -104,6 +104,20 @@ def test_a_signature_is_the_change_of_the_simulated_record(device, effect, param
     # A share of a few percent survives the fit of most effects, so the shape must be right to a few tenths of a percent.
     assert np.linalg.norm(simulated - scale * own) < 0.013 * np.linalg.norm(simulated)
     assert scale == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "size", "left"),
+    [("gain_drift", "gamma", 1e-6, 0.005), ("drive_saturation", "1/level", 1.0 / (0.9 * np.abs(DRIVE).max()), 0.03)],
+)
+def test_a_change_with_a_jump_or_an_edge_at_the_ends_of_the_record_is_that_of_all_samples(
+    device, effect, parameter, size, left
+):
+    """Envelopes at the points of the grid leave 1.2 % of t S, and 57 % of a drive that clips from the first sample on."""
+    _, _, found, change = device
+    simulated, own = change(effect, parameter, size) / size, found[effect][0].spectrum
+    scale = np.vdot(own, simulated).real / np.vdot(own, own).real
+    assert np.linalg.norm(simulated - scale * own) < left * np.linalg.norm(simulated)
 
 
 @pytest.mark.parametrize(("place", "speed_v"), [(0, 0.05), (1, 0.2)])

@@ -1,9 +1,9 @@
 """Signatures of linear mechanics, from the change of poles and residues, and of the read-out.
 
     mechanics   dy = sum_k dR_k Phi_k + R_k dp_k dPhi_k/dp + conj
-    readout     dy = dG(i w) S + d{G(i w)(R + i w C)} v + sum_d dL_d(i w) S_d - d delta t dS/dt
+    readout     dy = dG(i w) S + d{G(i w)(R + i w C)} v + sum_d dL_d(i w) S_d - d delta t dS/dt + d gamma t S
 
-with the lag L_d of drive d and its part S_d of the volts, and the offset delta of the clock.
+with the lag L_d of drive d and its part S_d of the volts, the offset delta of the clock, and the drift gamma of the gain.
 
 Shapes: S = 2 senses, W bins.
 """
@@ -27,6 +27,7 @@ from .library import SHAPE, Acting, Changed, Probe, probes_of, write_real
 from .linear import BandMotion, LinearDevice, Moved, frequency_axis
 from .loops import read_out
 from .narrow_band import Grid
+from .nonlinear import drift_of
 
 
 @lru_cache(maxsize=4)
@@ -143,17 +144,25 @@ def readout_signatures(device: LinearDevice, motion: BandMotion, with_mismatch: 
     return [Acting(probe, 1.0, 1) for probe in (*changes.fed, *changes.through, *changes.lagged)]
 
 
-def clock_changes(
+def time_changes(
     devices: Sequence[LinearDevice], motions: Sequence[BandMotion], grid: Grid, with_mismatch: bool
 ) -> list[Changed]:
-    """What an offset of the clock changes, of devices in the same band."""
+    """What offsets of the clock and drifts of the gain change, of devices in the same band.
+
+    Envelopes at the points of the grid are too few for t S, which jumps at the end of the record: they left 1.2 % of the change.
+    """
     band, bias_v = devices[0].band, devices[0].context.bias_v
     clocks = _readout_changes(band, with_mismatch, bias_v).clocks
-    acting = [Acting(probe, 1.0, 1) for probe, _ in clocks]
+    gains = [(probe, drift_of(probe)) for probe in probes_of(with_mismatch, "sense") if drift_of(probe)]
     bins, omega = band.bins.size, devices[0].s.imag
-    slope = np.empty((len(devices), SHAPE.senses, bins), dtype=np.complex64)
-    for own, motion in zip(slope, motions):
-        own.real, own.imag = -omega * motion.sensed[:, bins:], omega * motion.sensed[:, :bins]
-    later = -grid.over_time(slope) if clocks else slope
-    offsets = np.array([offset for _, offset in clocks], dtype=np.float32)
-    return [Changed(acting, offsets[:, None, None] * own) for own in later]
+    # -dS/dt, then S.
+    signals = np.empty((len(devices), 2, SHAPE.senses, bins), dtype=np.complex64)
+    for (slope, plain), motion in zip(signals, motions):
+        real, imaginary = motion.sensed[:, :bins], motion.sensed[:, bins:]
+        slope.real, slope.imag = omega * imaginary, -omega * real
+        plain.real, plain.imag = real, imaginary
+    grown = grid.over_time(signals)
+    rates = np.array([rate for _, rate in (*clocks, *gains)], dtype=np.float32)
+    which = [0] * len(clocks) + [1] * len(gains)
+    acting = [Acting(probe, 1.0, 1) for probe, _ in (*clocks, *gains)]
+    return [Changed(acting, rates[:, None, None] * own[which]) for own in grown]

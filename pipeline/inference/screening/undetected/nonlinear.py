@@ -17,15 +17,13 @@ from ....device.gyro import M_S
 from ..inband import Band
 from ..kept import kept_if_short
 from .library import SHAPE, Acting, Changed, Probe, members_of, probes_of
-from .linear import LinearDevice, frequency_axis, shared_signals
+from .linear import LinearDevice, frequency_axis, hold_response
 from .narrow_band import WHOLE_TURN, Grid, Phases, Signals, at_phases, harmonics
 
 #: Relative change of the volts by a probe: second order is then 1e-8 of it, far above rounding and far below the signal.
 _SHARE = 1e-4
 #: Every so many points a law is tried to find the size of its probe.
 _SPARSE = 16
-#: Phases of half a turn of a drive that clips, an odd law: its 15th harmonic is folded into the first.
-_CLIP_PHASES = Phases(8, 0.5)
 #: First harmonic of an even law relative to its other harmonics: rounding.
 _EVEN = 1e-9
 #: Phases of a linear law, and typical motion [V s] and velocity [V] of the points at which the kind of a law is found.
@@ -63,12 +61,16 @@ def drive_force(
 
 @kept_if_short(16)
 def _drive_change(band: Band, grid: Grid, probe: Probe, value: float, bias_v: float) -> AnyComplexArray:
-    """Change of the envelopes of the drive (D, n) [V] by a drive law at a value, which all devices of a band share."""
+    """Change of the envelopes of the drive (D, n) [V] by a drive law at a value, which all devices of a band share.
+
+    From all samples: a chirp that clips from the first sample on has an edge there, of which its envelopes at the points of the
+    grid show too little: they left 57 % of the change of the record.
+    """
     assert probe.effect.drive is not None
-    phases = _CLIP_PHASES if probe.effect.clips("drive") else WHOLE_TURN
-    v = at_phases(shared_signals(band, grid)[1], phases).T
+    v = band.drive_v
     change = probe.effect.drive(v, probe.at(value), Context(bias_v, bias_v, {})) - v
-    return np.asarray(harmonics(change.T, phases, 1)[0], dtype=np.complex64)
+    spectrum = band.transform(change) * (hold_response(band) / grid.bin_scale)
+    return np.asarray(grid.envelopes(spectrum), dtype=np.complex64)
 
 
 @lru_cache(maxsize=64)
@@ -84,9 +86,22 @@ def _is_linear(probe: Probe) -> bool:
     return float(np.linalg.norm(twice - 2.0 * once)) <= _EVEN * float(np.linalg.norm(once))
 
 
+@lru_cache(maxsize=64)
+def drift_of(probe: Probe) -> float:
+    """c [1/s] of a sense law that changes the volts by p c t s with its parameter p; 0.0 for other laws."""
+    sense, p = probe.effect.sense, probe.member.scale
+    assert sense is not None
+    random, context = np.random.default_rng(1), Context(5.0, 5.0, {})
+    x, xd, s = (scale * random.standard_normal((8, SHAPE.senses)) for scale in (_MOTION, _VELOCITY, _VELOCITY))
+    t = random.random(8)
+    change, grown = sense(x, xd, s, t, probe.at(p), context) - s, t[:, None] * s
+    rate = float(np.vdot(grown, change) / np.vdot(grown, grown))
+    return rate / p if np.linalg.norm(change - rate * grown) <= _EVEN * np.linalg.norm(change) else 0.0
+
+
 def sense_changes(device: LinearDevice, signals: Signals, with_mismatch: bool) -> Changed:
-    """What the sense laws change.  Two phases give the first harmonic of a linear law."""
-    probes = probes_of(with_mismatch, "sense")
+    """What the sense laws change but for drifts of the gain.  Two phases give the first harmonic of a linear law."""
+    probes = [probe for probe in probes_of(with_mismatch, "sense") if not drift_of(probe)]
     m, grid = device.mechanics, signals.grid
     sensed = m.velocity_sense[0] @ signals.velocities + m.position_sense[0] @ signals.coordinates
     envelopes = np.concatenate([_MOTION_S @ signals.coordinates, _MOTION_S @ signals.velocities, sensed])

@@ -23,7 +23,7 @@ from .clipping import Loud, adc_changes
 from .forces import forces_of
 from .library import SHAPE, STAGES, Acting, BandSignature, Changed, most_signatures, write_real
 from .linear import BandMotion, DeviceForces, LinearDevice, Moved
-from .linear_stages import clock_changes, mechanics_coefficients, readout_signatures
+from .linear_stages import mechanics_coefficients, readout_signatures, time_changes
 from .narrow_band import Signals, grid_of
 from .nonlinear import sense_changes
 
@@ -89,8 +89,8 @@ def along_motions(
     forces = forces_of(devices, signals, sizes, with_mismatch)
     adc = [adc_changes(*one, with_mismatch) for one in zip(devices, louds, sizes)]
     sense = [sense_changes(*one, with_mismatch) for one in zip(devices, signals)]
-    clock = clock_changes(devices, [own for own, _ in motions], signals[0].grid, with_mismatch)
-    return [Along(*motion, own, changed) for motion, own, changed in zip(motions, forces, zip(adc, sense, clock))]
+    times = time_changes(devices, [own for own, _ in motions], signals[0].grid, with_mismatch)
+    return [Along(*motion, own, changed) for motion, own, changed in zip(motions, forces, zip(adc, sense, times))]
 
 
 def signatures(device: LinearDevice, moved: Moved, with_mismatch: bool, slopes: FloatArray, along: Along) -> Found:
