@@ -192,7 +192,7 @@ def _judge_points(
             bounds[i, g] = min(abs(total[g]) + Z95 * math.sqrt(square[g]), bounds[i, g])
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _solve_next(values: FloatArray, per_unit: FloatArray, factor: FloatArray, k: int, out: FloatArray) -> None:
     """Write element k of L^-1 v to ``out`` (4, g), of ``values`` (4, g) ``per_unit`` column; elements before it are known."""
     for g in range(out.shape[1]):
