@@ -73,28 +73,27 @@ def _drive_change(band: Band, grid: Grid, probe: Probe, value: float, bias_v: fl
     return np.asarray(grid.envelopes(spectrum), dtype=np.complex64)
 
 
+def _change_at_points(probe: Probe, factor: float) -> tuple[SensedMotion, FloatArray]:
+    """Fixed points of a motion times a factor, and the change of the volts (8, S) [V] there by a sense law."""
+    assert probe.effect.sense is not None
+    random = np.random.default_rng(1)
+    x, xd, s = (factor * scale * random.standard_normal((8, SHAPE.senses)) for scale in (_MOTION, _VELOCITY, _VELOCITY))
+    t = random.random(8)
+    return (x, xd, s, t), probe.effect.sense(x, xd, s, t, probe.at(probe.member.scale), Context(5.0, 5.0, {})) - s
+
+
 @lru_cache(maxsize=64)
 def _is_linear(probe: Probe) -> bool:
     """Whether the change of the volts by a sense law is linear in the motion, at fixed points."""
-    sense, p = probe.effect.sense, probe.at(probe.member.scale)
-    assert sense is not None
-    random, context = np.random.default_rng(0), Context(5.0, 5.0, {})
-    x, xd, s = (scale * random.standard_normal((8, SHAPE.senses)) for scale in (_MOTION, _VELOCITY, _VELOCITY))
-    once, twice = (
-        sense(factor * x, factor * xd, factor * s, np.ones(8), p, context) - factor * s for factor in (1.0, 2.0)
-    )
+    once, twice = (_change_at_points(probe, factor)[1] for factor in (1.0, 2.0))
     return float(np.linalg.norm(twice - 2.0 * once)) <= _EVEN * float(np.linalg.norm(once))
 
 
 @lru_cache(maxsize=64)
 def drift_of(probe: Probe) -> float:
     """c [1/s] of a sense law that changes the volts by p c t s with its parameter p; 0.0 for other laws."""
-    sense, p = probe.effect.sense, probe.member.scale
-    assert sense is not None
-    random, context = np.random.default_rng(1), Context(5.0, 5.0, {})
-    x, xd, s = (scale * random.standard_normal((8, SHAPE.senses)) for scale in (_MOTION, _VELOCITY, _VELOCITY))
-    t = random.random(8)
-    change, grown = sense(x, xd, s, t, probe.at(p), context) - s, t[:, None] * s
+    (*_, s, t), change = _change_at_points(probe, 1.0)
+    p, grown = probe.member.scale, t[:, None] * s
     rate = float(np.vdot(grown, change) / np.vdot(grown, grown))
     return rate / p if np.linalg.norm(change - rate * grown) <= _EVEN * np.linalg.norm(change) else 0.0
 
