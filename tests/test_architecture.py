@@ -25,6 +25,7 @@ BASE = {
     "toml_keys",
     "quantities",
     "threads",
+    "compiled_loops",
     "plain",
     "performance",
     "user_code",

@@ -19,6 +19,7 @@ from ..config import RunConfig
 from ..process import worker_count
 from .block import BlockTables
 from .cluster import cluster
+from .compiling import compile_loops
 from .dispatch import guarded_in_parallel
 from .guard import Begin
 from .inputs import faults_in_the_users_folder, with_own_code
@@ -63,30 +64,32 @@ def run_blocks(
     store.log({"event": "start", "workers": count, "scheduler": address, "blocks": len(left)})
     config, copies, folders = with_own_code(planned.config, planned.inputs)
     remote = {} if scheduler is None else copies
-    with (
-        cluster(count, scheduler) as client,
-        shipped(client, remote),
-        progress(planned.devices, finished, quiet) as shown,
-        faults_in_the_users_folder(folders),
-    ):
-        limit_s = config.run.device_limit_s
-        items, whole = block_items(left, planned.campaigns), Assembly({block.index: block for block in left})
-        finished_items = guarded_in_parallel(
-            client, task or block_task, config, items, BLOCK_FAULTS, limit_s, watch=None if quiet else shown.partly
-        )
-        for item, part in finished_items:
-            tables = whole.add(item.block, part)
-            if item.block.lost:
-                store.log({"event": "lost", "devices": list(BLOCK_FAULTS.devices(item)), "reason": item.block.lost})
-            if tables is not None:
-                store.commit_block(tables.index, tables.devices, tables.posterior, tables.irregularities)
-                store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
-            shown.advance(part.devices.num_rows)
-        if not examined:
-            # It imports the learning half, which blocks do without.
-            from .lot.run import examine_run
+    with cluster(count, scheduler) as client:
+        if left:
+            compile_loops(client, quiet)
+        with (
+            shipped(client, remote),
+            progress(planned.devices, finished, quiet) as shown,
+            faults_in_the_users_folder(folders),
+        ):
+            limit_s = config.run.device_limit_s
+            items, whole = block_items(left, planned.campaigns), Assembly({block.index: block for block in left})
+            finished_items = guarded_in_parallel(
+                client, task or block_task, config, items, BLOCK_FAULTS, limit_s, watch=None if quiet else shown.partly
+            )
+            for item, part in finished_items:
+                tables = whole.add(item.block, part)
+                if item.block.lost:
+                    store.log({"event": "lost", "devices": list(BLOCK_FAULTS.devices(item)), "reason": item.block.lost})
+                if tables is not None:
+                    store.commit_block(tables.index, tables.devices, tables.posterior, tables.irregularities)
+                    store.log({"event": "block", "block": tables.index, "statuses": tables.statuses})
+                shown.advance(part.devices.num_rows)
+            if not examined:
+                # It imports the learning half, which blocks do without.
+                from .lot.run import examine_run
 
-            examine_run(replace(planned, config=config), store, client, quiet)
+                examine_run(replace(planned, config=config), store, client, quiet)
 
 
 def run_batch(

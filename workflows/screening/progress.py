@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Protocol
 
@@ -43,6 +43,25 @@ def progress(total: int, done: int, quiet: bool, doing: str = "identifying") -> 
             yield shown
     else:
         yield _Lines(total, done, doing)
+
+
+@contextmanager
+def counted(total: int, quiet: bool, doing: str) -> Iterator[Callable[[], None]]:
+    """Show how many of ``total`` steps are done, each of which calls what is yielded; off a terminal only what is done."""
+    if quiet:
+        yield lambda: None
+    elif sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task(doing, total=total)
+            yield lambda: bar.advance(task)
+    else:
+        with suppress(OSError):
+            print(doing, file=sys.stderr, flush=True)
+        yield lambda: None
 
 
 @contextmanager

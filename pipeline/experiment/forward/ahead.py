@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-
-from numba import njit
 
 from ...device.effect import find_effects
 from ...device.force_law import compiled_force
-from .compiled import compiled_deviation, compiled_first_order, compiled_linear_states
-from .kernels import deviation_from_linear
+from .compiled import compiled_deviation, compiled_first_order, compiled_linear_states, deviation_is_cached
 from .readout_filter import compiled_filter
 
 #: Places for coordinates: those of a gyro with at most one more, and with two more or with memories.
@@ -23,11 +19,8 @@ _BESIDE = (0, 2)
 
 
 def is_compiled() -> bool:
-    """Whether the cache of this machine holds the largest of the loops, compiled after its source was written."""
-    source = Path(deviation_from_linear.__code__.co_filename)
-    cache = Path(njit(cache=True)(deviation_from_linear).stats.cache_path or source.parent)
-    written = [file.stat().st_mtime for file in cache.glob(f"{source.stem}.{deviation_from_linear.__name__}-*.nbi")]
-    return max(written, default=0.0) > source.stat().st_mtime
+    """Whether the cache of this machine holds the largest of the loops."""
+    return deviation_is_cached(_SIZES[0])
 
 
 def needed_loops() -> tuple[Callable[[], object], ...]:

@@ -6,6 +6,7 @@ from typing import Any
 
 from numba import njit, types
 
+from ...compiled_loops import is_cached
 from ...device.force_law import FORCES_TYPES
 from ...threads import once
 from .first_order_kernel import first_order_deviation
@@ -28,11 +29,19 @@ _DRIVE = (_MATRIX, types.boolean)
 @once
 def compiled_deviation(half_size: int) -> Any:
     """``deviation_from_linear`` for at most ``half_size`` coordinates (H)."""
+    return njit(_deviation_signature(half_size), **OPTIONS)(deviation_from_linear)
+
+
+def deviation_is_cached(half_size: int) -> bool:
+    """Whether the cache of this machine holds :func:`compiled_deviation`."""
+    return is_cached(njit(**OPTIONS)(deviation_from_linear), _deviation_signature(half_size))
+
+
+def _deviation_signature(half_size: int) -> Any:
     shape = types.UniTuple(types.int64, half_size)
     matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
     reads = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
-    signature = types.void(shape, *FORCES_TYPES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
-    return njit(signature, **OPTIONS)(deviation_from_linear)
+    return types.void(shape, *FORCES_TYPES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
 
 
 @once

@@ -245,9 +245,14 @@ def test_the_quantile_of_a_scan_is_the_least_value_with_its_share_below():
     weight /= weight.sum()
 
     def quantile(values, weight, share):
-        out = np.empty(values.shape[0])
-        _least_above(values, weight, share, out)
-        return out
+        # A scan of another effect on either side, whose values are larger.
+        first = np.array([0, 2, 2 + weight.size])
+        beside = np.full((values.shape[0], 2), 1e3)
+        out = np.empty((3, values.shape[0]))
+        every = np.concatenate([beside, values, beside], axis=1)
+        _least_above(every, first, np.concatenate([np.ones(2), weight, np.ones(2)]), np.array([0.0, share, 0.0]), out)
+        np.testing.assert_array_equal(out[[0, 2]], 1e3)
+        return out[1]
 
     for own, found in zip(values, quantile(values, weight, 0.05)):
         order = np.argsort(own)

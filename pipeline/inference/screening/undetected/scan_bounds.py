@@ -9,8 +9,8 @@ Shapes: g points, P parameters, Q quantities.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -43,18 +43,21 @@ def judged_scans(products: ScannedProducts, projection: Projection, residual: Fl
     # Loops over points need them next to each other.
     cross = np.ascontiguousarray(products.cross.swapaxes(2, 3)).reshape(count + 1, -1)
     overlap = projection.overlap(cross[:count])
-    shape = (4, whole.reach.size)
-    explained, bounds = np.empty(whole.points.size), np.empty((whole.points.size, q))
-    _judge_scans(
+    g = whole.reach.size
+    shape = (4, g)
+    score = cross[count] - projection.overlap(residual) @ overlap
+    every, each, bounds = np.empty(g), np.empty((q, g)), np.empty((whole.points.size, q))
+    _judge_points(
         np.ascontiguousarray(products.squares.swapaxes(1, 2)),
         overlap.reshape(count, *shape),
-        projection.overlap(residual),
-        cross[count].reshape(shape),
+        score.reshape(shape),
         projection.bias(overlap).reshape(q, *shape),
-        whole,
-        explained,
-        bounds,
+        whole.reach,
+        every,
+        each,
     )
+    explained = np.maximum.reduceat(every, whole.first)
+    _least_above(each, whole.first, whole.weight, whole.above, bounds)
     p_values = []
     for total, points in zip(explained.tolist(), whole.points.tolist()):
         single = float(fdtrc(4.0, noise_dof, total / 4.0))
@@ -62,17 +65,19 @@ def judged_scans(products: ScannedProducts, projection: Projection, residual: Fl
     return Judged(tuple(scan.effect for scan in products.scans), np.array(p_values), explained, bounds)
 
 
-class _Whole(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Whole:
     """The points of all scans, one scan after the other.
 
     Parameters
     ----------
-    points : their number in each scan (n,).
+    points, first : their number in each scan (n,), and its first point.
     reach, weight : largest strength and weight of each point (g,).
     above : (n,) weight of the largest values of a scan beyond which its bound lies.
     """
 
     points: IntArray
+    first: IntArray
     reach: FloatArray
     weight: FloatArray
     above: FloatArray
@@ -81,43 +86,14 @@ class _Whole(NamedTuple):
 @lru_cache(maxsize=4)
 def _whole(scans: tuple[ScanPoints, ...]) -> _Whole:
     # Without weights a single point has more than nothing: the bound is the largest value.
+    points = np.array([scan.points for scan in scans])
     return _Whole(
-        np.array([scan.points for scan in scans]),
+        points,
+        np.cumsum(points) - points,
         np.concatenate([np.full(scan.points, scan.reach) for scan in scans]),
         np.concatenate([scan.weight if scan.weight.size else np.ones(scan.points) for scan in scans]),
         np.array([(1.0 - _SHARE) * float(scan.weight.sum()) for scan in scans]),
     )
-
-
-@njit(cache=True, error_model="numpy")
-def _judge_scans(
-    squares: FloatArray,
-    overlap: FloatArray,
-    residual: FloatArray,
-    cross: FloatArray,
-    bias: FloatArray,
-    whole: _Whole,
-    explained: FloatArray,
-    bounds: FloatArray,
-) -> None:
-    """Write the largest T (n,) and the bounds (n, Q) of scans.
-
-    Parameters
-    ----------
-    squares, overlap, bias : of :func:`_judge_points`.
-    residual, cross : Q' r (P,), and Z' r (4, g).
-    """
-    score, every, each = cross.copy(), np.empty(cross.shape[1]), np.empty((bias.shape[0], cross.shape[1]))
-    for p in range(residual.size):
-        for k in range(4):
-            for g in range(cross.shape[1]):
-                score[k, g] -= residual[p] * overlap[p, k, g]
-    _judge_points(squares, overlap, score, bias, whole.reach, every, each)
-    last = 0
-    for i in range(whole.points.size):
-        first, last = last, last + whole.points[i]
-        explained[i] = np.max(every[first:last])
-        _least_above(each[:, first:last], whole.weight[first:last], whole.above[i], bounds[i])
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -150,9 +126,9 @@ def _judge_points(
             per_unit[k, g] = 1.0 / math.sqrt(own) if own > 0.0 else 1.0
     for k in range(4):
         for l in range(k + 1):
-            total[:] = 0.0
-            if k != l and k // 2 == l // 2:
-                total[:] = squares[k // 2, 1]
+            # Not total[:] = an array: numba would compile the text of an error with it, 2 s.
+            for g in range(points):
+                total[g] = squares[k // 2, 1, g] if k != l and k // 2 == l // 2 else 0.0
             for p in range(overlap.shape[0]):
                 for g in range(points):
                     total[g] -= overlap[p, k, g] * overlap[p, l, g]
@@ -162,7 +138,8 @@ def _judge_points(
     # Cholesky factor, in place of the lower triangle, with inverse elements on the diagonal.
     for k in range(4):
         for l in range(k + 1):
-            total[:] = gram[k, l]
+            for g in range(points):
+                total[g] = gram[k, l, g]
             for m in range(l):
                 for g in range(points):
                     total[g] -= gram[k, m, g] * gram[l, m, g]
@@ -205,33 +182,40 @@ def _solve_next(values: FloatArray, per_unit: FloatArray, factor: FloatArray, k:
 
 
 @njit(cache=True, error_model="numpy")
-def _least_above(values: FloatArray, weight: FloatArray, share: float, out: FloatArray) -> None:
-    """Write the least of the largest values (Q,) of values (Q, g) that have more than the weight ``share`` together.
+def _least_above(values: FloatArray, first: IntArray, weight: FloatArray, above: FloatArray, out: FloatArray) -> None:
+    """Write the least of the largest values (n, Q) of each scan that have more than the weight ``above`` (n,) together.
 
     It is nan where one of the values is.  The largest are kept in order while all are passed once: they are few.
+
+    Parameters
+    ----------
+    values, weight : of all points (Q, g), (g,), one scan after the other.
+    first : the first point of each scan (n,).
     """
     largest, own = np.empty(weight.size), np.empty(weight.size)
-    # The sum of a kept one and others is right to rounding only: those that the rounding may take are kept as well.
-    enough = share + 1e-12 * abs(share)
-    for i in range(values.shape[0]):
-        kept, total, out[i] = 0, 0.0, np.nan
-        for g in range(weight.size):
-            value = values[i, g]
-            if np.isnan(value):
-                kept = 0
-                break
-            if total > enough and value <= largest[kept - 1]:
-                continue
-            at = kept
-            while at > 0 and value > largest[at - 1]:
-                largest[at], own[at] = largest[at - 1], own[at - 1]
-                at -= 1
-            largest[at], own[at] = value, weight[g]
-            kept, total = kept + 1, total + weight[g]
-            while total - own[kept - 1] > enough:
-                kept, total = kept - 1, total - own[kept - 1]
-        above = 0.0
-        for k in range(kept):
-            if above > share:
-                break
-            above, out[i] = above + own[k], largest[k]
+    for n in range(first.size):
+        share, last = above[n], first[n + 1] if n + 1 < first.size else weight.size
+        # The sum of a kept one and others is right to rounding only: those that the rounding may take are kept as well.
+        enough = share + 1e-12 * abs(share)
+        for i in range(values.shape[0]):
+            kept, total, out[n, i] = 0, 0.0, np.nan
+            for g in range(first[n], last):
+                value = values[i, g]
+                if np.isnan(value):
+                    kept = 0
+                    break
+                if total > enough and value <= largest[kept - 1]:
+                    continue
+                at = kept
+                while at > 0 and value > largest[at - 1]:
+                    largest[at], own[at] = largest[at - 1], own[at - 1]
+                    at -= 1
+                largest[at], own[at] = value, weight[g]
+                kept, total = kept + 1, total + weight[g]
+                while total - own[kept - 1] > enough:
+                    kept, total = kept - 1, total - own[kept - 1]
+            sum_above = 0.0
+            for k in range(kept):
+                if sum_above > share:
+                    break
+                sum_above, out[n, i] = sum_above + own[k], largest[k]
