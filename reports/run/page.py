@@ -17,6 +17,7 @@ from pipeline.quantities import QUANTITIES
 from ..attribution.content import Attribution
 from ..capability import Common
 from ..devices import Devices, wafer_name
+from ..html.drawing_process import DrawingProcess, drawn
 from ..html.rendering import environment, interval, measured, stylesheet
 from ..limits import Limits
 from ..limits_origin import LimitsOrigin
@@ -26,7 +27,7 @@ from ..words.lot_origin import ON_PAGE, departure_words, drift_sentence, lot_ori
 from ..words.noise import lot_noise_sentence
 from ..words.physics import RunPhysics, physics_sentences
 from .content import ReportedRun, RunContent, run_content
-from .figures import corner_plots, run_figures
+from .figures import corners_asked, figures_asked
 from .lot_effects import LotEffects, counted, probability, with_sd
 from .sources import loss_sources
 from .worst import WorstEstimate
@@ -66,6 +67,7 @@ def render_run_report(
     limits_origin: LimitsOrigin | None = None,
     attribution: Attribution | None = None,
     origin: LotOriginAnswers | None = None,
+    beside: DrawingProcess | None = None,
 ) -> str:
     """The page of a run as HTML text; the same input gives the same page.
 
@@ -80,6 +82,7 @@ def render_run_report(
     limits_origin : where the limits came from.
     attribution : where the loss comes from; ``None`` leaves the section out.
     origin : whether the lot comes from the population for screening; ``None`` likewise.
+    beside : a second process that draws some of its figures.
 
     Raises
     ------
@@ -87,12 +90,16 @@ def render_run_report(
     """
     content = run_content(run, limits, population_summary, lot_effects, common)
     devices = Devices(run.devices)
+    figures, corners = figures_asked(devices, content), corners_asked(content.worst, run.posterior)
+    asked = [*figures.values(), *corners]
+    pictures = iter(drawn([ask for ask in asked if ask is not None], beside))
+    shown = [None if ask is None else next(pictures) for ask in asked]
     page = environment().get_template("run.html.j2")
     return page.render(
         c=content,
         stylesheet=stylesheet(),
-        figures=run_figures(devices, content),
-        corners=corner_plots(content.worst, run.posterior),
+        figures=dict(zip(figures, shown)),
+        corners=shown[len(figures) :],
         sections=_sections(content, attribution is not None, origin is not None),
         origin=origin,
         lot_origin_sentence=lot_origin_sentence,

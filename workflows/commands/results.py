@@ -17,6 +17,8 @@ from pipeline.store.manifest import Manifest
 from pipeline.store.query import answer, write_table
 from pipeline.store.read import LATEST, find_run, list_runs
 from pipeline.store.verify import verify as verify_results
+from reports.html.drawing_process import drawing_beside
+from reports.run import FIGURES
 
 if TYPE_CHECKING:
     from ..screening.repair import RepairStep
@@ -78,22 +80,25 @@ def _name_run(runs: Sequence[Manifest], run: str) -> None:
 
 def report(run: str | None, results: Path, out: Path | None, limits: Path | None = None, json: bool = False) -> None:
     """See ``gyroscreen report --help``."""
-    from ..screening.outcome import rendered_report, store_report, write_report
-    from ..stored_page import written_page
-    from .what_if import what_if_report
-
     chosen = find_run(results, run).name.removeprefix(PREFIX)
     if limits is not None:
+        from .what_if import what_if_report
+
         what_if_report(chosen, results, limits, out, json)
         return
-    if out is None:
-        path = write_report(results, chosen)
-    else:
-        page = rendered_report(results, chosen)
-        # The results may be read-only; the user asks for a page elsewhere.
-        with suppress(IncompleteError):
-            store_report(results, chosen, page)
-        path = written_page(page, out)
+    # It loads while the rest is imported.
+    with drawing_beside(FIGURES) as beside:
+        from ..screening.outcome import rendered_report, store_report, write_report
+        from ..stored_page import written_page
+
+        if out is None:
+            path = write_report(results, chosen, beside)
+        else:
+            page = rendered_report(results, chosen, beside)
+            # The results may be read-only; the user asks for a page elsewhere.
+            with suppress(IncompleteError):
+                store_report(results, chosen, page)
+            path = written_page(page, out)
     if json:
         from .report_answer import report_answer
 

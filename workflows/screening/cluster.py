@@ -60,9 +60,11 @@ def cluster(workers: int, scheduler: Scheduler | None, memory_bytes: int | None 
         return
     with _quiet(), dask.config.set(_LOCAL):
         with deaf_children():
-            local = LocalCluster(n_workers=0, processes=True, dashboard_address="127.0.0.1:0", silence_logs=50)
-            processes = LocalWorkers(local.scheduler_address, workers, memory_bytes or WORKER_BYTES)
+            processes = LocalWorkers(workers, memory_bytes or WORKER_BYTES)
         try:
+            with deaf_children():
+                local = LocalCluster(n_workers=0, processes=True, dashboard_address="127.0.0.1:0", silence_logs=50)
+                processes.connect(local.scheduler_address)
             with local, Client(local, set_as_default=False) as client:
                 client.local_workers = processes
                 yield client

@@ -130,8 +130,8 @@ TYPED_LOOPS: tuple[tuple[str, ...], ...] = (
         "_feature_slopes(f8[::1], c16[::1], f8[:,:,::1])",
     ),
     (
-        "pipeline.performance.figures.bandwidth_hz",
-        "_bandwidth(f8[::1], f8[::1], f8[::1], f8[::1])",
+        "pipeline.performance.bandwidth_loop",
+        "bandwidth(f8[::1], f8[::1], f8[::1], f8[::1])",
     ),
     (
         "pipeline.experiment.forward.linear",

@@ -34,12 +34,13 @@ _MEMORY = {"MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 
 
 class LocalWorkers:
-    """``count`` worker processes of the scheduler at ``address``, each with one thread and ``memory_bytes`` of memory."""
+    """``count`` worker processes, each with one thread and ``memory_bytes`` of memory, which load while the scheduler starts."""
 
-    def __init__(self, address: str, count: int, memory_bytes: int) -> None:
+    def __init__(self, count: int, memory_bytes: int) -> None:
         # -P: the working folder is not searched for imports; a pipeline.py of the user would hide the package.
         module = ["-P", "-m", "workflows.screening.worker_process"]
-        self._command = [sys.executable, *module, address, str(memory_bytes), str(os.getpid())]
+        self._command = [sys.executable, *module, str(memory_bytes), str(os.getpid())]
+        self._address = ""
         self._memory_bytes = memory_bytes
         self._ended: dict[str, Ending] = {}
         self._signs = tempfile.TemporaryDirectory(prefix="gyroscreen-")
@@ -48,6 +49,12 @@ class LocalWorkers:
         self._processes = [self._start() for _ in range(count)]
         self._started = [time.monotonic()] * count
         self._thread = threading.Thread(target=self._keep, daemon=True)
+
+    def connect(self, address: str) -> None:
+        """Give the workers the address of their scheduler, and keep them alive from now on."""
+        self._address = address
+        for process in self._processes:
+            self._tell(process)
         self._thread.start()
 
     def ending(self, name: str) -> Ending:
@@ -78,11 +85,15 @@ class LocalWorkers:
     def close(self) -> None:
         """End all workers."""
         self._done.set()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         for process in self._processes:
             process.kill()
         for process in self._processes:
             process.wait()
+            if process.stdin is not None:
+                with suppress(OSError):
+                    process.stdin.close()
         self._signs.cleanup()
 
     def _start(self) -> subprocess.Popen[bytes]:
@@ -96,11 +107,17 @@ class LocalWorkers:
                 SIGNS: self._signs.name,
                 "PYTHONPATH": os.pathsep.join(path or str(Path.cwd()) for path in sys.path),
             },
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=None if debug else subprocess.DEVNULL,
             start_new_session=True,  # the driver answers Ctrl-C, not the workers
         )
+
+    def _tell(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdin is not None
+        with suppress(OSError):  # it has ended, and is replaced
+            process.stdin.write(f"{self._address}\n".encode())
+            process.stdin.close()
 
     def _keep(self) -> None:
         while not self._done.wait(_LOOK_S):
@@ -111,6 +128,7 @@ class LocalWorkers:
                 elif time.monotonic() - self._started[i] > _LEAST_LIFE_S:
                     self._ended.setdefault(name_of(process.pid), Ending(_said(code)))
                     self._processes[i], self._started[i] = self._start(), time.monotonic()
+                    self._tell(self._processes[i])
 
     def _check(self, process: subprocess.Popen[bytes]) -> None:
         """End a process that takes too much memory, or that somebody has stopped."""

@@ -16,7 +16,9 @@ from pipeline.store.run import RunStore, open_run
 from populations.draw import draw
 from reports.common_errors import given_common, with_common
 from reports.devices import Devices
+from reports.html.drawing_process import DrawingProcess, drawing_beside
 from reports.limits_origin import LimitsOrigin, recorded_origin
+from reports.run import FIGURES
 from reports.run import lot_effects as lot_report
 from reports.run.health import status_counts
 from reports.words.night import status_cause
@@ -73,9 +75,9 @@ class RunResult:
         }
 
 
-def write_report(results: Path, run_id: str) -> Path:
-    """Render the report of a run and store it in the run's folder; returns its path."""
-    return store_report(results, run_id, rendered_report(results, run_id))
+def write_report(results: Path, run_id: str, beside: DrawingProcess | None = None) -> Path:
+    """Render the report of a run and store it in its folder; returns its path.  ``beside`` as in :func:`rendered_report`."""
+    return store_report(results, run_id, rendered_report(results, run_id, beside))
 
 
 def store_report(results: Path, run_id: str, page: str) -> Path:
@@ -90,8 +92,8 @@ def store_report(results: Path, run_id: str, page: str) -> Path:
     return store.folder / "report.html"
 
 
-def rendered_report(results: Path, run_id: str) -> str:
-    """The report of a run as HTML."""
+def rendered_report(results: Path, run_id: str, beside: DrawingProcess | None = None) -> str:
+    """The report of a run as HTML; ``beside`` is a process for ``reports.run.FIGURES`` that draws some of them."""
     from reports.run.page import render_run_report  # it loads matplotlib
 
     store = open_run(results, run_id)
@@ -111,6 +113,7 @@ def rendered_report(results: Path, run_id: str) -> str:
             limits_origin=recorded_origin(tables.manifest.provenance, bool(config.limits)),
             attribution=attribution_of(config, tables),
             origin=origin,
+            beside=beside,
         )
 
     return with_run(results, run_id, rendered)
@@ -148,6 +151,11 @@ def lot_origin(store: RunStore) -> LotOriginAnswers | None:
 
 def finish(store: RunStore, results: Path, started: float) -> RunResult:
     """Mark the run complete, write the report and summarise the run; ``started`` is its start in monotonic time [s]."""
+    with drawing_beside(FIGURES) as beside:
+        return _finished(store, results, started, beside)
+
+
+def _finished(store: RunStore, results: Path, started: float, beside: DrawingProcess | None) -> RunResult:
     found = with_run(results, store.run_id, _counted)
     verdicts, statuses, identified = found.verdicts, found.statuses, found.identified
     seconds = time.monotonic() - started
@@ -156,7 +164,7 @@ def finish(store: RunStore, results: Path, started: float) -> RunResult:
     summary = {"verdicts": verdicts, "statuses": statuses, "lot_effects": list(needed), "seconds": round(seconds, 3)}
     store.finish("complete", summary)
     origin = _ask(store, results)
-    path = write_report(results, store.run_id)
+    path = write_report(results, store.run_id, beside)
     store.log({"event": "finish", "verdicts": verdicts, "statuses": statuses})
     return RunResult(
         store.run_id,

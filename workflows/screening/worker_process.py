@@ -1,4 +1,7 @@
-"""A worker process of a local run: ``python -m workflows.screening.worker_process ADDRESS MEMORY_BYTES DRIVER_PID``."""
+"""A worker process of a local run: ``python -m workflows.screening.worker_process MEMORY_BYTES DRIVER_PID``.
+
+It loads the numerical code, and reads the address of its scheduler from stdin.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import signal
 import sys
 import time
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +23,8 @@ from distributed.utils import sync
 #: Environment variable that names the folder where the workers of a local run leave their signs of life.
 SIGNS = "GYROSCREEN_SIGNS"
 _PR_SET_PDEATHSIG = 1
+#: What almost every task imports.
+_CODE = "workflows.screening.parts"
 #: How long a device waits for a scheduler that does not answer [s].
 _SIGN_S = 5.0
 #: The driver ends a worker that takes too much memory; nothing is written to disk, and no worker waits for memory.
@@ -57,10 +63,13 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != int(sys.argv[3]):  # killed before the call, while this process was still importing
+        if os.getppid() != int(sys.argv[2]):  # killed before the call, while this process was still importing
             return
     with dask.config.set({**_MEMORY, **_UNWATCHED, "distributed.worker.daemon": False}):
-        asyncio.run(_serve(sys.argv[1], int(sys.argv[2])))
+        import_module(_CODE)
+        address = sys.stdin.readline().strip()
+        if address:  # else the driver has ended
+            asyncio.run(_serve(address, int(sys.argv[1])))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from pipeline.axial import difference, mean_axis
 from pipeline.quantities import AXES
 
 from ...devices import ColumnSource, Devices, rows_of
+from ...html.drawing_process import Ask
 from ...html.style import Drawing
 from ...limits import Limit
 from ...words.quantities import SUPERSCRIPT, UNITS, label, limit_words
@@ -34,28 +36,33 @@ CORNER = {"theta_deg": "Δ theta", "split_hz": "Δ split", "c12_per_s": "Δ c12"
 
 def run_figures(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
     """All figures of the page by name; ``None`` where there is nothing to draw."""
+    return {name: None if ask is None else ask() for name, ask in figures_asked(devices, content).items()}
+
+
+def figures_asked(devices: Devices, content: RunContent) -> dict[str, Ask | None]:
+    """What draws each figure of the page, by name; ``None`` where there is nothing to draw."""
     if not len(devices):
         return {}
     return {
-        "yield-spans": yield_spans(_spans(content)),
+        "yield-spans": partial(yield_spans, _spans(content)),
         "pareto": _pareto(content),
         "stages": _stages(content),
         **_maps(devices),
         **_distributions(devices, content),
         **_calibration(devices, content),
         "route": _route(devices) if content.routes else None,
-        "capability": capability_bars(content.capabilities),
+        "capability": partial(capability_bars, content.capabilities),
         "risk-curve": None
         if content.risk_curve is None
-        else risk_curve_figure(content.risk_curve, content.limits.rule),
+        else partial(risk_curve_figure, content.risk_curve, content.limits.rule),
     }
 
 
-def corner_plots(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -> tuple[Drawing | None, ...]:
-    """A corner plot for the first device of each kind of worst; ``None`` for the others and for those without draws."""
+def corners_asked(worst: Sequence[WorstDevice], posterior: ColumnSource | None) -> tuple[Ask | None, ...]:
+    """What draws a corner plot of the first device of each kind of worst; ``None`` for the others and those without draws."""
     first = [device.why not in {other.why for other in worst[:k]} for k, device in enumerate(worst)]
     return tuple(
-        device_corner(f"corner-{k}", device.device_id, device.estimates, posterior)
+        _corner(f"corner-{k}", device.device_id, device.estimates, posterior)
         if chosen and posterior is not None
         else None
         for k, (device, chosen) in enumerate(zip(worst, first, strict=True))
@@ -69,6 +76,11 @@ def device_corner(
 
     ``estimates`` gives the truths.
     """
+    ask = _corner(name, device_id, estimates, posterior)
+    return None if ask is None else ask()
+
+
+def _corner(name: str, device_id: str, estimates: Sequence[WorstEstimate], posterior: ColumnSource) -> Ask | None:
     # The other columns of all draws of the part need not be read.
     held = [name for name in ("device_id", *CORNER) if name in posterior.column_names]
     rows = Devices(rows_of(posterior.select(held), device_id))
@@ -90,7 +102,7 @@ def device_corner(
         labels.append(f"{symbol}\n{_unit(exponent, UNITS[quantity])}")
     if not columns:
         return None
-    return corner_plot(labels, np.stack(columns, axis=1), shown, name, f"Posterior of {device_id}")
+    return partial(corner_plot, labels, np.stack(columns, axis=1), shown, name, f"Posterior of {device_id}")
 
 
 def _thousands(sd: float) -> int:
@@ -157,17 +169,17 @@ def _spans(content: RunContent) -> list[Span]:
     return spans
 
 
-def _pareto(content: RunContent) -> Drawing | None:
+def _pareto(content: RunContent) -> Ask | None:
     if not content.pareto.failed:
         return None
     bars = [
         CauseBar(f"{label(row.limit.quantity)} {limit_words(row.limit)}", row.failed, row.alone)
         for row in content.pareto.limits
     ]
-    return pareto_bars(bars, content.pareto.failed)
+    return partial(pareto_bars, bars, content.pareto.failed)
 
 
-def _stages(content: RunContent) -> Drawing | None:
+def _stages(content: RunContent) -> Ask | None:
     if not content.stages:
         return None
     bars = [
@@ -179,22 +191,22 @@ def _stages(content: RunContent) -> Drawing | None:
         )
         for row in content.stages
     ]
-    return stage_bars([bars[0], *sorted(bars[1:], key=lambda bar: -(bar.fabrication + bar.packaging))])
+    return partial(stage_bars, [bars[0], *sorted(bars[1:], key=lambda bar: -(bar.fabrication + bar.packaging))])
 
 
-def _maps(devices: Devices) -> dict[str, Drawing | None]:
+def _maps(devices: Devices) -> dict[str, Ask | None]:
     x, y, wafers = devices.number("die_x_mm"), devices.number("die_y_mm"), devices.wafers()
     placed = np.isfinite(x) & np.isfinite(y) & ~wafers.equals("")
     if not placed.any():
         return {"wafer-maps": None, "stacked-map": None}
     verdicts = devices.text("verdict")
     return {
-        "wafer-maps": wafer_maps(x[placed], y[placed], verdicts.at(placed), wafers.at(placed)),
-        "stacked-map": stacked_map(x[placed], y[placed], devices.has("pass")[placed]),
+        "wafer-maps": partial(wafer_maps, x[placed], y[placed], verdicts.at(placed), wafers.at(placed)),
+        "stacked-map": partial(stacked_map, x[placed], y[placed], devices.has("pass")[placed]),
     }
 
 
-def _distributions(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
+def _distributions(devices: Devices, content: RunContent) -> dict[str, Ask | None]:
     limits: dict[str, Limit] = {limit.quantity: limit for limit in content.limits.limits}
     verdicts = devices.text("verdict")
     others = [name for name in limits if name not in ("theta_deg", "split_hz")]
@@ -203,28 +215,29 @@ def _distributions(devices: Devices, content: RunContent) -> dict[str, Drawing |
         for name in others
     ]
     return {
-        "theta-split": theta_and_split(
+        "theta-split": partial(
+            theta_and_split,
             devices.number("theta_deg"),
             devices.number("split_hz"),
             verdicts,
             limits.get("theta_deg"),
             limits.get("split_hz"),
         ),
-        "histograms": histograms(panels, verdicts) if panels else None,
+        "histograms": partial(histograms, panels, verdicts) if panels else None,
     }
 
 
-def _calibration(devices: Devices, content: RunContent) -> dict[str, Drawing | None]:
+def _calibration(devices: Devices, content: RunContent) -> dict[str, Ask | None]:
     if not content.coverages:
         return {"coverage": None, "z-scores": None}
     panels = [(label(name), z_scores(devices, name)) for name in ("theta_deg", "split_hz")]
     return {
-        "coverage": coverage_dots([(label(row.quantity), row) for row in content.coverages]),
-        "z-scores": z_panels(panels),
+        "coverage": partial(coverage_dots, [(label(row.quantity), row) for row in content.coverages]),
+        "z-scores": partial(z_panels, panels),
     }
 
 
-def _route(devices: Devices) -> Drawing:
+def _route(devices: Devices) -> Ask:
     virtual = bool(np.isfinite(devices.number("true_split_hz")).any())
     against = "true_" if virtual else ""
     of = "error" if virtual else "difference"
@@ -234,7 +247,8 @@ def _route(devices: Devices) -> Drawing:
     worst[known] = np.nanmax(thetas[:, known], axis=0)
     theta_posterior = miss(devices, "theta_deg", "true_theta_deg") if virtual else None
     split_posterior = miss(devices, "split_hz", "true_split_hz") if virtual else None
-    return route_scatter(
+    return partial(
+        route_scatter,
         devices.number(f"{against}split_hz"),
         [
             (f"largest {of} of the four thetas, deg", worst, theta_posterior),

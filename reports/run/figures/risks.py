@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...decision_risk import RiskCurve
-from ...html.style import ACCENT, BEFORE, INK, RULE, Drawing, panels, style
+from ...html.style import ACCENT, BEFORE, INK, RULE, Drawing, log_ticks, panels, style
 from ...rules import Rule
 
 
@@ -32,6 +32,7 @@ def risk_curve_figure(curve: RiskCurve, rule: Rule, name: str = "risk-curve") ->
             100 * float(np.nanmax(np.concatenate([one for _, a, b, _ in lines for one in (a, b[np.isfinite(b)])]))), 1.0
         )
         right.set_ylim(floor * 0.9, 1.5 * top)
+        log_ticks(right.yaxis)
         right.set_ylabel("risk, % of all")
         right.legend(
             fontsize=9, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 0.99), handlelength=1.3, columnspacing=0.9
