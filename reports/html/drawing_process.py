@@ -46,6 +46,7 @@ class DrawingProcess:
             start_new_session=True,  # Ctrl-C is for the page
         )
         self._thread = Thread()
+        self._ready = False
 
     def take(self, waiting: deque[tuple[int, Ask]], found: dict[int, Markup | None]) -> None:
         """Draw figures from the end of ``waiting`` into ``found`` from now on; one that cannot be drawn goes back."""
@@ -68,7 +69,9 @@ class DrawingProcess:
                 pipe.close()
 
     def _take(self, waiting: deque[tuple[int, Ask]], found: dict[int, Markup | None]) -> None:
-        if not self._answer()[0]:  # it is not there yet: a page of few figures does not wait for it
+        # Until it is there it takes nothing: a page of few figures does not wait for it.
+        self._ready = self._ready or self._answer()[0]
+        if not self._ready:
             return
         with suppress(IndexError):
             while True:
