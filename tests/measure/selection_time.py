@@ -1,4 +1,4 @@
-"""Wall-clock and processor time of the selection that `refine` makes, of campaigns of the hidden-effects study, one after the other.
+"""Wall-clock and processor time of the selection that `refine` makes, of campaigns of the hidden-effects study in turn.
 
     python tests/measure/selection_time.py SEED KIND FIRST COUNT
 

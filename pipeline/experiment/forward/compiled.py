@@ -27,21 +27,21 @@ _DRIVE = (_MATRIX, types.boolean)
 
 
 @once
-def compiled_deviation(half_size: int) -> Any:
-    """``deviation_from_linear`` for at most ``half_size`` coordinates (H)."""
-    return njit(_deviation_signature(half_size), **OPTIONS)(deviation_from_linear)
+def compiled_deviation(half_size: int, beside: int = 0) -> Any:
+    """``deviation_from_linear`` for at most ``half_size`` coordinates (H) that drives move, and ``beside`` others (W)."""
+    return njit(_deviation_signature(half_size, beside), **OPTIONS)(deviation_from_linear)
 
 
-def deviation_is_cached(half_size: int) -> bool:
+def deviation_is_cached(half_size: int, beside: int = 0) -> bool:
     """Whether the cache of this machine holds :func:`compiled_deviation`."""
-    return is_cached(njit(**OPTIONS)(deviation_from_linear), _deviation_signature(half_size))
+    return is_cached(njit(**OPTIONS)(deviation_from_linear), _deviation_signature(half_size, beside))
 
 
-def _deviation_signature(half_size: int) -> Any:
-    shape = types.UniTuple(types.int64, half_size)
-    matrices = (_MATRIX, _MATRIX, _MATRIX, types.float64)
+def _deviation_signature(half_size: int, beside: int) -> Any:
+    shape, more = types.UniTuple(types.int64, half_size), types.Tuple((types.int64,) * beside)
+    matrices = (_MATRIX, _MATRIX, _MATRIX, _MATRIX, types.float64)
     reads = (_VECTOR, _MATRIX, _MATRIX, _MATRIX)
-    return types.void(shape, *FORCES_TYPES, *matrices, *_STEPS, types.int64, *_DRIVE, *reads)
+    return types.void(shape, more, *FORCES_TYPES, *matrices, *_STEPS, types.int64, types.int64, *_DRIVE, *reads)
 
 
 @once

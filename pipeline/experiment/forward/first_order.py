@@ -13,14 +13,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import expm
 
 from ...arrays import FloatArray
 from ...device.force_law import Laws, acting_forces
-from ...device.mechanics import Mechanics, state_matrix
+from ...device.mechanics import Mechanics
 from .compiled import compiled_first_order
 from .drive_groups import DriveGroup
-from .integrate import Forces, Motion, Steps, between_samples
+from .integrate import Forces, Motion, appended_half, between_samples
 from .response import after_readout, for_distinct_records, force_volts_along, pickoff_rows, sense_effect_volts
 from .system import System
 
@@ -77,7 +76,7 @@ def perturbed_motion(motion: Motion, mechanics: Mechanics, forces: Forces, laws:
     steps = motion.steps
     taps = steps.padded(reads / steps.factors)
     deviation = np.empty((motion.states.shape[0] // 2 + 1, taps.shape[0]))
-    appended, beside = _appended_half(mechanics, steps)
+    appended, beside = appended_half(mechanics, steps)
     compiled_first_order(steps.half_size, beside.shape[0] // 2)(
         (0,) * steps.half_size,
         (0,) * (beside.shape[0] // 2),
@@ -98,23 +97,6 @@ def perturbed_motion(motion: Motion, mechanics: Mechanics, forces: Forces, laws:
         deviation,
     )
     return deviation
-
-
-def _appended_half(mechanics: Mechanics, steps: Steps) -> tuple[int, FloatArray]:
-    """Number m of coordinates appended to those of ``steps``, and their propagator over half a substep.
-
-    It is transposed and padded as ``Steps.half``, (2W, 2W) with W >= m even, in the units (scale q, q') of ``steps``.
-    """
-    n, own = mechanics.stiffness.shape[1], steps.coordinates
-    m = n - own
-    wide = m + m % 2
-    place = np.concatenate([np.arange(own, n), n + np.arange(own, n)])
-    factors = np.concatenate([np.full(m, steps.scale), np.ones(m)])
-    a = state_matrix(mechanics)[0][np.ix_(place, place)] * factors[:, None] / factors
-    index = np.concatenate([np.arange(m), wide + np.arange(m)])
-    half = np.zeros((2 * wide, 2 * wide))
-    half[np.ix_(index, index)] = expm(a * (0.5 * steps.step_s / steps.substeps)).T if m else 0.0
-    return m, half
 
 
 def only_forces_move(larger: Mechanics, mechanics: Mechanics) -> bool:

@@ -83,16 +83,21 @@ class Steps:
         return self.padded((np.zeros_like(self.factors) if start is None else start * self.factors)[None])[0]
 
 
-def steps_of(mechanics: Mechanics, step_s: float, hold: Hold, substeps: int) -> Steps:
-    """Exact propagators of ``mechanics`` (a batch of one) for drive samples ``step_s`` [s] apart, per half substep."""
-    a = state_matrix(mechanics)[0]
-    n, drives = mechanics.drive.shape[1:]
+def steps_of(mechanics: Mechanics, step_s: float, hold: Hold, substeps: int, own: int | None = None) -> Steps:
+    """Exact propagators of ``mechanics`` (a batch of one) for drive samples ``step_s`` [s] apart, per half substep.
+
+    ``own`` : only of so many first coordinates, which do not couple to the others; by default of all.
+    """
+    whole, drives = mechanics.drive.shape[1:]
+    n = whole if own is None else own
+    kept = np.concatenate([np.arange(n), whole + np.arange(n)])
+    a = state_matrix(mechanics)[0][np.ix_(kept, kept)]
     # In (scale q, q') the matrix is balanced, so its exponential loses no digits.
-    scale = float(np.sqrt(np.mean(np.diagonal(mechanics.stiffness[0]))))
+    scale = float(np.sqrt(np.mean(np.diagonal(mechanics.stiffness[0])[:n])))
     factors = np.concatenate([np.full(n, scale), np.ones(n)])
     augmented = np.zeros((2 * n + 2 * drives, 2 * n + 2 * drives))
     augmented[: 2 * n, : 2 * n] = a * factors[:, None] / factors
-    augmented[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0]
+    augmented[n : 2 * n, 2 * n : 2 * n + drives] = mechanics.drive[0, :n]
     augmented[2 * n : 2 * n + drives, 2 * n + drives :] = np.eye(drives)
     propagator = expm(augmented * (0.5 * step_s / substeps))
     # The loops add four sums at a time.  Three coordinates take 1.1 times as long in four places as in three, and share code.
@@ -135,25 +140,32 @@ def trajectory(
     ------
     ConfigError : a motion that diverges.
     """
-    steps = steps_of(mechanics, step_s, hold, substeps)
+    whole = mechanics.drive.shape[1]
+    own = whole if reads is None else _moved_coordinates(mechanics, reads, start)
+    kept = np.concatenate([np.arange(own), whole + np.arange(own)])
+    steps = steps_of(mechanics, step_s, hold, substeps, own)
+    appended, beside = appended_half(mechanics, steps)
     points = (drive.shape[0] - 1) * substeps + 1
-    taps = steps.padded((np.eye(steps.factors.size) if reads is None else reads) / steps.factors)
+    taps = steps.padded((np.eye(steps.factors.size) if reads is None else reads[:, kept]) / steps.factors)
     linear = np.empty((points if reads is None else 0, taps.shape[0]))
     deviation = np.empty((points, taps.shape[0]))
-    compiled_deviation(steps.half_size)(
+    compiled_deviation(steps.half_size, beside.shape[0] // 2)(
         (0,) * steps.half_size,
+        (0,) * (beside.shape[0] // 2),
         *acting_forces(forces),
         laws,
         steps.half,
         steps.held,
         steps.ramp,
+        beside,
         1.0 / steps.scale,
         step_s,
         substeps,
         steps.coordinates,
+        appended,
         np.ascontiguousarray(drive),
         steps.sloped,
-        steps.padded_start(start),
+        steps.padded_start(None if start is None else start[kept]),
         taps,
         linear,
         deviation,
@@ -161,6 +173,44 @@ def trajectory(
     if not np.isfinite(deviation[-1]).all():
         raise ConfigError("the motion diverges", next_step="check the size and sign of the nonlinear effects")
     return linear, deviation
+
+
+def _moved_coordinates(mechanics: Mechanics, reads: FloatArray, start: FloatArray | None) -> int:
+    """Number of first coordinates from which the others can be integrated apart: forces alone move these, and none is read.
+
+    All of them where that would not save a pair of places (``Steps.half_size``).
+    """
+    n = mechanics.drive.shape[1]
+    matrices = (mechanics.stiffness[0], mechanics.damping[0], mechanics.gyroscopic[0])
+    for own in range(1, n):
+        apart = np.arange(n) >= own
+        both = np.concatenate([apart, apart])
+        moved = (
+            any(np.any(matrix[apart[:, None] != apart]) for matrix in matrices)
+            or np.any(mechanics.drive[0, apart])
+            or np.any(reads[:, both])
+            or (start is not None and np.any(start[both]))
+        )
+        if not moved:
+            return own if own + own % 2 < n + n % 2 else n
+    return n
+
+
+def appended_half(mechanics: Mechanics, steps: Steps) -> tuple[int, FloatArray]:
+    """Number m of coordinates appended to those of ``steps``, and their propagator over half a substep.
+
+    It is transposed and padded as ``Steps.half``, (2W, 2W) with W >= m even, in the units (scale q, q') of ``steps``.
+    """
+    n, own = mechanics.stiffness.shape[1], steps.coordinates
+    m = n - own
+    wide = m + m % 2
+    place = np.concatenate([np.arange(own, n), n + np.arange(own, n)])
+    factors = np.concatenate([np.full(m, steps.scale), np.ones(m)])
+    a = state_matrix(mechanics)[0][np.ix_(place, place)] * factors[:, None] / factors
+    index = np.concatenate([np.arange(m), wide + np.arange(m)])
+    half = np.zeros((2 * wide, 2 * wide))
+    half[np.ix_(index, index)] = expm(a * (0.5 * steps.step_s / steps.substeps)).T if m else 0.0
+    return m, half
 
 
 def between_samples(drive: FloatArray, substeps: int, sloped: bool) -> FloatArray:

@@ -56,6 +56,7 @@ def read_taps(size: int, taps: FloatArray, x: FloatArray, row: int, out: FloatAr
 
 def deviation_from_linear(
     shape: tuple[int, ...],
+    more: tuple[int, ...],
     forces: IntArray,
     p: FloatArray,
     ends: IntArray,
@@ -63,10 +64,12 @@ def deviation_from_linear(
     half: FloatArray,
     held: FloatArray,
     ramp: FloatArray,
+    beside: FloatArray,
     inverse: float,
     step_s: float,
     substeps: int,
     n: int,
+    m: int,
     drive: FloatArray,
     sloped: bool,
     start: FloatArray,
@@ -76,29 +79,36 @@ def deviation_from_linear(
 ) -> None:
     """Integrate d' = A d + (0, a(t, x_l + d, u)) along the linear motion x_l by Lawson-RK4; fill ``linear``, ``deviation``.
 
+    Beside the n coordinates, m others that the linear motion does not move follow their own forces: they have their own
+    propagator, because zeros would take most of a common one.
+
     Parameters
     ----------
-    shape : tuple of H zeros.
+    shape, more : tuples of H and of W zeros, m <= W.
     forces, p, ends, laws : of ``force_law.acting_forces``, and what force laws use.
     half, held, ramp : (2H, 2H), (D, 2H), (D, 2H) response over half a substep to a state, a drive and the slope of a drive.
-    inverse, step_s, substeps, n : 1 / scale [s/rad], time between samples [s], substeps, coordinates.
+    beside : E (2W, 2W) of the others.
+    inverse, step_s, substeps : 1 / scale [s/rad], time between samples [s], substeps.
+    n, m : numbers of coordinates that drives move and of the others, which follow them in the forces.
     drive, sloped : (N, D) [V]; whether the drive is linear between samples (first-order hold).
     start : (2H,) state at the first sample [V].
     taps : (T, 2H).
     linear : (M, T) taps of the linear motion, filled; (0, T) where it is not wanted.
     deviation : (M, T) taps of the deviation, filled.
     """
-    half_size = len(shape)
-    size = 2 * half_size
+    half_size, wide = len(shape), len(more)
+    size, double = 2 * half_size, 2 * wide
     drives = held.shape[0]
     h = step_s / substeps
     # A quotient that is a factor in a loop would become a division in it.
     sixth = h * (1.0 / 6.0)
-    q, qd, out, u, slope = np.empty(n), np.empty(n), np.empty(n), np.empty(drives), np.empty(drives)
+    q, qd, out, u, slope = np.empty(n + m), np.empty(n + m), np.empty(n + m), np.empty(drives), np.empty(drives)
     # At the start, middle and end of a substep: linear motion, and the deviation without the forces since its start.
     motion, free = np.empty((3, size)), np.empty((3, size))
     # Forces k1 .. k4 at the stages; what k1 and k3 grow to in half a substep; state at a stage; response to the drive.
     k, grown, trial, driven = np.empty((4, half_size)), np.empty((2, size)), np.empty(size), np.empty(size)
+    # The same of the others, which have no linear motion: ``free``, ``k`` and ``grown``.
+    apart, pushed, own = np.zeros((3, double)), np.zeros((4, wide)), np.zeros((2, double))
     for i in range(half_size):
         for stage in range(4):
             k[stage, i] = 0.0
@@ -138,18 +148,35 @@ def deviation_from_linear(
                             u[d] += slope[d] * 0.5 * h
                         for i in range(size):
                             trial[i] = motion[node, i] + free[node, i] + 0.5 * node * h * grown[node - 1, i]
+                        if wide > 0:
+                            summed(double, beside, 0, double, apart, node - 1, apart, node)
+                            summed(double, beside, wide, wide, pushed, stage - 1, own, node - 1)
+                            for i in range(m):
+                                q[n + i] = (apart[node, i] + 0.5 * node * h * own[node - 1, i]) * inverse
+                                qd[n + i] = apart[node, wide + i] + 0.5 * node * h * own[node - 1, wide + i]
                     else:
                         for i in range(size):
                             trial[i] = motion[node, i] + free[node, i]
+                        if wide > 0:
+                            for i in range(m):
+                                q[n + i], qd[n + i] = apart[node, i] * inverse, apart[node, wide + i]
                     if stage == 2:
                         for i in range(n):
                             trial[half_size + i] += 0.5 * h * k[1, i]
+                        if wide > 0:
+                            for i in range(m):
+                                qd[n + i] += 0.5 * h * pushed[1, i]
                     for i in range(n):
-                        q[i], qd[i], out[i] = trial[i] * inverse, trial[half_size + i], 0.0
+                        q[i], qd[i] = trial[i] * inverse, trial[half_size + i]
+                    for i in range(n + m):
+                        out[i] = 0.0
                     for f in range(forces.size):
                         push(forces[f], t + 0.5 * node * h, q, qd, u, p, ends[f], ends[f + 1], laws, out)
                     for i in range(n):
                         k[stage, i] = out[i]
+                    if wide > 0:
+                        for i in range(m):
+                            pushed[stage, i] = out[n + i]
                 # d <- E^2 d + h/6 (E (E k1 + 2 (k2 + k3)) + k4),  E the exponential of half a substep
                 for i in range(n):
                     grown[0, half_size + i] += 2.0 * (k[1, i] + k[2, i])
@@ -158,6 +185,14 @@ def deviation_from_linear(
                     free[0, i] = free[2, i] + sixth * grown[1, i]
                 for i in range(n):
                     free[0, half_size + i] += sixth * k[3, i]
+                if wide > 0:
+                    for i in range(m):
+                        own[0, wide + i] += 2.0 * (pushed[1, i] + pushed[2, i])
+                    summed(double, beside, 0, double, own, 0, own, 1)
+                    for i in range(double):
+                        apart[0, i] = apart[2, i] + sixth * own[1, i]
+                    for i in range(m):
+                        apart[0, wide + i] += sixth * pushed[3, i]
             for i in range(size):
                 motion[0, i] = motion[2, i]
             point += 1

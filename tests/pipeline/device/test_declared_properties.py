@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,34 @@ def test_energy_falls_without_drive(name: str, angle: float, share: float) -> No
     energy = potential + 0.5 * np.sum(qd**2, axis=1)
     assert np.all(np.diff(energy) < 1e-9 * energy[0])
     assert energy[-1] < energy[0]
+
+
+@pytest.mark.parametrize("others", [(), ("internal_resonance_1_2",)])
+def test_coordinates_that_forces_alone_move_are_integrated_apart_without_a_change(others: tuple[str, ...]) -> None:
+    model = DEFAULT_COMPARE_MODEL.with_effect("hysteresis")
+    values = {"hysteresis.k": 1e5, "hysteresis.r": 1e-4}
+    for name in others:
+        model = model.with_effect(name)
+        values |= values_at(model.effect(name), model, 0.5)
+    system = assemble(
+        model, model.complete({**PLANT, **values}), INSTRUMENT, conditions_of(RECORD, INSTRUMENT, None)
+    ).integrated
+    m, forces = system.mechanics, [(e.force, p) for e, p in system.forces]
+    drive = RECORD.drive_v[:600]
+    assert m.stiffness.shape[1] == 5 + len(others)
+    solve = partial(trajectory, m, forces, system.laws, drive, 1.0 / RECORD.sample_rate_hz, "zoh")
+    for start in (
+        None,
+        np.concatenate([[1e-4, -2e-4, 0.0], np.zeros(2 + len(others)), [0.1, 0.2, -0.3], np.zeros(2 + len(others))]),
+    ):
+        _, together = solve(start)
+        _, apart = solve(start, reads=m.reads[0])
+        np.testing.assert_allclose(apart, together @ m.reads[0].T, rtol=0.0, atol=1e-10 * np.max(np.abs(apart)))
+    # A memory that is read, or does not start at zero, is integrated with all others.
+    read = m.reads[0] + np.eye(1, 2 * m.stiffness.shape[1], m.stiffness.shape[1] + 4)
+    _, together = solve(None)
+    _, apart = solve(None, reads=read)
+    np.testing.assert_allclose(apart, together @ read.T, rtol=0.0, atol=1e-10 * np.max(np.abs(apart)))
 
 
 def test_a_hysteresis_takes_the_area_of_its_loops() -> None:
