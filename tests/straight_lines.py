@@ -56,6 +56,8 @@ class Lines:
     data: Sequence[FloatArray]
     library: tuple[str, ...] = ("square", "cube", "kink", "bump", "line")
     sided: tuple[str, ...] = ("kink",)
+    #: Terms whose parameters do not exist at the null.
+    levels: tuple[str, ...] = ()
     strata: tuple[IntArray, ...] | None = None
     noise_known: bool = True
     fails: tuple[str, ...] = ()
@@ -78,7 +80,9 @@ class Lines:
         for term in terms:
             if term in self.sided and size[columns[term][0]] < 0.0:
                 size[columns[term][0]] = 0.0
-        shifts = {term: tuple(size[list(own)].tolist()) for term, own in columns.items()}
+        shifts = {
+            term: tuple(0.0 if term in self.levels else float(size[i]) for i in own) for term, own in columns.items()
+        }
         sd = np.sqrt(np.diag(np.linalg.pinv(fitted.T @ fitted)))
         rest = [y - d @ size for y, d in zip(self.data, design)]
         blocks = tuple(

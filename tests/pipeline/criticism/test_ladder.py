@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.criticism.fit_tests import Rules
+from pipeline.criticism.fit_tests import Rules, wald
+from pipeline.criticism.held_out import PairedDifference
 from pipeline.criticism.ladder import as_diagnosis, as_ladder, diagnose, refine
 from pipeline.criticism.selection import forward_selection
+from pipeline.criticism.verdict import is_supported
 
 RULES = Rules(draws=2000)
 X, SCALE_HELD_OUT = np.linspace(-1.0, 1.0, 400), 0.8
@@ -110,6 +112,20 @@ def test_terms_that_imitate_a_third_one_together_are_not_named(toy: Any) -> None
         assert all(rung.status != "confirmed" for rung in ladder.rungs)
         both = diagnose(toy.problem(seed, {"left": 60.0, "right": 30.0}, library=library), rules=RULES)
         assert (both.verdict, set(both.terms), both.imitating) == ("effect", {"left", "right"}, ())
+
+
+@pytest.mark.parametrize(("snr", "supported"), [(30.0, True), (6.0, False)])
+def test_a_term_without_a_wald_statistic_is_supported_by_what_chi2_rises_without_it(
+    toy: Any, snr: float, supported: bool
+) -> None:
+    problem = toy.problem(3, {"cube": 60.0, "bump": snr}, library=("cube", "bump"), levels=("bump",))
+    found = forward_selection(problem, rules=RULES)
+    assert set(found.added) == {"cube", "bump"}
+    # Held-out records that hardly clip confirm nothing.
+    quiet = replace(found, steps=tuple(replace(step, held=PairedDifference(1.0, 1.0)) for step in found.steps))
+    assert wald(quiet.last.fit, "bump") == 0.0
+    assert is_supported(quiet, "bump") == supported
+    assert is_supported(quiet, "cube")
 
 
 def test_a_superfluous_term_is_removed_once_the_right_one_is_added(toy: Any) -> None:
