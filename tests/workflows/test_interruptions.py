@@ -27,6 +27,9 @@ from workflows.screening.worker_process import leave_sign
 def handlers() -> Iterator[None]:
     """The handlers of a command."""
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    for number in before:
+        # Under nohup the suite inherits an ignored SIGHUP, which stays ignored.
+        signal.signal(number, signal.SIG_DFL)
     end_like_ctrl_c()
     yield
     for number, handler in before.items():
