@@ -43,7 +43,7 @@ def measure(seed: int, kind: str, number: int) -> float:
     ladder = as_ladder(restricted(answers.problem), selection)
     seconds, busy = time.perf_counter() - start, time.process_time() - busy
     effects = " + ".join(f"{name} {snr:.0f}" for name, snr in zip(hidden.effects, hidden.snr))
-    added = ", ".join(ladder.added) or "none"
+    added = ", ".join(ladder.terms) or "none"
     print(f"{kind} {number:3d}  {seconds:6.1f} s  {busy:6.1f} s busy  {effects}: {ladder.verdict}, {added}", flush=True)
     return seconds
 
