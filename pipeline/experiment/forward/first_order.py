@@ -19,7 +19,7 @@ from ...device.force_law import Laws, acting_forces
 from ...device.mechanics import Mechanics
 from .compiled import compiled_first_order
 from .drive_groups import DriveGroup
-from .integrate import Forces, Motion, appended_half, between_samples
+from .integrate import Forces, Motion, appended_half, between_samples, forces_alone_move
 from .response import after_readout, for_distinct_records, force_volts_along, pickoff_rows, sense_effect_volts
 from .system import System
 
@@ -102,14 +102,10 @@ def perturbed_motion(motion: Motion, mechanics: Mechanics, forces: Forces, laws:
 def only_forces_move(larger: Mechanics, mechanics: Mechanics) -> bool:
     """Whether what ``larger`` appends to ``mechanics`` (batches of one) moves by forces alone, and is not sensed."""
     n = mechanics.stiffness.shape[1]
-    apart = np.arange(larger.stiffness.shape[1]) >= n
-    across = apart[:, None] != apart
-    matrices = (larger.stiffness[0], larger.damping[0], larger.gyroscopic[0])
-    reads = larger.reads[0][:, np.concatenate([apart, apart])]
-    own = zip(matrices, (mechanics.stiffness[0], mechanics.damping[0], mechanics.gyroscopic[0]))
-    return not (
-        any(np.any(matrix[across]) for matrix in matrices)
-        or np.any(larger.drive[0][apart])
-        or np.any(reads)
-        or any(not np.array_equal(matrix[:n, :n], one) for matrix, one in own)
+    pairs = (
+        (larger.stiffness[0], mechanics.stiffness[0]),
+        (larger.damping[0], mechanics.damping[0]),
+        (larger.gyroscopic[0], mechanics.gyroscopic[0]),
     )
+    same = all(np.array_equal(matrix[:n, :n], one) for matrix, one in pairs)
+    return same and forces_alone_move(larger, n, larger.reads[0])

@@ -181,19 +181,23 @@ def _moved_coordinates(mechanics: Mechanics, reads: FloatArray, start: FloatArra
     All of them where that would not save a pair of places (``Steps.half_size``).
     """
     n = mechanics.drive.shape[1]
-    matrices = (mechanics.stiffness[0], mechanics.damping[0], mechanics.gyroscopic[0])
     for own in range(1, n):
-        apart = np.arange(n) >= own
-        both = np.concatenate([apart, apart])
-        moved = (
-            any(np.any(matrix[apart[:, None] != apart]) for matrix in matrices)
-            or np.any(mechanics.drive[0, apart])
-            or np.any(reads[:, both])
-            or (start is not None and np.any(start[both]))
-        )
-        if not moved:
+        both = np.tile(np.arange(n) >= own, 2)
+        if forces_alone_move(mechanics, own, reads) and (start is None or not np.any(start[both])):
             return own if own + own % 2 < n + n % 2 else n
     return n
+
+
+def forces_alone_move(mechanics: Mechanics, own: int, reads: FloatArray) -> bool:
+    """Whether all but the ``own`` first coordinates (of a batch of one) move by forces alone, and ``reads`` (S, 2n) skip them."""
+    apart = np.arange(mechanics.drive.shape[1]) >= own
+    across = apart[:, None] != apart
+    matrices = (mechanics.stiffness[0], mechanics.damping[0], mechanics.gyroscopic[0])
+    return not (
+        any(np.any(matrix[across]) for matrix in matrices)
+        or np.any(mechanics.drive[0][apart])
+        or np.any(reads[:, np.tile(apart, 2)])
+    )
 
 
 def appended_half(mechanics: Mechanics, steps: Steps) -> tuple[int, FloatArray]:
