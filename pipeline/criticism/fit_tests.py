@@ -158,14 +158,18 @@ def _log_p_of_increase(tests: FitTests, delta_chi2: float, parameters: int) -> f
     return float(log_tail(delta_chi2 * dof / max(tests.fit.chi2, 1e-300), parameters, dof))
 
 
+def residual_variance(fit: FitResult) -> float:
+    """Variance of the rows of a fit [sigma^2]: chi2 / dof, but at least 1 where the noise level is known."""
+    level = fit.chi2 / max(fit.dof, 1)
+    return max(1.0, level) if fit.noise_known else max(level, 1e-300)
+
+
 def log_p_without(fit: FitResult, smaller: FitResult) -> float:
     """log P of the increase of chi2 from ``fit`` to the ``smaller`` fit, which has fewer terms.
 
     The increase is divided by chi2 / dof of ``fit``, but at least by 1 where the noise level is known.
     """
-    level = fit.chi2 / max(fit.dof, 1)
-    level = max(1.0, level) if fit.noise_known else max(level, 1e-300)
-    increase = max(smaller.chi2 - fit.chi2, 0.0) / level
+    increase = max(smaller.chi2 - fit.chi2, 0.0) / residual_variance(fit)
     parameters = max(smaller.dof - fit.dof, 1)
     return float(log_tail(increase, parameters, None if fit.noise_known else max(fit.dof, 1)))
 
@@ -183,8 +187,7 @@ def wald(fit: FitResult, term: str) -> float:
         return 0.0
     theta = np.array([shift for shift in fit.shifts[term] if shift != 0.0]) * scale[own]
     part = covariance[np.ix_(own, own)]
-    level = max(1.0, fit.chi2 / max(fit.dof, 1)) if fit.noise_known else fit.chi2 / max(fit.dof, 1)
-    return float(theta @ np.linalg.pinv(part, hermitian=True) @ theta) / max(level, 1e-300)
+    return float(theta @ np.linalg.pinv(part, hermitian=True) @ theta) / residual_variance(fit)
 
 
 def is_clear(fit: FitResult, term: str) -> bool:

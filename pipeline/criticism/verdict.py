@@ -29,7 +29,7 @@ import numpy as np
 
 from ..arrays import RANK, FloatArray, IntArray
 from .budget import CLEAR_SNR, DETECTABLE_SNR
-from .fit_tests import FitTests, Rules, is_clear
+from .fit_tests import FitTests, Rules, is_clear, residual_variance
 from .goodness import Agreement, agreement, partitions
 from .problem import FitResult, Problem, Signatures
 from .rung import FitCache, Fits
@@ -170,9 +170,7 @@ def _is_missed(selection: ForwardSelection, term: str) -> bool:
     if any(fit.shifts.get(term, ())):
         return False
     smaller = selection.fits.get(frozenset(fit.terms) - {term})
-    level = fit.chi2 / max(fit.dof, 1)
-    level = max(1.0, level) if fit.noise_known else level
-    return smaller is not None and smaller.ok and smaller.chi2 - fit.chi2 > CLEAR_SNR**2 * level
+    return smaller is not None and smaller.ok and smaller.chi2 - fit.chi2 > CLEAR_SNR**2 * residual_variance(fit)
 
 
 def imitates_jointly(selection: ForwardSelection, term: str) -> bool:
